@@ -1,0 +1,27 @@
+"""The one error root of ``hil``; the command line turns it into a message and an exit status."""
+
+from __future__ import annotations
+
+
+class HilError(Exception):
+    """Something the user can mend; the message names the object, the value and what was expected.
+
+    Exit status 2 on the command line.
+    """
+
+
+class ExperimentError(HilError):
+    """An experiment that cannot be run, with every fault that was found.
+
+    Parameters
+    ----------
+    source : str
+        File or name of the experiment.
+    faults : list of str
+        One line each, ``path.of.the.field: what is wrong``.
+    """
+
+    def __init__(self, source: str, faults: list[str]) -> None:
+        self.source = source
+        self.faults = faults
+        super().__init__("\n".join(f"{source}: {fault}" for fault in faults))
