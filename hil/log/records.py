@@ -1,0 +1,314 @@
+"""The one table of what is logged: topics, fields, units, and how a record becomes bytes.
+
+Every signal record is a ROS 2 message (``ros2msg`` text as schema) in CDR, little endian. Fields are ordered float64,
+int64, int32, uint8, so that the packed layout *is* the aligned layout of CDR: one ``struct`` writes a record and one
+``numpy`` dtype reads thousands. Only raw frames have a part of variable length, ``uint8[] data``, always last.
+
+Log time and publish time of a record are the nominal session time; the fields never repeat them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from struct import Struct
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from hil.errors import HilError
+
+CDR_HEADER: Final = b"\x00\x01\x00\x00"
+"""Encapsulation header of plain CDR, little endian (OMG DDSI-RTPS 2.3, table 10.3)."""
+
+EVENTS_TOPIC: Final = "/events"
+
+STATUS: Final = ("ok", "hold", "none yet", "safe state")
+"""Names of ``/actuator/applied.status``."""
+
+SEVERITIES: Final = ("debug", "info", "warning", "error")
+
+EVENT_SCHEMA_NAME: Final = "hil.Event"
+EVENT_SCHEMA: Final[dict[str, Any]] = {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": EVENT_SCHEMA_NAME,
+    "type": "object",
+    "required": ["tick", "t_s", "kind", "severity", "message", "data"],
+    "properties": {
+        "tick": {"type": "integer", "description": "slot in which it happened, -1 outside of slots"},
+        "t_s": {"type": "number", "description": "nominal session time in s"},
+        "kind": {"type": "string", "description": "short name to filter by"},
+        "severity": {"type": "string", "enum": list(SEVERITIES)},
+        "message": {"type": "string", "description": "one sentence for people"},
+        "data": {"type": "object", "description": "values that belong to it; numbers that are not finite as text"},
+    },
+}
+"""JSON Schema of ``/events``."""
+
+_CODES: Final = {"float64": "d", "int64": "q", "int32": "i", "uint8": "B"}
+_NUMPY: Final = {"float64": "<f8", "int64": "<i8", "int32": "<i4", "uint8": "u1"}
+_ORDER: Final = ("float64", "int64", "int32", "uint8", "uint8[]")
+_FIELD_NAME: Final = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
+_SCHEMA_NAME: Final = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+_LINE: Final = re.compile(r"(?P<type>\S+) (?P<name>\S+)(?:  # (?P<unit>[^,]*)(?:, (?P<doc>.*))?)?")
+
+
+class SignalLike(Protocol):
+    """What a plant says of one of its signals."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def unit(self) -> str: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """One field of a record.
+
+    Parameters
+    ----------
+    type : str
+        ``float64``, ``int64``, ``int32``, ``uint8`` or, as the last field only, ``uint8[]``.
+    name : str
+        ROS 2 field name: lower case letters, digits and single underscores.
+    unit : str
+        Unit without a comma, ``1`` for none.
+    doc : str
+        One line for the reader of the schema.
+    """
+
+    type: str
+    name: str
+    unit: str = "1"
+    doc: str = ""
+
+    def __post_init__(self) -> None:
+        if self.type not in _ORDER:
+            raise ValueError(f"type: {self.type!r}, expected one of {', '.join(_ORDER)}")
+        if not _FIELD_NAME.fullmatch(self.name):
+            raise ValueError(f"name: {self.name!r} is no ROS 2 field name (lower case, digits, single underscores)")
+        if "," in self.unit or "\n" in self.unit + self.doc:
+            raise ValueError(f"unit: {self.unit!r} or its doc holds a comma or a line break")
+
+    @property
+    def line(self) -> str:
+        """The field as one line of ``ros2msg``."""
+        return f"{self.type} {self.name}  # {self.unit}" + (f", {self.doc}" if self.doc else "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Schema:
+    """A record's layout, and the two ways through it: ``pack`` to bytes, ``dtype`` back to numbers.
+
+    Parameters
+    ----------
+    name : str
+        ``package/msg/Name``.
+    fields : tuple of Field
+        Ordered float64, int64, int32, uint8, uint8[].
+
+    Examples
+    --------
+    >>> s = Schema(name="hil/msg/Demo", fields=(Field(type="float64", name="angle", unit="rad"),
+    ...                                         Field(type="uint8", name="late")))
+    >>> s.pack(1.0, 1).hex()
+    '00010000000000000000f03f01'
+    >>> print(s.text, end="")
+    float64 angle  # rad
+    uint8 late  # 1
+    """
+
+    name: str
+    fields: tuple[Field, ...]
+    text: str = field(init=False)
+    dtype: np.dtype[np.void] = field(init=False, compare=False)
+    raw: bool = field(init=False)
+    pack: Callable[..., bytes] = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not _SCHEMA_NAME.fullmatch(self.name):
+            raise ValueError(f"name: {self.name!r}, expected package/msg/Name")
+        ranks = [_ORDER.index(f.type) for f in self.fields]
+        if not ranks or ranks != sorted(ranks) or ranks.count(4) > 1:
+            raise ValueError(f"fields: {self.name} must be ordered {', '.join(_ORDER)}, with one uint8[] at most")
+        names = [f.name for f in self.fields]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"fields: {self.name} has more than one field {name!r}")
+        fixed = [f for f in self.fields if f.type != "uint8[]"]
+        raw = len(fixed) < len(self.fields)
+        dtype = np.dtype([(f.name, _NUMPY[f.type]) for f in fixed])
+        codes = "".join(_CODES[f.type] for f in fixed)
+        set_ = object.__setattr__
+        set_(self, "text", "".join(f.line + "\n" for f in self.fields))
+        set_(self, "dtype", dtype)
+        set_(self, "raw", raw)
+        if raw:
+            # The length of a sequence is a u32 and aligned as such, counted from the end of the CDR header.
+            set_(self, "pack", _raw_packer(Struct(f"<4s{codes}{-dtype.itemsize % 4}xI").pack))
+        else:
+            set_(self, "pack", partial(Struct(f"<4s{codes}").pack, CDR_HEADER))
+
+    @property
+    def data_offset(self) -> int:
+        """Where the bytes of ``uint8[]`` begin in a payload (its u32 length stands just before)."""
+        return 4 + self.dtype.itemsize + -self.dtype.itemsize % 4 + 4
+
+    @classmethod
+    def from_text(cls, name: str, text: str) -> Schema:
+        """Read back what ``text`` wrote; raises ValueError for anything that this table could not have written."""
+        found = []
+        for number, line in enumerate(text.splitlines(), 1):
+            match = _LINE.fullmatch(line)
+            if match is None:
+                raise ValueError(f"{name}: line {number} is no field: {line[:80]!r}")
+            found.append(Field(**{key: value or "" for key, value in match.groupdict().items()}))
+        return cls(name=name, fields=tuple(found))
+
+
+def _raw_packer(pack: Callable[..., bytes]) -> Callable[..., bytes]:
+    def packer(*values: Any) -> bytes:
+        data: bytes = values[-1]
+        return pack(CDR_HEADER, *values[:-1], len(data)) + data
+
+    return packer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Channel:
+    """A topic of the log.
+
+    Parameters
+    ----------
+    id : int
+        Number of the channel in the file and in the pipe, from 1.
+    topic : str
+        Name of the channel.
+    schema : Schema
+        Layout of its records.
+    """
+
+    id: int
+    topic: str
+    schema: Schema
+
+
+def field_name(name: str) -> str:
+    """ROS 2 field name for a signal's name.
+
+    Runs of other characters than letters and digits become one underscore, capitals become small.
+
+    Raises
+    ------
+    HilError
+        If nothing usable remains, or it would begin with a digit.
+
+    Examples
+    --------
+    >>> field_name("Motor speed (left)")
+    'motor_speed_left'
+    """
+    clean = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    if not _FIELD_NAME.fullmatch(clean):
+        raise HilError(f"signal {name!r}: cannot be the name of a log field, expected letters first, then letters,"
+                       " digits and underscores")
+    return clean
+
+
+def channels(
+    *, states: Sequence[SignalLike], inputs: Sequence[SignalLike], outputs: Sequence[SignalLike], n_rows: int
+) -> dict[str, Channel]:
+    """Every signal topic of a session, in the order of their numbers (``/events`` stands apart, in JSON).
+
+    Parameters
+    ----------
+    states, inputs, outputs : sequence of signals
+        The plant's signals, n, m and p of them, each with ``name`` and ``unit``.
+    n_rows : int
+        Rows of the longest control packet that the selection rule can demand.
+
+    Returns
+    -------
+    dict of str to Channel
+        Topic to channel.
+
+    Raises
+    ------
+    HilError
+        If a signal's name cannot be a field, or two signals of one topic would share a field.
+    """
+    x, u, y = _floats(states), _floats(inputs), _floats(outputs)
+    w = tuple(Field(type="float64", name=f"w_{f.name}", unit=f.unit, doc="input disturbance") for f in u)
+    rows = tuple(
+        Field(type="float64", name=f"row{i}_{f.name}", unit=f.unit) for i in range(max(n_rows, 1)) for f in u
+    )
+    table: tuple[tuple[str, str, tuple[Field, ...]], ...] = (
+        ("/plant/state", "PlantState", (*x, _tick)),
+        ("/plant/measurement", "PlantMeasurement", (*y, _tick)),
+        ("/reference", "Reference", (*y, _tick)),
+        ("/actuator/applied", "ActuatorApplied", (
+            *u, *w, _tick, _packet_tick, _i32("d", "samples", "age of the packet at the actuator"),
+            _i32("row", "1", "index of the row that was applied"), _u8("status", ", ".join(STATUS)))),
+        ("/controller/rows", "ControllerRows", (
+            *rows, _i64("sample_ns", "ns", "nominal time of the sample that was used"),
+            _i64("control_ns", "ns", "when the controller answered"), _tick,
+            _i32("tau", "samples", "sensor delay that the controller measured"),
+            _i32("selection", "1", "code of the selection rule"))),
+        ("/network/sc", "NetworkDraw", _draw),
+        ("/network/ca", "NetworkDraw", _draw),
+        ("/link/sensor", "LinkFrame", _frame),
+        ("/link/control", "LinkFrame", _frame),
+        ("/timing/tick", "TickTiming", (
+            _f64("lateness_us", "us", "wake-up after the nominal time"),
+            _f64("round_trip_us", "us", "sensor frame out to control frame in, NaN if none came"),
+            _f64("work_us", "us", "time spent in the slot, waiting excluded"), _tick,
+            _u8("late", "no packet before the deadline"), _u8("overrun", "the slot ended after its period"))),
+    )
+    found = {}
+    for number, (topic, name, fields) in enumerate(table, 1):
+        try:
+            schema = Schema(name=f"hil/msg/{name}", fields=fields)
+        except ValueError as error:
+            raise HilError(f"log topic {topic}: {error}; signals need names that differ") from None
+        found[topic] = Channel(id=number, topic=topic, schema=schema)
+    return found
+
+
+def _floats(signals: Sequence[SignalLike]) -> tuple[Field, ...]:
+    # A comma would end the unit in the schema's text, a line break the line.
+    return tuple(
+        Field(type="float64", name=field_name(s.name), unit=" ".join(s.unit.replace(",", " ").split()) or "1")
+        for s in signals
+    )
+
+
+def _f64(name: str, unit: str, doc: str) -> Field:
+    return Field(type="float64", name=name, unit=unit, doc=doc)
+
+
+def _i64(name: str, unit: str, doc: str) -> Field:
+    return Field(type="int64", name=name, unit=unit, doc=doc)
+
+
+def _i32(name: str, unit: str, doc: str) -> Field:
+    return Field(type="int32", name=name, unit=unit, doc=doc)
+
+
+def _u8(name: str, doc: str) -> Field:
+    return Field(type="uint8", name=name, doc=doc)
+
+
+_tick: Final = _i64("tick", "1", "slot k")
+_packet_tick: Final = _i64("packet_tick", "1", "slot in which the packet was sent, -1 if none")
+_draw: Final = (
+    _f64("latency_s", "s", "drawn latency, NaN for an age law"), _tick, _packet_tick,
+    _i32("mode", "1", "mode of the law"), _i32("age", "samples", "age of the newest packet, -1 if none"),
+    _u8("reason", "code of the fate, names in the metadata"),
+)
+_frame: Final = (
+    _tick, _u8("late", "came after the deadline"), Field(type="uint8[]", name="data", doc="bytes on the link")
+)
