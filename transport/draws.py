@@ -1,0 +1,62 @@
+"""The record of what a network law decided: one `Draw` for every decision about a slot or a packet."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+REASONS: tuple[str, ...] = (
+    "delivered",  # arrives for the first time, newer than all before
+    "repeated",  # age law: the newest packet of an earlier slot is still the newest
+    "disordered",  # arrives for the first time, after a newer one
+    "duplicated",  # the second copy of a packet that has arrived already
+    "superseded",  # age law: never was the newest at the receiver, and never can be
+    "lost",  # the loss law took it
+    "overflow",  # more packets in flight than the stated queue holds
+    "none-yet",  # the law points before the first slot
+    "absent",  # the law points at a packet that was never offered (late or not sent)
+    "sent",  # packet law: on its way, with this latency
+    "copied",  # packet law: a second copy on its way, with its own latency
+)
+"""Names of the reason codes: `REASONS[draw.reason]`."""
+
+(
+    DELIVERED,
+    REPEATED,
+    DISORDERED,
+    DUPLICATED,
+    SUPERSEDED,
+    LOST,
+    OVERFLOW,
+    NONE_YET,
+    ABSENT,
+    SENT,
+    COPIED,
+) = range(len(REASONS))
+
+NO_MODE = -1
+"""`Draw.mode` of a row that books a packet's fate and is no draw of the law."""
+
+
+class Draw(NamedTuple):
+    """One decision of an emulated network.
+
+    Rows with `mode >= 0` are the draws of the law: exactly one per slot, in slot order, for both families of law. Rows
+    with `mode == NO_MODE` book what became of a packet: arrivals of a packet law, superseded packets, stand-ins for
+    absent ones.
+
+    Attributes:
+        tick: slot k in which it was decided.
+        packet_tick: slot g in which the packet was sent, -1 when there is no packet.
+        mode: mode of the law, or `NO_MODE`.
+        age: slots; in a draw of an age law the age that the law demands, otherwise `tick - packet_tick`
+            (for "sent" and "copied": at arrival); -1 where it has no meaning.
+        latency_s: seconds on the way; for age laws age times T; NaN where it has no meaning.
+        reason: index into `REASONS`.
+    """
+
+    tick: int
+    packet_tick: int
+    mode: int
+    age: int
+    latency_s: float
+    reason: int
