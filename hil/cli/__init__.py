@@ -1,1 +1,81 @@
+"""The command line: one file per command, imported when it is called."""
 
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from typing import Any
+
+import click
+
+from hil.errors import HilError
+
+COMMANDS = {
+    "run": "Run an experiment, log it, print its summary.",
+    "list": "List experiments and plug-ins.",
+    "laws": "Show the network laws of an experiment: stationary law, burst lengths.",
+    "report": "Make a self-contained page from a log.",
+    "replay": "Verify a log, ask another controller, or put its frames on a bus.",
+    "recover": "Rebuild an indexed log from a torn one.",
+    "export": "Write a log's frames or signals in other formats.",
+    "sweep": "Run an experiment for many seeds on all cores.",
+    "compare": "Compare experiments under common random numbers.",
+    "controller": "Run only the controller of an experiment, on a link.",
+    "design": "Solve a design and certify it.",
+    "reproduce": "Put the thesis's numbers beside computed ones.",
+    "bench": "Measure timing, links and designs on this machine.",
+    "schema": "Print the JSON Schema of experiment files.",
+    "doctor": "Check what this machine offers, with the remedy.",
+}
+
+
+class LazyGroup(click.Group):
+    """Knows the names and one line each; imports a command only when it is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = importlib.import_module(f"hil.cli.{cmd_name}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        import difflib
+
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as e:
+            near = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
+            if near:
+                e.message += f" Did you mean {near[0]!r}?"
+            raise
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="hilrig", prog_name="hil")
+def cli() -> None:
+    """Test a networked controller without the hardware: real processes, real links, an emulated network."""
+
+
+def main(args: list[str] | None = None) -> Any:
+    """Entry point of the console command ``hil``; turns errors that the user can mend into a message and status 2."""
+    try:
+        return cli.main(args, prog_name="hil", standalone_mode=True)
+    except HilError as e:
+        for line in str(e).splitlines():
+            print(f"hil: {line}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:  # `hil list | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,312 @@
+r"""What runs inside a loop: controllers that answer one sensor packet with one *send-all* packet.
+
+Importing this module imports numpy and nothing heavier, because a process that keeps time imports it.
+
+A controller plug-in is a frozen dataclass of parameters with ``start(model)``; what it returns answers, once a slot,
+
+.. math:: (k, \tau_k, y(k-\tau_k), \bar r) \mapsto u(k, \tau_k, \cdot), \qquad \text{one row of } m \text{ values per row index}
+
+and says by ``selection`` how the actuator picks the row that it applies (thesis, Section 7.2, (7.9)-(7.13)):
+
+========== ============================== =================================================
+selection  row applied in slot k          where the packet was generated in slot g = k - d_k
+========== ============================== =================================================
+constant   0                              no information about d
+generated  d_g                            the printed rule (7.13)
+applied    d_k                            what the actuator knows when it applies
+previous   d_{g-1}                        Zhang and Shi [53]
+both       d_g (d_max + 1) + d_k          all of it
+========== ============================== =================================================
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Selection = Literal["constant", "generated", "applied", "previous", "both"]
+Rows = tuple[tuple[float, ...], ...]
+Gains = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [tau][row][m][p]
+
+
+def row_count(selection: Selection, d_max: int) -> int:
+    """Return how many rows a send-all packet carries.
+
+    >>> [row_count(s, 1) for s in ("constant", "generated", "applied", "previous", "both")]
+    [1, 2, 2, 2, 4]
+    """
+    return {"constant": 1, "both": (d_max + 1) ** 2}.get(selection, d_max + 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopModel:
+    """What a controller may know of its loop.
+
+    Parameters
+    ----------
+    A, B, C : ndarray, shapes (n, n), (n, m), (p, n)
+        Nominal plant, zero-order hold at ``period_s``.
+    period_s : float
+        Sample period T, s.
+    tau_max, d_max : int
+        Largest sensor-to-controller and controller-to-actuator delays, samples.
+    """
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    period_s: float
+    tau_max: int
+    d_max: int
+
+
+class RunningController(Protocol):
+    """A controller in the loop; called once a slot, in order."""
+
+    selection: Selection
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        """Return one row of m inputs per row index, for the sample y(k - tau) and the reference r."""
+        ...
+
+
+@runtime_checkable
+class StaticGains(Protocol):
+    """A controller that is a table of gains, so that its loop has a certificate."""
+
+    selection: Selection
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]:
+        """Return K[tau, row, m, p]."""
+        ...
+
+
+def feedforward(model: LoopModel) -> NDArray[np.float64]:
+    r"""Return :math:`\Omega_{22}` (m x p), so that :math:`\tilde u^* = \Omega_{22} \bar r` (thesis (7.6)-(7.7)).
+
+    With p < m the minimum-norm solution :math:`N^T(NN^T)^{-1}` is taken, as printed.
+
+    Raises
+    ------
+    ValueError
+        If N is rank deficient: no steady state tracks every reference.
+    """
+    n, m = model.B.shape
+    p = model.C.shape[0]
+    N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((p, m))]])
+    if np.linalg.matrix_rank(N) < n + p:
+        raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
+    return np.asarray(np.linalg.pinv(N)[n:, n:])
+
+
+def _nested(K: NDArray[np.float64]) -> Gains:
+    return tuple(tuple(tuple(tuple(map(float, row)) for row in mat) for mat in rows) for rows in K)
+
+
+class _GainRows:
+    """u = u* + K[tau, row] (y - r); a tau beyond the table uses its last entry."""
+
+    def __init__(self, K: NDArray[np.float64], selection: Selection, model: LoopModel) -> None:
+        self.selection = selection
+        self._gains = _nested(K)
+        self._last = len(self._gains) - 1
+        self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        e = [a - b for a, b in zip(y, r)]
+        star = [sum(o * b for o, b in zip(row, r)) for row in self._omega]
+        return tuple(
+            tuple(s + sum(g * x for g, x in zip(gains, e)) for s, gains in zip(star, mat))
+            for mat in self._gains[min(tau, self._last)]
+        )
+
+
+def _scalar_table(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=float)[:, :, None, None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendAll:
+    """*Send all, apply one* static output feedback with any table of gains (7.9)-(7.13).
+
+    Parameters
+    ----------
+    gains : nested tuple [tau][row][m][p]
+        One gain matrix (m x p, input unit per output unit) for every measured tau and every row.
+    selection : str
+        Which row the actuator applies; see the module's table.
+    """
+
+    gains: Gains
+    selection: Selection = "applied"
+
+    def __post_init__(self) -> None:
+        try:
+            shape = np.asarray(self.gains, dtype=float).shape
+        except ValueError:
+            shape = ()
+        if len(shape) != 4:
+            raise ValueError("gains: expected [tau][row][m][p] with equal lengths")
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]:
+        K = np.asarray(self.gains, dtype=float)
+        m, p = model.B.shape[1], model.C.shape[0]
+        rows = row_count(self.selection, model.d_max)
+        if K.shape[1:] != (rows, m, p):
+            raise ValueError(
+                f"gains: shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{p}] "
+                f"for selection {self.selection!r} with d up to {model.d_max}"
+            )
+        if K.shape[0] < model.tau_max + 1:
+            raise ValueError(f"gains: {K.shape[0]} tables, but tau reaches {model.tau_max}")
+        return K
+
+    def start(self, model: LoopModel) -> RunningController:
+        return _GainRows(self.table(model), self.selection, model)
+
+
+def _published(values: Sequence[Sequence[float]], model: LoopModel) -> NDArray[np.float64]:
+    K = _scalar_table(values)
+    if model.B.shape[1] != 1 or model.C.shape[0] != 1:
+        raise ValueError("kind: the published motor gains are for one input and one output")
+    if model.d_max + 1 > K.shape[1] or model.tau_max + 1 > K.shape[0]:
+        raise ValueError(
+            f"kind: the published gains cover tau <= {K.shape[0] - 1} and d <= {K.shape[1] - 1}; "
+            f"the links reach tau = {model.tau_max}, d = {model.d_max}"
+        )
+    return K[:, : model.d_max + 1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedHinf:
+    """The thesis's H-infinity gains (7.36) for the DC motor, with the printed selection rule (7.13) by default."""
+
+    selection: Literal["generated", "applied"] = "generated"
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]:
+        return _published([[-0.1576, -0.1318], [-0.0878, 0.0091], [-0.0342, 0.0074]], model)
+
+    def start(self, model: LoopModel) -> RunningController:
+        return _GainRows(self.table(model), self.selection, model)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedH2:
+    """The thesis's H2 gains (7.37) for the DC motor, with the printed selection rule (7.13) by default."""
+
+    selection: Literal["generated", "applied"] = "generated"
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]:
+        return _published([[-0.1980, -0.1647], [-0.1232, -0.0547], [-0.0747, -0.0399]], model)
+
+    def start(self, model: LoopModel) -> RunningController:
+        return _GainRows(self.table(model), self.selection, model)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Local:
+    """One gain for every delay: a design that ignores the network (thesis, Section 7.4.3: K = -0.4515).
+
+    Parameters
+    ----------
+    gain : nested tuple [m][p]
+        Output feedback gain, input unit per output unit.
+    """
+
+    gain: tuple[tuple[float, ...], ...] = ((-0.4515,),)
+    selection: Selection = field(default="constant", init=False)
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]:
+        K = np.asarray(self.gain, dtype=float)
+        m, p = model.B.shape[1], model.C.shape[0]
+        if K.shape != (m, p):
+            raise ValueError(f"gain: shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
+        return np.broadcast_to(K, (model.tau_max + 1, 1, m, p)).copy()
+
+    def start(self, model: LoopModel) -> RunningController:
+        return _GainRows(self.table(model), self.selection, model)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Constant:
+    """The same input in every slot and for every row: for tests and for open-loop experiments.
+
+    Parameters
+    ----------
+    value : tuple of float, length m
+        Input, in the plant's input unit.
+    """
+
+    value: tuple[float, ...] = (0.0,)
+
+    def start(self, model: LoopModel) -> RunningController:
+        if len(self.value) != model.B.shape[1]:
+            raise ValueError(f"value: {len(self.value)} entries, but the plant has {model.B.shape[1]} inputs")
+        return _ConstantRows(self.value)
+
+
+class _ConstantRows:
+    selection: Selection = "constant"
+
+    def __init__(self, value: tuple[float, ...]) -> None:
+        self._rows = (tuple(map(float, value)),)
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        return self._rows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smith:
+    """Smith predictor for the S-C delay, *send all, apply one* for the C-A delay (thesis, Figure 7.4, [212]).
+
+    A model of the plant, driven by the nominal rows, gives the undelayed output; the delayed measurement corrects its
+    bias. Row d of the packet is the control for the d-step-ahead prediction, so the row is chosen by d at application.
+
+    Parameters
+    ----------
+    gain : nested tuple [m][p]
+        Local output feedback gain. The default is cautious: 3 % overshoot on the motor.
+    """
+
+    gain: tuple[tuple[float, ...], ...] = ((-0.03,),)
+
+    def start(self, model: LoopModel) -> RunningController:
+        K = np.asarray(self.gain, dtype=float)
+        m, p = model.B.shape[1], model.C.shape[0]
+        if K.shape != (m, p):
+            raise ValueError(f"gain: shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
+        return _SmithRows(K, model)
+
+
+class _SmithRows:
+    selection: Selection = "applied"
+
+    def __init__(self, K: NDArray[np.float64], model: LoopModel) -> None:
+        self._K, self._model, self._omega = K, model, feedforward(model)
+        self._x = np.zeros(model.A.shape[0])
+        self._past: deque[NDArray[np.float64]] = deque([model.C @ self._x], maxlen=64)  # model outputs, newest last
+        self._k: int | None = None
+        self._u = np.zeros(model.B.shape[1])
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        A, B, C = self._model.A, self._model.B, self._model.C
+        if self._k is not None:
+            for _ in range(k - self._k):  # a slot whose packet was lost still passes for the model
+                self._x = A @ self._x + B @ self._u
+                self._past.append(C @ self._x)
+        self._k = k
+        bias = np.asarray(y) - self._past[-1 - min(tau, len(self._past) - 1)]
+        ref = np.asarray(r)
+        star = self._omega @ ref
+        x, rows = self._x, []
+        for _ in range(self._model.d_max + 1):
+            u = star + self._K @ (C @ x + bias - ref)
+            rows.append(tuple(map(float, u)))
+            x = A @ x + B @ u
+        self._u = np.asarray(rows[0])
+        return tuple(rows)

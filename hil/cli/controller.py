@@ -1,0 +1,33 @@
+"""``hil controller``: only the controller of an experiment, for a rig that runs elsewhere."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from hil.errors import HilError
+
+
+@click.command()
+@click.argument("experiment")
+@click.option("--link", metavar="URI", help="Link to the rig; the experiment's own by default.")
+@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field.")
+def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
+    """Answer sensor frames on a link with the controller of EXPERIMENT, until Ctrl-C.
+
+    The rig is started elsewhere with `hil run EXPERIMENT --clock real --external --link URI`.
+    """
+    from hil.experiment import load_experiment
+    from hil.runtime.controller_process import serve
+    from hil.runtime.loop import compose
+
+    loop = compose(load_experiment(experiment, sets))
+    uri = link or loop.experiment.links.uri
+    print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)
+    try:
+        serve(loop, uri)
+    except ValueError as e:
+        raise HilError(f"--link: {e}") from e
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,148 @@
+"""``hil run``: one experiment, its log, its summary."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hil.errors import HilError
+
+
+def default_path(name: str, clock: str, seed: int) -> Path:
+    """Return a path below ``runs/`` that does not exist yet."""
+    stem = f"{name}-{clock}-seed{seed}"
+    number, path = 1, Path("runs") / f"{stem}.mcap"
+    while path.exists():
+        number += 1
+        path = Path("runs") / f"{stem}-{number}.mcap"
+    return path
+
+
+@click.command()
+@click.argument("experiment")
+@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field, such as plant.gain=170.")
+@click.option("--clock", type=click.Choice(["virtual", "real"]), default="virtual", show_default=True)
+@click.option("--link", metavar="URI", help="Link in real time, such as can:hil:rig0 or zenoh:tcp/127.0.0.1:7447.")
+@click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
+@click.option("--duration", type=str, metavar="S", help="Length of the run: seconds, or '10 s', '2 min'.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
+@click.option("--force", is_flag=True, help="Overwrite an existing log.")
+@click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link.")
+@click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+@click.option("--quiet", is_flag=True, help="No live view.")
+def command(
+    experiment: str,
+    sets: tuple[str, ...],
+    clock: str,
+    link: str | None,
+    seed: int | None,
+    duration: str | None,
+    output: Path | None,
+    force: bool,
+    external: bool,
+    require_valid_timing: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Run EXPERIMENT (a shipped name or a TOML file), log it to MCAP, print its summary.
+
+    Exit status: 0 done; 1 the rig died or the log is not whole; 2 bad input, nothing started or written; 3 stopped by
+    safety; 4 timing not valid (with --require-valid-timing); 130, 143 interrupted.
+    """
+    from hil.experiment import load_experiment
+    from hil.session import run_session
+
+    changes = list(sets)
+    if seed is not None:
+        changes.append(f"seed={seed}")
+    if duration is not None:
+        changes.append(f'duration="{duration}"')
+    checked = load_experiment(experiment, changes)
+    if clock == "virtual" and (link or external):
+        raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
+    uri = link or checked.links.uri
+    if clock == "real":
+        from transport.link import check_uri
+
+        try:
+            check_uri(uri)
+        except ValueError as e:
+            raise HilError(f"{'--link' if link else 'links.uri'}: {e}") from e
+    path = output or default_path(checked.name, clock, checked.seed)
+    if path.exists() and not force:
+        raise HilError(f"{path}: exists already; choose another -o or add --force")
+    made = not path.parent.exists()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise HilError(f"{path.parent}: cannot be made: {e.strerror}") from e
+
+    try:
+        if as_json or quiet or not sys.stderr.isatty():
+            session = run_session(checked, clock=clock, link=uri, path=path, external=external)  # type: ignore[arg-type]
+        else:
+            from hil.report.live import LiveView
+
+            with LiveView(checked, clock) as view:
+                session = run_session(
+                    checked, clock=clock, link=uri, path=path, external=external, taps=view.taps  # type: ignore[arg-type]
+                )
+    except HilError:
+        if made and not any(path.parent.iterdir()):
+            path.parent.rmdir()
+        raise
+
+    status = session.status
+    if status == 0 and require_valid_timing and not session.summary["timing"]["valid"]:
+        status = 4
+    if as_json:
+        print(json.dumps(session.summary, indent=2))
+    else:
+        show(session.summary)
+    sys.exit(status)
+
+
+def show(summary: dict[str, Any]) -> None:
+    """Print a summary for people."""
+    from rich.console import Console
+    from rich.table import Table
+
+    def text(value: object) -> str:
+        if isinstance(value, bool) or value is None:
+            return {True: "yes", False: "no", None: "-"}[value]
+        return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+    console = Console(highlight=False)
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column()
+    table.add_row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
+    table.add_row("ran", f"{summary['ticks']} ticks, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
+    for name, value in summary["metrics"].items():
+        table.add_row(name, text(value))
+    for side in ("sc", "ca"):
+        n = summary["network"][side]
+        table.add_row(
+            f"network {side}",
+            f"{n['law']}, modes {n['mode_counts']}, p = {text(n['p_value'])}, "
+            f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}",
+        )
+    timing = summary["timing"]
+    if summary["clock"] == "real":
+        late = timing.get("first_late_tick")
+        table.add_row("timing", ("valid" if timing["valid"] else "NOT VALID") + f", {timing['scheduler']}")
+        for name in ("lateness_us", "round_trip_us"):
+            table.add_row(name, "  ".join(f"{q} {text(v)}" for q, v in timing[name].items()))
+        table.add_row("overruns", f"{timing['overruns']}; first late tick: {'none' if late is None else late}")
+    if summary.get("safety"):
+        table.add_row("safety", f"[red]{summary['safety']}[/red]")
+    for name, value in summary.get("problems", {}).items():
+        table.add_row(name.replace("_", " "), f"[red]{value}[/red]")
+    log = summary["log"]
+    table.add_row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
+    console.print(table)

@@ -1,0 +1,61 @@
+"""The controller node: sensor packets in, one send-all packet out per slot. It does no I/O and reads no clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from design.controllers import RunningController
+from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
+
+HELLO = 0xFFFFFFFF  # seq of the rig's question "is anybody there", answered before slot 0 and never counted
+
+
+class ControlNode:
+    """Measures tau from time stamps and answers the frame that closes a slot.
+
+    Parameters
+    ----------
+    controller : RunningController
+        The control law.
+    reference : callable
+        Slot k -> reference, one value per output.
+    period_ns : int
+        Sample period, ns.
+    rows, inputs : int
+        Shape of the answer while no sample has arrived yet.
+    """
+
+    def __init__(
+        self,
+        controller: RunningController,
+        reference: Callable[[int], Sequence[float]],
+        period_ns: int,
+        rows: int,
+        inputs: int,
+    ) -> None:
+        self._controller = controller
+        self._reference = reference
+        self._period_ns = period_ns
+        self._selection = SELECTIONS.index(controller.selection)
+        self._zeros = ((0.0,) * inputs,) * rows
+        self._sample_ns = -1
+        self._y: tuple[float, ...] = ()
+        self.malformed = 0
+
+    def hear(self, data: bytes) -> bytes | None:
+        """Take one frame from the link; return the answer when it closes its slot."""
+        packet = decode(data)
+        if not isinstance(packet, SensorPacket):
+            self.malformed += 1
+            return None
+        seq, flags, sample_ns, y = packet
+        if not flags & EMPTY and sample_ns >= self._sample_ns:  # an older sample than the newest is of no use
+            self._sample_ns, self._y = sample_ns, y
+        if flags & MORE:
+            return None
+        t_ns = seq * self._period_ns if seq != HELLO else 0
+        if self._sample_ns < 0 or seq == HELLO:
+            return encode_control(ControlPacket(seq, -1, t_ns, 0, self._selection, self._zeros))
+        tau = (t_ns - self._sample_ns) // self._period_ns
+        rows = self._controller.rows(seq, tau, self._y, self._reference(seq))
+        return encode_control(ControlPacket(seq, self._sample_ns, t_ns, tau, self._selection, rows))

@@ -1,0 +1,168 @@
+"""An experiment, composed: plug-ins made, the design solved, its certificate computed. What every process of a run receives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from design.controllers import LoopModel, RunningController, StaticGains, row_count
+from hil.errors import ExperimentError
+from hil.experiment import Experiment
+from hil.log.records import Channel, channels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loop:
+    """What is needed to run: plain data, cheap to pickle.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The checked description.
+    model : LoopModel
+        What the controller knows of the plant, and the bounds of both delays.
+    controller : object
+        Controller parameters, with any design already solved.
+    rows : int
+        Rows in one send-all packet.
+    certificate : dict or None
+        JSON form of the certificate of the closed loop, None if this kind of loop has none.
+    """
+
+    experiment: Experiment
+    model: LoopModel
+    controller: Any
+    rows: int
+    certificate: dict[str, Any] | None
+
+    def start_controller(self) -> RunningController:
+        """Return the control law, ready for slot 0."""
+        running: RunningController = self.controller.start(self.model)
+        return running
+
+    def channels(self) -> dict[str, Channel]:
+        """Return the topics that a run of this loop logs."""
+        plant = self.experiment.plant
+        return channels(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows)
+
+    def reference(self) -> Callable[[int], tuple[float, ...]]:
+        """Return the reference as a function of the slot."""
+        e = self.experiment
+        zero = (0.0,) * len(e.plant.outputs)
+        return _schedule(zero, [(round(s.at / e.period), s.value) for s in e.reference])
+
+    def disturbance(self) -> Callable[[int], tuple[float, ...]]:
+        """Return the input disturbance as a function of the slot."""
+        e = self.experiment
+        zero = (0.0,) * len(e.plant.inputs)
+        changes: dict[int, tuple[float, ...]] = {}
+        pulses = [(round(p.at / e.period), round(p.at / e.period) + p.samples, p.value) for p in e.disturbance]
+        for k in sorted({edge for a, b, _ in pulses for edge in (a, b)}):
+            active = [v for a, b, v in pulses if a <= k < b]
+            changes[k] = tuple(map(sum, zip(zero, *active)))
+        return _schedule(zero, list(changes.items()))
+
+
+def _schedule(
+    start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float, ...]]]
+) -> Callable[[int], tuple[float, ...]]:
+    """Piecewise constant in the slot; asked in ascending order it costs one comparison."""
+    ordered = sorted(changes)
+    ticks = [k for k, _ in ordered]
+    values = [start, *(v for _, v in ordered)]
+    position = 0
+
+    def at(k: int) -> tuple[float, ...]:
+        nonlocal position
+        while position < len(ticks) and ticks[position] <= k:
+            position += 1
+        while position > 0 and ticks[position - 1] > k:
+            position -= 1
+        return values[position]
+
+    return at
+
+
+def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
+    """Make the loop of an experiment: check what belongs together, solve the design, certify the closed loop.
+
+    Raises
+    ------
+    ExperimentError
+        If sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is not set.
+    """
+    faults = _faults(experiment)
+    if faults:
+        raise ExperimentError(experiment.name, faults)
+    plant, links = experiment.plant, experiment.links
+    discrete = plant.model().discretise(float(experiment.period))
+    model = LoopModel(
+        A=np.asarray(discrete.A),
+        B=np.asarray(discrete.B),
+        C=np.asarray(discrete.C),
+        period_s=float(experiment.period),
+        tau_max=links.sc.max_age,
+        d_max=links.ca.max_age,
+    )
+    controller = experiment.controller
+    try:
+        if hasattr(controller, "solve"):  # a design problem: what runs is its solution
+            controller = controller.solve(model, links.sc.law, links.ca.law)
+        running = controller.start(model)
+    except ValueError as e:
+        raise ExperimentError(experiment.name, [f"controller.{e}"]) from e
+    certificate = None
+    if certify:
+        certificate = _certify(experiment, model, controller)
+    return Loop(
+        experiment=experiment,
+        model=model,
+        controller=controller,
+        rows=row_count(running.selection, model.d_max),
+        certificate=certificate,
+    )
+
+
+def _faults(e: Experiment) -> list[str]:
+    faults = []
+    p, m, names = len(e.plant.outputs), len(e.plant.inputs), [s.name for s in e.plant.states]
+    for i, step in enumerate(e.reference):
+        if len(step.value) != p:
+            faults.append(f"reference[{i}].value: {len(step.value)} entries, but the plant has {p} outputs")
+    for i, pulse in enumerate(e.disturbance):
+        if len(pulse.value) != m:
+            faults.append(f"disturbance[{i}].value: {len(pulse.value)} entries, but the plant has {m} inputs")
+    if e.limits.input is not None and len(e.limits.input) != m:
+        faults.append(f"limits.input: {len(e.limits.input)} entries, but the plant has {m} inputs")
+    for name in e.limits.state:
+        if name not in names:
+            faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
+    return faults
+
+
+def _certify(e: Experiment, model: LoopModel, controller: Any) -> dict[str, Any] | None:
+    """Return the certificate, or refuse the run."""
+    chains = [getattr(d.law, "chain", None) for d in (e.links.sc, e.links.ca)]
+    if not isinstance(controller, StaticGains) or None in chains:
+        if not e.allow_uncertified:
+            what = "this kind of controller" if not isinstance(controller, StaticGains) else "this kind of network law"
+            raise ExperimentError(
+                e.name, [f"controller: there is no certificate for {what}; set allow_uncertified = true to run it"]
+            )
+        return None
+    from design.certificate import certify_loop
+
+    certificate = certify_loop(model, *chains, controller.table(model), controller.selection)
+    if not certificate.stable and not e.allow_uncertified:
+        raise ExperimentError(
+            e.name,
+            [
+                "controller: the loop is not mean-square stable over this network (second-moment radius "
+                f"{certificate.mean_square_radius:.4f}); set allow_uncertified = true to run it all the same"
+            ],
+        )
+    out: dict[str, Any] = certificate.to_json()
+    return out

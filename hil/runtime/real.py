@@ -1,0 +1,202 @@
+"""Real time: rig and controller as separate processes over a real link, watched by this one, which keeps the log."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from hil.errors import HilError
+from hil.log.pipe import PumpReport, pump
+from hil.log.sinks import Put, Sink
+from hil.runtime import controller_process, rig_process
+from hil.runtime.clock import monotonic_ns, pause
+from hil.runtime.loop import Loop
+
+POLL_S = 0.02
+GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
+HELLO_TIMEOUT_S = 15.0
+
+
+@dataclass(slots=True)
+class RealOutcome:
+    """How a session in real time went, as this process saw it."""
+
+    pump: PumpReport = field(default_factory=PumpReport)
+    interrupted: int | None = None  # the signal that stopped the session
+    rig_status: int | None = None
+    controller_lost: str | None = None
+
+
+class Child:
+    """One process of the session; killed within :data:`GRACE_S` by :meth:`end`, whatever it does."""
+
+    def __init__(self, name: str, module: str, job: object, pass_fds: tuple[int, ...] = ()) -> None:
+        self.name = name
+        # A new session keeps the terminal's Ctrl-C away: this process ends its children in order.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
+            pass_fds=pass_fds,
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        try:
+            pickle.dump(job, self._process.stdin)
+            self._process.stdin.close()
+        except BrokenPipeError:
+            pass  # it died on its first line; its status says so
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def poll(self) -> int | None:
+        """Return the exit status, None while it runs."""
+        return self._process.poll()
+
+    def how(self) -> str:
+        """Say how the process ended."""
+        status = self._process.returncode
+        if status is not None and status < 0:
+            return f"the {self.name} process (pid {self.pid}) was killed by {signal.Signals(-status).name}"
+        return f"the {self.name} process (pid {self.pid}) ended with status {status}"
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        if self.poll() is None:
+            self._process.terminate()
+
+    def end(self, grace_s: float = GRACE_S) -> None:
+        """Join it, or kill it after ``grace_s``."""
+        try:
+            self._process.wait(grace_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _has_fileno(stream: object) -> bool:
+    try:
+        stream.fileno()  # type: ignore[attr-defined]
+    except (OSError, AttributeError, ValueError):
+        return False
+    return True
+
+
+class _Signals:
+    """SIGINT and SIGTERM set a flag while the session runs, if this is the main thread."""
+
+    def __init__(self) -> None:
+        self.seen: int | None = None
+        self._old: dict[int, object] = {}
+
+    def __enter__(self) -> _Signals:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                self._old[number] = signal.signal(number, self._see)
+        return self
+
+    def _see(self, number: int, _frame: object) -> None:
+        self.seen = number
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._old.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]
+
+
+def run_real(
+    loop: Loop,
+    seed: int,
+    uri: str,
+    sink: Sink,
+    *,
+    external: bool = False,
+    taps: Mapping[str, Put] | None = None,
+    started: Callable[[Mapping[str, int]], None] = lambda pids: None,
+) -> RealOutcome:
+    """Run a loop in real time; return when it has ended and nothing of it is left.
+
+    Parameters
+    ----------
+    loop : Loop
+        The composed experiment.
+    seed : int
+        Seed of the run.
+    uri : str
+        The link between rig and controller.
+    sink : Sink
+        Takes every record, in this process.
+    external : bool
+        Do not start a controller: somebody else's program answers on the link.
+    taps : mapping
+        See :func:`hil.log.pipe.pump`.
+    started : callable
+        Told the process ids, by name.
+
+    Raises
+    ------
+    HilError
+        If the rig could not start, or no controller answered.
+    """
+    outcome = RealOutcome()
+    read_fd, write_fd = os.pipe()
+    parent = os.getpid()
+    children: list[Child] = []
+    stop_pump = threading.Event()
+    pumped: list[PumpReport] = []
+    thread = threading.Thread(
+        target=lambda: pumped.append(pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set)),
+        name="log",
+    )
+    with _Signals() as signals:
+        try:
+            job = rig_process.Job(
+                loop=loop, uri=uri, seed=seed, parent=parent, log_fd=write_fd,
+                hello_timeout_s=120.0 if external else HELLO_TIMEOUT_S,
+            )  # fmt: skip
+            rig = Child("rig", "hil.runtime.rig_process", job, (write_fd,))
+            children.append(rig)
+            os.close(write_fd)
+            write_fd = -1
+            thread.start()
+            controller = None
+            if not external:
+                controller = Child(
+                    "controller",
+                    "hil.runtime.controller_process",
+                    controller_process.Job(loop=loop, uri=uri, parent=parent),
+                )
+                children.append(controller)
+            started({c.name: c.pid for c in children})
+            while rig.poll() is None and signals.seen is None:
+                if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
+                    outcome.controller_lost = controller.how()
+                pause(POLL_S)
+        finally:
+            for child in children:
+                child.terminate()
+            limit = monotonic_ns() + round(GRACE_S * 1e9)
+            for child in children:
+                child.end(max((limit - monotonic_ns()) / 1e9, 0.05))
+            if write_fd >= 0:
+                os.close(write_fd)
+            stop_pump.set()
+            if thread.ident is not None:
+                thread.join()
+            os.close(read_fd)
+    outcome.interrupted = signals.seen
+    outcome.rig_status = children[0].poll()
+    if pumped:
+        outcome.pump = pumped[0]
+    if outcome.rig_status not in (0, 3) and signals.seen is None:
+        if not outcome.pump.records:
+            raise HilError(f"{children[0].how()} before it started: its message stands above")
+    return outcome

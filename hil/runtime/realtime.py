@@ -1,0 +1,54 @@
+"""Ask the operating system for real time, and say what was obtained."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import sys
+
+MCL_CURRENT, MCL_FUTURE, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 2, 1, 29
+
+
+def go_real_time(priority: int, cpu: int | None) -> str:
+    """Ask for SCHED_FIFO, locked memory, one CPU and a still garbage collector; return one line that says what was given.
+
+    Parameters
+    ----------
+    priority : int
+        SCHED_FIFO priority, 1 to 98.
+    cpu : int or None
+        Index into the CPUs that this process may use, counted from the last; None does not pin.
+    """
+    got = []
+    libc = ctypes.CDLL(None, use_errno=True)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        got.append(f"SCHED_FIFO {priority}")
+    except OSError:
+        libc.prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
+        got.append("SCHED_OTHER (no permission for SCHED_FIFO)")
+    got.append("memory locked" if libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0 else "memory not locked")
+    allowed = sorted(os.sched_getaffinity(0))
+    if cpu is not None and len(allowed) > cpu + 1:
+        try:
+            os.sched_setaffinity(0, {allowed[-1 - cpu]})
+            got.append(f"CPU {allowed[-1 - cpu]}")
+        except OSError:
+            got.append("any CPU")
+    else:
+        got.append("any CPU")
+    sys.setswitchinterval(1e-4)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    got.append("gc frozen")
+    return ", ".join(got)
+
+
+def die_with_parent(parent: int) -> None:
+    """Be killed when the parent process ends, however it ends; exit now if it has ended already."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        raise SystemExit(1)

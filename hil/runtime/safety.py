@@ -1,0 +1,67 @@
+"""Safety at the rig: limits and watchdog, latched, whatever the controller does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+
+class Safety:
+    """Decides, slot by slot, whether the rig may go on.
+
+    Once tripped it stays tripped: the rig applies zero input until the end of the run.
+
+    Parameters
+    ----------
+    input_limits : sequence of float or None, length m
+        Largest absolute command per input.
+    state_limits : sequence of (index, name, bound)
+        Largest absolute value of plant states.
+    watchdog_ticks : int
+        Slots in a row without a usable command that trip the watchdog.
+    """
+
+    def __init__(
+        self,
+        input_limits: Sequence[float] | None,
+        state_limits: Sequence[tuple[int, str, float]],
+        watchdog_ticks: int,
+    ) -> None:
+        self._inputs = input_limits
+        self._states = state_limits
+        self._watchdog_ticks = watchdog_ticks
+        self._missing = 0
+        self.tripped: str | None = None
+
+    def check_state(self, state: Sequence[float]) -> str | None:
+        """Trip on a state beyond its bound or not finite; return the reason when this call trips."""
+        if self.tripped is None:
+            for i, name, bound in self._states:
+                if not abs(state[i]) <= bound:
+                    return self._trip(f"{name} = {state[i]:.4g} is beyond its limit {bound:g}")
+            if not math.isfinite(sum(state)):
+                return self._trip("the plant's state is not finite")
+        return None
+
+    def check_command(self, u: Sequence[float]) -> str | None:
+        """Trip on a command beyond its bound; return the reason when this call trips."""
+        if self.tripped is None and self._inputs is not None:
+            for i, (value, bound) in enumerate(zip(u, self._inputs)):
+                if abs(value) > bound:
+                    return self._trip(f"command {i} = {value:.4g} is beyond its limit {bound:g}")
+        return None
+
+    def fed(self) -> None:
+        """A usable command was applied in this slot."""
+        self._missing = 0
+
+    def starved(self) -> str | None:
+        """No usable command in this slot; return the reason when this trips the watchdog."""
+        self._missing += 1
+        if self.tripped is None and self._missing >= self._watchdog_ticks:
+            return self._trip(f"watchdog: {self._missing} slots in a row without a usable command")
+        return None
+
+    def _trip(self, reason: str) -> str:
+        self.tripped = reason
+        return reason

@@ -1,0 +1,167 @@
+"""One run, from an experiment to its log and its summary. Read this file from top to bottom."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from hil.errors import HilError
+from hil.experiment import Experiment
+from hil.log.provenance import Provenance
+from hil.log.read import Run, read_run
+from hil.log.recorder import McapSink
+from hil.log.sinks import MemorySink, Put
+from hil.runtime.clock import monotonic_ns, wall_clock
+from hil.runtime.loop import Loop, compose
+from hil.runtime.virtual import run_virtual
+from transport.draws import REASONS
+from transport.packets import SELECTIONS
+
+ClockName = Literal["virtual", "real"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Session:
+    """What a finished run leaves behind.
+
+    Parameters
+    ----------
+    run : Run
+        The log, read back.
+    summary : dict
+        What ``hil run --json`` prints.
+    status : int
+        Exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety, 130 or 143 interrupted.
+    """
+
+    run: Run
+    summary: dict[str, Any]
+    status: int
+
+
+def simulate(loop: Loop, seed: int, topics: Collection[str] | None = None) -> Run:
+    """Run a loop in virtual time without a file, keeping only some topics: for sweeps and tests."""
+    sink = MemorySink(loop.channels(), topics)
+    rig = run_virtual(loop, seed, sink)
+    return Run.from_memory(sink, summary=dict(rig.outcome()))
+
+
+def run_session(
+    experiment: Experiment,
+    *,
+    clock: ClockName = "virtual",
+    link: str | None = None,
+    path: Path,
+    external: bool = False,
+    taps: Mapping[str, Put] | None = None,
+) -> Session:
+    """Run an experiment, log it, and sum it up.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The checked description.
+    clock : str
+        ``virtual`` (one process, reproducible) or ``real`` (separate processes over ``link``).
+    link : str, optional
+        URI of the real link; the experiment's own by default.
+    path : Path
+        The log to write.
+    external : bool
+        Somebody else's controller answers on the link.
+    taps : mapping
+        Topic to a function that gets its records as they come, for a live view.
+
+    Raises
+    ------
+    HilError
+        If the experiment cannot be composed, the log cannot be written, or the session could not start.
+    """
+    # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
+    loop = compose(experiment)
+    uri = "memory:" if clock == "virtual" else (link or experiment.links.uri)
+
+    # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.
+    provenance = Provenance(
+        experiment=experiment.name,
+        experiment_text=experiment.text,
+        resolved=experiment.resolved(),
+        certificate=loop.certificate,
+        seed=experiment.seed,
+        clock=clock,
+        link=uri,
+        codes={"reason": REASONS, "selection": SELECTIONS},
+        session={} if clock == "virtual" else {"started": wall_clock(), "external_controller": str(external)},
+    )
+
+    # 3. Run, with the log open. Real time is watched from here; virtual time runs here.
+    begun = monotonic_ns()
+    now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
+    with McapSink(path, loop.channels(), provenance, now=now) as sink:
+        outcome: dict[str, Any] = {}
+        if clock == "virtual":
+            rig = run_virtual(loop, experiment.seed, sink)
+            sink.event(max(rig.k, 0) * experiment.period_ns, "outcome", "rig ended", **rig.outcome())
+        else:
+            outcome = _run_real(loop, uri, sink, external, taps)
+        sink.commit()
+
+    # 4. Sum up what the log says, and what only this process knows.
+    wall_s = (monotonic_ns() - begun) / 1e9
+    if sink.error is not None:
+        outcome["log_error"] = sink.error
+    run = read_run(path, torn_ok=True)
+    return Session(run=run, summary=_summary(run, sink, outcome, wall_s), status=_status(run, sink, outcome))
+
+
+def _run_real(
+    loop: Loop, uri: str, sink: McapSink, external: bool, taps: Mapping[str, Put] | None
+) -> dict[str, Any]:
+    from hil.runtime.real import run_real
+
+    real = run_real(loop, loop.experiment.seed, uri, sink, external=external, taps=taps)
+    out: dict[str, Any] = {"dropped_in_pipe": real.pump.dropped, "torn_bytes": real.pump.torn_bytes}
+    if real.controller_lost:
+        out["controller_lost"] = real.controller_lost
+        sink.event(0, "controller lost", real.controller_lost, severity="error")
+    if real.interrupted is not None:
+        out["interrupted"] = signal.Signals(real.interrupted).name
+        sink.event(0, "interrupted", f"stopped by {out['interrupted']}", severity="warning")
+    elif real.rig_status == 3:
+        out["no_controller"] = f"no controller answered on {uri}"
+    elif real.rig_status != 0:
+        out["rig_lost"] = (
+            f"the rig process was killed by {signal.Signals(-real.rig_status).name}"
+            if real.rig_status is not None and real.rig_status < 0
+            else f"the rig process ended with status {real.rig_status}"
+        )
+        sink.event(0, "rig lost", out["rig_lost"], severity="error")
+    return out
+
+
+def _summary(run: Run, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
+    from hil.report.metrics import summarise
+
+    summary = summarise(run)
+    summary["wall_s"] = round(wall_s, 3)
+    summary["log"] = {
+        "path": str(sink.path),
+        "sha256": sink.sha256(),
+        "messages": sink.messages,
+        "dropped": sink.dropped + int(outcome.pop("dropped_in_pipe", 0)),
+    }
+    summary["problems"] = {k: v for k, v in outcome.items() if v}
+    return summary
+
+
+def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
+    if "interrupted" in outcome:
+        return 128 + int(signal.Signals[outcome["interrupted"]])
+    if "no_controller" in outcome:
+        raise HilError(outcome["no_controller"] + "; the log has nothing but that")
+    if "rig_lost" in outcome or sink.error is not None:
+        return 1
+    return 3 if any(e["kind"] == "safety" for e in run.events) else 0
