@@ -25,6 +25,9 @@ CDR_HEADER: Final = b"\x00\x01\x00\x00"
 
 EVENTS_TOPIC: Final = "/events"
 
+TIME_FIELD: Final = "t_ns"
+"""Field of a run's arrays that holds the log time; no schema has it."""
+
 STATUS: Final = ("ok", "hold", "none yet", "safe state")
 """Names of ``/actuator/applied.status``."""
 
@@ -205,7 +208,7 @@ def field_name(name: str) -> str:
     Raises
     ------
     HilError
-        If nothing usable remains, or it would begin with a digit.
+        If nothing usable remains, if it would begin with a digit, or if it is ``t_ns``.
 
     Examples
     --------
@@ -213,6 +216,8 @@ def field_name(name: str) -> str:
     'motor_speed_left'
     """
     clean = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    if clean == TIME_FIELD:
+        raise HilError(f"signal {name!r}: {TIME_FIELD!r} is the log's own name for the time of a record")
     if not _FIELD_NAME.fullmatch(clean):
         raise HilError(f"signal {name!r}: cannot be the name of a log field, expected letters first, then letters,"
                        " digits and underscores")

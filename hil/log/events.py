@@ -1,0 +1,88 @@
+"""Events of a session as strict JSON, whatever values they carry.
+
+An event is written when something went wrong, so writing it must not go wrong: numbers that are not finite become
+text, numpy becomes plain, anything else becomes its ``str``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+_MAX_TEXT = 2000
+_MAX_DEPTH = 20
+
+
+def plain(value: object, depth: int = 0) -> Any:
+    """Value made of dict, list, str, int, finite float, bool and None only.
+
+    Parameters
+    ----------
+    value : object
+        Mappings, sequences, sets, dataclasses, numpy arrays and scalars are taken apart.
+    depth : int
+        Level of nesting so far; beyond 20 the rest becomes text.
+
+    Examples
+    --------
+    >>> plain({"u": (1, float("nan")), "K": np.eye(1)})
+    {'u': [1, 'nan'], 'K': [[1.0]]}
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, int) and type(value) is int:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else repr(float(value))
+    if depth > _MAX_DEPTH:
+        return str(value)[:_MAX_TEXT]
+    if isinstance(value, np.generic | np.ndarray):
+        return plain(value.tolist(), depth + 1)
+    if isinstance(value, Mapping):
+        return {str(key): plain(item, depth + 1) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item, depth + 1) for item in value]
+    if isinstance(value, set | frozenset):
+        return sorted((plain(item, depth + 1) for item in value), key=str)
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name), depth + 1) for f in fields(value) if f.init}
+    return str(value)[:_MAX_TEXT]
+
+
+def to_json(value: object, *, indent: int | None = None) -> bytes:
+    """Strict JSON of ``plain(value)`` with sorted keys: equal values give equal bytes in every process."""
+    separators = (",", ":") if indent is None else (",", ": ")
+    text = json.dumps(plain(value), sort_keys=True, allow_nan=False, indent=indent, separators=separators)
+    return text.encode("utf-8", "backslashreplace")
+
+
+def encode_event(
+    t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", data: Mapping[str, object]
+) -> bytes:
+    """Payload of one ``/events`` record; see ``records.EVENT_SCHEMA``.
+
+    Parameters
+    ----------
+    t_ns : int
+        Nominal session time in ns.
+    kind, message : str
+        A short name to filter by, and one sentence for people.
+    tick : int
+        Slot in which it happened, -1 outside of slots.
+    severity : str
+        One of ``records.SEVERITIES``; others are kept as they are, an event is never lost for its form.
+    data : mapping
+        Values that belong to it.
+
+    Examples
+    --------
+    >>> encode_event(0, "stop", "done", data={})
+    b'{"data":{},"kind":"stop","message":"done","severity":"info","t_s":0.0,"tick":-1}'
+    """
+    return to_json({"tick": tick, "t_s": t_ns / 1e9, "kind": kind, "severity": severity, "message": message,
+                    "data": data})

@@ -1,0 +1,114 @@
+"""Where a session's records go: the protocol, and the sinks that keep them in memory.
+
+A loop asks once for the function of every topic, calls it with time and payload, and commits once per tick. No sink
+ever raises into the loop: what it cannot keep it counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Protocol
+
+from hil.log.events import encode_event
+from hil.log.records import EVENTS_TOPIC, Channel
+
+Put = Callable[[int, bytes], None]
+"""Takes the nominal session time in ns and the payload of one record."""
+
+
+class Sink(Protocol):
+    """Takes a session's records."""
+
+    def channel(self, topic: str) -> Put | None:
+        """Function that takes the records of ``topic``; None if nobody wants them, so that nobody need pack them."""
+
+    def event(
+        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
+    ) -> None:
+        """Take an event."""
+
+    def commit(self) -> None:
+        """Close the tick: everything since the last commit may now leave."""
+
+
+class MemorySink:
+    """Keeps records in memory, for sweeps, tests and summaries.
+
+    Parameters
+    ----------
+    channels : mapping of str to Channel
+        The session's table (``records.channels``).
+    topics : collection of str, optional
+        Topics to keep, all if None; ``/events`` is one of them.
+    """
+
+    def __init__(self, channels: Mapping[str, Channel], topics: Collection[str] | None = None) -> None:
+        unknown = set(topics or ()) - set(channels) - {EVENTS_TOPIC}
+        if unknown:
+            raise ValueError(f"topics: {min(unknown)!r} is not in the table of channels")
+        self.channels = channels
+        self.times: dict[str, list[int]] = {}
+        self.payloads: dict[str, list[bytes]] = {}
+        for topic in (*channels, EVENTS_TOPIC):
+            if topics is None or topic in topics:
+                self.times[topic], self.payloads[topic] = [], []
+
+    def channel(self, topic: str) -> Put | None:
+        """See ``Sink``."""
+        if topic not in self.times:
+            return None
+        keep_time, keep = self.times[topic].append, self.payloads[topic].append
+
+        def put(t_ns: int, payload: bytes) -> None:
+            keep_time(t_ns)
+            keep(payload)
+
+        return put
+
+    def event(
+        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
+    ) -> None:
+        """See ``Sink``."""
+        put = self.channel(EVENTS_TOPIC)
+        if put is not None:
+            put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
+
+    def commit(self) -> None:
+        """See ``Sink``."""
+
+
+class TeeSink:
+    """Gives every record to several sinks, for instance to a file and to the summary.
+
+    Parameters
+    ----------
+    *sinks : Sink
+        Each gets what it wants.
+    """
+
+    def __init__(self, *sinks: Sink) -> None:
+        self.sinks = sinks
+
+    def channel(self, topic: str) -> Put | None:
+        """See ``Sink``."""
+        puts = [put for put in (sink.channel(topic) for sink in self.sinks) if put is not None]
+        if len(puts) < 2:
+            return puts[0] if puts else None
+
+        def put_all(t_ns: int, payload: bytes) -> None:
+            for put in puts:
+                put(t_ns, payload)
+
+        return put_all
+
+    def event(
+        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
+    ) -> None:
+        """See ``Sink``."""
+        for sink in self.sinks:
+            sink.event(t_ns, kind, message, tick=tick, severity=severity, **data)
+
+    def commit(self) -> None:
+        """See ``Sink``."""
+        for sink in self.sinks:
+            sink.commit()
