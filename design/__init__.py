@@ -1,1 +1,41 @@
+"""Synthesis and analysis of networked controllers as jump-linear systems.
 
+    closed_loop -> mjls -> (second_moment, h2, bounded_real) -> certificate
+                     \\-> tracking (h2, hinf, mixed synthesis; ccl for comparison; bounds)
+
+Names are re-exported lazily: a process that keeps time imports `design.controllers` and pays for nothing else.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_EXPORTS = {
+    "DesignError": "design.errors",
+    "NotStable": "design.errors",
+    "Infeasible": "design.errors",
+    "DelayChain": "design.delay_chain",
+    "MJLS": "design.mjls",
+    "Certificate": "design.certificate",
+    "certify_loop": "design.certificate",
+    "certify_system": "design.certificate",
+    "LoopStructure": "design.closed_loop",
+    "loop_structure": "design.closed_loop",
+    "h2_norm": "design.h2",
+    "hinf_norm": "design.bounded_real",
+}
+
+__all__ = sorted(_EXPORTS)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    try:
+        module = _EXPORTS[name]
+    except KeyError:
+        raise AttributeError(f"module 'design' has no attribute {name!r}") from None
+    return getattr(import_module(module), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,129 @@
+"""Network delays as a finite Markov chain, each mode with its delay and the label by which gains are looked up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+ROW_SUM_TOLERANCE = 1e-9
+
+
+def check_transition(matrix: npt.ArrayLike, field: str) -> Array:
+    """Return `matrix` as a row-stochastic array, or refuse it with the row that is wrong.
+
+    Args:
+        matrix: (N, N) transition probabilities, row = present mode.
+        field: path by which an error names the matrix.
+
+    Raises:
+        ValueError: not square, not finite, a negative entry, or a row that does not sum to 1.
+
+    >>> check_transition([[0.5, 0.48], [0, 1]], "Pi")
+    Traceback (most recent call last):
+    ValueError: Pi[0]: row sums to 0.98, expected 1
+    """
+    try:
+        array = np.array(matrix, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{field}: expected a square matrix of numbers ({error})") from None
+    if array.ndim != 2 or array.shape[0] != array.shape[1] or array.shape[0] == 0:
+        raise ValueError(f"{field}: shape {array.shape}, expected a square matrix")
+    for row, entries in enumerate(array):
+        if not np.isfinite(entries).all():
+            raise ValueError(f"{field}[{row}]: not finite")
+        if (entries < 0).any():
+            raise ValueError(f"{field}[{row}][{int(entries.argmin())}]: {entries.min():g} is negative")
+        if abs(entries.sum() - 1.0) > ROW_SUM_TOLERANCE:
+            raise ValueError(f"{field}[{row}]: row sums to {entries.sum():.10g}, expected 1")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DelayChain:
+    """A Markov chain of modes, with the delay of each mode and the label that selects its gain.
+
+    A plain chain (7.3)-(7.5) has ``delays = labels = 0..N-1``. A semi-Markov chain whose modes are augmented by
+    their age has several modes of one delay; ``labels`` then says whether a gain may tell them apart.
+
+    Args:
+        transition: (N, N) row-stochastic matrix.
+        delays: (N,) delay of each mode, in samples; default 0..N-1.
+        labels: (N,) gain index of each mode; default: the delays. Modes of one label must have one delay.
+
+    Raises:
+        ValueError: message starts with the field at fault.
+
+    >>> DelayChain(transition=[[0.5, 0.5], [0.7, 0.3]]).stationary.round(4).tolist()
+    [0.5833, 0.4167]
+    """
+
+    transition: npt.ArrayLike
+    delays: npt.ArrayLike | None = None
+    labels: npt.ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        matrix = check_transition(self.transition, "transition")
+        modes = matrix.shape[0]
+        delays = np.arange(modes) if self.delays is None else np.asarray(self.delays)
+        labels = delays if self.labels is None else np.asarray(self.labels)
+        for name, values in (("delays", delays), ("labels", labels)):
+            if values.shape != (modes,) or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
+                raise ValueError(f"{name}: expected {modes} integers >= 0, got {values.tolist()}")
+        for label in np.unique(labels):
+            if np.unique(delays[labels == label]).size > 1:
+                raise ValueError(f"labels[{int(label)}]: modes of one label must have one delay")
+        object.__setattr__(self, "transition", matrix)
+        object.__setattr__(self, "delays", delays.astype(np.int64))
+        object.__setattr__(self, "labels", labels.astype(np.int64))
+
+    @property
+    def matrix(self) -> Array:
+        """The (N, N) transition matrix."""
+        return np.asarray(self.transition)
+
+    @property
+    def delay(self) -> Index:
+        """(N,) delay of each mode in samples."""
+        return np.asarray(self.delays)
+
+    @property
+    def label(self) -> Index:
+        """(N,) gain index of each mode."""
+        return np.asarray(self.labels)
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return int(self.matrix.shape[0])
+
+    @property
+    def max_delay(self) -> int:
+        """Largest delay in samples."""
+        return int(self.delay.max())
+
+    @property
+    def label_delay(self) -> Index:
+        """(L,) delay of each label, -1 for a label that no mode carries."""
+        delays = np.full(int(self.label.max()) + 1, -1, dtype=np.int64)
+        delays[self.label] = self.delay
+        return delays
+
+    @property
+    def stationary(self) -> Array:
+        """(N,) stationary distribution (of the recurrent part; the chain should have one recurrent class)."""
+        system = np.vstack([self.matrix.T - np.eye(self.modes), np.ones(self.modes)])
+        solution: Array = np.linalg.lstsq(system, np.append(np.zeros(self.modes), 1.0), rcond=None)[0]
+        return np.maximum(solution, 0.0)
+
+
+def as_chain(chain: DelayChain | npt.ArrayLike, field: str) -> DelayChain:
+    """Return `chain`, or the plain Markov chain of a transition matrix; errors name `field`."""
+    if isinstance(chain, DelayChain):
+        return chain
+    return DelayChain(transition=check_transition(chain, field))

@@ -1,0 +1,169 @@
+"""The second-moment operator of a jump-linear system, on symmetric matrices, dense or matrix-free.
+
+For modes i with matrices A_i and transition matrix P the operator and its adjoint are
+
+    (L S)_i  = A_i' (sum_j p_ij S_j) A_i              (cost to go, "backward")
+    (L* X)_j = sum_i p_ij A_i X_i A_i'                (covariance, "forward")
+
+A family of N symmetric n x n matrices is written as N orthonormal coordinate vectors (off-diagonal entries times
+sqrt 2), so that the forward operator is the transpose of the backward one, and n (n+1)/2 numbers do for n^2.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+Array = npt.NDArray[np.float64]
+
+DENSE_LIMIT = 3000  # unknowns up to which a dense factorisation (72 MB) is taken
+EIG_DENSE_LIMIT = 260  # unknowns up to which all eigenvalues are computed
+
+
+class _Basis(NamedTuple):
+    rows: npt.NDArray[np.intp]
+    columns: npt.NDArray[np.intp]
+    scale: Array
+    half: Array
+
+
+@lru_cache(maxsize=32)
+def _basis(n: int) -> _Basis:
+    rows, columns = np.triu_indices(n)
+    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
+    return _Basis(rows, columns, scale, 0.5 * np.outer(scale, scale))
+
+
+def to_vector(matrices: Array) -> Array:
+    """Coordinates (..., n (n+1)/2) of symmetric matrices (..., n, n); an isometry of the Frobenius norm."""
+    basis = _basis(matrices.shape[-1])
+    return np.asarray(matrices[..., basis.rows, basis.columns] * basis.scale)
+
+
+def to_matrix(vectors: Array, n: int) -> Array:
+    """Symmetric matrices (..., n, n) of their coordinates (..., n (n+1)/2)."""
+    basis = _basis(n)
+    values = vectors / basis.scale
+    matrices = np.empty((*vectors.shape[:-1], n, n))
+    matrices[..., basis.rows, basis.columns] = values
+    matrices[..., basis.columns, basis.rows] = values
+    return matrices
+
+
+def expect(transition: Array, family: Array) -> Array:
+    """Conditional expectation E_i(S) = sum_j p_ij S_j, for a family (N, ...)."""
+    return np.asarray(np.tensordot(transition, family, axes=(1, 0)))
+
+
+def backward(A: Array, transition: Array, family: Array) -> Array:
+    """(L S)_i = A_i' E_i(S) A_i."""
+    return np.asarray(A.transpose(0, 2, 1) @ expect(transition, family) @ A)
+
+
+def forward(A: Array, transition: Array, family: Array) -> Array:
+    """(L* X)_j = sum_i p_ij A_i X_i A_i'."""
+    return np.asarray(np.tensordot(transition, A @ family @ A.transpose(0, 2, 1), axes=(0, 0)))
+
+
+def congruence_matrices(A: Array) -> Array:
+    """(N, s, s) matrices of S -> A_i' S A_i in coordinates, s = n (n+1)/2."""
+    rows, columns, _, half = _basis(A.shape[-1])
+    left, right = A[:, :, rows], A[:, :, columns]
+    product = left[:, rows] * right[:, columns]
+    product += left[:, columns] * right[:, rows]
+    product *= half.T
+    return np.asarray(product.transpose(0, 2, 1))
+
+
+def operator_matrix(A: Array, transition: Array) -> Array:
+    """(N s, N s) matrix of the backward operator; its transpose is the forward operator."""
+    blocks = congruence_matrices(A)
+    modes, size, _ = blocks.shape
+    return np.asarray((transition[:, None, :, None] * blocks[:, :, None, :]).reshape(modes * size, modes * size))
+
+
+class Resolvent:
+    """(I - L)^-1 and its adjoint, factored once for several right-hand sides.
+
+    Args:
+        A: (N, n, n) mode matrices.
+        transition: (N, N) row-stochastic matrix.
+
+    The factorisation is dense up to `DENSE_LIMIT` unknowns, above that GMRES runs matrix-free.
+    """
+
+    __slots__ = ("A", "factors", "n", "transition")
+
+    def __init__(self, A: Array, transition: Array) -> None:
+        self.A, self.transition, self.n = A, transition, A.shape[-1]
+        self.factors: tuple[Array, npt.NDArray[Any]] | None = None
+        size = A.shape[0] * self.n * (self.n + 1) // 2
+        if size <= DENSE_LIMIT:
+            matrix = operator_matrix(A, transition)
+            np.negative(matrix, out=matrix)
+            matrix.flat[:: size + 1] += 1.0
+            self.factors = scipy.linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
+
+    def cost(self, families: Array) -> Array:
+        """S with S - L S = Q for Q (N, n, n), or for several at once (k, N, n, n)."""
+        return self._solve(families, 0)
+
+    def covariance(self, families: Array) -> Array:
+        """X with X - L* X = V for V (N, n, n), or for several at once (k, N, n, n)."""
+        return self._solve(families, 1)
+
+    def _solve(self, families: Array, transposed: Literal[0, 1]) -> Array:
+        vectors = to_vector(families)
+        flat = vectors.reshape(-1, vectors.shape[-2] * vectors.shape[-1])
+        if self.factors is None:
+            solution = np.stack([self._krylov(row, transposed) for row in flat])
+        else:
+            solution = scipy.linalg.lu_solve(self.factors, flat.T, trans=transposed, check_finite=False).T
+        return to_matrix(np.ascontiguousarray(solution).reshape(vectors.shape), self.n)
+
+    def _krylov(self, right: Array, transposed: int) -> Array:
+        from scipy.sparse.linalg import LinearOperator, gmres
+
+        shape = (self.A.shape[0], right.size // self.A.shape[0])
+        apply = forward if transposed else backward
+
+        def product(vector: Array) -> Array:
+            family = to_matrix(vector.reshape(shape), self.n)
+            return vector.ravel() - to_vector(apply(self.A, self.transition, family)).ravel()
+
+        operator = LinearOperator((right.size, right.size), matvec=product, dtype=np.float64)
+        solution, _ = gmres(operator, right, rtol=1e-13, restart=80, maxiter=40)
+        return np.asarray(solution)
+
+
+def mean_square_radius(A: Array, transition: Array) -> float:
+    """Spectral radius of the second-moment operator; the system is mean-square stable if and only if it is < 1.
+
+    Args:
+        A: (N, n, n) mode matrices.
+        transition: (N, N) row-stochastic matrix.
+
+    Small systems take every eigenvalue. Large ones take ARPACK, matrix-free, started at the identity: the operator
+    maps positive semidefinite families to such, so its radius is an eigenvalue with a positive semidefinite family.
+    """
+    size = A.shape[0] * A.shape[-1] * (A.shape[-1] + 1) // 2
+    if size <= EIG_DENSE_LIMIT:
+        return float(np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max())
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
+
+    shape = (A.shape[0], size // A.shape[0])
+
+    def product(vector: Array) -> Array:
+        return to_vector(backward(A, transition, to_matrix(vector.reshape(shape), A.shape[-1]))).ravel()
+
+    operator = LinearOperator((size, size), matvec=product, dtype=np.float64)
+    start = to_vector(np.broadcast_to(np.eye(A.shape[-1]), A.shape)).ravel()
+    try:
+        values: npt.NDArray[Any] = eigs(operator, k=4, v0=start, ncv=40, return_eigenvectors=False, tol=1e-12)
+    except ArpackNoConvergence as partial:  # a cluster on the spectral circle: fall back to all eigenvalues
+        values = partial.eigenvalues if len(partial.eigenvalues) else np.linalg.eigvals(operator_matrix(A, transition))
+    return float(np.abs(values).max())
