@@ -35,23 +35,30 @@ def plain(value: object, depth: int = 0) -> Any:
     """
     if value is None or isinstance(value, bool | str):
         return value
-    if isinstance(value, int) and type(value) is int:
-        return value
+    if isinstance(value, int):
+        return int(value) if value.bit_length() <= 64 else hex(value)
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else repr(float(value))
     if depth > _MAX_DEPTH:
-        return str(value)[:_MAX_TEXT]
+        return _text(value)
     if isinstance(value, np.generic | np.ndarray):
         return plain(value.tolist(), depth + 1)
     if isinstance(value, Mapping):
-        return {str(key): plain(item, depth + 1) for key, item in value.items()}
+        return {_text(key): plain(item, depth + 1) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item, depth + 1) for item in value]
     if isinstance(value, set | frozenset):
         return sorted((plain(item, depth + 1) for item in value), key=str)
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name), depth + 1) for f in fields(value) if f.init}
-    return str(value)[:_MAX_TEXT]
+    return _text(value)
+
+
+def _text(value: object) -> str:
+    try:
+        return str(value)[:_MAX_TEXT]
+    except Exception:  # somebody else's __str__; an event must not fail for it
+        return f"<{type(value).__name__}>"
 
 
 def to_json(value: object, *, indent: int | None = None) -> bytes:

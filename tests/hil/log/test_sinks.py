@@ -16,7 +16,8 @@ from hil.log.sinks import MemorySink, TeeSink
 from tests.hil.log.recording import TABLE, assert_same_arrays, record
 
 _leaves = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.binary(), st.complex_numbers(), st.just(object())
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.binary(), st.complex_numbers(),
+    st.just(object()),
 )
 _values = st.recursive(
     _leaves,
@@ -41,6 +42,16 @@ def test_an_event_with_endless_nesting_is_kept() -> None:
     endless: list[Any] = []
     endless.append(endless)
     assert json.loads(encode_event(0, "a", "b", data={"endless": endless}))["kind"] == "a"
+
+
+def test_values_that_python_will_not_print_are_kept_in_an_event() -> None:
+    class Rude:
+        def __str__(self) -> str:
+            raise RuntimeError("no")
+
+    data = json.loads(encode_event(0, "a", "b", data={"n": 16**5000, "rude": Rude()}))["data"]
+    assert data["n"] == hex(16**5000)
+    assert data["rude"] == "<Rude>"
 
 
 def test_lone_surrogates_in_an_event_are_kept_readable() -> None:
