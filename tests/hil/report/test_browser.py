@@ -1,0 +1,88 @@
+"""The page in a real browser: it draws, it zooms all panels together, it asks the network for nothing."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from hil.report.figures import Band, Figure, Marker, Section, Series
+from hil.report.page import render_page
+
+
+def _chromium() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("hil_chromium", Path(__file__).with_name("chromium.py"))
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+chromium = _chromium()
+pytestmark = pytest.mark.skipif(chromium.find_chromium() is None, reason="no Chromium: apt-get install chromium (.ci/run does)")
+
+
+def page_of_panels() -> str:
+    t = np.arange(0.0, 20.0, 1e-3)
+    y = np.sin(t)
+    angle = Figure(
+        title="Angle",
+        series=(Series(label="angle", x=t, y=y), Series(label="coarse", x=t[::100], y=y[::100], style="points")),
+        bands=(Band(label="spread", x=t[::50], lower=y[::50] - 0.2, upper=y[::50] + 0.2),),
+        markers=(Marker(x=3.0, label="</script><script>document.title='owned'</script>", state="bad"),),
+    )
+    modes = Figure(title="Mode", series=(Series(label="m", x=t, y=np.floor(t) % 3, style="step"),), integer_y=True)
+    norm = Series(label="n", x=[0.01, 0.1, 1.0], y=[1.0, 2.0, 3.0])
+    alone = Figure(title="Norm", series=(norm,), x_log=True, sync=None)
+    text = "<script>document.title='owned'</script>"
+    return render_page(text, [Section(title="Panels", blocks=(angle, modes, alone))], subtitle=text)
+
+
+INK = """[...document.querySelectorAll('.plot canvas')].map(c => {
+  const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+  let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n; })"""
+BOX = "(r => [r.left, r.top, r.width, r.height])(document.querySelector('.u-over').getBoundingClientRect())"
+RANGES = "hilPlots().map(p => [p.scales.x.min, p.scales.x.max])"
+
+
+@pytest.mark.parametrize("width", [800, 1400])
+def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path, width: int) -> None:
+    file = tmp_path / "page.html"
+    file.write_text(page_of_panels(), encoding="utf-8")
+    with chromium.Page(width=width, height=900) as page:
+        page.open(file)
+        assert page.requests == [file.resolve().as_uri()]
+        ink = page.evaluate(INK)
+        assert len(ink) == 3 and all(n > 2000 for n in ink)
+        assert page.evaluate("document.title") != "owned"
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+        whole = page.evaluate(RANGES)
+        assert whole[0] == pytest.approx([0.0, 19.999], abs=1e-6) and whole[1] == whole[0]
+        box = page.evaluate(BOX)
+        y = box[1] + box[3] / 2
+        page.mouse("mouseMoved", box[0] + 0.25 * box[2], y, clicks=0)
+        page.mouse("mousePressed", box[0] + 0.25 * box[2], y)
+        page.mouse("mouseMoved", box[0] + 0.5 * box[2], y)
+        page.mouse("mouseReleased", box[0] + 0.5 * box[2], y)
+        zoomed = page.evaluate(RANGES)
+        assert zoomed[0] == pytest.approx([5.0, 10.0], abs=0.1)
+        assert zoomed[1] == zoomed[0], "panels of one group zoom together"
+        assert zoomed[2] == whole[2], "a panel of its own does not"
+        assert page.evaluate("!document.getElementById('reset').hidden")
+
+        for clicks in (1, 2):
+            page.mouse("mousePressed", box[0] + 0.6 * box[2], y, clicks)
+            page.mouse("mouseReleased", box[0] + 0.6 * box[2], y, clicks)
+        assert page.evaluate(RANGES) == whole, "a double click resets"
+
+        light = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        page.colour_scheme("dark")
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") != light
+        page.pdf(tmp_path / "page.pdf")
+        assert (tmp_path / "page.pdf").stat().st_size > 10_000
+        assert page.problems == []
+        assert page.requests == [file.resolve().as_uri()]
