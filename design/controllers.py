@@ -109,19 +109,25 @@ def _nested(K: NDArray[np.float64]) -> Gains:
 
 
 class _GainRows:
-    """u = u* + K[tau, row] (y - r); a tau beyond the table uses its last entry."""
+    """u = u* + K[tau, row] Y; a tau beyond the table uses its last entry.
 
-    def __init__(self, K: NDArray[np.float64], selection: Selection, model: LoopModel) -> None:
+    Y is the measured error y - r and, with ``integral``, below it the sum of the errors of all earlier slots.
+    """
+
+    def __init__(self, K: NDArray[np.float64], selection: Selection, model: LoopModel, integral: bool = False) -> None:
         self.selection = selection
+        self._sum = [0.0] * model.C.shape[0] if integral else []
         self._gains = _nested(K)
         self._last = len(self._gains) - 1
         self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
         e = [a - b for a, b in zip(y, r)]
+        known = e + self._sum
+        self._sum = [s + x for s, x in zip(self._sum, e)]
         star = [sum(o * b for o, b in zip(row, r)) for row in self._omega]
         return tuple(
-            tuple(s + sum(g * x for g, x in zip(gains, e)) for s, gains in zip(star, mat))
+            tuple(s + sum(g * x for g, x in zip(gains, known)) for s, gains in zip(star, mat))
             for mat in self._gains[min(tau, self._last)]
         )
 
@@ -140,10 +146,13 @@ class SendAll:
         One gain matrix (m x p, input unit per output unit) for every measured tau and every row.
     selection : str
         Which row the actuator applies; see the module's table.
+    integral : bool
+        The gains have p more columns, for the integral of the measured error (Remark 7.7).
     """
 
     gains: Gains
     selection: Selection = "applied"
+    integral: bool = False
 
     def __post_init__(self) -> None:
         try:
@@ -157,9 +166,10 @@ class SendAll:
         K = np.asarray(self.gains, dtype=float)
         m, p = model.B.shape[1], model.C.shape[0]
         rows = row_count(self.selection, model.d_max)
-        if K.shape[1:] != (rows, m, p):
+        width = 2 * p if self.integral else p
+        if K.shape[1:] != (rows, m, width):
             raise ValueError(
-                f"gains: shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{p}] "
+                f"gains: shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "
                 f"for selection {self.selection!r} with d up to {model.d_max}"
             )
         if K.shape[0] < model.tau_max + 1:
@@ -167,7 +177,7 @@ class SendAll:
         return K
 
     def start(self, model: LoopModel) -> RunningController:
-        return _GainRows(self.table(model), self.selection, model)
+        return _GainRows(self.table(model), self.selection, model, self.integral)
 
 
 def _published(values: Sequence[Sequence[float]], model: LoopModel) -> NDArray[np.float64]:

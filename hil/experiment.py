@@ -48,7 +48,7 @@ class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Base of every table of an experiment file."""
 
 
-class Step(Table):
+class Step(Table, frozen=True, kw_only=True):
     """From ``at`` on, the reference is ``value`` (one entry per output)."""
 
     at: Seconds
@@ -59,7 +59,7 @@ class Step(Table):
             raise ValueError(f"at: {self.at:g} s is negative")
 
 
-class Pulse(Table):
+class Pulse(Table, frozen=True, kw_only=True):
     """A disturbance added to the plant's input from ``at`` on, for ``samples`` sample periods."""
 
     at: Seconds
@@ -73,7 +73,7 @@ class Pulse(Table):
             raise ValueError(f"samples: {self.samples} is below 1")
 
 
-class Direction(Table):
+class Direction(Table, frozen=True, kw_only=True):
     """One direction of the emulated network.
 
     ``max_age`` is the largest delay in samples that the controller's rows cover; by default the law's own bound.
@@ -88,7 +88,7 @@ class Direction(Table):
         return type(self.law).__name__
 
 
-class Links(Table):
+class Links(Table, frozen=True, kw_only=True):
     """The real link, and the network that is emulated on both sides of the rig."""
 
     uri: str
@@ -96,7 +96,7 @@ class Links(Table):
     ca: Direction
 
 
-class Limits(Table):
+class Limits(Table, frozen=True, kw_only=True):
     """What the rig allows, whatever the controller does; a violation latches the safe state (zero input).
 
     ``input`` and ``state`` are absolute bounds per input and per named state; ``watchdog_ticks`` slots without a usable
@@ -121,7 +121,7 @@ class Limits(Table):
             raise ValueError(f"after_trip: {self.after_trip:g} s is negative")
 
 
-class Timing(Table):
+class Timing(Table, frozen=True, kw_only=True):
     """Real time only: ``deadline`` is the share of the period within which the controller's answer must be here."""
 
     deadline: float = 0.6
@@ -135,7 +135,7 @@ class Timing(Table):
             raise ValueError(f"priority: {self.priority} is not between 1 and 98")
 
 
-class Experiment(Table):
+class Experiment(Table, frozen=True, kw_only=True):
     """One experiment: plant, controller, links with their network laws, schedule, limits and seed."""
 
     name: str
@@ -253,6 +253,34 @@ def parse_experiment(text: str, *, sets: typing.Sequence[str] = (), source: str 
     return experiment
 
 
+def experiment_from_resolved(resolved: typing.Mapping[str, Any], text: str, source: str) -> Experiment:
+    """Check the resolved form that a log carries, so that what ran can run again."""
+    checker = _Checker()
+    experiment = checker.experiment(_without_none(resolved), text)
+    if checker.faults or experiment is None:
+        raise ExperimentError(f"{source}: resolved experiment", checker.faults)
+    return experiment
+
+
+def parse_plugin(group: registry.Group, kind: str, sets: typing.Sequence[str] = ()) -> Any:
+    """Make the parameters of one plug-in from ``key=value`` changes, as the table of an experiment file would."""
+    raw: dict[str, Any] = {}
+    for change in sets:
+        _apply(raw, change)
+    checker = _Checker()
+    checker._finite(raw, "")
+    made = checker._plugin(group, {"kind": kind, **raw}, group.removeprefix("hil.").removesuffix("s"))
+    if checker.faults:
+        raise HilError("\n".join(checker.faults))
+    return made
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list) else value
+
+
 def _apply(raw: dict[str, Any], change: str) -> None:
     path, eq, value = change.partition("=")
     keys = path.strip().split(".")
@@ -353,7 +381,8 @@ class _Checker:
                 elif direction.max_age > 63:
                     self.faults.append(f"links.{side}.max_age: {direction.max_age} is above 63")
             given[side] = direction
-        return self.table(Links, {k: v for k, v in raw.items() if k not in given}, "links", given)
+        links: Links | None = self.table(Links, {k: v for k, v in raw.items() if k not in given}, "links", given)
+        return links
 
     def _plugin(self, group: registry.Group, raw: Any, path: str) -> Any:
         if not isinstance(raw, dict):
@@ -378,7 +407,7 @@ class _Checker:
             required = {f.name for f in msgspec.structs.fields(cls) if f.required}
             known = list(cls.__struct_fields__)
         else:
-            fs = [f for f in dataclasses.fields(cls) if f.init]
+            fs = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
             required = {f.name for f in fs if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
             known = [f.name for f in fs]
         before, values = len(self.faults), dict(given)
@@ -413,7 +442,8 @@ class _Checker:
         except (msgspec.ValidationError, ValueError) as e:
             message, _, where = str(e).partition(" - at `$")
             sub = where.rstrip("`")
-            self.faults.append(f"{at}{sub}: {message[0].lower() + message[1:]}" if ": " not in message else f"{_join(at, message)}")
+            own = ": " in message  # one of our classes said it, and named its field
+            self.faults.append(_join(at, message) if own else f"{at}{sub}: {message[0].lower()}{message[1:]}")
             return None
 
     def _finite(self, value: Any, at: str) -> None:

@@ -15,7 +15,7 @@ PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
 def experiment_schema() -> dict[str, Any]:
     """Return the schema as a JSON-able dict (draft 2020-12)."""
     kinds = {group: registry.names(group) for group in ("hil.plants", "hil.controllers", "hil.laws")}
-    classes = {(group, name): registry.load(group, name) for group in kinds for name in kinds[group]}  # type: ignore[index, arg-type]
+    classes = {(group, name): registry.load(group, name) for group in kinds for name in kinds[group]}  # type: ignore[arg-type]
     _, definitions = msgspec.json.schema_components(
         [Experiment, *classes.values()], schema_hook=_hook, ref_template="#/$defs/{name}"
     )

@@ -113,7 +113,7 @@ def run_session(
     wall_s = (monotonic_ns() - begun) / 1e9
     if sink.error is not None:
         outcome["log_error"] = sink.error
-    run = read_run(path, torn_ok=True)
+    run = read_run(path)
     return Session(run=run, summary=_summary(run, sink, outcome, wall_s), status=_status(run, sink, outcome))
 
 

@@ -29,6 +29,8 @@ COMMANDS = {
     "doctor": "Check what this machine offers, with the remedy.",
 }
 
+ROOTS = ("TransportError", "PlantError", "DesignError")  # the error roots of the other packages, not imported for a name
+
 
 class LazyGroup(click.Group):
     """Knows the names and one line each; imports a command only when it is called."""
@@ -53,8 +55,8 @@ class LazyGroup(click.Group):
             return super().resolve_command(ctx, args)
         except click.UsageError as e:
             near = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
-            if near:
-                e.message += f" Did you mean {near[0]!r}?"
+            if near and "Did you mean" not in e.message:
+                raise click.UsageError(f"{e.message} Did you mean {near[0]!r}?", ctx) from e
             raise
 
 
@@ -68,13 +70,15 @@ def main(args: list[str] | None = None) -> Any:
     """Entry point of the console command ``hil``; turns errors that the user can mend into a message and status 2."""
     try:
         return cli.main(args, prog_name="hil", standalone_mode=True)
-    except HilError as e:
-        for line in str(e).splitlines():
-            print(f"hil: {line}", file=sys.stderr)
-        sys.exit(2)
     except BrokenPipeError:  # `hil list | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
+    except Exception as e:
+        if not isinstance(e, HilError) and type(e).__name__ not in ROOTS:
+            raise
+        for line in str(e).splitlines():
+            print(f"hil: {line}", file=sys.stderr)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

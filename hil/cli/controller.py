@@ -6,8 +6,6 @@ import sys
 
 import click
 
-from hil.errors import HilError
-
 
 @click.command()
 @click.argument("experiment")
@@ -27,7 +25,5 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)
     try:
         serve(loop, uri)
-    except ValueError as e:
-        raise HilError(f"--link: {e}") from e
     except KeyboardInterrupt:
         sys.exit(130)

@@ -67,12 +67,10 @@ def command(
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
     uri = link or checked.links.uri
     if clock == "real":
-        from transport.link import check_uri
+        from transport.link import open_link
 
-        try:
-            check_uri(uri)
-        except ValueError as e:
-            raise HilError(f"{'--link' if link else 'links.uri'}: {e}") from e
+        with open_link(uri, "rig"):  # what cannot be opened is said now, before anything is started or written
+            pass
     path = output or default_path(checked.name, clock, checked.seed)
     if path.exists() and not force:
         raise HilError(f"{path}: exists already; choose another -o or add --force")

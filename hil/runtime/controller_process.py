@@ -14,7 +14,7 @@ from types import FrameType
 from hil.runtime.control_node import ControlNode
 from hil.runtime.loop import Loop
 from hil.runtime.realtime import die_with_parent, go_real_time
-from transport.link import open_link
+from transport.link import TransportError, open_link
 
 IDLE_S = 0.2  # how long one wait for a frame lasts, so that a signal is seen soon
 
@@ -68,4 +68,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except TransportError as e:
+        sys.exit(f"hil: {e}")

@@ -12,6 +12,8 @@ from design.controllers import LoopModel, RunningController, StaticGains, row_co
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.log.records import Channel, channels
+from transport.age_laws import ConstantAge, IidAge, MarkovAge
+from transport.semi_markov_law import SemiMarkovAge, augmented_chain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,19 +145,36 @@ def _faults(e: Experiment) -> list[str]:
     return faults
 
 
+def _chain(law: Any) -> Any | None:
+    """Return the delay chain of a network law, None where it has none (packet laws, traces)."""
+    from design.delay_chain import DelayChain
+
+    if isinstance(law, SemiMarkovAge):
+        augmented = augmented_chain(law)
+        return DelayChain(transition=augmented.matrix, delays=np.asarray(law.mode_ages)[augmented.modes])
+    if isinstance(law, ConstantAge | IidAge | MarkovAge):
+        return DelayChain(transition=law.transition_matrix(), delays=np.asarray(law.mode_ages))
+    return None
+
+
 def _certify(e: Experiment, model: LoopModel, controller: Any) -> dict[str, Any] | None:
-    """Return the certificate, or refuse the run."""
-    chains = [getattr(d.law, "chain", None) for d in (e.links.sc, e.links.ca)]
-    if not isinstance(controller, StaticGains) or None in chains:
+    """Return the certificate of the closed loop, or refuse the run."""
+    sc, ca = _chain(e.links.sc.law), _chain(e.links.ca.law)
+    if not isinstance(controller, StaticGains) or sc is None or ca is None:
         if not e.allow_uncertified:
-            what = "this kind of controller" if not isinstance(controller, StaticGains) else "this kind of network law"
+            what = "this kind of network law" if isinstance(controller, StaticGains) else "this kind of controller"
             raise ExperimentError(
                 e.name, [f"controller: there is no certificate for {what}; set allow_uncertified = true to run it"]
             )
         return None
     from design.certificate import certify_loop
 
-    certificate = certify_loop(model, *chains, controller.table(model), controller.selection)
+    K = controller.table(model)[: sc.max_delay + 1]
+    if controller.selection in ("generated", "applied", "previous"):
+        K = K[:, : ca.max_delay + 1]
+    certificate = certify_loop(
+        model.A, model.B, model.C, sc, ca, K, controller.selection, integral=float(getattr(controller, "integral", False))
+    )
     if not certificate.stable and not e.allow_uncertified:
         raise ExperimentError(
             e.name,
@@ -164,5 +183,4 @@ def _certify(e: Experiment, model: LoopModel, controller: Any) -> dict[str, Any]
                 f"{certificate.mean_square_radius:.4f}); set allow_uncertified = true to run it all the same"
             ],
         )
-    out: dict[str, Any] = certificate.to_json()
-    return out
+    return dict(certificate.to_json())

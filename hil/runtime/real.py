@@ -196,7 +196,6 @@ def run_real(
     outcome.rig_status = children[0].poll()
     if pumped:
         outcome.pump = pumped[0]
-    if outcome.rig_status not in (0, 3) and signals.seen is None:
-        if not outcome.pump.records:
-            raise HilError(f"{children[0].how()} before it started: its message stands above")
+    if outcome.rig_status not in (0, 3) and signals.seen is None and not outcome.pump.records:
+        raise HilError(f"{children[0].how()} before it started: its message stands above")
     return outcome

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from design.controllers import row_count
 from hil.log.records import Channel
@@ -20,6 +21,32 @@ from transport.impairment import Draw, impair
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_sensor
 
 OK, HOLD, NONE_YET, SAFE = range(4)  # the codes of /actuator/applied.status
+
+
+def row_index(selection: str, d: int, g: int, measured_d: Sequence[int], d_max: int) -> int:
+    """Return which row the actuator applies (see :mod:`design.controllers`).
+
+    Parameters
+    ----------
+    selection : str
+        The rule that the packet names.
+    d, g : int
+        Age of the packet now, and the slot in which it was generated.
+    measured_d : sequence of int
+        What the actuator measured in slots 0, 1, ...; -1 where there was no packet.
+    d_max : int
+        Largest age that the rows cover.
+
+    >>> [row_index(s, 1, 2, [0, 1, 0, 1], 1) for s in ("constant", "generated", "applied", "previous", "both")]
+    [0, 0, 1, 1, 1]
+    """
+    if selection == "constant":
+        return 0
+    if selection == "applied":
+        return d
+    at = measured_d[max(g - 1, 0)] if selection == "previous" else measured_d[g]
+    seen = at if 0 <= at <= d_max else d_max  # nothing usable was there: the longest delay
+    return seen * (d_max + 1) + d if selection == "both" else seen
 
 
 class Rig:
@@ -204,7 +231,7 @@ class Rig:
                 self._trip(t_ns, reason)
                 return d, -1, SAFE
             return d, -1, HOLD if held is not None else NONE_YET
-        row = self._row(SELECTIONS[held.selection], d, g)
+        row = row_index(SELECTIONS[held.selection], d, g, self._measured_d, self._d_max)
         u = held.rows[row]
         reason = self._safety.check_command(u)
         if reason:
@@ -213,15 +240,6 @@ class Rig:
         self._safety.fed()
         self._u = u
         return d, row, OK
-
-    def _row(self, selection: str, d: int, g: int) -> int:
-        if selection == "constant":
-            return 0
-        if selection == "applied":
-            return d
-        at = self._measured_d[max(g - 1, 0)] if selection == "previous" else self._measured_d[g]
-        seen = at if 0 <= at <= self._d_max else self._d_max  # nothing usable was there: the longest delay
-        return seen * (self._d_max + 1) + d if selection == "both" else seen
 
     def _trip(self, t_ns: int, reason: str) -> None:
         self._u = self._zero
@@ -248,7 +266,7 @@ class Rig:
                 self._pack_rows(*values, packet.sample_ns, packet.control_ns, self.k, packet.tau, packet.selection),
             )
 
-    def outcome(self) -> dict[str, object]:
+    def outcome(self) -> dict[str, Any]:
         """Return the counters that the summary needs."""
         return {
             "ticks": self.k + 1,

@@ -21,7 +21,7 @@ from hil.runtime.kernel import Kernel, Phase
 from hil.runtime.loop import Loop
 from hil.runtime.realtime import die_with_parent, go_real_time
 from hil.runtime.rig import Rig
-from transport.link import Link, open_link
+from transport.link import Link, TransportError, open_link
 from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
 
 HELLO_S = 0.05
@@ -164,4 +164,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except TransportError as e:
+        sys.exit(f"hil: {e}")

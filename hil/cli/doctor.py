@@ -1,0 +1,108 @@
+"""``hil doctor``: what this machine offers for real-time runs, each line with its remedy."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import shutil
+import socket
+import sys
+import time
+from pathlib import Path
+
+import click
+
+Check = tuple[str, bool, str, str]  # what, fine, finding, remedy
+
+
+def _vcan() -> Check:
+    remedy = "sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 mtu 72 up; or `make test-vcan` in a checkout"
+    try:
+        with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as s:
+            s.bind(("vcan0",))
+        return "SocketCAN", True, "vcan0 is there", ""
+    except OSError as e:
+        return "SocketCAN", False, f"no vcan0: {e.strerror}", remedy
+
+
+def _hil_can() -> Check:
+    import can
+
+    try:
+        with can.Bus(interface="hil", channel=f"doctor{os.getpid()}", fd=True):
+            return "CAN without a kernel", True, "can.Bus(interface='hil') opens", ""
+    except (can.CanError, OSError, ValueError) as e:
+        return "CAN without a kernel", False, str(e), "set XDG_RUNTIME_DIR to a private folder that can be written"
+
+
+def _zenoh() -> Check:
+    if importlib.util.find_spec("zenoh") is None:
+        return "zenoh", False, "not installed", "pip install eclipse-zenoh"
+    return "zenoh", True, f"eclipse-zenoh {importlib.metadata.version('eclipse-zenoh')}", ""
+
+
+def _scheduler() -> Check:
+    try:
+        old, param = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, old, param)
+        return "scheduler", True, "SCHED_FIFO is allowed", ""
+    except OSError as e:
+        remedy = f"add '{os.environ.get('USER', 'USER')} - rtprio 98' and '- memlock unlimited' to /etc/security/limits.conf"
+        return "scheduler", False, f"SCHED_FIFO is refused: {e.strerror}", remedy
+
+
+def _clock() -> Check:
+    late = []
+    for _ in range(20):
+        at = time.monotonic_ns() + 2_000_000
+        time.sleep(0.002)
+        late.append((time.monotonic_ns() - at) / 1e3)
+    late.sort()
+    source = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+    name = source.read_text().strip() if source.exists() else "unknown"
+    return "clock", late[10] < 1000, f"{name}; a 2 ms sleep ends {late[10]:.0f} us late (median), {late[-1]:.0f} us at worst", (
+        "" if late[10] < 1000 else "the machine is busy or virtual: use longer periods, or virtual time"
+    )
+
+
+def _cpus() -> Check:
+    n = len(os.sched_getaffinity(0))
+    return "processors", n >= 2, f"{n} usable", "" if n >= 2 else "rig and controller share one: expect late packets at 1 kHz"
+
+
+def _packages() -> Check:
+    """Our top-level names are plain words; say so if another distribution owns one of them."""
+    owners = importlib.metadata.packages_distributions()
+    foreign = [
+        f"{name} belongs to {', '.join(d for d in owners[name] if d != 'hilrig')}"
+        for name in ("hil", "plants", "transport", "design")
+        if any(d != "hilrig" for d in owners.get(name, []))
+    ]
+    if foreign:
+        return "package ownership", False, "; ".join(foreign), "install hilrig in a virtual environment of its own"
+    return "package ownership", True, f"hil, plants, transport, design are hilrig's, Python {sys.version.split()[0]}", ""
+
+
+def _tool(program: str, package: str, why: str) -> Check:
+    found = shutil.which(program)
+    return program, found is not None, found or "absent", "" if found else f"apt-get install {package} ({why})"
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON list.")
+def command(as_json: bool) -> None:
+    """Check CAN, zenoh, scheduler, clock and packages. What is missing limits some runs and hinders none in virtual time."""
+    import json
+
+    checks = [_packages(), _hil_can(), _vcan(), _zenoh(), _scheduler(), _clock(), _cpus(),
+              _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
+              _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
+    if as_json:
+        print(json.dumps([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks], indent=2))
+        return
+    for what, fine, finding, remedy in checks:
+        print(f"{'ok     ' if fine else 'missing'}  {what}: {finding}")
+        if remedy:
+            print(f"         remedy: {remedy}")

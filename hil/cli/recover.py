@@ -1,0 +1,22 @@
+"""``hil recover``: a whole log from a torn one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write, FILE.recovered.mcap by default.")
+def command(file: Path, output: Path | None) -> None:
+    """Rebuild an indexed log from FILE, whose session was killed or whose disk was full.
+
+    FILE itself is never changed, and no file is ever overwritten.
+    """
+    from hil.log.recover import recover
+
+    target = output or file.with_name(f"{file.name.removesuffix('.mcap')}.recovered.mcap")
+    print(recover(file, target).text)
+    print(f"written: {target}")

@@ -1,0 +1,117 @@
+"""``hil replay``: ask a log whether it was so, what another controller would have done, or put it on a bus again."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from hil.errors import HilError
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--verify", "do_verify", is_flag=True, help="Re-run controller and plant; compare bit for bit.")
+@click.option("--controller", metavar="NAME", help="What would this controller have commanded?")
+@click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller.")
+@click.option("--onto", metavar="URI", help="Put the recorded frames on this link.")
+@click.option("--speed", type=float, default=1.0, show_default=True, help="With --onto: how many times faster.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="With --controller: write the series as CSV.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(
+    file: Path,
+    do_verify: bool,
+    controller: str | None,
+    sets: tuple[str, ...],
+    onto: str | None,
+    speed: float,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Replay the log FILE. Without an option: --verify.
+
+    Exit status: 0; 1 if --verify finds a difference; 2 bad input.
+    """
+    from hil.log.read import read_run
+
+    chosen = [name for name, given in (("--verify", do_verify), ("--controller", controller), ("--onto", onto)) if given]
+    if len(chosen) > 1:
+        raise HilError(f"{' and '.join(chosen)}: choose one")
+    if not speed > 0 or speed == float("inf"):
+        raise HilError(f"--speed: {speed}; expected a positive number")
+    run = read_run(file)
+    if controller:
+        _what_if(run, file, controller, sets, output, as_json)
+    elif onto:
+        _onto(run, onto, speed, as_json)
+    else:
+        _verify(run, file, as_json)
+
+
+def _verify(run: object, file: Path, as_json: bool) -> None:
+    from hil.replay import verify
+
+    verdict = verify(run, str(file))  # type: ignore[arg-type]
+    if as_json:
+        found = {"identical": verdict.difference is None, "difference": verdict.difference}
+        print(json.dumps({**found, "answers": verdict.answers, "states": verdict.states}, indent=2))
+    elif verdict.difference is None:
+        print(f"identical: {verdict.answers} control packets, {verdict.states} plant states")
+    else:
+        print(f"different: {verdict.difference}")
+    sys.exit(0 if verdict.difference is None else 1)
+
+
+def _what_if(
+    run: object, file: Path, kind: str, sets: tuple[str, ...], output: Path | None, as_json: bool
+) -> None:
+    import numpy as np
+
+    from hil.experiment import parse_plugin
+    from hil.replay import what_if
+
+    series = what_if(run, parse_plugin("hil.controllers", kind, sets), kind, str(file))  # type: ignore[arg-type]
+    names = [name.removeprefix("recorded_") for name in series if name.startswith("recorded_")]
+    differences = {}
+    for name in names:
+        gap = series[f"{kind}_{name}"] - series[f"recorded_{name}"]
+        differences[name] = {
+            "rms": float(np.sqrt(np.nanmean(gap**2))),
+            "max": float(np.nanmax(np.abs(gap))),
+            "max_abs_recorded": float(np.nanmax(np.abs(series[f"recorded_{name}"]))),
+            "max_abs_replayed": float(np.nanmax(np.abs(series[f"{kind}_{name}"]))),
+        }
+    if output is not None:
+        if output.exists():
+            raise HilError(f"{output}: exists already")
+        np.savetxt(
+            output, np.column_stack(list(series.values())), delimiter=",", header=",".join(series), comments="", fmt="%.9g"
+        )
+    if as_json:
+        print(json.dumps({"controller": kind, "inputs": differences, "output": str(output) if output else None}, indent=2))
+        return
+    for name, d in differences.items():
+        print(
+            f"{name}: {kind} would have differed by {d['rms']:.4g} rms, {d['max']:.4g} at most "
+            f"(largest command {d['max_abs_replayed']:.4g}, recorded {d['max_abs_recorded']:.4g})"
+        )
+    print(f"series: {output}" if output else "the plant does not react to it; -o FILE.csv writes the series")
+
+
+def _onto(run: object, uri: str, speed: float, as_json: bool) -> None:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from hil.replay import onto
+
+    err = Console(stderr=True)
+    with Progress(console=err, disable=not err.is_terminal) as bar:
+        task = bar.add_task(f"onto {uri}", total=None)
+        done = onto(run, uri, speed, lambda i, n: bar.update(task, completed=i, total=n))  # type: ignore[arg-type]
+    if as_json:
+        print(json.dumps({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us}, indent=2))
+    else:
+        error = ", ".join(f"{name} {value:.0f}" for name, value in done.error_us.items())
+        print(f"{done.frames} frames on {uri} at {speed:g} times the recorded speed; own timing error in us: {error}")

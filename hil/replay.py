@@ -1,0 +1,184 @@
+"""What a log can be asked afterwards: was it so, what would another controller have done, put it on a bus again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from hil.errors import HilError
+from hil.experiment import Experiment, experiment_from_resolved
+from hil.log.read import Run
+from hil.runtime.clock import RealClock, monotonic_ns
+from hil.runtime.control_node import ControlNode
+from hil.runtime.loop import Loop, compose
+from hil.runtime.rig import OK, row_index
+from hil.runtime.streams import rng_for
+from transport.link import open_link
+from transport.packets import ControlPacket, decode
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """Outcome of a verification.
+
+    Parameters
+    ----------
+    answers, states : int
+        Control packets and plant states that were compared.
+    difference : str or None
+        The first differing sample, None if all are identical.
+    """
+
+    answers: int
+    states: int
+    difference: str | None
+
+
+def experiment_of(run: Run, source: str) -> Experiment:
+    """Return the experiment that a log carries."""
+    if not run.resolved:
+        raise HilError(f"{source}: the log carries no resolved experiment")
+    return experiment_from_resolved(run.resolved, run.experiment_text, source)
+
+
+def _answers(loop: Loop, run: Run) -> dict[int, bytes]:
+    """Feed the recorded sensor frames to the loop's controller; return its answer per slot."""
+    e = loop.experiment
+    node = ControlNode(loop.start_controller(), loop.reference(), e.period_ns, loop.rows, len(e.plant.inputs))
+    out = {}
+    frames = run.arrays["/link/sensor"]
+    for tick, data in zip(frames["tick"].tolist(), frames["data"]):
+        answer = node.hear(bytes(data))
+        if answer is not None:
+            out[tick] = answer
+    return out
+
+
+def verify(run: Run, source: str = "log") -> Verdict:
+    """Re-run the controller on the recorded arrivals and the plant on the recorded inputs; compare bit for bit."""
+    experiment = experiment_of(run, source)
+    loop = compose(experiment, certify=False)
+    difference = None
+    external = run.session.get("external_controller") == "True"
+    control = run.arrays["/link/control"]
+    heard = {
+        tick: bytes(data)
+        for tick, data, late in zip(control["tick"].tolist(), control["data"], control["late"].tolist())
+        if not late
+    }
+    if not external:
+        answers = _answers(loop, run)
+        for tick in sorted(heard):
+            if heard[tick] != answers.get(tick):
+                difference = f"control packet of slot {tick}: {_words(heard[tick])} recorded, {_words(answers.get(tick))} now"
+                break
+    states = run.arrays["/plant/state"]
+    applied = run.arrays["/actuator/applied"]
+    names = [f for f in states.dtype.names or () if f not in ("t_ns", "tick")]
+    inputs = [f for f in applied.dtype.names or () if f.startswith("w_")]
+    u = np.column_stack([applied[name[2:]] for name in inputs]).tolist()
+    w = np.column_stack([applied[name] for name in inputs]).tolist()
+    plant = experiment.plant.start(rng_for(int(run.metadata["seed"]), "plant"))
+    recorded = np.column_stack([states[name] for name in names]).tolist()
+    ticks = states["tick"].tolist()
+    for i, (tick, row) in enumerate(zip(ticks, recorded)):
+        if tick != i:
+            break  # records were dropped here: nothing behind can be compared
+        plant.measure()
+        if tuple(row) != tuple(plant.state) and difference is None:
+            difference = f"plant state of slot {tick}: {row} recorded, {list(plant.state)} now"
+            break
+        if i < len(u):
+            plant.advance(experiment.period_ns, tuple(u[i]), tuple(w[i]))
+    return Verdict(answers=0 if external else len(heard), states=len(recorded), difference=difference)
+
+
+def _words(data: bytes | None) -> str:
+    packet = decode(data) if data is not None else None
+    return str(packet.rows) if isinstance(packet, ControlPacket) else "nothing"
+
+
+def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[str, NDArray[np.float64]]:
+    """Ask what another controller would have commanded on the recorded arrivals (the plant does not react).
+
+    Returns
+    -------
+    dict
+        ``t_s``, and per input ``recorded_<name>`` (as applied) and ``<kind>_<name>`` (the row with the recorded d and
+        selection history, NaN where nothing was applied).
+    """
+    experiment = experiment_of(run, source)
+    other = compose(
+        _with_controller(experiment, controller, kind), certify=False
+    )
+    answers = {tick: decode(data) for tick, data in _answers(other, run).items()}
+    applied = run.arrays["/actuator/applied"]
+    names = [f[2:] for f in applied.dtype.names or () if f.startswith("w_")]
+    d_max, selection = other.model.d_max, other.start_controller().selection
+    d = applied["d"].tolist()
+    rows = []
+    for k, g, status in zip(applied["tick"].tolist(), applied["packet_tick"].tolist(), applied["status"].tolist()):
+        packet = answers.get(g)
+        if status != OK or not isinstance(packet, ControlPacket):
+            rows.append((math.nan,) * len(names))
+            continue
+        rows.append(packet.rows[row_index(selection, k - g, g, d, d_max)])
+    out: dict[str, NDArray[np.float64]] = {"t_s": applied["t_ns"] / 1e9}
+    for i, name in enumerate(names):
+        out[f"recorded_{name}"] = applied[name]
+        out[f"{kind}_{name}"] = np.array([row[i] for row in rows])
+    return out
+
+
+def _with_controller(experiment: Experiment, controller: Any, kind: str) -> Experiment:
+    return replace(
+        experiment, controller=controller, kinds={**experiment.kinds, "controller": kind}, allow_uncertified=True
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Playback:
+    """How a playback kept its own time: error of each frame against its recorded instant, us."""
+
+    frames: int
+    error_us: dict[str, float]
+
+
+def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], None] = lambda i, n: None) -> Playback:
+    """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
+    schedule: list[tuple[int, str, bytes]] = []
+    timing = run.arrays["/timing/tick"]
+    wake = dict(zip(timing["tick"].tolist(), timing["lateness_us"].tolist()))
+    trip = dict(zip(timing["tick"].tolist(), np.nan_to_num(timing["round_trip_us"]).tolist()))
+    for topic, role in (("/link/sensor", "rig"), ("/link/control", "controller")):
+        frames = run.arrays[topic]
+        for t_ns, tick, data in zip(frames["t_ns"].tolist(), frames["tick"].tolist(), frames["data"]):
+            measured_us = wake.get(tick, 0.0) + (trip.get(tick, 0.0) if role == "controller" else 0.0)
+            schedule.append((t_ns + round(measured_us * 1e3), role, bytes(data)))
+    schedule.sort(key=lambda entry: entry[0])
+    if not schedule:
+        raise HilError("the log has no frames to play")
+    error = np.empty(len(schedule))
+    with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
+        links = {"rig": rig, "controller": controller}
+        clock = RealClock(monotonic_ns() + 100_000_000)
+        first = schedule[0][0]
+        for i, (t_ns, role, data) in enumerate(schedule):
+            at = round((t_ns - first) / speed)
+            clock.wait_until(at)
+            error[i] = (clock.now() - at) / 1e3
+            links[role].send(data)
+            while links["controller" if role == "rig" else "rig"].receive(0) is not None:
+                pass  # our own other end hears what we play; keep its queue short
+            if i % 50 == 0:
+                progress(i, len(schedule))
+    points = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
+    return Playback(
+        frames=len(schedule), error_us={name: float(np.percentile(error, q)) for name, q in points.items()}
+    )
