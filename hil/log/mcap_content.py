@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Final
@@ -11,7 +10,7 @@ from typing import Final
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from hil.log.mcap_walk import DamagedRecord, Record, parse, unpack_chunk
+from hil.log.mcap_walk import DamagedRecord, Record, parse, parse_attachment, unpack_chunk
 
 _MESSAGE_HEAD: Final = struct.Struct("<BQH")
 MESSAGE_TIME_AT: Final = 15
@@ -64,10 +63,7 @@ class Content:
             metadata = parse(Metadata.read, record)
             self.metadata[metadata.name] = metadata.metadata
         elif record.opcode == Opcode.ATTACHMENT:
-            attachment = parse(Attachment.read, record)
-            crc = int.from_bytes(record.body[-4:], "little")
-            if crc and zlib.crc32(record.body[:-4]) != crc:
-                raise DamagedRecord(f"attachment at byte {record.offset}: the checksum does not match")
+            attachment = parse_attachment(record)
             self.attachments[attachment.name] = attachment
         elif record.opcode == Opcode.MESSAGE:
             whole = struct.pack("<BQ", record.opcode, len(record.body)) + record.body

@@ -15,7 +15,8 @@ from typing import Final, NamedTuple, TypeVar
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Chunk
+from mcap.records import Attachment, Chunk, McapRecord
+from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from hil.errors import HilError
@@ -69,6 +70,37 @@ def walk(data: bytes | memoryview, start: int = 0) -> Iterator[Record]:
         at = body + length
 
 
+def parse_attachment(record: Record) -> Attachment:
+    """Parse an attachment, and check it against its CRC, which mcap's own reader leaves out.
+
+    Raises
+    ------
+    DamagedRecord
+        If it cannot be had whole.
+    """
+    attachment: Attachment = parse(Attachment.read, record)
+    crc = int.from_bytes(record.body[-4:], "little")
+    if crc and zlib.crc32(record.body[:-4]) != crc:
+        raise DamagedRecord(f"attachment at byte {record.offset}: the checksum does not match")
+    return attachment
+
+
+def chunk_records(record: Record) -> list[McapRecord]:
+    """Schemas, channels and messages of a chunk, in its order.
+
+    Raises
+    ------
+    DamagedRecord
+        If one of them cannot be read.
+    """
+    content = unpack_chunk(record)
+    plain = Chunk(
+        compression="", data=content, message_start_time=0, message_end_time=0, uncompressed_crc=0,
+        uncompressed_size=len(content),
+    )  # fmt: skip
+    return _guarded(lambda: breakup_chunk(plain), record)
+
+
 def parse(read: Callable[[ReadDataStream], R], record: Record) -> R:
     """Parse a record by one of mcap's own readers.
 
@@ -77,10 +109,7 @@ def parse(read: Callable[[ReadDataStream], R], record: Record) -> R:
     DamagedRecord
         Whatever goes wrong, with the record's offset.
     """
-    try:
-        return read(ReadDataStream(BytesIO(record.body)))
-    except (McapError, struct.error, ValueError, KeyError, TypeError, OverflowError, MemoryError) as error:
-        raise DamagedRecord(f"damaged record at byte {record.offset}: {error or type(error).__name__}") from error
+    return _guarded(lambda: read(ReadDataStream(BytesIO(record.body))), record)
 
 
 def unpack_chunk(record: Record) -> bytes:
@@ -109,3 +138,10 @@ def unpack_chunk(record: Record) -> bytes:
     if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
         raise DamagedRecord(f"{where}: the checksum does not match")
     return content
+
+
+def _guarded(read: Callable[[], R], record: Record) -> R:
+    try:
+        return read()
+    except (McapError, struct.error, ValueError, KeyError, TypeError, OverflowError, MemoryError) as error:
+        raise DamagedRecord(f"damaged record at byte {record.offset}: {str(error) or type(error).__name__}") from error

@@ -69,8 +69,15 @@ class Run:
         return cls(arrays=arrays, schemas=schemas, events=_events(sink.payloads.get(EVENTS_TOPIC, ())), **about)
 
 
-def read_run(path: str | os.PathLike[str]) -> Run:
-    """Read a whole log.
+def read_run(path: str | os.PathLike[str], *, whole: bool = True) -> Run:
+    """Read a log.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    whole : bool
+        Refuse a log that is torn or damaged. Otherwise read what is there: after a full disk, say.
 
     Raises
     ------
@@ -83,13 +90,18 @@ def read_run(path: str | os.PathLike[str]) -> Run:
     content = Content()
     closed = False
     try:
-        for record in walk(_body(data), len(MAGIC)):
-            content.take(record)
+        for record in walk(without_magic(data), len(MAGIC)):
+            try:
+                content.take(record)
+            except DamagedRecord:
+                if whole:
+                    raise
             closed = record.opcode == Opcode.FOOTER
         if not closed:
             raise TornFile(len(data), "the log was never closed")
     except (TornFile, DamagedRecord) as error:
-        raise HilError(f"{path}: {error}; what is whole can be saved: hil recover {path}") from error
+        if whole:
+            raise HilError(f"{path}: {error}; what is whole can be saved: hil recover {path}") from error
     try:
         return _run(content)
     except HilError as error:
@@ -115,9 +127,10 @@ def read_mcap(path: Path) -> bytes:
     return data
 
 
-def _body(data: bytes) -> memoryview:
-    """The file without its closing magic, if that is there."""
-    return memoryview(data)[: -len(MAGIC)] if len(data) >= 2 * len(MAGIC) and data.endswith(MAGIC) else memoryview(data)
+def without_magic(data: bytes) -> memoryview:
+    """The file up to its closing magic, or all of it where there is none."""
+    closed = len(data) >= 2 * len(MAGIC) and data.endswith(MAGIC)
+    return memoryview(data)[: len(data) - len(MAGIC) if closed else len(data)]
 
 
 def _run(content: Content) -> Run:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import random
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hil.log.arrays import StructuredArray
 from hil.log.provenance import Provenance
+from hil.log.recorder import McapSink
 from hil.log.records import Channel, channels
 from hil.log.sinks import Sink
 
@@ -84,3 +86,15 @@ def record(sink: Sink, ticks: int, *, start: int = 0, seed: int = 1) -> int:
             count += 1
         sink.commit()
     return count
+
+
+def record_chunks(path: Path, chunks: int) -> McapSink:
+    """Write a log in real-time mode whose every chunk holds 20 slots."""
+    now = 0.0
+    with McapSink(path, TABLE, provenance(), now=lambda: now) as sink:
+        for chunk in range(chunks):
+            record(sink, 19, start=20 * chunk, seed=chunk)
+            now += 0.06
+            record(sink, 1, start=20 * chunk + 19)
+        sink.summary({"metrics": {"sse": 1.0}})
+    return sink
