@@ -1,0 +1,89 @@
+"""``hil bench``: what this machine and this code do, always two things in one run, always with their ratio."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+
+@click.group()
+def command() -> None:
+    """Measure timing, links, designs and Monte Carlo on this machine."""
+
+
+def _status(text: str) -> None:
+    click.echo(text, err=True)
+
+
+def _table(title: str, rows: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title)
+    for i, head in enumerate(rows[0] if rows else []):
+        table.add_column(head, justify="left" if i == 0 else "right")
+    for row in rows:
+        table.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()))
+    Console().print(table)
+
+
+@command.command()
+@click.option("--duration", type=float, default=20.0, show_default=True, help="Seconds for each link.")
+@click.option("--link", "links", multiple=True, help="URI; several allowed.")
+@click.option("--json", "as_json", is_flag=True)
+def timing(duration: float, links: tuple[str, ...], as_json: bool) -> None:
+    """The rig at 1 kHz beside cyclictest at the same priority."""
+    from hil.bench.timing import LINKS, bench_timing
+
+    rows = bench_timing(duration_s=duration, links=links or LINKS, progress=_status)
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    flat = []
+    for row in rows:
+        for name, values in (("rig", row["lateness_us"]), ("cyclictest", row["cyclictest_us"]), ("ratio", row["ratio"])):
+            flat.append({"link": row["link"], "lateness in us": name, **{q: float(values[q]) for q in ("p50", "p99", "p99_9", "max")}})
+    _table("wake-up lateness at 1 kHz", flat)
+    for row in rows:
+        trip = ", ".join(f"{q} {v:.0f}" for q, v in row["round_trip_us"].items() if v is not None)
+        print(
+            f"{row['link']}: round trip in us: {trip}; overruns {row['overruns']} ({row['overrun_share']:.3%}), "
+            f"records dropped {row['dropped_records']}; {row['scheduler']}"
+        )
+
+
+@command.command()
+@click.option("--rate", type=float, default=1000.0, show_default=True, help="Round trips per second.")
+@click.option("--duration", type=float, default=10.0, show_default=True, help="Seconds for each link.")
+@click.option("--json", "as_json", is_flag=True)
+def links(rate: float, duration: float, as_json: bool) -> None:
+    """Round trips of all links side by side, with C over UDP as the floor."""
+    from hil.bench.links import bench_links
+
+    rows = bench_links(rate_hz=rate, duration_s=duration)
+    if as_json:
+        print(json.dumps(rows, indent=2))
+    else:
+        _table(f"round trips at {rate:g} Hz, us", rows)
+
+
+@command.command()
+@click.option("--json", "as_json", is_flag=True)
+def design(as_json: bool) -> None:
+    """Every synthesis with its time and its certificate, beside the route of the thesis."""
+    from hil.bench.design import bench_design
+
+    rows = bench_design(progress=_status)
+    print(json.dumps(rows, indent=2)) if as_json else _table("designs", rows)
+
+
+@command.command()
+@click.option("--json", "as_json", is_flag=True)
+def montecarlo(as_json: bool) -> None:
+    """The batch engine beside a numpy loop and scipy's solve_ivp."""
+    from hil.bench.montecarlo import bench_montecarlo
+
+    rows = bench_montecarlo(progress=_status)
+    print(json.dumps(rows, indent=2)) if as_json else _table("Monte Carlo", rows)
