@@ -10,9 +10,12 @@ from plants.dc_motor import DCMotor, DCMotorRun, LoadTorque
 from plants.errors import PlantError
 from plants.friction import Friction, RubbingAxis
 from plants.linear import DiscreteStateSpace, LinearRun, Signal, StateSpace
+from plants.omni import Omni
 from plants.sensors import Encoder
+from plants.vtol import VTOL
 
 __all__ = [
+    "VTOL",
     "DCMotor",
     "DCMotorRun",
     "DiscreteStateSpace",
@@ -21,6 +24,7 @@ __all__ = [
     "Friction",
     "LinearRun",
     "LoadTorque",
+    "Omni",
     "PlantError",
     "RubbingAxis",
     "Signal",

@@ -34,9 +34,7 @@ def _product(a: list[list[int]], b: list[list[int]]) -> list[list[int]]:
     return [[sum(x * y for x, y in zip(row, column)) >> _BITS for column in columns] for row in a]
 
 
-def zero_order_hold(
-    A: Sequence[Sequence[float]], B: Sequence[Sequence[float]], ratio: tuple[int, int]
-) -> tuple[Rows, Rows]:
+def zero_order_hold(A: Sequence[Sequence[float]], B: Sequence[Sequence[float]], ratio: tuple[int, int]) -> tuple[Rows, Rows]:
     """Discretise x' = A x + B v, with v held over T, without any rounding but the last.
 
     Phi = exp(A T),  Gamma = int_0^T exp(A s) ds B = T phi_1(A T) B,  phi_1(M) = sum_k M^k / (k+1)!,

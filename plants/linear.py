@@ -98,9 +98,7 @@ class DiscreteStateSpace:
     D: Matrix
     period_s: float
 
-    def __init__(
-        self, *, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None, period_s: float
-    ) -> None:
+    def __init__(self, *, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None, period_s: float) -> None:
         if not 0 < period_s < math.inf:
             raise ValueError(f"period_s: {period_s!r}, expected a finite number > 0")
         for name, matrix in zip("ABCD", _checked(A, B, C, D)):
