@@ -25,7 +25,7 @@ from transport.draws import (
     SUPERSEDED,
     Draw,
 )
-from transport.network_laws import AgeLaw, AgeProcess, PacketLaw, PacketProcess
+from transport.network_laws import AgeFamily, AgeProcess, PacketFamily, PacketProcess
 
 __all__ = ["REASONS", "AgeImpairment", "Draw", "Impairment", "PacketImpairment", "impair"]
 
@@ -229,7 +229,7 @@ class PacketImpairment:
         return parcel.tick, parcel.packet
 
 
-def impair(law: AgeLaw | PacketLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:
+def impair(law: AgeFamily | PacketFamily, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:
     """Return the emulated network of one direction under a law.
 
     Args:
@@ -242,12 +242,12 @@ def impair(law: AgeLaw | PacketLaw, rng: np.random.Generator, period_s: float, d
         ValueError: `law.family` is neither "age" nor "packet".
     """
     if law.family == "age":
-        age_law = cast(AgeLaw, law)
+        age_law = cast(AgeFamily, law)
         # A foreign law that does not say is taken to have gaps: that is safe, it only holds packets for longer.
         gaps = bool(getattr(law, "allow_gaps", True))
         return AgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age, gaps=gaps)
     if law.family == "packet":
-        packet_law = cast(PacketLaw, law)
+        packet_law = cast(PacketFamily, law)
         process = packet_law.start(rng, period_s, deadline_s)
         return PacketImpairment(process, period_s=period_s, reordering=packet_law.reordering, queue=packet_law.queue)
     raise ValueError(f'family: got {law.family!r} from law {type(law).__name__}, expected "age" or "packet"')

@@ -25,7 +25,7 @@ class AgeProcess(Protocol):
         ...
 
 
-class AgeLaw(Protocol):
+class AgeFamily(Protocol):
     """Parameters of an age law, a plug-in of group `hil.laws`. An age that grows by one means: nothing newer came."""
 
     kind: ClassVar[str]
@@ -49,7 +49,7 @@ class PacketProcess(Protocol):
         ...
 
 
-class PacketLaw(Protocol):
+class PacketFamily(Protocol):
     """Parameters of a packet law, a plug-in of group `hil.laws`."""
 
     kind: ClassVar[str]
