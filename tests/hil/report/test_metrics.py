@@ -1,0 +1,110 @@
+import json
+
+import numpy as np
+import pytest
+
+from hil.experiment import load_experiment
+from hil.log.provenance import Provenance
+from hil.log.read import Run
+from hil.log.sinks import MemorySink
+from hil.report.metrics import run_metrics, summarise
+from hil.report.network import count_modes
+from hil.report.timing import timing_metrics
+from hil.runtime.loop import compose
+from hil.runtime.virtual import run_virtual
+from transport.draws import REASONS
+
+
+def run_of(name: str, *sets: str) -> Run:
+    experiment = load_experiment(name, sets)
+    loop = compose(experiment)
+    sink = MemorySink(loop.channels())
+    run_virtual(loop, experiment.seed, sink)
+    about = Provenance(
+        experiment=experiment.name,
+        experiment_text=experiment.text,
+        resolved=experiment.resolved(),
+        seed=experiment.seed,
+        clock="virtual",
+        link="memory:",
+        codes={"reason": REASONS},
+    )
+    return Run.from_memory(
+        sink,
+        metadata=about.metadata()["hilrig"],
+        versions=dict(about.versions),
+        codes={"reason": list(REASONS)},
+        experiment_text=experiment.text,
+        resolved=dict(about.resolved),
+        certificate=loop.certificate or {},
+    )
+
+
+def test_summary_is_plain_json_with_the_promised_keys() -> None:
+    summary = json.loads(json.dumps(summarise(run_of("dc-motor-hinf")), allow_nan=False))
+    assert {"experiment", "seed", "clock", "link", "ticks", "duration_s", "metrics", "network", "timing"} <= set(summary)
+    assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
+    for side in ("sc", "ca"):
+        assert {"law", "mode_counts", "transition_counts", "p_value", "lost", "late", "duplicated"} <= set(
+            summary["network"][side]
+        )
+    assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
+    assert summary["ticks"] == 1000 and summary["duration_s"] == 50.0
+    assert summary["timing"]["valid"] is True
+    assert summary["safety"] is None
+
+
+def test_published_gains_reach_the_error_of_the_reference_computation() -> None:
+    # 12.03, sd 0.41 over 10,000 runs: twenty seeds lie within 5 standard errors (false alarm below 1e-6).
+    experiment = load_experiment("dc-motor-hinf")
+    loop = compose(experiment)
+    found = []
+    for seed in range(20):
+        sink = MemorySink(loop.channels(), ("/plant/measurement", "/reference", "/actuator/applied"))
+        run_virtual(loop, seed, sink)
+        found.append(run_metrics(Run.from_memory(sink), experiment))
+    assert np.mean([f["sse"] for f in found]) == pytest.approx(12.03, abs=5 * 0.41 / np.sqrt(20))
+    assert np.mean([f["sse_after_5s"] for f in found]) == pytest.approx(0.0305, abs=5 * 0.0058 / np.sqrt(20))
+
+
+def test_counted_modes_add_up_to_the_slots() -> None:
+    run = run_of("dc-motor-hinf")
+    network = summarise(run)["network"]
+    for side, modes in (("sc", 3), ("ca", 2)):
+        assert len(network[side]["mode_counts"]) == modes and sum(network[side]["mode_counts"]) == 1000
+        assert np.sum(network[side]["transition_counts"]) == 999
+    draws = run.arrays["/network/ca"]
+    assert network["ca"]["mode_counts"][0] == np.sum(draws["mode"] == 0)
+
+
+def test_run_stopped_by_safety_names_the_reason() -> None:
+    summary = summarise(run_of("dc-motor-local"))
+    assert summary["safety"] is not None and "limit" in summary["safety"]
+    assert summary["ticks"] < 1000
+
+
+def test_summary_survives_a_run_that_ended_at_once() -> None:
+    run = run_of("dc-motor-hinf", 'duration="50 ms"')
+    json.dumps(summarise(run), allow_nan=False)
+
+
+def test_summary_survives_a_log_torn_between_two_records_of_one_tick() -> None:
+    run = run_of("dc-motor-hinf", 'duration="5 s"')
+    run.arrays["/reference"] = run.arrays["/reference"][:-1]
+    run.arrays["/actuator/applied"] = run.arrays["/actuator/applied"][:-3]
+    assert summarise(run)["metrics"]["sse"] > 9.0
+
+
+def test_transitions_are_counted_from_row_to_column() -> None:
+    assert count_modes(np.array([0, 2, 2, 1]), 3)[1] == [[0, 0, 1], [0, 0, 0], [0, 1, 1]]
+    assert count_modes(np.array([], dtype=np.int64)) == ([], [])
+
+
+def test_timing_verdict_names_every_reason() -> None:
+    n = 1000
+    quiet = np.full(n, 30.0)
+    zeros, some = np.zeros(n), np.arange(n) < 5
+    assert timing_metrics(quiet, quiet, zeros, zeros, period_s=1e-3)["valid"]
+    bad = timing_metrics(quiet + 200.0, quiet, some, some, period_s=1e-3)
+    assert not bad["valid"] and len(bad["why"]) == 3 and bad["first_late_tick"] == 0
+    assert bad["lateness_us"]["max"] == 230.0
