@@ -161,6 +161,10 @@ class Schema:
         """Where the bytes of ``uint8[]`` begin in a payload (its u32 length stands just before)."""
         return 4 + self.dtype.itemsize + -self.dtype.itemsize % 4 + 4
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A compiled packer does not travel between processes; it is made again over there.
+        return partial(type(self), name=self.name, fields=self.fields), ()
+
     @classmethod
     def from_text(cls, name: str, text: str) -> Schema:
         """Read back what ``text`` wrote; raises ValueError for anything that this table could not have written."""

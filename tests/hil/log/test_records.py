@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 from typing import Any, NamedTuple
 
@@ -118,6 +119,14 @@ def test_a_schema_is_read_back_from_its_text(channel: Channel) -> None:
     again = Schema.from_text(channel.schema.name, channel.schema.text)
     assert again == channel.schema
     assert again.dtype == channel.schema.dtype
+
+
+@pytest.mark.parametrize("channel", TABLE.values(), ids=lambda c: c.topic)
+def test_a_channel_travels_to_another_process(channel: Channel) -> None:
+    again = pickle.loads(pickle.dumps(channel))
+    assert again == channel
+    values = [b"xy" if f.type == "uint8[]" else 1 for f in channel.schema.fields]
+    assert again.schema.pack(*values) == channel.schema.pack(*values)
 
 
 @given(st.text(max_size=60))
