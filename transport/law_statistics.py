@@ -135,7 +135,7 @@ def _evidence(law: Any, modes: Modes, draws: Any) -> Iterator[Evidence]:
     if isinstance(law, ConstantAge):
         yield Evidence(0.0, 0, bool((modes == 0).all()))
     elif isinstance(law, TraceAge):
-        ages = np.array(law.prepared().ages)
+        ages = np.array(law.loaded().ages)
         served = law.past_end == "repeat" or len(modes) <= len(ages)
         yield Evidence(0.0, 0, served and bool((modes == np.resize(ages, len(modes))).all()))
     elif isinstance(law, SemiMarkovAge):

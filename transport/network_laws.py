@@ -73,21 +73,28 @@ class PacketFamily(Protocol):
 _Law = TypeVar("_Law")
 
 
-def prepare(law: _Law, directory: str | PathLike[str] | None = None) -> _Law:
-    """Return the same law with everything from outside taken in: files read, scipy.stats laws tabulated.
-
-    To be called where the run is composed: a prepared law needs neither the disk nor scipy.stats, so that it can be
-    pickled into a process that keeps time. A law without a method `prepared` needs no preparation.
+def load_files(law: _Law, directory: str | PathLike[str] | None = None) -> _Law:
+    """Return the same law with the files that it names read: for whoever loads an experiment.
 
     Args:
-        law: parameters of any network law.
+        law: parameters of any network law; one without a method `loaded` names no files.
         directory: where relative file names start; the working directory by default.
 
     Raises:
         ValueError: a file is missing or faulty; the message starts with the field.
     """
+    loaded = getattr(law, "loaded", None)
+    return law if loaded is None else loaded(directory)
+
+
+def prepare(law: _Law) -> _Law:
+    """Return the same law with scipy.stats laws tabulated (and files read): for whoever composes a run.
+
+    A prepared law needs neither the disk nor scipy.stats, so that it can be pickled into a process that keeps time. A
+    law without a method `prepared` needs no preparation.
+    """
     prepared = getattr(law, "prepared", None)
-    return law if prepared is None else prepared(directory)
+    return load_files(law) if prepared is None else prepared()
 
 
 def slots_served(law: object) -> int | None:

@@ -89,13 +89,20 @@ class PacketLaw:
         if isinstance(self.queue, bool) or not 1 <= self.queue <= 1_000_000:
             raise ValueError(f"queue: got {self.queue!r}, expected 1 to 1000000 packets")
 
-    def prepared(self, directory: str | PathLike[str] | None = None) -> PacketLaw:
-        """Return the law with its latencies tabulated: it needs neither files nor scipy.stats any more.
+    def loaded(self, directory: str | PathLike[str] | None = None) -> PacketLaw:
+        """Return the law with its file of latencies read.
 
         Raises:
             ValueError: the file is missing or faulty; the message starts with "latency.file".
         """
-        if not isinstance(self.latency, dict) or not {"file", "dist"} & self.latency.keys():
+        return self._described("file", directory)
+
+    def prepared(self) -> PacketLaw:
+        """Return the law with its latencies tabulated: it needs neither files nor scipy.stats any more."""
+        return self.loaded()._described("dist", None)
+
+    def _described(self, source: str, directory: str | PathLike[str] | None) -> PacketLaw:
+        if not isinstance(self.latency, dict) or source not in self.latency:
             return self
         return replace(self, latency=described(latency(self.latency, directory)))
 

@@ -126,10 +126,6 @@ class SemiMarkovAge:
         """Return the mean number of slots that a mode lasts, (n,)."""
         return np.array([mean_sojourn(law) for law in self.sojourn])
 
-    def transition_matrix(self) -> NDArray[np.float64]:
-        """Return the age-augmented chain, see `augmented_chain`, (N, N)."""
-        return augmented_chain(self).matrix
-
 
 def augmented_chain(law: SemiMarkovAge, longest: int = 1000) -> AugmentedChain:
     """Return the Markov chain on (mode, slots spent in it) that a semi-Markov law is.

@@ -25,7 +25,7 @@ class TraceAge:
         ages: ages in slots; empty when a file is given.
         file: CSV file with the ages in the column `age`, or in its first column when it has no heading. Lines that
         start with
-            "#" are skipped. A relative name counts from where `prepared` is told.
+            "#" are skipped. A relative name counts from where `loaded` is told.
         past_end: after the last entry begin again ("repeat"), or have no more to give ("refuse"; then a run must not
         be longer).
         allow_gaps: accept an age that grows by more than one per slot.
@@ -66,7 +66,7 @@ class TraceAge:
                 "at most 1 per slot is possible (allow_gaps permits it)"
             )
 
-    def prepared(self, directory: str | PathLike[str] | None = None) -> TraceAge:
+    def loaded(self, directory: str | PathLike[str] | None = None) -> TraceAge:
         """Return the law with its file read.
 
         Raises:
@@ -81,12 +81,12 @@ class TraceAge:
     @property
     def max_age(self) -> int:
         """Largest age in the trace, in slots."""
-        return max(self.prepared().ages)
+        return max(self.loaded().ages)
 
     @property
     def length(self) -> int | None:
         """Number of slots that the trace serves, None for without end."""
-        return None if self.past_end == "repeat" else len(self.prepared().ages)
+        return None if self.past_end == "repeat" else len(self.loaded().ages)
 
     @property
     def mode_ages(self) -> tuple[int, ...]:
@@ -98,7 +98,7 @@ class TraceAge:
         return AgePath(self._path().__next__)
 
     def _path(self) -> Iterator[tuple[int, int]]:
-        states = [(age, age) for age in self.prepared().ages]
+        states = [(age, age) for age in self.loaded().ages]
         yield from states
         while self.past_end == "repeat":
             yield from states
@@ -106,26 +106,17 @@ class TraceAge:
 
     def stationary(self) -> NDArray[np.float64]:
         """Return the share of slots of every mode in the trace, (max_age + 1,)."""
-        ages = self.prepared().ages
+        ages = self.loaded().ages
         return np.bincount(ages) / len(ages)
 
     def mean_bursts(self) -> NDArray[np.float64]:
         """Return the mean number of slots that a mode lasts in the trace, (max_age + 1,); NaN for absent modes."""
-        ages = np.array(self.prepared().ages)
+        ages = np.array(self.loaded().ages)
         starts = np.concatenate([[True], ages[1:] != ages[:-1]])
         slots = np.bincount(ages).astype(np.float64)
         bursts = np.bincount(ages[starts], minlength=len(slots))
         means: NDArray[np.float64] = np.divide(slots, bursts, out=np.full(len(slots), np.nan), where=bursts > 0)
         return means
-
-    def transition_matrix(self) -> NDArray[np.float64]:
-        """Return the observed shares of transitions, (max_age + 1, max_age + 1); NaN rows for absent modes."""
-        ages = np.array(self.prepared().ages)
-        counts = np.zeros((self.max_age + 1,) * 2)
-        np.add.at(counts, (ages[:-1], ages[1:]), 1.0)
-        totals = counts.sum(axis=1, keepdims=True)
-        shares: NDArray[np.float64] = np.divide(counts, totals, out=np.full_like(counts, np.nan), where=totals > 0)
-        return shares
 
 
 def read_column(path: Path, column: str) -> list[str]:

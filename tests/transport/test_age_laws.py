@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from transport.age_laws import ConstantAge, IidAge, MarkovAge
-from transport.network_laws import prepare, slots_served
+from transport.network_laws import load_files, slots_served
 from transport.semi_markov_law import SemiMarkovAge, augmented_chain
 from transport.sojourn import (
     DiscreteWeibull,
@@ -279,7 +279,7 @@ def test_geometric_sojourns_make_a_markov_chain() -> None:
     leaving = 1 - np.diag(markov)
     embedded = (markov - np.diag(np.diag(markov))) / leaving[:, None]
     law = SemiMarkovAge(matrix=embedded.tolist(), sojourn=tuple(Geometric(p=p) for p in leaving.tolist()))
-    assert law.transition_matrix() == pytest.approx(markov)
+    assert augmented_chain(law).matrix == pytest.approx(markov)
     assert law.stationary() == pytest.approx(MarkovAge(matrix=LAMBDA).stationary())
 
 
@@ -313,11 +313,11 @@ def test_a_trace_repeats_or_refuses() -> None:
 def test_a_trace_comes_from_a_file_beside_the_experiment(tmp_path: Path) -> None:
     (tmp_path / "plain.csv").write_text("# recorded\n0\n1\n\n2\n0\n")
     (tmp_path / "named.csv").write_text("slot, age\n0,0\n1,1\n")
-    law = prepare(TraceAge(file="plain.csv"), tmp_path)
+    law = load_files(TraceAge(file="plain.csv"), tmp_path)
     assert law.ages == (0, 1, 2, 0)
     assert law.file == ""
-    assert prepare(TraceAge(file="named.csv"), tmp_path).ages == (0, 1)
-    assert prepare(ConstantAge(age=1), tmp_path) == ConstantAge(age=1)
+    assert load_files(TraceAge(file="named.csv"), tmp_path).ages == (0, 1)
+    assert load_files(ConstantAge(age=1), tmp_path) == ConstantAge(age=1)
 
 
 @pytest.mark.parametrize(
@@ -333,16 +333,15 @@ def test_a_trace_comes_from_a_file_beside_the_experiment(tmp_path: Path) -> None
 def test_a_faulty_trace_file_is_refused_with_the_entry(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "trace.csv").write_bytes(content)
     with pytest.raises(ValueError, match=f"^file.*{message}"):
-        prepare(TraceAge(file="trace.csv"), tmp_path)
+        load_files(TraceAge(file="trace.csv"), tmp_path)
 
 
 def test_a_missing_trace_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"^file: .*nowhere.csv: No such file"):
-        prepare(TraceAge(file="nowhere.csv"), tmp_path)
+        load_files(TraceAge(file="nowhere.csv"), tmp_path)
 
 
 def test_trace_statistics_are_those_of_the_trace() -> None:
     law = TraceAge(ages=(0, 0, 1, 2, 0, 1))
     assert law.stationary() == pytest.approx([1 / 2, 1 / 3, 1 / 6])
     assert law.mean_bursts() == pytest.approx([1.5, 1, 1])
-    assert law.transition_matrix()[0] == pytest.approx([1 / 3, 2 / 3, 0])

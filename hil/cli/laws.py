@@ -1,0 +1,79 @@
+"""``hil laws``: what an experiment's network laws do in the long run, before anything runs."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+import click
+
+
+@click.command()
+@click.argument("experiment")
+@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
+    """Show stationary law, mean bursts, ages and losses of both directions of EXPERIMENT's network."""
+    from hil.experiment import load_experiment
+    from transport.law_analysis import analyse_law
+
+    checked = load_experiment(experiment, sets)
+    period_s = float(checked.period)
+    deadline_s = checked.timing.deadline * period_s
+    directions = {
+        side: analyse_law(direction.law, period_s, deadline_s)
+        for side, direction in (("sc", checked.links.sc), ("ca", checked.links.ca))
+    }
+    if as_json:
+        laws = {side: _json(asdict(analysis)) for side, analysis in directions.items()}
+        for side, direction in (("sc", checked.links.sc), ("ca", checked.links.ca)):
+            laws[side]["transition_matrix"] = _matrix(direction.law)
+        print(json.dumps({"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws}, indent=2))
+        return
+    _print(checked.name, period_s, directions)
+
+
+def _print(name: str, period_s: float, directions: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    titles = {"sc": "sensor to controller (sc)", "ca": "controller to actuator (ca)"}
+    for side, law in directions.items():
+        console.print(f"[bold]{name}[/bold], {titles[side]}: {law.kind} law, T = {period_s * 1e3:g} ms", highlight=False)
+        if law.stationary:
+            table = Table()
+            for head in ("mode", "age", "share of slots", "mean burst", "mean burst"):
+                table.add_column(head, justify="right")
+            for mode, (share, burst) in enumerate(zip(law.stationary, law.mean_bursts)):
+                age = str(law.mode_ages[mode]) if law.mode_ages else "-"
+                table.add_row(str(mode), age, f"{share:.4f}", f"{burst:.4g} slots", f"{burst * period_s:.4g} s")
+            console.print(table)
+        ages = ", ".join(f"{age}: {share:.4f}" for age, share in enumerate(law.age_shares[:10]))
+        if len(law.age_shares) > 10:
+            ages += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"
+        note = "" if law.age_method == "exact" else " (from 50,000 simulated slots)"
+        print(f"  age of the newest packet  {ages or 'nothing ever arrives'}{note}")
+        print(f"  mean age                  {law.mean_age:.4g} slots = {law.mean_age * period_s * 1e3:.4g} ms")
+        if not math.isnan(law.mean_latency_s):
+            print(f"  mean latency              {law.mean_latency_s * 1e3:.4g} ms")
+        print(f"  lost                      {law.loss_probability:.4g} of the packets")
+        if not math.isnan(law.unused):
+            print(f"  never used                {law.unused:.4g} of the packets")
+        print()
+
+
+def _matrix(law: Any) -> list[list[float]] | None:
+    method = getattr(law, "transition_matrix", None)
+    return None if method is None else method().tolist()
+
+
+def _json(value: Any) -> Any:
+    """JSON has neither infinity nor NaN: both become null."""
+    if isinstance(value, dict):
+        return {key: _json(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
