@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from transport.draws import REASONS
+from transport.law_statistics import law_p_value, mode_counts, transition_counts
 
 Draws: TypeAlias = npt.NDArray[np.void]
 
@@ -16,22 +18,6 @@ Draws: TypeAlias = npt.NDArray[np.void]
 def mode_sequence(draws: Draws) -> npt.NDArray[np.int64]:
     """Return the modes that the law drew, one per slot in slot order (rows with mode < 0 book a packet's fate)."""
     return np.asarray(draws["mode"][draws["mode"] >= 0], dtype=np.int64)
-
-
-def count_modes(modes: npt.NDArray[np.int64], n: int | None = None) -> tuple[list[int], list[list[int]]]:
-    """Return how often every mode occurred, and how often it was followed by every other.
-
-    Parameters:
-        modes: (slots,) of numbers >= 0.
-        n: number of modes; by default one more than the largest that occurs.
-
-    >>> count_modes(np.array([0, 1, 1, 0]))
-    ([2, 2], [[0, 1], [1, 1]])
-    """
-    size = max(n or 0, int(modes.max(initial=-1)) + 1)
-    counts = np.bincount(modes, minlength=size)
-    pairs = np.bincount(modes[:-1] * size + modes[1:], minlength=size * size).reshape(size, size) if size else counts
-    return counts.tolist(), pairs.tolist()
 
 
 def network_metrics(
@@ -46,16 +32,18 @@ def network_metrics(
         late: packets that missed the slot's deadline (they count as lost on the way to the actuator).
         reasons: names of the codes in `draws["reason"]`.
 
-    Returns: law (its kind), mode_counts, transition_counts (row: from), p_value (None where the law has no test, or
-        too few slots), lost (by the loss law or a full queue), late, duplicated, fates (reason: count).
+    Returns: law (its kind), mode_counts, transition_counts (row: from), p_value (None where the law has no test),
+        lost (by the loss law or a full queue), late, duplicated, fates (reason: count).
     """
     found: dict[str, Any] = {"law": kind, "mode_counts": [], "transition_counts": [], "p_value": None}
     fates: dict[str, int] = {}
     if draws is not None and len(draws):
         modes = mode_sequence(draws)
         expected = expected_frequencies(law)
-        found["mode_counts"], found["transition_counts"] = count_modes(modes, None if expected is None else len(expected))
-        found["p_value"] = _p_value(law, modes)
+        size = max(0 if expected is None else len(expected), int(modes.max(initial=-1)) + 1)
+        found["mode_counts"] = mode_counts(modes, size).tolist()
+        found["transition_counts"] = transition_counts(modes, size).tolist() if size else []
+        found["p_value"] = _p_value(law, modes, draws)
         codes, counts = np.unique(draws["reason"], return_counts=True)
         fates = {reasons[c] if c < len(reasons) else str(c): int(n) for c, n in zip(codes.tolist(), counts)}
     found["lost"] = fates.get("lost", 0) + fates.get("overflow", 0)
@@ -83,5 +71,11 @@ def _stated(law: Any | None, name: str) -> npt.NDArray[np.float64] | None:
         return None
 
 
-def _p_value(law: Any | None, modes: npt.NDArray[np.int64]) -> float | None:
-    return None
+def _p_value(law: Any | None, modes: npt.NDArray[np.int64], draws: Draws) -> float | None:
+    if law is None:
+        return None
+    try:
+        p_value = law_p_value(law, modes, draws)
+    except ValueError:  # a recorded trace whose file is no longer where it was
+        return None
+    return p_value if math.isfinite(p_value) else None

@@ -8,10 +8,11 @@ from hil.log.provenance import Provenance
 from hil.log.read import Run
 from hil.log.sinks import MemorySink
 from hil.report.metrics import run_metrics, summarise
-from hil.report.network import count_modes
+from hil.report.network import network_metrics
 from hil.report.timing import timing_metrics
 from hil.runtime.loop import compose
 from hil.runtime.virtual import run_virtual
+from transport.age_laws import MarkovAge
 from transport.draws import REASONS
 
 
@@ -95,9 +96,20 @@ def test_summary_survives_a_log_torn_between_two_records_of_one_tick() -> None:
     assert summarise(run)["metrics"]["sse"] > 9.0
 
 
-def test_transitions_are_counted_from_row_to_column() -> None:
-    assert count_modes(np.array([0, 2, 2, 1]), 3)[1] == [[0, 0, 1], [0, 0, 0], [0, 1, 1]]
-    assert count_modes(np.array([], dtype=np.int64)) == ([], [])
+def test_record_agrees_with_its_own_law_and_not_with_another() -> None:
+    run = run_of("dc-motor-hinf")
+    experiment = load_experiment("dc-motor-hinf")
+    draws = run.arrays["/network/sc"]
+    own = network_metrics(draws, experiment.links.sc.law, "markov")["p_value"]
+    other = network_metrics(draws, MarkovAge(matrix=((0.1, 0.9, 0.0), (0.1, 0.1, 0.8), (0.2, 0.2, 0.6))), "markov")
+    assert own is not None and own > 1e-3  # fixed seed: no false alarm
+    assert other["p_value"] < 1e-6
+
+
+def test_law_that_cannot_be_made_again_is_still_counted() -> None:
+    draws = run_of("dc-motor-hinf").arrays["/network/ca"]
+    found = network_metrics(draws, None, "somebody-elses")
+    assert found["law"] == "somebody-elses" and sum(found["mode_counts"]) == 1000 and found["p_value"] is None
 
 
 def test_timing_verdict_names_every_reason() -> None:
