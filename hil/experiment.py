@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import re
 import tomllib
 import typing
 from importlib import resources
@@ -17,6 +18,8 @@ from hil import registry
 from hil.errors import ExperimentError, HilError
 
 MAX_BYTES = 1_000_000
+HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
+FIELD = re.compile(r"[a-z_]\w*(\[\d+\])*(\.\w+)*: ")
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
 
@@ -45,7 +48,20 @@ class Seconds(float):
 
 
 class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of every table of an experiment file."""
+    """Base of every table of an experiment file.
+
+    ``faults(values)`` checks the fields that could be converted, whether or not the others could.
+    """
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        """Yield ``field: what is wrong``."""
+        yield from ()
+
+
+def _not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
+    if values.get(field, 0.0) < 0:
+        yield f"{field}: {values[field]:g} s is negative"
 
 
 class Step(Table, frozen=True, kw_only=True):
@@ -54,9 +70,9 @@ class Step(Table, frozen=True, kw_only=True):
     at: Seconds
     value: tuple[float, ...]
 
-    def __post_init__(self) -> None:
-        if self.at < 0:
-            raise ValueError(f"at: {self.at:g} s is negative")
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        yield from _not_negative(values, "at")
 
 
 class Pulse(Table, frozen=True, kw_only=True):
@@ -66,11 +82,11 @@ class Pulse(Table, frozen=True, kw_only=True):
     samples: int
     value: tuple[float, ...]
 
-    def __post_init__(self) -> None:
-        if self.at < 0:
-            raise ValueError(f"at: {self.at:g} s is negative")
-        if self.samples < 1:
-            raise ValueError(f"samples: {self.samples} is below 1")
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        yield from _not_negative(values, "at")
+        if values.get("samples", 1) < 1:
+            yield f"samples: {values['samples']} is below 1"
 
 
 class Direction(Table, frozen=True, kw_only=True):
@@ -106,19 +122,19 @@ class Limits(Table, frozen=True, kw_only=True):
     watchdog_ticks: int = 3
     input: tuple[float, ...] | None = None
     state: dict[str, float] = msgspec.field(default_factory=dict)
-    after_trip: Seconds = Seconds(1.0)
+    after_trip: Seconds = typing.cast(Seconds, 1.0)  # a plain float, for the JSON Schema
 
-    def __post_init__(self) -> None:
-        if self.watchdog_ticks < 1:
-            raise ValueError(f"watchdog_ticks: {self.watchdog_ticks} is below 1")
-        for i, bound in enumerate(self.input or ()):
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        if values.get("watchdog_ticks", 1) < 1:
+            yield f"watchdog_ticks: {values['watchdog_ticks']} is below 1"
+        for i, bound in enumerate(values.get("input") or ()):
             if bound <= 0:
-                raise ValueError(f"input[{i}]: {bound:g} is not positive")
-        for name, bound in self.state.items():
+                yield f"input[{i}]: {bound:g} is not positive"
+        for name, bound in values.get("state", {}).items():
             if bound <= 0:
-                raise ValueError(f"state.{name}: {bound:g} is not positive")
-        if self.after_trip < 0:
-            raise ValueError(f"after_trip: {self.after_trip:g} s is negative")
+                yield f"state.{name}: {bound:g} is not positive"
+        yield from _not_negative(values, "after_trip")
 
 
 class Timing(Table, frozen=True, kw_only=True):
@@ -128,11 +144,12 @@ class Timing(Table, frozen=True, kw_only=True):
     priority: int = 60
     overrun: Literal["catch-up"] = "catch-up"
 
-    def __post_init__(self) -> None:
-        if not 0 < self.deadline < 1:
-            raise ValueError(f"deadline: {self.deadline:g} is not between 0 and 1 (a share of the period)")
-        if not 1 <= self.priority <= 98:
-            raise ValueError(f"priority: {self.priority} is not between 1 and 98")
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        if not 0 < values.get("deadline", 0.6) < 1:
+            yield f"deadline: {values['deadline']:g} is not between 0 and 1 (a share of the period)"
+        if not 1 <= values.get("priority", 60) <= 98:
+            yield f"priority: {values['priority']} is not between 1 and 98"
 
 
 class Experiment(Table, frozen=True, kw_only=True):
@@ -151,20 +168,24 @@ class Experiment(Table, frozen=True, kw_only=True):
     links: Links
     limits: Limits = Limits()
     timing: Timing = Timing()
-    kinds: dict[str, str] = msgspec.field(default_factory=dict)
-    text: str = ""
+    kinds: dict[str, str] = msgspec.field(default_factory=dict)  # table -> name of its plug-in
+    text: str = ""  # the file as it was written
+    folder: str = "."  # where it stands, for the files that it names
 
-    def __post_init__(self) -> None:
-        if not self.name or any(c in self.name for c in "/\\\0"):
-            raise ValueError(f"name: {self.name!r} is empty or holds a path separator")
-        if not 1e-5 <= self.period <= 60:
-            raise ValueError(f"period: {self.period:g} s is not between 10 us and 60 s")
-        if self.duration < self.period:
-            raise ValueError(f"duration: {self.duration:g} s is shorter than the period {self.period:g} s")
-        if self.duration / self.period > 1e8:
-            raise ValueError(f"duration: {self.duration / self.period:.3g} ticks; at most 1e8")
-        if not 0 <= self.seed < 2**63:
-            raise ValueError(f"seed: {self.seed} is not between 0 and 2^63 - 1")
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        name, period, duration = values.get("name", "x"), values.get("period"), values.get("duration")
+        if not name or any(c in name for c in "/\\\0"):
+            yield f"name: {name!r} is empty or holds a path separator"
+        if period is not None and not 1e-5 <= period <= 60:
+            yield f"period: {period:g} s is not between 10 us and 60 s"
+        elif period is not None and duration is not None:
+            if duration < period:
+                yield f"duration: {duration:g} s is shorter than the period {period:g} s"
+            elif duration / period > 1e8:
+                yield f"duration: {duration / period:.3g} ticks; at most 1e8"
+        if not 0 <= values.get("seed", 0) < 2**63:
+            yield f"seed: {values['seed']} is not between 0 and 2^63 - 1"
 
     @property
     def period_ns(self) -> int:
@@ -180,7 +201,7 @@ class Experiment(Table, frozen=True, kw_only=True):
         """Return the experiment with every default written out, as plain JSON values."""
         out: dict[str, Any] = {}
         for f in self.__struct_fields__:
-            if f not in ("text", "kinds"):
+            if f not in HIDDEN:
                 out[f] = _plain(getattr(self, f))
         for path, kind in self.kinds.items():
             node = out
@@ -230,10 +251,12 @@ def load_experiment(source: str | Path, sets: typing.Sequence[str] = ()) -> Expe
         text = data.decode()
     except UnicodeDecodeError as e:
         raise HilError(f"{name}: not a text file: byte 0x{data[e.start]:02x} at offset {e.start} is not UTF-8") from e
-    return parse_experiment(text, sets=sets, source=name)
+    return parse_experiment(text, sets=sets, source=name, folder=str(path.parent))
 
 
-def parse_experiment(text: str, *, sets: typing.Sequence[str] = (), source: str = "experiment") -> Experiment:
+def parse_experiment(
+    text: str, *, sets: typing.Sequence[str] = (), source: str = "experiment", folder: str = "."
+) -> Experiment:
     """Check the text of an experiment; see :func:`load_experiment`."""
     try:
         raw = tomllib.loads(text)
@@ -245,7 +268,7 @@ def parse_experiment(text: str, *, sets: typing.Sequence[str] = (), source: str 
         _apply(raw, change)
     checker = _Checker()
     try:
-        experiment = checker.experiment(raw, text)
+        experiment = checker.experiment(raw, text, folder)
     except RecursionError as e:
         raise HilError(f"{source}: not valid TOML: nested too deeply") from e
     if checker.faults or experiment is None:
@@ -336,7 +359,7 @@ class _Checker:
         self.faults: list[str] = []
         self.kinds: dict[str, str] = {}
 
-    def experiment(self, raw: dict[str, Any], text: str) -> Experiment | None:
+    def experiment(self, raw: dict[str, Any], text: str, folder: str = ".") -> Experiment | None:
         self._finite(raw, "")
         links = raw.get("links")
         given: dict[str, Any] = {
@@ -344,9 +367,10 @@ class _Checker:
             "controller": self._plugin("hil.controllers", raw.get("controller"), "controller"),
             "links": self._links(links),
             "text": text,
+            "folder": folder,
             "kinds": self.kinds,
         }
-        for reserved in ("text", "kinds"):
+        for reserved in HIDDEN:
             if reserved in raw:
                 self.faults.append(f"{reserved}: unknown field")
         rest = {k: v for k, v in raw.items() if k not in given}
@@ -410,17 +434,24 @@ class _Checker:
             fs = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
             required = {f.name for f in fs if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
             known = [f.name for f in fs]
-        before, values = len(self.faults), dict(given)
+        before, values, broken = len(self.faults), dict(given), set(given)
         for key, value in raw.items():
             at = _join(path, key)
             if key not in known:
                 near = difflib.get_close_matches(key, known, n=1)
                 self.faults.append(f"{at}: unknown field" + (f"; did you mean {near[0]!r}?" if near else ""))
                 continue
-            values[key] = self._value(hints[key], value, at)
+            count = len(self.faults)
+            converted = self._value(hints[key], value, at)
+            if len(self.faults) == count:
+                values[key] = converted
+            else:
+                broken.add(key)
         for key in known:
-            if key in required and key not in values:
+            if key in required and key not in values and key not in broken:
                 self.faults.append(f"{_join(path, key)}: missing")
+        if issubclass(cls, Table):
+            self.faults += [_join(path, fault) for fault in cls.faults(values)]
         if len(self.faults) > before or any(v is None for v in given.values()):
             return None
         try:
@@ -442,7 +473,7 @@ class _Checker:
         except (msgspec.ValidationError, ValueError) as e:
             message, _, where = str(e).partition(" - at `$")
             sub = where.rstrip("`")
-            own = ": " in message  # one of our classes said it, and named its field
+            own = FIELD.match(message) is not None  # one of our classes said it, and named its field
             self.faults.append(_join(at, message) if own else f"{at}{sub}: {message[0].lower()}{message[1:]}")
             return None
 

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from hil import registry
-from hil.experiment import UNITS, Direction, Experiment, Links, Seconds
+from hil.experiment import HIDDEN, UNITS, Direction, Experiment, Links, Seconds
 
 PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
 
@@ -34,7 +34,7 @@ def experiment_schema() -> dict[str, Any]:
         return {"oneOf": out}
 
     experiment = definitions["Experiment"]
-    for hidden in ("text", "kinds"):
+    for hidden in HIDDEN:
         del experiment["properties"][hidden]
     experiment["properties"]["plant"] = variants("hil.plants")
     experiment["properties"]["controller"] = variants("hil.controllers")

@@ -88,7 +88,7 @@ def run_session(
     provenance = Provenance(
         experiment=experiment.name,
         experiment_text=experiment.text,
-        resolved=experiment.resolved(),
+        resolved=loop.experiment.resolved(),
         certificate=loop.certificate,
         seed=experiment.seed,
         clock=clock,

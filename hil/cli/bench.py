@@ -44,7 +44,8 @@ def timing(duration: float, links: tuple[str, ...], as_json: bool) -> None:
     flat = []
     for row in rows:
         for name, values in (("rig", row["lateness_us"]), ("cyclictest", row["cyclictest_us"]), ("ratio", row["ratio"])):
-            flat.append({"link": row["link"], "lateness in us": name, **{q: float(values[q]) for q in ("p50", "p99", "p99_9", "max")}})
+            points = {q: float(values[q]) for q in ("p50", "p99", "p99_9", "max")}
+            flat.append({"link": row["link"], "lateness in us": name, **points})
     _table("wake-up lateness at 1 kHz", flat)
     for row in rows:
         trip = ", ".join(f"{q} {v:.0f}" for q, v in row["round_trip_us"].items() if v is not None)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from design.controllers import LoopModel, RunningController, StaticGains, row_count
 from hil.errors import ExperimentError
@@ -99,6 +100,7 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
     faults = _faults(experiment)
     if faults:
         raise ExperimentError(experiment.name, faults)
+    experiment = _prepared(experiment)
     plant, links = experiment.plant, experiment.links
     discrete = plant.model().discretise(float(experiment.period))
     model = LoopModel(
@@ -126,6 +128,25 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
         rows=row_count(running.selection, model.d_max),
         certificate=certificate,
     )
+
+
+def _prepared(e: Experiment) -> Experiment:
+    """Read the files and tabulate the distributions of the network laws: no process that keeps time does that."""
+    sides = {}
+    for side in ("sc", "ca"):
+        direction = getattr(e.links, side)
+        try:
+            law = direction.law.loaded(e.folder) if hasattr(direction.law, "loaded") else direction.law
+            law = law.prepared() if hasattr(law, "prepared") else law
+        except ValueError as error:
+            raise ExperimentError(e.name, [f"links.{side}.law.{error}"]) from error
+        length = getattr(law, "length", None)
+        if length is not None and length < e.ticks:
+            raise ExperimentError(
+                e.name, [f"links.{side}.law: the recording ends after {length} slots, the run has {e.ticks}; set repeat = true"]
+            )
+        sides[side] = replace(direction, law=law)
+    return replace(e, links=replace(e.links, **sides))
 
 
 def _faults(e: Experiment) -> list[str]:

@@ -1,0 +1,76 @@
+"""``hil compare``: several experiments under common random numbers."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hil.errors import HilError
+
+
+@click.command()
+@click.argument("experiments", nargs=-1, required=True)
+@click.option("--runs", type=int, default=200, show_default=True, help="Runs of each; seeds 0, 1, ...")
+@click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write a page with the distributions.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | None, as_json: bool) -> None:
+    """Run EXPERIMENTS for the same seeds; print and plot the distributions of their metrics.
+
+    Streams of random numbers are named, so experiments with the same network laws meet the same delays.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+    from rich.table import Table
+
+    from hil.experiment import load_experiment
+    from hil.report.compare import compare_page, paired
+    from hil.sweep import METRICS, statistics, sweep
+
+    if runs < 2:
+        raise HilError(f"--runs: {runs} is below 2")
+    if len(set(experiments)) < len(experiments):
+        raise HilError("the same experiment is named twice")
+    checked = {name: load_experiment(name) for name in experiments}
+    err = Console(stderr=True)
+    found = {}
+    with Progress(console=err, disable=not err.is_terminal) as bar:
+        for name, experiment in checked.items():
+            task = bar.add_task(name, total=runs)
+            found[name] = sweep(
+                experiment, range(runs), jobs=jobs, progress=lambda done, task=task: bar.update(task, completed=done)  # type: ignore[misc]
+            )
+            if found[name]["seed"].size < runs:
+                sys.exit(130)
+    if output is not None:
+        output.write_text(compare_page(found, runs))
+    first = experiments[0]
+    out: dict[str, Any] = {
+        name: {
+            "stopped_by_safety": int(values["stopped"].sum()),
+            "metrics": {m: statistics(values[m]) for m in METRICS},
+            "difference": {m: paired(found[first][m], values[m]) for m in METRICS},
+        }
+        for name, values in found.items()
+    }
+    if as_json:
+        print(json.dumps({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None}, indent=2))
+        return
+    for metric in METRICS:
+        table = Table(title=metric)
+        for head in ("experiment", "runs", "mean", "sd", "difference", "95 % interval"):
+            table.add_column(head, justify="left" if head == "experiment" else "right")
+        for name, values in out.items():
+            s, d = values["metrics"][metric], values["difference"][metric]
+            gap = name != first and d["mean"] is not None
+            table.add_row(
+                name, str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in (s["mean"], s["sd"])),
+                f"{d['mean']:+.4g}" if gap else "", f"{d['low']:.4g} to {d['high']:.4g}" if gap else "",
+            )  # fmt: skip
+        Console().print(table)
+    if output is not None:
+        print(f"page: {output}")

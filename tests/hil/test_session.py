@@ -1,0 +1,144 @@
+"""Whole sessions in virtual time: reproducible, verifiable, with the numbers of the thesis."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.errors import HilError
+from hil.experiment import load_experiment
+from hil.log.read import read_run
+from hil.replay import verify, what_if
+from hil.runtime.loop import compose
+from hil.session import run_session, simulate
+from hil.sweep import statistics, sweep
+
+
+def hil(*args: str, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "hil", *args], cwd=cwd, capture_output=True, text=True, env={**os.environ, **env}
+    )
+
+
+def test_same_seed_gives_the_same_file_in_two_processes_with_two_hash_seeds(tmp_path: Path) -> None:
+    found = set()
+    for hash_seed in ("1", "2"):
+        done = hil("run", "dc-motor-hinf", "--json", "-o", f"{hash_seed}.mcap", cwd=tmp_path, PYTHONHASHSEED=hash_seed)
+        assert done.returncode == 0, done.stderr
+        found.add(json.loads(done.stdout)["log"]["sha256"])
+    assert len(found) == 1
+
+
+def test_another_seed_gives_another_file(tmp_path: Path) -> None:
+    sha = {
+        run_session(load_experiment("dc-motor-hinf", [f"seed={s}", "duration=5"]), path=tmp_path / f"{s}.mcap").summary["log"]["sha256"]
+        for s in (0, 1)
+    }
+    assert len(sha) == 2
+
+
+def test_json_summary_has_everything_that_is_promised(tmp_path: Path) -> None:
+    done = hil("run", "dc-motor-hinf", "--json", cwd=tmp_path)
+    summary = json.loads(done.stdout)
+    assert {"experiment", "seed", "clock", "link", "ticks", "duration_s", "wall_s"} <= set(summary)
+    assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
+    for side in ("sc", "ca"):
+        wanted = {"law", "mode_counts", "transition_counts", "p_value", "lost", "late", "duplicated"}
+        assert wanted <= set(summary["network"][side])
+        assert sum(summary["network"][side]["mode_counts"]) == summary["ticks"] == 1000
+        assert 1e-6 < summary["network"][side]["p_value"] <= 1
+    assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
+    assert {"path", "sha256", "messages", "dropped"} <= set(summary["log"])
+    assert summary["log"]["dropped"] == 0
+
+
+def test_log_verifies_and_a_changed_log_does_not(tmp_path: Path) -> None:
+    session = run_session(load_experiment("dc-motor-smith", ["duration=10"]), path=tmp_path / "a.mcap")
+    verdict = verify(session.run)
+    assert verdict.difference is None and verdict.answers == verdict.states == 200
+    run = read_run(tmp_path / "a.mcap")
+    run.arrays["/plant/state"]["speed"][77] += 1e-12
+    assert "slot 77" in (verify(run).difference or "")
+
+
+def test_what_if_with_the_same_controller_is_what_was(tmp_path: Path) -> None:
+    experiment = load_experiment("dc-motor-h2", ["duration=10"])
+    run = run_session(experiment, path=tmp_path / "a.mcap").run
+    series = what_if(run, experiment.controller, "h2")
+    shown = np.isfinite(series["h2_voltage"])
+    assert shown.sum() > 190
+    np.testing.assert_array_equal(series["h2_voltage"][shown], series["recorded_voltage"][shown])
+
+
+def test_loop_that_is_not_stable_is_refused_and_with_leave_is_stopped_by_safety(tmp_path: Path) -> None:
+    with pytest.raises(HilError, match=r"radius 1\.054"):
+        compose(load_experiment("dc-motor-local", ["allow_uncertified=false"]))
+    done = hil("run", "dc-motor-local", "--json", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "safe state" in json.loads(done.stdout)["safety"]
+
+
+# name, mean and sd of sse, mean and sd of sse_after_5s over 10,000 runs (shared findings of chapter 7)
+TABLE = [
+    ("dc-motor-hinf", 12.03, 0.41, 0.0305, 0.0058),
+    ("dc-motor-h2", 12.33, 0.46, 0.0302, 0.0058),
+    ("dc-motor-hinf-fast", 11.41, 0.20, 0.0060, 0.0007),
+    ("dc-motor-h2-fast", 11.35, 0.18, 0.0049, 0.0006),
+]
+
+
+@pytest.mark.parametrize(("name", "mean", "sd", "mean_5s", "sd_5s"), TABLE)
+def test_many_seeds_give_the_known_means(name: str, mean: float, sd: float, mean_5s: float, sd_5s: float) -> None:
+    """Two-sided z tests at 1e-4 each, widened by the rounding of the printed values."""
+    n = 120
+    found: dict[str, Any] = sweep(load_experiment(name), range(n), jobs=2)
+    for metric, expected, spread, rounding in (("sse", mean, sd, 0.005), ("sse_after_5s", mean_5s, sd_5s, 0.00005)):
+        got = statistics(found[metric])
+        assert abs(got["mean"] - expected) < 3.9 * spread / np.sqrt(n) + rounding
+    assert found["stopped"].sum() == 0
+
+
+def test_sweep_gives_the_same_numbers_for_every_number_of_jobs() -> None:
+    experiment = load_experiment("dc-motor-hinf", ["duration=3"])
+    one, two = sweep(experiment, range(12), jobs=1), sweep(experiment, range(12), jobs=2)
+    for name in one:
+        np.testing.assert_array_equal(one[name], two[name])
+
+
+def test_adding_a_disturbance_does_not_shift_the_delays() -> None:
+    base = load_experiment("dc-motor-hinf", ["duration=5"])
+    other = load_experiment("dc-motor-hinf", ["duration=5", "disturbance.0.at=2", "plant.encoder.step_rad=0.01"])
+    a, b = (simulate(compose(e), 3).arrays["/network/sc"] for e in (base, other))
+    np.testing.assert_array_equal(a["mode"], b["mode"])
+
+
+def test_rig_and_controller_processes_import_nothing_heavy(tmp_path: Path) -> None:
+    code = (
+        "import sys, pickle; import hil.runtime.rig_process, hil.runtime.controller_process;"
+        "from hil.experiment import load_experiment; from hil.runtime.loop import compose;"
+        "heavy = {'control', 'cvxpy', 'matplotlib', 'scipy.signal', 'scipy.stats'} & set(sys.modules);"
+        "assert not heavy, heavy;"
+        "loop = compose(load_experiment('dc-motor-hinf')); loop.start_controller();"
+        "heavy = {'control', 'cvxpy', 'matplotlib', 'scipy.signal'} & set(sys.modules); assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_help_is_light() -> None:
+    code = (
+        "import sys, hil.cli\n"
+        "try: hil.cli.main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'can', 'zenoh', 'mcap', 'rich', 'msgspec', 'control', 'cvxpy', 'scipy'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
