@@ -1,0 +1,25 @@
+"""``hil export``: a log in the formats of other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Ends in .log, .blf, .csv or .npz."
+)
+@click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may be given more than once.")
+def command(file: Path, output: Path, topics: tuple[str, ...]) -> None:
+    """Write the log FILE as a CAN log (candump .log, Vector .blf) or as tables (.csv, .npz).
+
+    Times are session times. Tables of more than one topic become files named OUTPUT.topic.csv.
+    """
+    from hil.log.export import export
+    from hil.log.read import read_run
+
+    for path in export(read_run(file), output, topics):
+        print(path)
