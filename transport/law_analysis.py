@@ -14,7 +14,7 @@ from transport.impairment import impair
 from transport.latency import LatencyTrace, latency
 from transport.network_laws import prepare
 from transport.packet_laws import SLOT_TOLERANCE, PacketLaw
-from transport.semi_markov_law import augmented_chain
+from transport.semi_markov_law import SemiMarkovAge, augmented_chain
 from transport.stochastic_matrix import stationary_row
 from transport.trace_law import TraceAge
 
@@ -123,10 +123,14 @@ def _unused(law: Any) -> float:
         ages = np.array(law.loaded().ages)
         steps = np.diff(np.append(ages, ages[0]) if law.past_end == "repeat" else ages)
         return float((steps == 1).mean()) if len(steps) else 0.0
-    matrix, ages = law.transition_matrix(), np.array(law.mode_ages)
-    if law.kind == "semi-markov":
+    ages = np.array(law.mode_ages)
+    if isinstance(law, SemiMarkovAge):
         chain = augmented_chain(law)
         matrix, ages = chain.matrix, ages[chain.modes]
+    elif hasattr(law, "transition_matrix"):
+        matrix = law.transition_matrix()
+    else:
+        return math.nan
     return float(stationary_row(matrix) @ (matrix * (ages[None, :] == ages[:, None] + 1)).sum(axis=1))
 
 

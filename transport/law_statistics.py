@@ -79,7 +79,7 @@ def network_statistics(law: Any, draws: Any) -> NetworkStatistics:
         mode_counts=mode_counts(modes, size).tolist(),
         transition_counts=transition_counts(modes, size).tolist(),
         p_value=law_p_value(law, modes, draws),
-        lost=int(reasons[LOST] + reasons[OVERFLOW]),
+        lost=int((drawn & np.isin(table["reason"], (LOST, OVERFLOW))).sum()),
         duplicated=int(reasons[DUPLICATED]),
         reasons={name: int(count) for name, count in zip(REASONS, reasons, strict=False) if count},
     )

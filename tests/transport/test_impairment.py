@@ -74,9 +74,7 @@ def test_absent_without_any_older_packet_delivers_nothing() -> None:
 
 
 def test_a_gap_law_may_come_back_to_an_older_packet() -> None:
-    law = MarkovAge(
-        matrix=((0.0, 0.0, 1.0), (0.5, 0.0, 0.5), (1.0, 0.0, 0.0)), initial=(1.0, 0.0, 0.0), allow_gaps=True
-    )
+    law = MarkovAge(matrix=((0.0, 0.0, 1.0), (0.5, 0.0, 0.5), (1.0, 0.0, 0.0)), initial=(1.0, 0.0, 0.0), allow_gaps=True)
     draws, arrivals = run(start(law), [True] * 6)
     assert [[g for g, _ in a] for a in arrivals] == [[0], [], [2], [1], [4], [3]]
     assert [d.reason for d in draws] == [DELIVERED, NONE_YET, DELIVERED, DISORDERED, DELIVERED, DISORDERED]

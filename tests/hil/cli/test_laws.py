@@ -1,0 +1,47 @@
+"""`hil laws` shows what the network of an experiment does, and names what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from hil.cli.laws import command
+from hil.errors import HilError
+
+PACKET = 'links.ca.law={kind="packet", latency={dist="gamma", a=2.0, scale="20 ms"}, loss={p_gb=0.1, p_bg=0.4}}'
+
+
+def laws(*arguments: str) -> str:
+    result = CliRunner().invoke(command, ["dc-motor-hinf", *arguments], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.output
+
+
+def test_the_published_chain_is_shown_with_its_stationary_law_and_bursts() -> None:
+    text = laws()
+    assert "markov law, T = 50 ms" in text
+    for number in ("0.6396", "0.3243", "0.0360", "0.5833", "1.25 slots", "2.5 slots"):
+        assert number in text
+
+
+def test_json_holds_both_directions_and_neither_infinity_nor_nan() -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    found = json.loads(laws("--json", "--set", 'links.sc.law={kind="constant", age=1}'), parse_constant=refuse)
+    assert found["laws"]["sc"]["mean_bursts"] == [None]
+    assert found["laws"]["ca"]["stationary"] == pytest.approx([7 / 12, 5 / 12])
+    assert found["laws"]["ca"]["transition_matrix"] == [[0.5, 0.5], [0.7, 0.3]]
+
+
+def test_a_packet_law_shows_losses_and_the_ages_that_follow() -> None:
+    text = laws("--set", PACKET)
+    assert "0.2 of the packets" in text
+    assert "mean latency              40 ms" in text
+
+
+def test_a_faulty_law_is_named_by_its_path() -> None:
+    with pytest.raises(HilError, match=r"links\.ca\.law\.matrix\[1\]: row sums to 0\.98, expected 1"):
+        laws("--set", 'links.ca.law={kind="markov", matrix=[[0.5, 0.5], [0.5, 0.48]]}')
