@@ -194,18 +194,21 @@ def encode_control(packet: ControlPacket) -> bytes:
 
 
 def packet_size(data: bytes) -> int | None:
-    """Length on the wire that the header promises, or None while the header is incomplete or of no known kind.
+    """Length of the packet that begins with these bytes: 0 if none does, None if more bytes are needed to tell.
 
     Args:
         data: any bytes, such as the fragments of a packet that have come so far.
+
+    >>> packet_size(b"..."), packet_size(b"...."), packet_size(bytes((0, 0, 0x11, 1)))
+    (None, 0, 20)
     """
     if len(data) < 4:
         return None
     if data[2] == _SENSOR:
         return _sensor_layout(data[3] & 0x3F).size
-    if data[2] == _CONTROL and len(data) >= 28:
-        return frame_length(28 + 4 * data[26] * data[27])
-    return None
+    if data[2] != _CONTROL:
+        return 0
+    return frame_length(28 + 4 * data[26] * data[27]) if len(data) >= 28 else None
 
 
 def decode(data: bytes) -> SensorPacket | ControlPacket | None:
@@ -221,7 +224,7 @@ def decode(data: bytes) -> SensorPacket | ControlPacket | None:
     True
     """
     size = packet_size(data)
-    if size is None or len(data) < size:
+    if not size or len(data) < size:
         return None
     if len(data) != size:
         if len(data) - size > 7 or any(data[size:]):

@@ -1,0 +1,270 @@
+"""A link over any python-can interface: ``can:<interface>:<channel>[?fd=0&base=0x200&...]``.
+
+=============== ===================== ====================================================
+identifier      CAN FD (``fd=1``)     carries
+=============== ===================== ====================================================
+base + 0x00 + i sensor packet         bytes 64 i to 64 i + 63, in most cases i = 0 alone
+base + 0x40 + i control packet        the same
+=============== ===================== ====================================================
+
+=============== ===================== ====================================================
+identifier      classic (``fd=0``)    carries
+=============== ===================== ====================================================
+base + 0x80 + i sensor packet         bytes 8 i to 8 i + 7
+base + 0xC0 + i control packet        the same
+=============== ===================== ====================================================
+
+Fragments have one identifier each, as CANopen's TPDO1 to TPDOn have, and are sent in order; what is put together is checked
+by the packet's CRC. Sensor frames win the arbitration. `transport/hilrig.dbc` names every signal for the default base 0x100.
+
+Each role hears the other's identifiers only. Error frames, foreign frames and faults of the bus are counted; the link works
+again when the interface does.
+"""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Callable
+from contextlib import suppress
+from errno import EAFNOSUPPORT, EBADF, ENODEV, ENXIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import can
+
+from transport.link import LinkCounters, Role, TransportError, split_uri
+from transport.packets import decode, frame_length, packet_size
+
+BASE: Final = 0x100
+FRAGMENTS: Final = 64
+CLASSIC_OFFSET: Final = 0x80
+CONTROL_OFFSET: Final = 0x40
+
+_FAULTS: Final = (can.CanError, OSError, ValueError)
+_GONE: Final = (ENODEV, ENXIO, EBADF)  # the socket is bound to nothing any more
+_REOPEN_EVERY: Final = 10
+_FAULT_PAUSE_S: Final = 0.01
+_SKIPPED: Final = 64
+
+
+class CanLink:
+    """One end of a link on a CAN bus.
+
+    Args:
+        uri: for messages.
+        role: the rig sends sensor packets and hears control packets, the controller the other way round.
+        join: opens the bus with the given filters; called again when the interface has vanished.
+        base: first of 256 identifiers.
+        fd: one CAN FD frame of up to 64 bytes, or classic frames of 8.
+    """
+
+    __slots__ = ("_bus", "_closed", "_fd", "_hear", "_join", "_parts", "_row", "_say", "_step", "counters", "uri")
+
+    def __init__(self, uri: str, role: Role, join: Callable[[], can.BusABC], *, base: int = BASE, fd: bool = True) -> None:
+        self.uri = uri
+        self.counters = LinkCounters()
+        self._say, self._hear = (f := identifiers(base, fd))[role == "controller"], f[role == "rig"]
+        self._fd, self._step = fd, 64 if fd else 8
+        self._join = join
+        self._bus = join()
+        self._closed = False
+        self._parts = b""
+        self._row = 0  # faults one after the other
+
+    def send(self, packet: bytes) -> None:
+        step, identifier, size = self._step, self._say, len(packet)
+        if self._closed or size > FRAGMENTS * step:
+            self.counters.dropped += 1
+            return
+        if self._fd and frame_length(size) != size:
+            packet = packet + bytes(frame_length(size) - size)
+        try:
+            for start in range(0, size, step):
+                data = packet[start : start + step]
+                if self._fd and start and frame_length(len(data)) != len(data):
+                    data += bytes(frame_length(len(data)) - len(data))
+                message = can.Message(
+                    arbitration_id=identifier, is_extended_id=False, is_fd=self._fd, bitrate_switch=self._fd, data=data
+                )
+                self._bus.send(message, 0.0)
+                identifier += 1
+        except _FAULTS as error:
+            self.counters.dropped += 1
+            self._fault(error, 0.0)
+        else:
+            self.counters.sent += 1
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        wait = timeout_s if timeout_s > 0 else 0.0
+        for _ in range(_SKIPPED):
+            if self._closed:
+                return None
+            try:
+                message = self._bus.recv(wait)
+            except _FAULTS as error:
+                self._fault(error, wait)
+                return None
+            if message is None:
+                return None
+            self._row = 0
+            packet = self._packet(message)
+            if packet is not None:
+                self.counters.received += 1
+                return packet
+            wait = 0.0
+        return None
+
+    def _packet(self, message: can.Message) -> bytes | None:
+        """Return the packet that this frame is or completes."""
+        if message.is_error_frame:
+            self.counters.errors += 1
+            return None
+        index = message.arbitration_id - self._hear
+        if message.is_extended_id or not 0 <= index < FRAGMENTS:
+            return None  # foreign, on an interface that cannot filter
+        if message.is_remote_frame or message.is_fd != self._fd:
+            self.counters.malformed += 1
+            return None
+        data = bytes(message.data)
+        if index == 0:
+            self.counters.malformed += bool(self._parts)  # the one before was never completed
+            size = packet_size(data)
+            if self._fd and size is not None and size <= len(data):
+                self._parts = b""
+                return data  # alone in one frame; the receiver's decoder judges it
+        elif not self._parts or index * self._step != len(self._parts):
+            self.counters.malformed += 1  # one before it is missing
+            self._parts = b""
+            return None
+        else:
+            data = self._parts + data
+            size = packet_size(data)
+        self._parts = data if size is None or size > len(data) else b""
+        if self._parts:
+            return None
+        if size is None or decode(data[:size]) is None:
+            self.counters.malformed += 1
+            return None
+        return data[:size]
+
+    def _fault(self, error: BaseException, wait_s: float) -> None:
+        """Count a fault of the bus; pause, so that a loop that polls does not spin; reopen what has vanished."""
+        self.counters.errors += 1
+        self._parts = b""
+        code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
+        if code in _GONE or isinstance(error, ValueError):
+            if self._row % _REOPEN_EVERY == 0:
+                with suppress(*_FAULTS):
+                    bus = self._join()
+                    old, self._bus = self._bus, bus
+                    old.shutdown()
+            self._row += 1
+        if wait_s > 0:
+            select.poll().poll(1e3 * min(wait_s, _FAULT_PAUSE_S))
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            with suppress(*_FAULTS):
+                self._bus.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def identifiers(base: int = BASE, fd: bool = True) -> tuple[int, int]:
+    """Return the first identifier of the sensor and of the control frames.
+
+    >>> [hex(i) for i in identifiers(0x100, fd=False)]
+    ['0x180', '0x1c0']
+    """
+    first = base + (0 if fd else CLASSIC_OFFSET)
+    return first, first + CONTROL_OFFSET
+
+
+def open_can(uri: str, role: Role) -> CanLink:
+    """Open one end of a link over a python-can interface.
+
+    Args:
+        uri: ``can:<interface>:<channel>``, with the options ``fd`` (1 or 0), ``base`` (first identifier, a multiple of
+            0x100) and whatever the interface takes, ``bitrate`` for instance.
+        role: "rig" or "controller".
+
+    Raises:
+        TransportError: a bad URI, or an interface that cannot be opened; the message names the remedy.
+
+    >>> open_can("can:hil", "rig")
+    Traceback (most recent call last):
+    transport.link.TransportError: link 'can:hil': no channel, expected can:<interface>:<channel>, as in can:hil:rig0
+    """
+    _, address, options = split_uri(uri)
+    interface, _, channel = address.partition(":")
+    if not interface or not channel:
+        raise TransportError(f"link {uri!r}: no channel, expected can:<interface>:<channel>, as in can:hil:rig0")
+    if interface not in can.VALID_INTERFACES:
+        from difflib import get_close_matches
+
+        near = get_close_matches(interface, can.VALID_INTERFACES, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(can.VALID_INTERFACES))}"
+        raise TransportError(f"link {uri!r}: python-can has no interface {interface!r}, {hint}")
+    fd = options.pop("fd", "1")
+    if fd not in ("0", "1"):
+        raise TransportError(f"link {uri!r}: fd={fd}, expected 1 (CAN FD) or 0 (classic CAN)")
+    try:
+        base = int(options.pop("base", str(BASE)), 0)
+    except ValueError:
+        base = -1
+    if base not in range(0, 0x800, 0x100):
+        raise TransportError(f"link {uri!r}: base: expected a multiple of 0x100 from 0 to 0x700, as in base=0x200")
+    flexible = fd == "1"
+    heard = identifiers(base, flexible)[role == "rig"]
+    arguments: dict[str, Any] = {name: _value(text) for name, text in options.items()}
+    arguments["can_filters"] = [{"can_id": heard, "can_mask": 0x7FF & -FRAGMENTS, "extended": False}]
+    if interface == "virtual":
+        arguments["protocol"] = can.CanProtocol.CAN_FD if flexible else can.CanProtocol.CAN_20
+    elif flexible or interface in ("hil", "udp_multicast"):
+        arguments["fd"] = flexible
+    if interface == "udp_multicast":
+        arguments.setdefault("hop_limit", 0)  # python-can's default of 1 puts every frame on the local network
+
+    def join() -> can.BusABC:
+        return can.Bus(interface=interface, channel=channel, ignore_config=True, **arguments)
+
+    try:
+        if interface == "socketcan" and flexible and int(Path(f"/sys/class/net/{channel}/mtu").read_text()) < 72:
+            raise TransportError(
+                f"link {uri!r}: {channel} carries classic frames only; ip link set {channel} mtu 72, or append ?fd=0"
+            )
+    except (OSError, ValueError):
+        pass  # absent: opening it says so
+    try:
+        return CanLink(uri, role, join, base=base, fd=flexible)
+    except (can.CanError, OSError, ImportError, NotImplementedError, TypeError, ValueError) as error:
+        raise TransportError(f"link {uri!r}: {error}{_remedy(interface, channel, error)}") from error
+
+
+def _value(text: str) -> int | float | bool | str:
+    if text in ("true", "false"):
+        return text == "true"
+    for read in (lambda: int(text, 0), lambda: float(text)):
+        with suppress(ValueError):
+            return read()
+    return text
+
+
+def _remedy(interface: str, channel: str, error: BaseException) -> str:
+    code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
+    if interface == "socketcan" and code == EAFNOSUPPORT:
+        return "; this kernel has no CAN: use can:hil:rig0, or run inside tests/with_vcan"
+    if interface == "socketcan" and code == ENODEV:
+        up = f"ip link add dev {channel} type vcan && ip link set {channel} mtu 72 up"
+        return f"; make it as root: {up}" if channel.startswith("vcan") else f"; is {channel} there? (ip link)"
+    if interface == "udp_multicast":
+        return "; needs a multicast route: ip link set lo multicast on; ip route add 224.0.0.0/4 dev lo"
+    return ""
