@@ -18,7 +18,7 @@ from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Chann
 from hil.log.sinks import Put
 
 LIBRARY: Final = "hilrig"
-FLUSH_BYTES: Final = 1 << 19
+FLUSH_BYTES: Final = 1 << 16
 FLUSH_S: Final = 0.05
 _NEVER: Final = 1 << 62
 _MESSAGE_OVERHEAD: Final = 31
