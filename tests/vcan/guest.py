@@ -1,0 +1,123 @@
+"""What happens inside a user-mode kernel: its first process, and the command's environment."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from .native import LINKS
+
+WORK = "/run/with_vcan"  # where the guest sees the runner's work directory
+
+# Wrong inside: the guest has its own home, temporary directory and terminal.
+DROPPED = {"HOME", "TMPDIR", "XDG_RUNTIME_DIR", "DISPLAY", "OLDPWD", "_"}
+
+# Carries stdin through a terminal line, which knows no end of file: every chunk comes with its length, the last is 0.
+UNFRAME = """
+import os
+def exactly(n):
+    data = b""
+    while len(data) < n:
+        data += os.read(0, n - len(data))
+    return data
+while n := int(exactly(6), 16):
+    os.write(1, exactly(n))
+"""
+
+
+def frame(chunk: bytes) -> bytes:
+    r"""One chunk of stdin as ``UNFRAME`` reads it; an empty one ends it.
+
+    >>> frame(b"hello\n")
+    b'000006hello\n'
+    """
+    return b"%06x" % len(chunk) + chunk
+
+
+def first_process(*, work: Path, writable: Sequence[str], modules: Sequence[Path], python: str, stdin: bool) -> str:
+    """The guest's PID 1: a private layer over this machine's files, vcan0, the command, its status, power off.
+
+    Parameters
+    ----------
+    work : the runner's work directory; receives ``status``.
+    writable : directories of this machine which the command may really write.
+    modules : kernel modules to load, dependencies first (none for the small kernel).
+    python : interpreter that feeds stdin.
+    stdin : whether the third terminal carries the command's stdin.
+    """
+    quote = shlex.quote
+    return f"""#!/bin/sh
+export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
+off() {{ sync; echo o >/proc/sysrq-trigger && sleep 60; }}  # without /proc the end of PID 1 ends the kernel
+trap off EXIT
+set -ex  # up to the command; the last line in the kernel's log says how far it came
+
+# A writable layer in memory over this machine's files, and that as the root.
+mount -t proc proc /proc
+mount -t tmpfs tmpfs /mnt
+mkdir /mnt/up /mnt/wk /mnt/new /mnt/low
+mount -t hostfs -o / none /mnt/low
+{_lines(f"insmod {quote(str(m))}" for m in modules if m.name == "overlay.ko")}
+mount -t overlay -o lowerdir=/mnt/low,upperdir=/mnt/up,workdir=/mnt/wk overlay /mnt/new
+cd /mnt/new
+mount -t tmpfs -o mode=755 tmpfs run
+mkdir run/old run/with_vcan
+pivot_root . run/old  # not chroot, which would forbid user namespaces inside
+cd /
+mount -t hostfs -o {quote(str(work))} none {WORK}
+mount -t proc proc /proc
+mount -t sysfs sysfs /sys
+mount -t devtmpfs dev /dev
+mkdir -p /dev/shm /dev/pts
+mount -t devpts -o ptmxmode=666 devpts /dev/pts
+mount -t tmpfs -o mode=1777 tmpfs /dev/shm
+mount -t tmpfs -o mode=1777 tmpfs /tmp
+mkdir /tmp/home
+{_lines(f"mkdir -p {d}; mount -t hostfs -o rw,{d} none {d}" for d in map(quote, writable))}
+{_lines(f"insmod {quote(f'/run/old{m}')}" for m in modules if m.name != "overlay.ko")}
+{_lines(f"{line}" for line in LINKS.splitlines())}
+stty -F /dev/tty1 -opost
+stty -F /dev/tty2 -opost
+set +ex
+{_stdin(python) if stdin else "exec </dev/null"}
+setsid sh {WORK}/command >/dev/tty1 2>/dev/tty2
+echo $? >{WORK}/status.new
+mv {WORK}/status.new {WORK}/status
+"""
+
+
+def command(argv: Sequence[str], environ: Mapping[str, str], backend: str, virtual_time: bool) -> str:
+    """The script that becomes the command, with this machine's environment where it fits.
+
+    >>> print(command(["echo", "a b"], {"LANG": "C", "HOME": "/root"}, "uml", False).splitlines()[-1])
+    exec echo 'a b'
+    """
+    env = {
+        # A page fault costs some 30 us here: keep malloc from giving large arrays back each time.
+        "MALLOC_MMAP_THRESHOLD_": "33554432",
+        "MALLOC_TRIM_THRESHOLD_": "1073741824",
+        **{k: v for k, v in environ.items() if k.isidentifier() and k not in DROPPED},
+        "HOME": "/tmp/home",
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "VCAN_BACKEND": backend,
+    }
+    if virtual_time:
+        env |= {"VCAN_VIRTUAL_TIME": "1", "PYTHONHASHSEED": "0"}
+    exports = [f"export {k}={shlex.quote(v)}" for k, v in sorted(env.items())]
+    return "\n".join([*exports, f"cd {shlex.quote(os.getcwd())} || exit 125", "exec " + shlex.join(argv), ""])
+
+
+def _stdin(python: str) -> str:
+    """The third terminal, opened once (closing would discard input), and a line to it once it is raw: begin."""
+    return f"""exec 3<>/dev/tty3
+stty raw -echo <&3
+mkfifo /run/stdin
+{shlex.quote(python)} -ISc {shlex.quote(UNFRAME)} <&3 >/run/stdin &
+echo begin >&3
+exec 3<&- </run/stdin"""
+
+
+def _lines(lines: Iterable[str]) -> str:
+    return "\n".join(lines)

@@ -1,0 +1,167 @@
+"""Boot a user-mode kernel, run the command in it, hand back its output and status.
+
+``argv`` says what the supervisor must execute: ourselves again, in namespaces of our own, where ``boot`` does the
+work. So all that lives, is mounted or lies in a temporary directory goes with those namespaces.
+"""
+
+from __future__ import annotations
+
+import argparse
+import atexit
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from . import guest
+from .kernel import Kernel
+from .supervise import RUNNER_FAILED, RunnerError, die_with_parent, say, unshare
+
+BOOT = "--boot"  # first argument of the inner process
+MEMORY = "2048M"  # sparse: costs what is touched
+START_NS = 1_735_689_600_000_000_000  # the guest's wall clock at boot in virtual time: 2025-01-01
+COVERED = "/sys"  # the private tmpfs lies here: always there, and the guest has its own anyway
+
+
+def argv(options: argparse.Namespace, find: Callable[[], Kernel]) -> list[str]:
+    """What to execute so that the command runs in the kernel that `find` gives. Raises RunnerError where there is none."""
+    kernel = find()
+    if options.verbose:
+        say(f"{kernel.describe()}, {'virtual' if options.virtual_time else 'real'} time")
+    order = {
+        "kernel": str(kernel.path),
+        "backend": kernel.backend,
+        "modules": [str(m) for m in kernel.modules],
+        "virtual_time": options.virtual_time,
+        "writable": options.rw,
+        "command": options.command,
+    }
+    try:
+        # Not in a user namespace: there setuid programs (mount) would run as nobody in the guest, too.
+        private = unshare("pid", "mount", allow_user=False)
+        order["work"] = order["memory"] = COVERED
+    except RunnerError:  # a plain container, or not root: our own exit must clean up
+        private = []
+        order["work"], order["memory"] = tempfile.mkdtemp(prefix="with_vcan."), _roomy_directory()
+        atexit.register(shutil.rmtree, order["work"], ignore_errors=True)
+    return [*private, sys.executable, "-S", sys.argv[0], BOOT, json.dumps(order)]
+
+
+def boot(order_text: str) -> int:
+    """Boot, wait for the end, return the command's status. Runs as the first process of its namespaces."""
+    order = json.loads(order_text)
+    work = Path(order["work"])
+    if order["work"] == COVERED:
+        # Nobody else sees it and it ends with us, however we end; /dev/shm may be small or noexec.
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "exec,size=90%", "with_vcan", COVERED], check=True)
+    stdin = not order["virtual_time"] and _has_stdin()  # when bytes arrive is no part of virtual time
+    command = guest.command(order["command"], os.environ, order["backend"], order["virtual_time"])
+    (work / "command").write_text(command)
+    modules = [Path(m) for m in order["modules"]]
+    init = guest.first_process(
+        work=work, writable=order["writable"], modules=modules, python=sys.executable, stdin=stdin
+    )
+    (work / "init").write_text(init)
+    (work / "init").chmod(0o755)
+    if not _run_kernel(work, stdin, order):
+        return 128 + signal.SIGPIPE
+    return _status(work)
+
+
+def _run_kernel(work: Path, stdin: bool, order: dict[str, Any]) -> bool:
+    """Boot the kernel on `work` and carry its terminals' bytes until it has powered off; False if our reader left."""
+    out_r, out_w = os.pipe()
+    err_r, err_w = os.pipe()
+    in_r, in_w = os.pipe()
+    begin_r, begin_w = os.pipe()
+    with (work / "kernel.log").open("wb") as log:
+        args = [
+            order["kernel"], f"mem={MEMORY}", "rootfstype=hostfs", "rootflags=/", "ro", f"init={work}/init",
+            f"uml_dir={work}", "umid=uml", "con=null", "ssl=null", f"con0=null,fd:{log.fileno()}",
+            f"con1=null,fd:{out_w}", f"con2=null,fd:{err_w}", "quiet", "loglevel=4", "panic=-1", "noreboot",
+        ]  # fmt: skip
+        if stdin:
+            args.append(f"con3=fd:{in_r},fd:{begin_w}")
+        if order["virtual_time"]:
+            args += ["time-travel=inf-cpu", f"time-travel-start={START_NS}"]
+        child = subprocess.Popen(
+            args,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            pass_fds=(log.fileno(), out_w, err_w, in_r, begin_w),
+            # SIGTERM on this process ends the whole kernel, SIGKILL only itself.
+            preexec_fn=partial(die_with_parent, signal.SIGTERM),  # noqa: PLW1509 (no thread yet)
+            env={"PATH": os.environ["PATH"], "TMPDIR": order["memory"]},  # the guest's memory is an unlinked file there
+        )
+    for fd in (out_w, err_w, in_r, begin_w):
+        os.close(fd)
+    if stdin:
+        threading.Thread(target=_feed, args=(begin_r, in_w), daemon=True).start()
+    with ThreadPoolExecutor() as threads:
+        pumps = [threads.submit(_pump, *fds, child) for fds in ((out_r, 1), (err_r, 2))]
+        child.wait()
+    return all(pump.result() for pump in pumps)
+
+
+def _status(work: Path) -> int:
+    """The command's status as the guest left it; else its kernel's last words."""
+    try:
+        return int((work / "status").read_text())
+    except FileNotFoundError:
+        say("the guest died; its last words:")
+        sys.stderr.write((work / "kernel.log").read_text(errors="replace")[-4000:])
+        return RUNNER_FAILED
+
+
+def _roomy_directory() -> str:
+    """A directory that may hold the guest's memory: not noexec, and with a gigabyte free."""
+    for directory in ("/dev/shm", tempfile.gettempdir(), "/var/tmp"):
+        stat = os.statvfs(directory)
+        if not stat.f_flag & os.ST_NOEXEC and stat.f_bavail * stat.f_frsize > 2**30:
+            return directory
+    raise RunnerError("no directory for the guest's memory: /dev/shm needs 1 GB, not noexec")
+
+
+def _has_stdin() -> bool:
+    """Whether stdin is open and not /dev/null."""
+    try:
+        return os.fstat(0).st_rdev != os.stat(os.devnull).st_rdev
+    except OSError:
+        return False
+
+
+def _pump(source: int, target: int, child: subprocess.Popen[bytes]) -> bool:
+    """Carry bytes until the source ends; False, and the guest ends, if nobody wants them any more."""
+    try:
+        while data := os.read(source, 65536):
+            _write(target, data)
+    except BrokenPipeError:
+        child.terminate()
+        return False
+    return True
+
+
+def _feed(begin: int, target: int) -> None:
+    """Carry stdin in frames, once the guest is ready for it."""
+    os.read(begin, 1)
+    try:
+        while data := os.read(0, 4096):
+            _write(target, guest.frame(data))
+        _write(target, guest.frame(b""))
+    except OSError:  # the guest has gone
+        pass
+
+
+def _write(fd: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(fd, data) :]
