@@ -113,7 +113,7 @@ def run_session(
     wall_s = (monotonic_ns() - begun) / 1e9
     if sink.error is not None:
         outcome["log_error"] = sink.error
-    run = read_run(path)
+    run = read_run(path, whole=sink.error is None)
     return Session(run=run, summary=_summary(run, sink, outcome, wall_s), status=_status(run, sink, outcome))
 
 
@@ -145,7 +145,7 @@ def _run_real(
 def _summary(run: Run, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
     from hil.report.metrics import summarise
 
-    summary = summarise(run)
+    summary: dict[str, Any] = summarise(run)
     summary["wall_s"] = round(wall_s, 3)
     summary["log"] = {
         "path": str(sink.path),

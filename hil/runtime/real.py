@@ -20,7 +20,7 @@ from hil.runtime.loop import Loop
 
 POLL_S = 0.02
 GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
-HELLO_TIMEOUT_S = 15.0
+HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0
 
 
 @dataclass(slots=True)
@@ -119,6 +119,7 @@ def run_real(
     sink: Sink,
     *,
     external: bool = False,
+    hello_timeout_s: float | None = None,
     taps: Mapping[str, Put] | None = None,
     started: Callable[[Mapping[str, int]], None] = lambda pids: None,
 ) -> RealOutcome:
@@ -136,6 +137,8 @@ def run_real(
         Takes every record, in this process.
     external : bool
         Do not start a controller: somebody else's program answers on the link.
+    hello_timeout_s : float, optional
+        How long the rig waits for a first answer, s.
     taps : mapping
         See :func:`hil.log.pipe.pump`.
     started : callable
@@ -160,7 +163,7 @@ def run_real(
         try:
             job = rig_process.Job(
                 loop=loop, uri=uri, seed=seed, parent=parent, log_fd=write_fd,
-                hello_timeout_s=120.0 if external else HELLO_TIMEOUT_S,
+                hello_timeout_s=hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S),
             )  # fmt: skip
             rig = Child("rig", "hil.runtime.rig_process", job, (write_fd,))
             children.append(rig)

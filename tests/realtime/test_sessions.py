@@ -1,0 +1,244 @@
+"""Sessions in real time over real links: the injected modes, states and inputs are the virtual run's, up to a late tick."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.experiment import load_experiment
+from hil.log.read import read_run
+from hil.replay import verify
+from hil.runtime.loop import compose
+from hil.session import run_session, simulate
+
+pytestmark = pytest.mark.realtime
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+def links() -> list[str]:
+    return [f"can:hil:test{os.getpid()}", f"zenoh:tcp/127.0.0.1:{free_port()}"]
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["can-hil", "zenoh"])
+def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Path, which: int) -> None:
+    changes = ["duration=3", "reference.0.at=0.5", "seed=11"]
+    experiment = load_experiment("dc-motor-hinf", changes)
+    real = run_session(experiment, clock="real", link=links()[which], path=tmp_path / "real.mcap")
+    late = real.summary["timing"]["first_late_tick"]
+    assert real.status == 0 or late is not None, real.summary  # a machine that stalls for long may trip the watchdog
+    virtual = simulate(compose(experiment), 11)
+    end = 60 if late is None else late
+    assert end > 0
+    for side in ("/network/sc", "/network/ca"):
+        a, b = real.run.arrays[side], virtual.arrays[side]
+        a, b = a[a["mode"] >= 0], b[b["mode"] >= 0]
+        np.testing.assert_array_equal(a["mode"], b["mode"][: len(a)])  # to the end, late or not
+    for topic, fields in (("/plant/state", ("angle", "speed")), ("/actuator/applied", ("voltage", "d", "row"))):
+        for name in fields:
+            np.testing.assert_array_equal(real.run.arrays[topic][name][:end], virtual.arrays[topic][name][:end])
+    assert len(real.run.arrays["/timing/tick"]) == real.summary["ticks"]
+    assert real.summary["log"]["dropped"] == 0
+    if late is None:
+        assert verify(real.run).difference is None
+
+
+class Running:
+    """A `hil run` in the background, with the pids of its children."""
+
+    def __init__(self, folder: Path, *args: str, experiment: str = "dc-motor-hinf", duration: str = "30") -> None:
+        self.log = folder / "run.mcap"
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "hil", "run", experiment, "--clock", "real", "--link", f"can:hil:k{os.getpid()}", "--json",
+             "--duration", duration, "-o", str(self.log), *args],
+            cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    def child(self, name: str) -> int:
+        """Pid of the rig's or the controller's process, once the log has ticks in it."""
+        limit = time.monotonic() + 30
+        while time.monotonic() < limit:
+            assert self.process.poll() is None, self.process.communicate()
+            if self.log.exists() and self.log.stat().st_size > 12_000:
+                for line in subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines():
+                    pid, ppid, args = line.split(None, 2)
+                    if ppid == str(self.process.pid) and f"hil.runtime.{name}_process" in args:
+                        return int(pid)
+            time.sleep(0.05)
+        raise AssertionError("the session did not start")
+
+    def finish(self, timeout: float = 20.0) -> tuple[int, dict[str, Any]]:
+        out, err = self.process.communicate(timeout=timeout)
+        assert "Traceback" not in err, err
+        return self.process.returncode, json.loads(out) if out else {}
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Running]:
+    running = Running(tmp_path)
+    yield running
+    if running.process.poll() is None:
+        running.process.kill()
+    running.process.wait()
+
+
+def gone(pid: int, within_s: float) -> bool:
+    limit = time.monotonic() + within_s
+    while time.monotonic() < limit:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        if state == "Z":  # dead; whoever adopted it has not looked yet
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def statuses(path: Path) -> list[int]:
+    return read_run(path).arrays["/actuator/applied"]["status"].tolist()
+
+
+def test_killed_controller_leaves_the_rig_up_in_its_safe_state_and_said(session: Running) -> None:
+    os.kill(session.child("controller"), signal.SIGKILL)
+    status, summary = session.finish()
+    assert status == 3
+    assert "watchdog" in summary["safety"]
+    assert "SIGKILL" in summary["problems"]["controller_lost"]
+    got = statuses(session.log)
+    assert got.count(3) >= 20  # one second of safe state was logged after the trip
+    applied = read_run(session.log).arrays["/actuator/applied"]
+    assert np.all(applied["voltage"][applied["status"] == 3] == 0)
+
+
+def test_stopped_controller_trips_the_watchdog_and_does_not_outlive_the_session(session: Running) -> None:
+    pid = session.child("controller")
+    os.kill(pid, signal.SIGSTOP)
+    status, summary = session.finish()
+    assert status == 3 and "watchdog" in summary["safety"]
+    assert gone(pid, 1.0)
+
+
+def test_killed_rig_ends_the_session_and_keeps_the_log(session: Running) -> None:
+    controller = session.child("controller")
+    os.kill(session.child("rig"), signal.SIGKILL)
+    begun = time.monotonic()
+    status, summary = session.finish()
+    assert status == 1 and time.monotonic() - begun < 5
+    assert "SIGKILL" in summary["problems"]["rig_lost"]
+    assert len(read_run(session.log).arrays["/plant/state"]) > 3
+    assert gone(controller, 1.0)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_stop_ends_everything_within_a_second_and_closes_the_log(session: Running, number: int, status: int) -> None:
+    pids = [session.child("rig"), session.child("controller")]
+    begun = time.monotonic()
+    session.process.send_signal(number)
+    for pid in pids:
+        assert gone(pid, 1.0)
+    assert time.monotonic() - begun < 1.5
+    got, summary = session.finish()
+    assert got == status and summary["problems"]["interrupted"] == signal.Signals(number).name
+    assert len(read_run(session.log).arrays["/plant/state"]) > 3
+
+
+def test_killed_session_leaves_no_orphan_and_a_log_whole_but_for_the_last_tenth(session: Running, tmp_path: Path) -> None:
+    pids = [session.child("rig"), session.child("controller")]
+    time.sleep(1.0)
+    session.process.kill()
+    killed = time.time()
+    for pid in pids:
+        assert gone(pid, 1.0)
+    session.process.wait()
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "recover", str(session.log), "-o", str(tmp_path / "ok.mcap")],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    run = read_run(tmp_path / "ok.mcap")
+    assert killed - session.log.stat().st_mtime < 0.5  # it was being flushed until the kill
+    assert len(run.arrays["/plant/state"]) > 15
+    assert run.resolved["name"] == "dc-motor-hinf" and run.experiment_text
+
+
+def test_read_only_log_folder_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    folder = tmp_path / "ro"
+    folder.mkdir()
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", f"mount --bind {folder} {folder} && mount -o remount,ro,bind {folder} && "
+         f"exec {sys.executable} -m hil run dc-motor-hinf --clock real --link can:hil:ro{os.getpid()} -o {folder}/x.mcap"],
+        capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    if "unshare" in done.stderr:
+        pytest.skip("no permission to mount a read-only folder here")
+    assert done.returncode == 2
+    assert "cannot be created" in done.stderr and "Read-only" in done.stderr
+    assert list(folder.iterdir()) == []
+
+
+def test_full_disk_costs_the_log_and_not_the_run(tmp_path: Path) -> None:
+    folder = tmp_path / "full"
+    folder.mkdir()
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", f"mount -t tmpfs -o size=32k tmpfs {folder} && "
+         f"{sys.executable} -m hil run dc-motor-1khz --clock real --link can:hil:f{os.getpid()} --duration 2 --json "
+         f"-o {folder}/x.mcap; echo $? >&2; {sys.executable} -m hil recover {folder}/x.mcap -o {tmp_path}/saved.mcap"],
+        capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    if "unshare" in done.stderr:
+        pytest.skip("no permission to mount a small disk here")
+    summary = json.loads(done.stdout[: done.stdout.rindex("}") + 1])
+    assert "1" in done.stderr.splitlines()
+    assert "No space left" in summary["problems"]["log_error"]
+    assert summary["log"]["dropped"] > 0
+    assert len(read_run(tmp_path / "saved.mcap").arrays["/plant/state"]) > 10
+
+
+def test_nobody_answers_on_the_link(tmp_path: Path) -> None:
+    code = (
+        "from hil.runtime import rig_process; import hil.runtime.real as real\n"
+        "from hil.experiment import load_experiment; from hil.runtime.loop import compose\n"
+        "from hil.log.sinks import MemorySink\n"
+        "loop = compose(load_experiment('dc-motor-hinf'))\n"
+        f"out = real.run_real(loop, 0, 'can:hil:n{os.getpid()}', MemorySink(loop.channels()), external=True, hello_timeout_s=0.5)\n"
+        "assert out.rig_status == 3, out\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert done.returncode == 0, done.stderr
+
+
+def test_foreign_controller_drives_the_rig(tmp_path: Path) -> None:
+    """A controller of thirty lines that knows nothing of ours but the frame layout, in plain Python and python-can."""
+    channel = f"foreign{os.getpid()}"
+    foreign = subprocess.Popen(
+        [sys.executable, str(Path(__file__).parents[1] / "foreign_controller.py"), channel], stderr=subprocess.PIPE
+    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--external", "--link",
+             f"can:hil:{channel}", "--duration", "3", "--set", "reference.0.at=0.2", "--json"],
+            cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+    finally:
+        foreign.kill()
+        foreign.wait()
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert abs(summary["metrics"]["steady_state_error"]) < 0.3
+    assert summary["metrics"]["max_abs_u"] > 0.1
