@@ -6,22 +6,32 @@ nanoseconds under a held input, and measures.
 """
 
 from plants.actuators import Driver
+from plants.check import check_plant
 from plants.dc_motor import DCMotor, DCMotorRun, LoadTorque
 from plants.errors import PlantError
 from plants.friction import Friction, RubbingAxis
 from plants.linear import DiscreteStateSpace, LinearRun, Signal, StateSpace
 from plants.omni import Omni
+from plants.semi_markov import JumpProcess, TransitionRates
 from plants.sensors import Encoder
-from plants.vtol import VTOL
+from plants.switched_example import SwitchedExample, SwitchedExampleRun
+from plants.vtol import VTOL, vtol_matrices
+from plants.vtol_delayed import DelayedVTOL, DelayedVTOLRun
+from plants.vtol_fault import FaultyVTOL, FaultyVTOLRun
 
 __all__ = [
     "VTOL",
     "DCMotor",
     "DCMotorRun",
+    "DelayedVTOL",
+    "DelayedVTOLRun",
     "DiscreteStateSpace",
     "Driver",
     "Encoder",
+    "FaultyVTOL",
+    "FaultyVTOLRun",
     "Friction",
+    "JumpProcess",
     "LinearRun",
     "LoadTorque",
     "Omni",
@@ -29,4 +39,9 @@ __all__ = [
     "RubbingAxis",
     "Signal",
     "StateSpace",
+    "SwitchedExample",
+    "SwitchedExampleRun",
+    "TransitionRates",
+    "check_plant",
+    "vtol_matrices",
 ]

@@ -1,0 +1,73 @@
+"""Instants at which something happens inside an advance: a mode jumps, a noise sample changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+
+class Source(Protocol):
+    """Something that happens at ``next_ns``, and then knows when it happens next."""
+
+    next_ns: int
+
+    def fire(self) -> None:
+        """Happen, at ``next_ns``; afterwards ``next_ns`` is later."""
+
+
+def pass_time(now_ns: int, end_ns: int, sources: Sequence[Source], move: Callable[[int, int], None]) -> None:
+    """Move from event to event, and to the end.
+
+    What happens at the end itself happens before this returns, so that a measurement sees it and cutting time in two
+    changes nothing. Of events at one instant the earlier source comes first.
+
+    Args:
+        now_ns: where time stands.
+        end_ns: where it goes.
+        sources: what may happen.
+        move: called with the ends of every piece of time between two events.
+    """
+    while True:
+        nearest: Source | None = None
+        event_ns = end_ns
+        for source in sources:
+            if source.next_ns <= end_ns and (nearest is None or source.next_ns < event_ns):
+                nearest, event_ns = source, source.next_ns
+        if event_ns > now_ns:
+            move(now_ns, event_ns)
+            now_ns = event_ns
+        if nearest is None:
+            return
+        nearest.fire()
+
+
+class HeldNoise:
+    """White noise as a rig has it: independent normal samples, each held for one period.
+
+    Over a bandwidth far below 1/period this is noise of spectral density std^2 period (two-sided, per Hz); it is the
+    variance of the samples, not that density, that stays fixed when the period changes.
+
+    Args:
+        size: number of channels.
+        std: standard deviation of a sample.
+        period_ns: time between samples.
+        rng: all randomness; nothing is drawn if std is 0.
+    """
+
+    __slots__ = ("_period_ns", "_rng", "_size", "_std", "next_ns", "values")
+
+    def __init__(self, size: int, std: float, period_ns: int, rng: np.random.Generator) -> None:
+        self._size, self._std, self._period_ns, self._rng = size, std, period_ns, rng
+        self.values: tuple[float, ...] = (0.0,) * size
+        self.next_ns = 0
+        if std > 0.0:
+            self.fire()
+        else:
+            self.next_ns = 1 << 62
+
+    def fire(self) -> None:
+        """Take the next sample."""
+        self.values = tuple(self._std * x for x in self._rng.standard_normal(self._size).tolist())
+        self.next_ns += self._period_ns
