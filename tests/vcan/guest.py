@@ -80,11 +80,19 @@ mkdir /tmp/home
 {_lines(f"{line}" for line in LINKS.splitlines())}
 stty -F /dev/tty1 -opost
 stty -F /dev/tty2 -opost
+# The terminals are our way out; the command itself shall see pipes, as under any other program.
+mkfifo /run/in /run/out /run/err
+cat </run/out >/dev/tty1 &
+out=$!
+cat </run/err >/dev/tty2 &
+err=$!
 set +ex
 {_stdin(python) if stdin else "exec </dev/null"}
-setsid sh {WORK}/command >/dev/tty1 2>/dev/tty2
+setsid sh {WORK}/command >/run/out 2>/run/err
 echo $? >{WORK}/status.new
 mv {WORK}/status.new {WORK}/status
+{{ sleep 2; kill $out $err; }} 2>/dev/null &  # whom the command left behind may hold the pipes open
+wait $out $err
 """
 
 
@@ -113,10 +121,9 @@ def _stdin(python: str) -> str:
     """The third terminal, opened once (closing would discard input), and a line to it once it is raw: begin."""
     return f"""exec 3<>/dev/tty3
 stty raw -echo <&3
-mkfifo /run/stdin
-{shlex.quote(python)} -ISc {shlex.quote(UNFRAME)} <&3 >/run/stdin &
+{shlex.quote(python)} -ISc {shlex.quote(UNFRAME)} <&3 >/run/in &
 echo begin >&3
-exec 3<&- </run/stdin"""
+exec 3<&- </run/in"""
 
 
 def _lines(lines: Iterable[str]) -> str:
