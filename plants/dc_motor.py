@@ -111,6 +111,8 @@ class DCMotor:
 
     def model(self) -> StateSpace:
         """Return the linear model that a designer sees: state (angle, speed), without the imperfections."""
+        # DEVIATION: the printed discrete A of sec. 7.4.2 is no zero-order hold of the printed transfer function at any
+        # period; the published gains and norms belong to this model (tests/plants/test_dc_motor.py).
         return StateSpace(A=[[0.0, 1.0], [0.0, -self.pole]], B=[[0.0], [self.gain]], C=[[1.0, 0.0]])
 
     def start(self, rng: np.random.Generator) -> DCMotorRun:

@@ -149,6 +149,11 @@ class Flow:
         self._norm = max(sum(abs(a) for a in row) for row in self._A)
         self._steps: dict[int, Rows] = {}
 
+    def prepare(self, dt_ns: int) -> None:
+        """Compute the matrix of a length that will come, so that no later `step` has to (it takes up to 1 ms)."""
+        if dt_ns not in self._steps:
+            self._tabulate(dt_ns)
+
     def step(self, x: Sequence[float], v: Sequence[float], dt_ns: int) -> list[float]:
         """Return x after dt_ns, by a matrix that is computed once for every length: for the sample period."""
         rows = self._steps.get(dt_ns)

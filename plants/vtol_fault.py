@@ -148,16 +148,22 @@ class FaultyVTOLRun:
         self._applied: tuple[float, ...] = (0.0, 0.0)
         self._v: tuple[float, ...] = (0.0, 0.0)
         self._now_ns = 0
-        self._recurring = {period_ns}
+        self._recurring: set[int] = set()
+        self._expect(period_ns)
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
         """Hold u + w for dt_ns, through every jump and every noise sample that falls into it."""
         self._applied = tuple(u)
         self._v = tuple(a + b for a, b in zip(u, w)) if w else self._applied
         if dt_ns not in self._recurring and len(self._recurring) < 4:
-            self._recurring.add(dt_ns)
+            self._expect(dt_ns)
         pass_time(self._now_ns, self._now_ns + dt_ns, self._sources, self._move)
         self._now_ns += dt_ns
+
+    def _expect(self, dt_ns: int) -> None:
+        self._recurring.add(dt_ns)
+        for flow in self._flows:
+            flow.prepare(dt_ns)
 
     def _move(self, from_ns: int, to_ns: int) -> None:
         flow = self._flows[self._failure.mode - 1]
