@@ -1,0 +1,60 @@
+# Everything a newcomer types. Each target makes .venv by itself; nothing outside this directory changes,
+# but for a user-mode kernel in ~/.cache/hilrig (make test-vcan, where this machine's kernel has no CAN).
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+RUN := runs/make-run
+
+# Images that forbid bytecode make every process of ours start in seconds instead of tenths.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: help run test test-vcan bench clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+run: $(INSTALLED) ## the networked DC motor in real time for 10 s; says where log and report lie
+	@mkdir -p runs
+	$(BIN)/hil run dc-motor-hinf --clock real --link can:hil:rig0 --duration 10 -o $(RUN).mcap --force
+	@$(BIN)/hil report $(RUN).mcap -o $(RUN).html >/dev/null
+	@echo
+	@echo "log     $(CURDIR)/$(RUN).mcap"
+	@echo "report  file://$(CURDIR)/$(RUN).html"
+
+# One thread of linear algebra per test process: there are as many processes as cores.
+test: export OMP_NUM_THREADS = 1
+test: $(INSTALLED) ## lint, types, import rules, tests and doctests
+	$(BIN)/ruff check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest -n auto
+
+# Only the files with vcan tests: importing all the others inside a user-mode kernel takes longer than the tests.
+VCAN_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.vcan' tests)
+PYTEST_VCAN = $(BIN)/python -m pytest --hil-require=vcan -p no:cacheprovider
+
+test-vcan: $(INSTALLED) ## the tests that need a real vcan0, in this kernel or a user-mode one (built the first time)
+	tests/with_vcan -v --virtual-time --timeout 600 -- $(PYTEST_VCAN) -m "vcan and not realtime" $(VCAN_TESTS)
+	tests/with_vcan -v --timeout 600 -- $(PYTEST_VCAN) -m "vcan and realtime" $(VCAN_TESTS)
+	$(BIN)/pytest -n 2 --hil-require=vcan tests/vcan/test_runner.py
+
+bench: $(INSTALLED) ## timing beside cyclictest, round trips of all links
+	$(BIN)/hil bench timing
+	$(BIN)/hil bench links
+
+clean: ## remove .venv, runs and caches (not ~/.cache/hilrig)
+	rm -rf .venv runs dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# uv inside the venv for speed; plain pip does the same, slower, where uv is not to be had.
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	    echo "Python 3.11 or newer is needed; $(PYTHON) is $$($(PYTHON) -V 2>&1). Another one: make PYTHON=python3.12"; exit 1; }
+	@$(BIN)/python -c '' 2>/dev/null || $(PYTHON) -m venv --clear .venv || { \
+	    echo "$(PYTHON) -m venv failed; on Debian: apt-get install python3-venv"; exit 1; }
+	@echo "installing into .venv (once)"
+	@{ $(BIN)/python -m pip install -q --disable-pip-version-check uv && \
+	   $(BIN)/uv pip install -q --python $(BIN)/python --compile-bytecode -c constraints.txt -e '.[test]'; } || \
+	 $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@touch $@
