@@ -14,6 +14,7 @@ from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.log.records import Channel, channels
 from transport.age_laws import ConstantAge, IidAge, MarkovAge
+from transport.network_laws import load_files, prepare, slots_served
 from transport.semi_markov_law import SemiMarkovAge, augmented_chain
 
 
@@ -29,6 +30,8 @@ class Loop:
         What the controller knows of the plant, and the bounds of both delays.
     controller : object
         Controller parameters, with any design already solved.
+    sc_law, ca_law : object
+        The network laws, distributions tabulated: no process that keeps time computes them.
     rows : int
         Rows in one send-all packet.
     certificate : dict or None
@@ -38,6 +41,8 @@ class Loop:
     experiment: Experiment
     model: LoopModel
     controller: Any
+    sc_law: Any
+    ca_law: Any
     rows: int
     certificate: dict[str, Any] | None
 
@@ -100,7 +105,7 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
     faults = _faults(experiment)
     if faults:
         raise ExperimentError(experiment.name, faults)
-    experiment = _prepared(experiment)
+    experiment = _loaded(experiment)
     plant, links = experiment.plant, experiment.links
     discrete = plant.model().discretise(float(experiment.period))
     model = LoopModel(
@@ -125,25 +130,26 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
         experiment=experiment,
         model=model,
         controller=controller,
+        sc_law=prepare(links.sc.law),
+        ca_law=prepare(links.ca.law),
         rows=row_count(running.selection, model.d_max),
         certificate=certificate,
     )
 
 
-def _prepared(e: Experiment) -> Experiment:
-    """Read the files and tabulate the distributions of the network laws: no process that keeps time does that."""
+def _loaded(e: Experiment) -> Experiment:
+    """Read the files that the network laws name, so that the experiment needs nothing but itself."""
     sides = {}
     for side in ("sc", "ca"):
         direction = getattr(e.links, side)
         try:
-            law = direction.law.loaded(e.folder) if hasattr(direction.law, "loaded") else direction.law
-            law = law.prepared() if hasattr(law, "prepared") else law
+            law = load_files(direction.law, e.folder)
         except ValueError as error:
             raise ExperimentError(e.name, [f"links.{side}.law.{error}"]) from error
-        length = getattr(law, "length", None)
-        if length is not None and length < e.ticks:
+        served = slots_served(law)
+        if served is not None and served < e.ticks:
             raise ExperimentError(
-                e.name, [f"links.{side}.law: the recording ends after {length} slots, the run has {e.ticks}; set repeat = true"]
+                e.name, [f"links.{side}.law: the recording serves {served} slots, the run has {e.ticks}; it can repeat"]
             )
         sides[side] = replace(direction, law=law)
     return replace(e, links=replace(e.links, **sides))

@@ -85,8 +85,8 @@ class Rig:
         self._inputs = len(e.plant.inputs)
         self._zero = (0.0,) * self._inputs
         self._plant = e.plant.start(rng_for(seed, "plant"))
-        self._sc = impair(e.links.sc.law, rng_for(seed, "link.sc"), float(e.period), deadline_s)
-        self._ca = impair(e.links.ca.law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
+        self._sc = impair(loop.sc_law, rng_for(seed, "link.sc"), float(e.period), deadline_s)
+        self._ca = impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
         self._reference, self._disturbance = loop.reference(), loop.disturbance()
         self._safety = Safety(
             e.limits.input, [(names.index(n), n, b) for n, b in e.limits.state.items()], e.limits.watchdog_ticks

@@ -1,0 +1,47 @@
+"""Every plug-in that is installed passes its check, ours through the same door as a user's."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import pytest
+
+from hil import registry
+from hil.contract import check_controller, check_law
+from hil.experiment import load_experiment, parse_plugin, shipped
+from hil.runtime.loop import compose
+from plants.check import check_plant
+from transport.network_laws import prepare
+
+LAWS: dict[str, list[str]] = {
+    "constant": ["age=2"],
+    "iid": ["probabilities=[0.7, 0.3]"],
+    "markov": ["matrix=[[0.6, 0.4, 0.0], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]]"],
+    "semi-markov": [
+        "matrix=[[0.0, 1.0], [1.0, 0.0]]",
+        'sojourn=[{law="geometric", p=0.2}, {law="uniform", low=2, high=5}]',
+    ],
+    "trace": ["ages=[0, 1, 2, 0, 1]"],
+    "packet": ['latency={dist="gamma", a=2.0, scale="6 ms"}', "loss=0.1", "duplication=0.1"],
+}
+
+
+@pytest.mark.parametrize("name", registry.names("hil.plants"))
+def test_plant_keeps_its_contract(name: str) -> None:
+    plant = parse_plugin("hil.plants", name)
+    check_plant(plant)
+    assert pickle.loads(pickle.dumps(plant)) == plant  # the rig is another process
+
+
+@pytest.mark.parametrize("name", sorted(shipped()))
+def test_shipped_controller_and_plant_keep_their_contracts(name: str) -> None:
+    loop = compose(load_experiment(name), certify=False)
+    check_plant(loop.experiment.plant)
+    check_controller(loop.controller, loop.model)
+
+
+@pytest.mark.parametrize("name", registry.names("hil.laws"))
+def test_law_keeps_its_contract(name: str) -> None:
+    law: Any = parse_plugin("hil.laws", name, LAWS[name])
+    check_law(prepare(law))
