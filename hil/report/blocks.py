@@ -16,10 +16,17 @@ from hil.report.figures import Badge, Bars, Block, Cell, Figure, Histogram, Matr
 from hil.report.numbers import text_of
 from hil.report.svg import draw_bars, draw_histogram
 
-BUCKETS = 2000
-"""Intervals of x kept per curve: more than the pixels of a wide window, so that a first zoom still shows detail."""
+WHOLE = 25_000
+"""Curves of up to so many points are kept as they are (20 s at 1 kHz), so that zooming shows every sample."""
+
+BUCKETS = 4000
+"""Intervals of x that a longer curve is reduced to: several per pixel of a wide window, so that zooming still helps."""
 
 SIGNS = {"good": "✓", "warning": "!", "bad": "✕", "neutral": "·"}
+
+
+GAP = -32768
+"""What stands for NaN among whole numbers."""
 
 
 class Payload:
@@ -31,7 +38,10 @@ class Payload:
         self.figures: list[dict[str, Any]] = []
 
     def add(self, values: npt.NDArray[np.float64]) -> int:
-        """Store an array and return its number; float32 where that is exact to a twentieth of the smallest step."""
+        """Store an array and return its number: int16 for small whole numbers, float32 where that is exact enough."""
+        whole = np.where(np.isnan(values), GAP, values)
+        if np.all(np.abs(whole) <= -GAP) and np.array_equal(whole, np.round(whole)):
+            return self._store("i2", whole.astype("<i2").tobytes())
         narrow = values.astype("<f4")
         finite = values[np.isfinite(values)]
         steps = np.abs(np.diff(finite))
@@ -39,7 +49,9 @@ class Payload:
         rounding = float(np.abs(finite).max(initial=0.0)) * 6e-8
         # y needs no more than a ten-thousandth of what is drawn; x needs its samples kept apart. One test serves both.
         enough = steps.size == 0 or rounding < max(0.05 * float(steps.min()), 1e-5 * float(np.ptp(finite)))
-        kind, data = ("f4", narrow.tobytes()) if enough else ("f8", values.astype("<f8").tobytes())
+        return self._store("f4", narrow.tobytes()) if enough else self._store("f8", values.astype("<f8").tobytes())
+
+    def _store(self, kind: str, data: bytes) -> int:
         key = kind.encode() + data
         if key not in self._index:
             self._index[key] = len(self._arrays)
@@ -104,13 +116,14 @@ def _figure(figure: Figure, payload: Payload) -> str:
     for i, series in enumerate(figure.series):
         x, y = _arrays(series.label, series.x, series.y)
         keep = _kept(x, y, series)
-        whole, drawn = max(whole, x.size), max(drawn, keep.size if series.style != "step" else 0)
+        whole, drawn = max(whole, x.size), max(drawn, keep.size if "step" not in series.style else 0)
         curves.append(
             {
                 "label": series.label,
                 "colour": (i if series.colour is None else series.colour) % 8,
                 "style": series.style,
                 "faint": series.faint,
+                "halo": series.halo,
                 "x": payload.add(x[keep]),
                 "y": payload.add(y[keep]),
             }
@@ -119,7 +132,7 @@ def _figure(figure: Figure, payload: Payload) -> str:
     for i, band in enumerate(figure.bands):
         x, lower = _arrays(band.label, band.x, band.lower)
         x, upper = _arrays(band.label, band.x, band.upper)
-        keep = np.union1d(bucket_extremes(x, lower, BUCKETS), bucket_extremes(x, upper, BUCKETS))
+        keep = np.union1d(_reduced(x, lower), _reduced(x, upper))
         bands.append(
             {
                 "label": band.label,
@@ -164,10 +177,14 @@ def _arrays(
 
 
 def _kept(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], series: Series) -> npt.NDArray[np.intp]:
-    if series.style != "step":
-        return bucket_extremes(x, y, BUCKETS)
+    if "step" not in series.style:
+        return _reduced(x, y)
     ends = step_ends(y)
-    return ends[bucket_extremes(x[ends], y[ends], BUCKETS)]
+    return ends[_reduced(x[ends], y[ends])]
+
+
+def _reduced(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
+    return np.arange(x.size, dtype=np.intp) if x.size <= WHOLE else bucket_extremes(x, y, BUCKETS)
 
 
 def _axis(label: str, unit: str) -> str:
@@ -193,14 +210,19 @@ def _matrix(matrix: Matrix) -> str:
         cells = []
         for j, value in enumerate(matrix.values[i]):
             expected = matrix.expected[i][j] if matrix.expected is not None else None
-            small = "" if expected is None else f"<small>{text_of(float(expected), 3)}</small>"
+            small = "" if expected is None else f"<small>{_share(float(expected))}</small>"
             number = float("nan") if value is None else float(value)
             shade = min(max(number, 0.0), 1.0) if np.isfinite(number) else 0.0
-            cells.append(f'<td style="--shade:{shade:.3f}">{text_of(number, 3)}{small}</td>')
+            cells.append(f'<td style="--shade:{shade:.3f}">{_share(number)}{small}</td>')
         lines.append(f'<tr><th scope="row">{escape(str(name))}</th>{"".join(cells)}</tr>')
     top = f"<thead><tr><th>{corner}</th>{head}</tr></thead>"
     body = f'<table class="matrix">{top}<tbody>{"".join(lines)}</tbody></table>'
     return _panel(matrix.title, f'<div class="scroll">{body}</div>', matrix.note)
+
+
+def _share(value: float) -> str:
+    """Three decimals, so that a column of shares lines up; other magnitudes as any number."""
+    return f"{value:.3f}".replace("-", "−") if 1e-3 <= abs(value) < 100.0 else text_of(value, 3)
 
 
 def _table(table: Table) -> str:

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.floating[Any]] | npt.NDArray[np.integer[Any]] | Sequence[float]
 State: TypeAlias = Literal["neutral", "good", "warning", "bad"]
-LineStyle: TypeAlias = Literal["line", "dashed", "step", "points"]
+LineStyle: TypeAlias = Literal["line", "dashed", "step", "dashed-step", "points"]
 
 TIME = "time"
 """The default synchronisation group: all panels of one page in this group zoom together."""
@@ -36,8 +36,9 @@ class Series:
     """One curve y(x).
 
     Parameters: `x`, `y` arrays of shape (n,), x not decreasing, NaN in y leaves a gap; `style` is "line", "dashed",
-    "step" (holds its value until the next x) or "points"; `colour` is an index into the page's palette of eight
-    (None: by position in the figure); `faint` draws thin and pale, for the many runs behind a mean.
+    "step" (holds its value until the next x), "dashed-step" or "points"; `colour` is an index into the page's palette of eight
+    (None: by position in the figure); `faint` draws thin and pale, for the many runs behind a mean; `halo` draws broad
+    and pale, to lie beneath a curve that ought to coincide.
     """
 
     label: str
@@ -46,6 +47,7 @@ class Series:
     style: LineStyle = "line"
     colour: int | None = None
     faint: bool = False
+    halo: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +63,10 @@ class Band:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marker:
-    """A vertical line at x with a short label: an event on a time axis, a percentile in a histogram."""
+    """A vertical line at x with a short label: an event on a time axis, a percentile in a histogram.
+
+    Without a label it is one of many and drawn as a short tick on the panel's upper edge.
+    """
 
     x: float
     label: str

@@ -66,8 +66,9 @@ def draw_histogram(histogram: Histogram) -> str:
     if histogram.x_log and low > 0:
         x_of = _logarithmic(low, high, LEFT, WIDTH - RIGHT)
         x_ticks = [10.0**e for e in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)]
-        if len(x_ticks) < 2:
-            x_ticks = [v for v in _nice_ticks(low, high) if low <= v <= high]
+        if len(x_ticks) < 3:
+            decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)))
+            x_ticks = [v for e in decades for m in (1, 2, 5) if low <= (v := m * 10.0**e) <= high]
     else:
         x_of = _linear(low, high, LEFT, WIDTH - RIGHT)
         x_ticks = [v for v in _nice_ticks(low, high) if low <= v <= high]

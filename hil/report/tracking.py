@@ -71,7 +71,8 @@ def tracking_metrics(
         error = outputs - target
         squared = np.sum(error**2, axis=1)
         found["sse"] = _finite(period_s * float(np.sum(squared)))
-        found["sse_after_5s"] = _finite(period_s * float(np.sum(squared[t >= AFTER_S - 1e-9])))
+        after = t >= AFTER_S - 1e-9
+        found["sse_after_5s"] = _finite(period_s * float(np.sum(squared[after]))) if after.any() else None
         last = error[-max(round(STEADY_SHARE * n), 1) :]
         means = [_finite(float(np.mean(column))) for column in last.T]
         found["steady_state_error"] = _worst(means)

@@ -3,10 +3,13 @@
   const data = JSON.parse(document.getElementById("hil-data").textContent);
   const arrays = data.arrays.map(({ t, d }) => {
     const raw = Uint8Array.from(atob(d), (c) => c.charCodeAt(0)).buffer;
+    if (t === "i2") return Array.from(new Int16Array(raw), (v) => (v === -32768 ? null : v));
     return Array.from(t === "f4" ? new Float32Array(raw) : new Float64Array(raw), (v) => (Number.isNaN(v) ? null : v));
   });
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const font = (px) => px + "px " + css("--sans");
+  const ROUND = [];
+  for (let e = -9; e <= 9; e++) for (const m of [1, 2, 5]) ROUND.push(+(m + "e" + e));
   const plots = [];
   const groups = new Map();
   const reset = document.getElementById("reset");
@@ -51,12 +54,13 @@
             const x = Math.round(u.valToPos(m.x, "x", true)) + 0.5;
             if (x < left || x > left + width) continue;
             ctx.strokeStyle = css(m.state === "neutral" ? "--muted" : "--" + m.state);
-            ctx.globalAlpha = figure.markers.length > 60 ? 0.35 : 0.8;
-            ctx.lineWidth = dpr;
-            ctx.setLineDash([4 * dpr, 3 * dpr]);
+            ctx.globalAlpha = 0.8;
+            ctx.lineWidth = m.label ? dpr : 1.5 * dpr;
+            ctx.setLineDash(m.label ? [4 * dpr, 3 * dpr] : []);
             ctx.beginPath();
+            // Without a label: one of many, a tick on the upper edge.
             ctx.moveTo(x, top);
-            ctx.lineTo(x, top + height);
+            ctx.lineTo(x, top + (m.label ? height : 8 * dpr));
             ctx.stroke();
             if (!withLabels || !m.label) continue;
             const wide = ctx.measureText(m.label).width;
@@ -73,12 +77,14 @@
     };
   }
 
+  const held = (style) => style.endsWith("step");
+
   function nearest(u, i, index, x, style) {
     const column = u.data[i];
-    if (column[index] != null && !(style === "step" && u.data[0][index] > x)) return index;
+    if (column[index] != null && !(held(style) && u.data[0][index] > x)) return index;
     let low = index, high = index;
-    while (low >= 0 && (column[low] == null || (style === "step" && u.data[0][low] > x))) low--;
-    if (style === "step") return low < 0 ? null : low;
+    while (low >= 0 && (column[low] == null || (held(style) && u.data[0][low] > x))) low--;
+    if (held(style)) return low < 0 ? null : low;
     while (high < column.length && column[high] == null) high++;
     if (low < 0 && high >= column.length) return null;
     if (low < 0) return high;
@@ -91,14 +97,14 @@
     const s = {
       label: c.label,
       stroke: () => css(colour),
-      width: c.faint ? 0.8 : 1.6,
-      alpha: c.faint ? 0.35 : 1,
+      width: c.halo ? 5 : c.faint ? 0.8 : 1.6,
+      alpha: c.halo ? 0.4 : c.faint ? 0.35 : 1,
       points: { show: false },
       value: (u, v) => format(v),
-      class: "of-" + c.style,
+      class: c.halo ? "of-halo" : "of-" + c.style,
     };
-    if (c.style === "step") s.paths = uPlot.paths.stepped({ align: 1 });
-    if (c.style === "dashed") s.dash = [6, 4];
+    if (c.style.endsWith("step")) s.paths = uPlot.paths.stepped({ align: 1 });
+    if (c.style.startsWith("dashed")) s.dash = [6, 4];
     if (c.style === "points") {
       s.paths = () => null;
       s.points = { show: true, size: 5, width: 0, fill: () => css(colour), stroke: () => css(colour) };
@@ -167,7 +173,7 @@
         y: { distr: figure.yLog ? 3 : 1, range: figure.yRange ? () => figure.yRange : figure.yLog ? undefined : (u, low, high) => fitted(low, high, figure.integerY) },
       },
       axes: [
-        axis(figure.xLabel, 27, {}),
+        axis(figure.xLabel, 27, figure.xLog ? {} : { incrs: ROUND }),
         axis(figure.yLabel, 62, figure.integerY ? { incrs: [1, 2, 5, 10, 20, 50, 100], space: 18 } : {}),
       ],
       series: [{ label: figure.xLabel, value: (u, v) => format(v) }, ...curves.map(curve)],
@@ -211,6 +217,7 @@
 
   function fitted(low, high, integer) {
     if (low == null) return [0, 1];
+    if (integer && low > 0 && low < 10) low = 0;
     if (integer) return [Math.floor(low) - 0.25, Math.max(Math.ceil(high), Math.floor(low) + 1) + 0.25];
     const room = (high - low || Math.abs(high) || 1) * 0.06;
     return [low - room, high + room];

@@ -1,27 +1,17 @@
 """The page in a real browser: it draws, it zooms all panels together, it asks the network for nothing."""
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from hil.report.figures import Band, Figure, Marker, Section, Series
+from hil.report.metrics import summarise
 from hil.report.page import render_page
+from hil.report.run_page import render_report
+from tests.hil.report import chromium
+from tests.hil.report.runs import run_of
 
-
-def _chromium() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("hil_chromium", Path(__file__).with_name("chromium.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-chromium = _chromium()
 pytestmark = pytest.mark.skipif(chromium.find_chromium() is None, reason="no Chromium: apt-get install chromium (.ci/run does)")
 
 
@@ -45,6 +35,8 @@ INK = """[...document.querySelectorAll('.plot canvas')].map(c => {
   const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
   let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n; })"""
 BOX = "(r => [r.left, r.top, r.width, r.height])(document.querySelector('.u-over').getBoundingClientRect())"
+LEGEND = """[...document.querySelectorAll('.plot')].slice(0, 2).flatMap(
+  p => [...p.querySelectorAll('.u-series:not(.quiet) .u-value')].map(v => v.textContent))"""
 RANGES = "hilPlots().map(p => [p.scales.x.min, p.scales.x.max])"
 
 
@@ -74,6 +66,10 @@ def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path, wid
         assert zoomed[2] == whole[2], "a panel of its own does not"
         assert page.evaluate("!document.getElementById('reset').hidden")
 
+        page.mouse("mouseMoved", box[0] + 0.4 * box[2], y, clicks=0)
+        values = page.evaluate(LEGEND)
+        assert values and "–" not in values, "the cursor shows the values of every panel of its group"
+
         for clicks in (1, 2):
             page.mouse("mousePressed", box[0] + 0.6 * box[2], y, clicks)
             page.mouse("mouseReleased", box[0] + 0.6 * box[2], y, clicks)
@@ -84,5 +80,20 @@ def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path, wid
         assert page.evaluate("getComputedStyle(document.body).backgroundColor") != light
         page.pdf(tmp_path / "page.pdf")
         assert (tmp_path / "page.pdf").stat().st_size > 10_000
+        assert page.problems == []
+        assert page.requests == [file.resolve().as_uri()]
+
+
+def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: Path) -> None:
+    run = run_of("dc-motor-1khz", 'duration="6 s"', timed=True)
+    file = tmp_path / "report.html"
+    file.write_text(render_report(run, summarise(run)), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        panels = page.evaluate("document.querySelectorAll('.plot').length")
+        ink = page.evaluate(INK)
+        assert len(ink) == panels >= 6 and all(n > 2000 for n in ink)
+        ranges = page.evaluate(RANGES)
+        assert all(r == ranges[0] for r in ranges)
         assert page.problems == []
         assert page.requests == [file.resolve().as_uri()]

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hil.experiment import load_experiment
-from hil.log.provenance import Provenance
 from hil.log.read import Run
 from hil.log.sinks import MemorySink
 from hil.report.metrics import run_metrics, summarise
@@ -12,33 +11,8 @@ from hil.report.network import network_metrics
 from hil.report.timing import timing_metrics
 from hil.runtime.loop import compose
 from hil.runtime.virtual import run_virtual
+from tests.hil.report.runs import run_of
 from transport.age_laws import MarkovAge
-from transport.draws import REASONS
-
-
-def run_of(name: str, *sets: str) -> Run:
-    experiment = load_experiment(name, sets)
-    loop = compose(experiment)
-    sink = MemorySink(loop.channels())
-    run_virtual(loop, experiment.seed, sink)
-    about = Provenance(
-        experiment=experiment.name,
-        experiment_text=experiment.text,
-        resolved=experiment.resolved(),
-        seed=experiment.seed,
-        clock="virtual",
-        link="memory:",
-        codes={"reason": REASONS},
-    )
-    return Run.from_memory(
-        sink,
-        metadata=about.metadata()["hilrig"],
-        versions=dict(about.versions),
-        codes={"reason": list(REASONS)},
-        experiment_text=experiment.text,
-        resolved=dict(about.resolved),
-        certificate=loop.certificate or {},
-    )
 
 
 def test_summary_is_plain_json_with_the_promised_keys() -> None:

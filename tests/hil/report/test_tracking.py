@@ -83,7 +83,7 @@ def test_later_steps_count_against_their_own_value() -> None:
 def test_too_few_samples_leave_marks_undefined(n: int) -> None:
     found = tracking_metrics(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), T)
     assert found["overshoot"] is None and found["settling_time_s"] is None
-    assert found["sse"] == (0.0 if n else None)
+    assert found["sse"] == (0.0 if n else None) and found["sse_after_5s"] is None
 
 
 def test_run_that_never_settles_says_so() -> None:

@@ -1,0 +1,36 @@
+"""``hil report``: a self-contained page from a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.errors import HilError
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="Page to write, FILE.html by default.")
+@click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
+def command(file: Path, output: Path | None, show: bool) -> None:
+    """Make one self-contained HTML page from the log FILE: it needs no network and no other file.
+
+    An existing page is replaced; the log is never changed.
+    """
+    from hil.log.read import read_run
+    from hil.report.metrics import summarise
+    from hil.report.run_page import render_report
+
+    run = read_run(file)
+    page = render_report(run, {**summarise(run), **run.summary})
+    target = output or file.with_suffix(".html")
+    if target.resolve() == file.resolve():
+        raise HilError(f"{target}: is the log itself; choose another -o")
+    try:
+        target.write_text(page, encoding="utf-8")
+    except OSError as e:
+        raise HilError(f"{target}: cannot be written: {e.strerror}") from e
+    click.echo(f"written: {target} ({len(page.encode()) / 1e6:.1f} MB)")
+    if show:
+        click.launch(str(target))
