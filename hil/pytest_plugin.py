@@ -57,17 +57,17 @@ def has_vcan(interface: str = "vcan0") -> bool:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Skip, with the reason and the remedy, what this machine cannot run."""
-    if any("vcan" in item.keywords for item in items) and not has_vcan():
+    if any(item.get_closest_marker("vcan") for item in items) and not has_vcan():
         if "vcan" in _required(config):
             raise pytest.UsageError("--hil-require=vcan, but there is no vcan0: run under tests/with_vcan, or make one")
         skip = pytest.mark.skip(reason="no vcan0: run `make test-vcan` (--hil-require=vcan makes this a failure)")
         for item in items:
-            if "vcan" in item.keywords:
+            if item.get_closest_marker("vcan"):
                 item.add_marker(skip)
     if not config.getoption("--hil-slow"):
         skip = pytest.mark.skip(reason="slow: runs with --hil-slow")
         for item in items:
-            if "slow" in item.keywords:
+            if item.get_closest_marker("slow"):
                 item.add_marker(skip)
 
 
