@@ -106,7 +106,7 @@ def _build(path: Path) -> None:
         assert make.stdout is not None
         _show_progress(make.stdout)
         failed = make.wait() != 0
-    shutil.rmtree(directory / "build")
+    shutil.rmtree(directory / "build", ignore_errors=True)
     if failed:
         raise RunnerError(f"the kernel's build failed; see {log}:\n{log.read_text(errors='replace')[-2000:]}")
     new.rename(path)

@@ -1,0 +1,150 @@
+"""The kernel's cache: built once by whoever comes first, whole or not at all; and clear words where it cannot be."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from . import kernel
+from .supervise import RunnerError
+
+HERE = Path(__file__).parent
+
+# A stand-in for the build, of which only the time it takes is left out; it notes that it ran.
+FAST_BUILD = """#!/bin/sh
+mkdir -p "$2"
+echo built >>"$(dirname "$3")/builds"
+while [ -e "$(dirname "$3")/hold" ]; do sleep 0.05; done
+echo '#!/bin/sh' >"$3"
+chmod +x "$3"
+"""
+
+SMALL = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from vcan import kernel
+kernel.HERE, kernel._install, kernel._source_version = Path(sys.argv[2]), lambda packages: None, lambda: "1"
+kernel.SOURCE = Path(sys.argv[2]) / "source"
+print(kernel.small().path)
+"""
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    (tmp_path / "build_kernel").write_text(FAST_BUILD)
+    (tmp_path / "build_kernel").chmod(0o755)
+    (tmp_path / "kernel.config").write_text("CONFIG_CAN=y\n")
+    (tmp_path / "source").touch()
+    (tmp_path / "cache" / "hilrig").mkdir(parents=True)
+    return tmp_path
+
+
+def builder(place: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", SMALL, str(HERE.parent), str(place)],
+        env={**os.environ, "XDG_CACHE_HOME": str(place / "cache")},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for(path: Path) -> None:
+    limit = time.monotonic() + 30
+    while not path.exists():
+        assert time.monotonic() < limit, f"{path} never came"
+        time.sleep(0.01)
+
+
+def test_two_runs_at_once_build_one_kernel(place: Path) -> None:
+    cache = place / "cache" / "hilrig"
+    (cache / "hold").touch()
+    first = builder(place)
+    wait_for(cache / "builds")
+    second = builder(place)
+    assert "another run is building" in second.stderr.readline()  # type: ignore[union-attr]
+    (cache / "hold").unlink()
+    paths = {run.communicate(timeout=30)[0] for run in (first, second)}
+    assert len(paths) == 1
+    assert (cache / "builds").read_text() == "built\n"
+    assert not (cache / "build").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_killed_build_leaves_no_kernel_and_no_process_and_the_next_one_succeeds(place: Path, number: int) -> None:
+    cache = place / "cache" / "hilrig"
+    (cache / "hold").touch()
+    killed = builder(place)
+    wait_for(cache / "builds")
+    killed.send_signal(number)
+    killed.communicate(timeout=30)
+    assert not list(cache.glob("linux-vcan-*"))
+    limit = time.monotonic() + 10
+    while (left := processes_that_name(str(place))) and time.monotonic() < limit:
+        time.sleep(0.01)
+    assert not left
+    (cache / "hold").unlink()
+    out, err = builder(place).communicate(timeout=30)
+    assert Path(out.strip()).exists(), err
+
+
+def test_failed_build_says_why(place: Path) -> None:
+    (place / "build_kernel").write_text("#!/bin/sh\necho 'CONFIG_CAN did not take' >&2\nexit 1\n")
+    _, err = builder(place).communicate(timeout=30)
+    assert "CONFIG_CAN did not take" in err
+    assert not list((place / "cache" / "hilrig").glob("linux-vcan-*"))
+
+
+def test_kernel_is_named_after_what_it_is_made_of(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel, "HERE", place)
+    monkeypatch.setattr(kernel, "SOURCE", place / "source")
+    monkeypatch.setattr(kernel, "_source_version", lambda: "6.12.1")
+    before = kernel._cached()
+    monkeypatch.setattr(kernel, "_source_version", lambda: "6.12.2")
+    assert kernel._cached() != before
+    monkeypatch.undo()
+    monkeypatch.setattr(kernel, "HERE", place)
+    (place / "kernel.config").write_text("CONFIG_CAN=y\nCONFIG_CAN_ISOTP=y\n")
+    assert kernel._cached().name.split("-")[2] != before.name.split("-")[2]
+
+
+def test_missing_package_without_root_names_the_command(tmp_path: Path) -> None:
+    (tmp_path / "id").write_text("#!/bin/sh\necho 1000\n")
+    (tmp_path / "apt-get").write_text("#!/bin/sh\nexit 1\n")
+    for program in tmp_path.iterdir():
+        program.chmod(0o755)
+    done = subprocess.run(
+        [str(HERE / "apt_install"), "coreutils", "no-such-package"],
+        env={"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert "apt-get install --no-install-recommends no-such-package" in done.stderr
+
+
+def test_no_place_for_the_cache_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/no-such-place")
+    with pytest.raises(RunnerError, match="XDG_CACHE_HOME"):
+        kernel.small()
+
+
+def processes_that_name(token: str) -> list[str]:
+    """Command lines in which the token occurs."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            line = file.read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        except OSError:
+            continue
+        if token in line:
+            found.append(line)
+    return found

@@ -1,0 +1,236 @@
+"""The runner itself: statuses, streams, time limits, virtual time, and that nothing stays behind."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from pathlib import Path
+
+import pytest
+
+RUNNER = Path(__file__).parents[1] / "with_vcan"
+
+# Two processes on the bus: one answers every frame, one sends and prints the clock, the kernel's time stamp and the data.
+PING_PONG = """
+import os, sys, time, can
+if os.fork() == 0:
+    with can.Bus("vcan0", interface="socketcan") as bus:
+        for _ in range(50):
+            m = bus.recv()
+            bus.send(can.Message(arbitration_id=2, data=m.data, is_extended_id=False))
+    os._exit(0)
+with can.Bus("vcan0", interface="socketcan") as bus:
+    time.sleep(0.5)
+    for i in range(50):
+        bus.send(can.Message(arbitration_id=1, data=[i], is_extended_id=False))
+        m = bus.recv()
+        print(time.time_ns(), time.monotonic_ns(), m.timestamp, m.data.hex())
+        time.sleep(0.01)
+os.wait()
+"""
+
+
+@pytest.fixture(autouse=True)
+def demanded(request: pytest.FixtureRequest) -> None:
+    if "vcan" not in request.config.getoption("--hil-require"):
+        pytest.skip("boots kernels; `make test-vcan` runs it (--hil-require=vcan)")
+
+
+def with_vcan(*args: str, timeout: float = 100, **kwargs: object) -> subprocess.CompletedProcess[str]:
+    kwargs = {"stdin": subprocess.DEVNULL, "text": True} | kwargs
+    return subprocess.run([str(RUNNER), *args], capture_output=True, timeout=timeout, **kwargs)  # type: ignore[call-overload, no-any-return]
+
+
+def left_behind(token: str) -> list[str]:
+    """Processes whose command line holds the token, and mounts of the runner."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            line = file.read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        except OSError:
+            continue
+        if token in line:
+            found.append(line)
+    return found + [line for line in Path("/proc/mounts").read_text().splitlines() if "with_vcan" in line]
+
+
+@pytest.mark.parametrize(
+    ("command", "status"),
+    [
+        ("exit 0", 0),
+        ("exit 7", 7),
+        ("kill -9 $$", 137),
+        ("kill -TERM $$", 143),
+        ("exec no-such-program", 127),
+        ("exec /etc/passwd", 126),
+    ],
+)
+def test_exit_status_is_the_commands(command: str, status: int) -> None:
+    assert with_vcan("--", "sh", "-c", command).returncode == status
+
+
+def test_a_command_is_needed() -> None:
+    done = with_vcan("--timeout", "5")
+    assert done.returncode == 2
+    assert "no command" in done.stderr
+
+
+def test_streams_stay_apart_and_whole() -> None:
+    data = bytes(range(256)) * 8000
+    script = "import sys; d = sys.stdin.buffer.read(); sys.stdout.buffer.write(d); sys.stderr.buffer.write(d[::-1])"
+    done = with_vcan("--", sys.executable, "-c", script, input=data, text=False, stdin=None)
+    assert done.stdout == data  # type: ignore[comparison-overlap]
+    assert done.stderr == data[::-1]  # type: ignore[comparison-overlap]
+
+
+def test_command_sees_no_terminal_and_an_empty_stdin() -> None:
+    done = with_vcan(
+        "--",
+        sys.executable,
+        "-c",
+        "import sys; print(*(s.isatty() for s in (sys.stdin, sys.stdout, sys.stderr)), sys.stdin.read())",
+    )
+    assert done.stdout.split() == ["False"] * 3
+
+
+def test_venv_and_environment_are_in_place() -> None:
+    done = with_vcan(
+        "--",
+        sys.executable,
+        "-c",
+        "import sys, os, can; print(sys.prefix, os.getcwd(), os.environ['COLOUR'])",
+        env={**os.environ, "COLOUR": "blue"},
+    )
+    assert done.stdout.split() == [sys.prefix, os.getcwd(), "blue"], done.stderr
+
+
+def test_vcan0_takes_fd_frames_and_is_up() -> None:
+    done = with_vcan("--", "ip", "-d", "link", "show", "vcan0")
+    assert "mtu 72" in done.stdout
+    assert "UP" in done.stdout
+
+
+def test_only_writable_directories_keep_what_is_written(tmp_path: Path) -> None:
+    kept, lost = tmp_path / "kept", tmp_path / "lost"
+    kept.mkdir()
+    token = Path("/var/tmp") / f"with-vcan-{uuid.uuid4().hex}"
+    done = with_vcan(
+        "--rw",
+        str(kept),
+        "--",
+        "sh",
+        "-c",
+        f"mkdir -p {lost} && echo a >{kept}/a && echo b >{lost}/b && echo c >{token}",
+    )
+    assert done.returncode == 0, done.stderr
+    assert (kept / "a").read_text() == "a\n"
+    assert not lost.exists()
+    assert not token.exists()
+
+
+def test_time_limit_ends_the_command() -> None:
+    token = uuid.uuid4().hex
+    done = with_vcan("--timeout", "2", "--", "sh", "-c", f"echo begun; sleep 1000; : {token}")
+    assert done.returncode == 124
+    assert "begun" in done.stdout
+    assert "timed out" in done.stderr
+    assert not left_behind(token)
+
+
+@pytest.mark.parametrize("virtual", [[], ["--virtual-time"]], ids=["real", "virtual"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL])
+def test_signal_ends_all_and_nothing_stays(number: int, virtual: list[str]) -> None:
+    token = uuid.uuid4().hex
+    busy = f"echo begun; while :; do sleep 0.1; done & while :; do sleep 0.1; done; : {token}"
+    runner = subprocess.Popen(
+        [str(RUNNER), *virtual, "--", "sh", "-c", busy], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
+    )
+    assert runner.stdout is not None
+    assert runner.stdout.readline() == b"begun\n"
+    runner.send_signal(number)
+    status = runner.wait(10)
+    if number == signal.SIGKILL:  # then it is the kernel that ends the rest, in its own time
+        limit = time.monotonic() + 10
+        while left_behind(token) and time.monotonic() < limit:
+            time.sleep(0.01)
+    else:
+        assert status == 128 + number
+    assert not left_behind(token)
+    runner.stdout.close()
+
+
+def test_closed_reader_ends_the_command() -> None:
+    token = uuid.uuid4().hex
+    runner = subprocess.Popen(
+        [str(RUNNER), "--", "sh", "-c", f"yes; : {token}"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
+    )
+    assert runner.stdout is not None
+    runner.stdout.readline()
+    runner.stdout.close()
+    assert runner.wait(20) == 128 + signal.SIGPIPE
+    assert not left_behind(token)
+
+
+def test_what_the_command_leaves_running_ends_with_it() -> None:
+    token = uuid.uuid4().hex
+    done = with_vcan("--", "sh", "-c", f"setsid sh -c 'sleep 1000; : {token}' & echo done")
+    assert (done.returncode, done.stdout) == (0, "done\n")
+    assert not left_behind(token)
+
+
+@pytest.mark.skipif(
+    os.geteuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv to give up namespaces"
+)
+@pytest.mark.parametrize("number", [None, signal.SIGTERM])
+def test_without_namespaces_nothing_stays_either(number: int | None, tmp_path: Path) -> None:
+    token = uuid.uuid4().hex
+    plain = ["setpriv", "--bounding-set", "-sys_admin", "--inh-caps", "-sys_admin"]
+    sleep = "sleep 1000" if number else "true"
+    runner = subprocess.Popen(
+        [*plain, str(RUNNER), "--", "sh", "-c", f"echo begun; {sleep}; : {token}"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    assert runner.stdout is not None
+    assert runner.stdout.readline() == b"begun\n"
+    if number:
+        runner.send_signal(number)
+    assert runner.wait(20) == (128 + number if number else 0)
+    assert not left_behind(token)
+    assert not list(tmp_path.iterdir())
+    runner.stdout.close()
+
+
+def test_native_backend_runs_inside_a_kernel_that_has_vcan() -> None:
+    native = f"{RUNNER} --backend native"
+    seen = "ip -br link show vcan0; echo $VCAN_BACKEND; cat; exit 9"
+    script = f"echo input | {native} -- sh -c '{seen}'; echo $?; {native} --timeout 1 -- sleep 9; echo $?"
+    done = with_vcan("--backend", "uml", "--", "sh", "-c", script)
+    assert "vcan0" in done.stdout, done.stderr
+    assert done.stdout.split()[-4:] == ["native", "input", "9", "124"]
+
+
+def test_an_hour_of_virtual_time_passes_at_once() -> None:
+    begin = time.monotonic()
+    done = with_vcan("--virtual-time", "--", "sh", "-c", "date +%s; sleep 3600; date +%s")
+    before, after = map(int, done.stdout.split())
+    assert 3600 <= after - before <= 3601
+    assert time.monotonic() - begin < 60
+
+
+def test_two_virtual_runs_give_the_same_time_stamps() -> None:
+    one, two = (with_vcan("--virtual-time", "--", sys.executable, "-c", PING_PONG) for _ in range(2))
+    assert len(one.stdout.splitlines()) == 50, one.stderr
+    assert one.stdout == two.stdout
+
+
+def test_virtual_time_needs_the_small_kernel() -> None:
+    done = with_vcan("--virtual-time", "--backend", "debian", "--", "true")
+    assert done.returncode == 2
+    assert "virtual time" in done.stderr
