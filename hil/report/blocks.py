@@ -233,7 +233,8 @@ def _table(table: Table) -> str:
     for i, row in enumerate(table.rows):
         cells = "".join(f"<td{kinds[j]}>{_cell(cell)}</td>" for j, cell in enumerate(row))
         lines.append(f"<tr{' class=highlight' if i in table.highlight else ''}>{cells}</tr>")
-    body = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+    kind = ' class="prose-last"' if len(table.columns) > 2 and not numeric[-1] else ""
+    body = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
     return _panel(table.title, f'<div class="scroll">{body}</div>', table.note)
 
 

@@ -25,6 +25,8 @@ from hil.report.run_panels import (
 from hil.report.run_statistics import network_blocks, network_table, timing_blocks
 
 MOST_EVENTS = 300
+STACKED = 2
+"""Up to so many states and inputs stand below the outputs; more stand side by side."""
 
 
 def render_report(
@@ -64,11 +66,11 @@ def run_sections(run: Run, summary: Mapping[str, Any], predicted: Mapping[str, P
     laws = {side: getattr(experiment.links, side).law if experiment is not None else None for side in ("sc", "ca")}
     lateness = lateness_panel(run, marks)
     tables = _summary_tables(run, summary)
+    outputs = output_panels(run, marks, predicted)
+    inside: tuple[Block, ...] = (*state_panels(run, marks), *input_panels(run, marks))
     found = [
-        Section(
-            title="Tracking",
-            blocks=(*output_panels(run, marks, predicted), *state_panels(run, marks), *input_panels(run, marks)),
-        ),
+        Section(title="Tracking", blocks=(*outputs, *(inside if len(inside) <= STACKED else ()))),
+        Section(title="States and inputs", columns=2, blocks=inside if len(inside) > STACKED else ()),
         Section(
             title="Delays",
             intro="What the emulated network drew lies broad beneath what the receiver measured from time stamps; "

@@ -77,17 +77,17 @@ def output_panels(run: Run, marks: tuple[Marker, ...], predicted: Mapping[str, P
     panels: list[Figure] = []
     for name in signal_names(run, "/plant/measurement"):
         theory = predicted.get(name, Prediction())
-        series = [Series(label=name, x=seconds(measurement), y=measurement[name], colour=0)]
+        series = [Series(label=_words(name), x=seconds(measurement), y=measurement[name], colour=0)]
         if state is not None and name in (state.dtype.names or ()) and not _equal(state, measurement, name):
             series = [
-                Series(label=f"{name}, measured", x=seconds(measurement), y=measurement[name], colour=0, halo=True),
-                Series(label=f"{name}, true", x=seconds(state), y=state[name], colour=0),
+                Series(label=f"{_words(name)}, measured", x=seconds(measurement), y=measurement[name], colour=0, halo=True),
+                Series(label=f"{_words(name)}, true", x=seconds(state), y=state[name], colour=0),
             ]
         asked = Series(label="reference", x=seconds(reference), y=reference[name], style="dashed-step", colour=7)
         panels.append(
             Figure(
                 title=_title(name),
-                y_label=name,
+                y_label=_words(name),
                 y_unit=unit_of(run, "/plant/measurement", name),
                 series=(asked, *theory.series, *series),
                 bands=theory.bands,
@@ -107,9 +107,9 @@ def state_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
     return [
         Figure(
             title=_title(name),
-            y_label=name,
+            y_label=_words(name),
             y_unit=unit_of(run, "/plant/state", name),
-            series=(Series(label=name, x=seconds(state), y=state[name], colour=2),),
+            series=(Series(label=_words(name), x=seconds(state), y=state[name], colour=2),),
             markers=marks,
             height_px=190,
         )
@@ -123,14 +123,14 @@ def input_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
     applied = run.arrays["/actuator/applied"]
     panels = []
     for name in signal_names(run, "/actuator/applied"):
-        series = [Series(label=f"{name}, commanded", x=seconds(applied), y=applied[name], style="step", colour=3)]
+        series = [Series(label=f"{_words(name)}, commanded", x=seconds(applied), y=applied[name], style="step", colour=3)]
         w = f"w_{name}"
         if w in (applied.dtype.names or ()) and np.any(applied[w] != 0.0):
             series.insert(0, Series(label="disturbance", x=seconds(applied), y=applied[w], style="step", colour=4))
         panels.append(
             Figure(
-                title=f"Input: {name}",
-                y_label=name,
+                title=f"Input: {_words(name)}",
+                y_label=_words(name),
                 y_unit=unit_of(run, "/actuator/applied", name),
                 series=tuple(series),
                 markers=marks,
@@ -211,4 +211,8 @@ def _equal(a: npt.NDArray[np.void], b: npt.NDArray[np.void], name: str) -> bool:
 
 
 def _title(name: str) -> str:
-    return name.replace("_", " ").capitalize()
+    return _words(name).capitalize()
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -10,13 +10,17 @@ import numpy.typing as npt
 
 from hil.log.read import Run
 from hil.report.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
-from hil.report.network import expected_frequencies, expected_transitions
+from hil.report.network import expected_frequencies, expected_transitions, mode_sequence
 from hil.report.numbers import text_of
+from transport.semi_markov_law import SemiMarkovAge
+from transport.sojourn import hazards
 
 DOUBTFUL = 0.01
 """A p-value below this is marked: it happens to one right run in a hundred."""
 
 BINS = 70
+FEWEST_SOJOURNS = 20
+LONGEST = 16
 DIRECTIONS: Mapping[str, tuple[str, str]] = {"sc": ("sensor to controller", "τ"), "ca": ("controller to actuator", "d")}
 
 
@@ -35,6 +39,7 @@ def network_blocks(run: Run, network: Mapping[str, Any], laws: Mapping[str, Any 
         what = f"{symbol} (samples)" if plain else "mode of the law"
         blocks.append(_frequencies(found, law, f"{_capital(way)}: how often", what))
         blocks.append(_transitions(found, law, f"{_capital(way)}: what followed what", symbol if plain else "mode"))
+        blocks += _sojourns(run, side, law)
     blocks += [block for side in DIRECTIONS if (block := _measured_ages(run, network, side)) is not None]
     return blocks
 
@@ -106,6 +111,41 @@ def _transitions(found: Mapping[str, Any], law: Any, title: str, symbol: str) ->
         column_label="k + 1",
         note="Counted share of each row" + (", beneath it what the law states." if fits else "."),
     )
+
+
+def _sojourns(run: Run, side: str, law: Any) -> list[Block]:
+    """How long every mode of a semi-Markov law lasted, beside its sojourn law; modes met too rarely are left out."""
+    if not isinstance(law, SemiMarkovAge):
+        return []
+    modes = mode_sequence(run.arrays[f"/network/{side}"])
+    starts = np.flatnonzero(np.diff(modes)) + 1
+    # The first sojourn has no known begin, the last no known end.
+    lengths, owners = np.diff(starts), modes[starts[:-1]]
+    way, symbol = DIRECTIONS[side]
+    blocks: list[Block] = []
+    for mode, sojourn in enumerate(law.sojourn):
+        mine = lengths[owners == mode]
+        if mine.size < FEWEST_SOJOURNS:
+            continue
+        longest = min(int(mine.max()), LONGEST)
+        counted = np.bincount(np.minimum(mine, longest + 1), minlength=longest + 2)[1:] / mine.size
+        hazard = hazards(sojourn, longest)
+        stays = np.concatenate(([1.0], np.cumprod(1.0 - hazard)))
+        stated = np.append(hazard * stays[:-1], stays[-1])
+        blocks.append(
+            Bars(
+                title=f"{_capital(way)}: how long mode {mode} lasted",
+                categories=[*(str(n) for n in range(1, longest + 1)), f"> {longest}"],
+                groups=(
+                    BarGroup(label="counted", values=counted.tolist(), colour=0),
+                    BarGroup(label="sojourn law", values=stated.tolist(), colour=7, hollow=True),
+                ),
+                x_label=f"slots with {symbol} in mode {mode}",
+                y_label="share of sojourns",
+                note=f"{text_of(int(mine.size))} whole sojourns.",
+            )
+        )
+    return blocks
 
 
 def _measured_ages(run: Run, network: Mapping[str, Any], side: str) -> Bars | None:

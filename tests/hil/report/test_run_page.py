@@ -44,6 +44,11 @@ def test_report_shows_packet_laws_by_their_fates_and_measured_ages() -> None:
     assert "age of what was used" in page and "copied" in page and "no certificate" in page
 
 
+def test_report_sets_sojourns_of_a_semi_markov_law_beside_it() -> None:
+    page = report(run_of("dc-motor-bursty"))
+    assert "how long mode 0 lasted" in page and "sojourn law" in page
+
+
 def test_user_text_cannot_become_markup() -> None:
     run = run_of("dc-motor-hinf", 'name="<script>alert(1)<"', 'description="</script><img src=x onerror=alert(1)>"')
     run.events.append({"tick": 1, "t_s": 0.05, "kind": "<b>", "severity": "<i>", "message": "</td><script>x", "data": {}})
