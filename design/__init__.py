@@ -24,6 +24,11 @@ _EXPORTS = {
     "loop_structure": "design.closed_loop",
     "h2_norm": "design.h2",
     "hinf_norm": "design.bounded_real",
+    "TrackingProblem": "design.problem",
+    "Design": "design.tracking",
+    "solve": "design.tracking",
+    "steady_state": "design.steady_state",
+    "lower_bounds": "design.bounds",
 }
 
 __all__ = sorted(_EXPORTS)  # noqa: PLE0605

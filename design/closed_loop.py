@@ -142,6 +142,7 @@ def loop_structure(
     samples: int = 1,
     integral: float = 0.0,
     store: Literal["output", "state"] = "output",
+    weigh: Literal["row", "applied"] | None = None,
 ) -> LoopStructure:
     """Augment plant, network and information pattern to the jump-linear loop (7.14).
 
@@ -156,6 +157,9 @@ def loop_structure(
         integral: > 0 adds the integral of the measured error, xi(k+1) = xi(k) + C x(k - tau_k), at the controller: Y
             gets xi(k) as its last p entries, and z gets `integral` * xi(k) (stacked).
         store: "output" delays C x, "state" delays x as printed: same loop, more states.
+        weigh: what R weighs: the newest stored "row", u1(k-1) as printed, or the input "applied" in the last sample
+            (m more states). Default: the row where the controller knows which will be applied; the applied input where
+            the actuator chooses, for there only the rows for d > 0 are stored and R would not see the others.
 
     Raises:
         ValueError: wrong shapes; the message starts with the argument's name.
@@ -177,7 +181,9 @@ def loop_structure(
     xi = n + depth * width
     start = xi + (p if integral > 0 else 0)
     registers = packet_registers(selection, ca_chain, start, m)
-    order = start + sum(length for _, length in registers) * m
+    weigh = weigh or ("applied" if selection in ("applied", "both") else "row")
+    last_input = start + sum(length for _, length in registers) * m
+    order = last_input + (m if weigh == "applied" else 0)
 
     shift = np.zeros((order, order))
     shift[:n, :n] = A_
@@ -206,6 +212,7 @@ def loop_structure(
     inputs: list[tuple[int, int, int, Array, Array]] = []
     into_plant = np.zeros((order, m))
     into_plant[:n] = B_
+    into_plant[last_input:] = np.eye(order - last_input, m)
     for i, (s, c, before) in enumerate(modes):
         tau, d, label = int(sc_chain.delay[s]), int(ca_chain.delay[c]), int(ca_chain.label[c])
         known = [sample(tau + lag) for lag in range(samples)]
@@ -231,9 +238,10 @@ def loop_structure(
         else:
             first = registers.first_of(label if per_row else 0) + (d - 1) * m
             input_base[i, :, first : first + m] = np.eye(m)
-            base[i, :n, first : first + m] += B_
+            base[i, :, first : first + m] += into_plant
+    input_at = registers[0][0] if weigh == "row" else last_input
     weight = performance_output(
-        C_, m, order, Q=Q, R=R, output=output, newest_row=registers[0][0], integral=integral, integral_at=xi
+        C_, m, order, Q=Q, R=R, output=output, input_at=input_at, integral=integral, integral_at=xi
     )
     drive = np.zeros((order, m))
     drive[:n] = B_

@@ -16,7 +16,7 @@ def performance_output(
     Q: npt.ArrayLike | None,
     R: npt.ArrayLike | None,
     output: str,
-    newest_row: int,
+    input_at: int,
     integral: float,
     integral_at: int,
 ) -> Array:
@@ -27,8 +27,7 @@ def performance_output(
         m: number of inputs; order: number of closed-loop states.
         Q: (l, n) weight of x; R: (l', m), vector (one row) or number (times the identity), weight of u1(k-1).
         output: "stacked" or "sum".
-        newest_row: first state of the newest stored packet row, the u1(k-1) of (7.16). Where the actuator chooses the
-            row, this is the row for the smallest delay > 0.
+        input_at: first of the m states that R weighs, u1(k-1) of (7.16) or the applied input.
         integral: weight of the integrated error at states `integral_at`.., 0 for none; always stacked.
 
     DEVIATION: (7.14c) prints the sum. Q x and R u1 may cancel in it, so that large gains look cheap (the VTOL's best
@@ -45,7 +44,7 @@ def performance_output(
             raise ValueError(f"{name}: not finite")
     of_state, of_input = np.zeros((state_weight.shape[0], order)), np.zeros((input_weight.shape[0], order))
     of_state[:, :n] = state_weight
-    of_input[:, newest_row : newest_row + m] = input_weight
+    of_input[:, input_at : input_at + m] = input_weight
     if output == "sum":
         if of_state.shape != of_input.shape:
             raise ValueError(f"output: a sum needs as many rows in Q ({len(of_state)}) as in R ({len(of_input)})")
