@@ -86,7 +86,7 @@ def command(
         else:
             from hil.report.live import LiveView
 
-            with LiveView(checked, clock) as view:
+            with LiveView(checked, clock, link=uri) as view:
                 session = run_session(
                     checked, clock=clock, link=uri, path=path, external=external, taps=view.taps  # type: ignore[arg-type]
                 )

@@ -6,6 +6,7 @@ non-blocking pipe; nothing here writes a file.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import pickle
 import signal
@@ -14,13 +15,18 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from types import FrameType
 
+from msgspec.structs import replace
+
+from hil.experiment import Seconds
 from hil.log.pipe import PipeSink
+from hil.log.sinks import MemorySink
 from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.control_node import HELLO
 from hil.runtime.kernel import Kernel, Phase
 from hil.runtime.loop import Loop
 from hil.runtime.realtime import die_with_parent, go_real_time
 from hil.runtime.rig import Rig
+from hil.runtime.virtual import run_virtual
 from transport.link import Link, TransportError, open_link
 from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
 
@@ -120,6 +126,13 @@ class RealLoop:
         self._sink.commit()
 
 
+def warm_up(loop: Loop) -> None:
+    """Run the first slots in virtual time, so that slot 0 does not pay for what is done once (tables, first calls)."""
+    e = loop.experiment
+    short = replace(e, duration=Seconds(min(e.ticks, 50) * float(e.period)))
+    run_virtual(dataclasses.replace(loop, experiment=short), 0, MemorySink(loop.channels()))
+
+
 def main() -> None:
     """Run one job from standard input; exit status 3 if no controller answered."""
     job: Job = pickle.load(sys.stdin.buffer)
@@ -145,6 +158,7 @@ def main() -> None:
                 )
             sink.close()
             raise SystemExit(3)
+        warm_up(job.loop)
         scheduler = go_real_time(job.loop.experiment.timing.priority, 0)
         real = RealLoop(job, link, sink)
         loops.append(real)
