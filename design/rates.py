@@ -118,9 +118,9 @@ class PiecewiseLinearRate:
         h = np.asarray(h, dtype=float)
         cell = self._cell(h)
         into = h - self._start[cell]
-        with np.errstate(invalid="ignore"):
-            area = (self._value[cell] + 0.5 * self._slope[cell] * into) * into
-        return self._total[cell] + np.where(np.isnan(area), 0.0, area)
+        with np.errstate(invalid="ignore"):  # h = inf in the last, constant cell
+            flat, bent = self._value[cell] * into, 0.5 * self._slope[cell] * into * into
+        return self._total[cell] + np.where(np.isnan(flat), 0.0, flat) + np.where(np.isnan(bent), 0.0, bent)
 
     def inverse_integral(self, target: npt.ArrayLike) -> FloatArray:
         """h with H(h) = target in closed form; ``inf`` where the rate never accumulates that much.

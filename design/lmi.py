@@ -1,0 +1,274 @@
+"""Linear matrix inequalities without a modelling layer: write F(X, Y, ...) once, let it be probed, solved and verified.
+
+An inequality is a plain function of matrices that is affine in them and must be negative definite at the solution. The
+same function is evaluated
+
+- on a basis of all its variables at once (a leading batch axis) to read off its coefficients,
+- on the returned matrices, whose eigenvalues are the verdict (never the solver's status),
+- on matrices of ``fractions.Fraction`` for an exact proof (``design.exact_proof``).
+
+Clarabel solves; a verdict "infeasible" needs its dual matrices to prove a bound (weak duality, checked here), and where
+in doubt SCS gives a second opinion. References: findings section 5.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+FloatArray = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+Function = Callable[..., Array]
+Solver = Literal["clarabel", "scs"]
+
+
+def transpose(matrix: Array) -> Array:
+    """The transpose of the last two axes, under any batch axes."""
+    return np.swapaxes(matrix, -1, -2)
+
+
+def symmetric_part(matrix: Array) -> Array:
+    """M + M', under any batch axes."""
+    return matrix + transpose(matrix)
+
+
+def symmetric_blocks(rows: Sequence[Sequence[Array | None]]) -> Array:
+    """The symmetric matrix with the given lower block triangle; ``None`` is a zero block."""
+    sizes = [row[-1].shape[-1] for row in rows]  # type: ignore[union-attr]
+    batch = np.broadcast_shapes(*(b.shape[:-2] for row in rows for b in row if b is not None))
+    kind = np.result_type(*(b for row in rows for b in row if b is not None))
+    edges = np.concatenate([[0], np.cumsum(sizes)])
+    out = np.zeros((*batch, edges[-1], edges[-1]), dtype=kind)
+    if kind == np.object_:
+        out += 0  # integer zeros, not floats: exact arithmetic goes through here
+    for r, row in enumerate(rows):
+        for c, block in enumerate(row):
+            if block is not None:
+                out[..., edges[r] : edges[r + 1], edges[c] : edges[c + 1]] = block
+                if r != c:
+                    out[..., edges[c] : edges[c + 1], edges[r] : edges[r + 1]] = transpose(block)
+    return out
+
+
+def largest_eigenvalue(matrix: FloatArray) -> float:
+    """The largest eigenvalue of the symmetric part of a matrix (or of a stack of them)."""
+    return float(np.linalg.eigvalsh(0.5 * (matrix + transpose(matrix)))[..., -1].max())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Variable:
+    """A matrix of unknowns: ``basis`` of shape (unknowns, rows, columns), the first one at ``offset`` in the vector x."""
+
+    basis: FloatArray
+    offset: int
+
+    def value(self, x: FloatArray) -> FloatArray:
+        """The matrix at the solution vector x."""
+        return np.tensordot(x[self.offset : self.offset + self.basis.shape[0]], self.basis, axes=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Inequality:
+    """function(*matrices) < 0, the matrices given by name; without ``strict``, <= 0 is enough.
+
+    ``function`` is affine in all its arguments together and accepts batch axes.
+    """
+
+    name: str
+    function: Function
+    on: tuple[str, ...]
+    strict: bool = True
+
+    def at(self, matrices: Mapping[str, Array]) -> Array:
+        """The left side at the given matrices."""
+        return np.asarray(self.function(*(matrices[name] for name in self.on)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LmiSolution:
+    """What came back: the matrices by name, the verified eigenvalues, the proven bound.
+
+    Parameters
+    ----------
+    matrices: solution by variable name.
+    margin: -(largest eigenvalue) over all strict inequalities at these matrices; slack: over the others.
+    objective: q'x at the solution. bound: no admissible point with entries up to ``reach`` has an objective below it.
+    solver: who found it. status: what the solver said (for the reader only).
+    """
+
+    matrices: dict[str, FloatArray]
+    margin: float
+    slack: float
+    objective: float
+    bound: float
+    reach: float
+    solver: Solver
+    status: str
+
+
+def verify(inequalities: Iterable[Inequality], matrices: Mapping[str, FloatArray]) -> tuple[float, float]:
+    """The margin -(largest eigenvalue) over the strict inequalities, and over the others; -inf if anything is not finite."""
+    if not all(np.isfinite(matrix).all() for matrix in matrices.values()):
+        return -np.inf, -np.inf
+    worst = {True: np.inf, False: np.inf}
+    for item in inequalities:
+        worst[item.strict] = min(worst[item.strict], -largest_eigenvalue(item.at(matrices)))
+    return worst[True], worst[False]
+
+
+def _triangle(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray]:
+    # Upper triangle, column by column, off-diagonals times sqrt(2): the inner product is kept.
+    rows, cols = np.tril_indices(size)
+    return cols, rows, np.where(rows == cols, 1.0, np.sqrt(2.0))
+
+
+@dataclass(slots=True)
+class LmiProgram:
+    """Collects variables and inequalities, then minimises a scalar or maximises the margin.
+
+    ``reach`` bounds every unknown where a verdict "infeasible" is proved: the proof excludes solutions up to that size.
+
+    >>> program = LmiProgram()
+    >>> program.symmetric("P", 2)
+    >>> a = np.array([[0.0, 1.0], [-1.0, -1.0]])
+    >>> program.require("Lyapunov", lambda P: symmetric_part(P @ a), "P")
+    >>> program.require("P > I", lambda P: np.eye(2) - P, "P")
+    >>> program.require("P < 50 I", lambda P: P - 50 * np.eye(2), "P")
+    >>> program.solve().margin > 0
+    True
+    """
+
+    reach: float = 1e6
+    variables: dict[str, Variable] = field(default_factory=dict)
+    inequalities: list[Inequality] = field(default_factory=list)
+    size: int = 0
+
+    def _add(self, name: str, basis: FloatArray) -> None:
+        self.variables[name] = Variable(basis=basis, offset=self.size)
+        self.size += basis.shape[0]
+
+    def symmetric(self, name: str, n: int) -> None:
+        """Add a symmetric n x n unknown."""
+        rows, cols = np.tril_indices(n)
+        basis = np.zeros((rows.size, n, n))
+        basis[np.arange(rows.size), rows, cols] = basis[np.arange(rows.size), cols, rows] = 1.0
+        self._add(name, basis)
+
+    def matrix(self, name: str, rows: int, columns: int) -> None:
+        """Add a full rows x columns unknown."""
+        self._add(name, np.eye(rows * columns).reshape(-1, rows, columns))
+
+    def require(self, name: str, function: Function, *on: str, strict: bool = True) -> None:
+        """Demand function(*matrices) < 0."""
+        self.inequalities.append(Inequality(name=name, function=function, on=on, strict=strict))
+
+    def _coefficients(self, item: Inequality) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
+        """Constant part, coefficient matrices and their columns, by evaluating at 0 and at every basis matrix."""
+        names = list(dict.fromkeys(item.on))
+        total = sum(self.variables[name].basis.shape[0] for name in names)
+        probes, columns, at = {}, [], 1
+        for name in names:
+            variable = self.variables[name]
+            count = variable.basis.shape[0]
+            probes[name] = np.zeros((total + 1, *variable.basis.shape[1:]))
+            probes[name][at : at + count] = variable.basis
+            columns.append(np.arange(variable.offset, variable.offset + count))
+            at += count
+        values = np.asarray(item.at(probes), dtype=float)
+        return values[0], values[1:] - values[0], np.concatenate(columns)
+
+    def _conic(self, margin: bool) -> tuple[sparse.csc_matrix, FloatArray, list[int]]:
+        """A, b and the matrix sizes of: b - A x in a product of PSD triangles; the margin is the last unknown."""
+        data, rows, cols, rhs, sizes, top = [], [], [], [], [], 0
+        for item in self.inequalities:
+            constant, linear, columns = self._coefficients(item)
+            r, c, weight = _triangle(constant.shape[0])
+            block = linear[:, r, c] * weight
+            hit = np.nonzero(block)
+            data.append(block[hit])
+            rows.append(top + hit[1])
+            cols.append(columns[hit[0]])
+            if margin and item.strict:
+                diagonal = np.flatnonzero(r == c)
+                data.append(np.ones(diagonal.size))
+                rows.append(top + diagonal)
+                cols.append(np.full(diagonal.size, self.size))
+            rhs.append(-constant[r, c] * weight)
+            sizes.append(constant.shape[0])
+            top += r.size
+        shape = (top, self.size + int(margin))
+        entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(cols)))
+        return sparse.csc_matrix(entries, shape=shape), np.concatenate(rhs), sizes
+
+    def solve(
+        self, minimise: str | None = None, solver: Solver = "clarabel", largest_margin: float = 1.0
+    ) -> LmiSolution:
+        """Minimise the scalar (1 x 1) of that name, or maximise the margin t <= largest_margin of the strict ones."""
+        a, b, sizes = self._conic(minimise is None)
+        q = np.zeros(a.shape[1])
+        q[-1 if minimise is None else self.variables[minimise].offset] = -1.0 if minimise is None else 1.0
+        if minimise is None:  # t <= largest_margin, as one more 1 x 1 block
+            row = sparse.csc_matrix(([1.0], ([0], [self.size])), shape=(1, a.shape[1]))
+            a, b, sizes = sparse.vstack([a, row], format="csc"), np.append(b, largest_margin), [*sizes, 1]
+        run = _solve_clarabel if solver == "clarabel" else _solve_scs
+        x, z, status = run(q, a, b, sizes)
+        matrices = {name: variable.value(x) for name, variable in self.variables.items()}
+        margin, slack = verify(self.inequalities, matrices)
+        return LmiSolution(
+            matrices=matrices, margin=margin, slack=slack, objective=float(q @ x),
+            bound=_dual_bound(q, a, b, sizes, z, self.reach), reach=self.reach, solver=solver, status=status,
+        )  # fmt: skip
+
+
+def _dual_bound(
+    q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int], z: FloatArray, reach: float
+) -> float:
+    """Weak duality: for Z >= 0 and every admissible x, q'x >= (q + A'z)'x - b'z >= -|q + A'z|_1 reach - b'z."""
+    if not np.isfinite(z).all():
+        return -np.inf
+    projected, top = np.empty_like(z), 0
+    for size in sizes:
+        r, c, weight = _triangle(size)
+        matrix = np.zeros((size, size))
+        matrix[r, c] = matrix[c, r] = z[top : top + r.size] / weight
+        values, vectors = np.linalg.eigh(matrix)
+        matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        projected[top : top + r.size] = matrix[r, c] * weight
+        top += r.size
+    return float(-np.abs(q + a.T @ projected).sum() * reach - b @ projected)
+
+
+def _solve_clarabel(
+    q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]
+) -> tuple[FloatArray, FloatArray, str]:
+    clarabel: Any = importlib.import_module("clarabel")
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 2
+    cones = [clarabel.PSDTriangleConeT(size) for size in sizes]
+    quadratic = sparse.csc_matrix((q.size, q.size))
+    result = clarabel.DefaultSolver(quadratic, q, a, b, cones, settings).solve()
+    return np.array(result.x), np.array(result.z), str(result.status)
+
+
+def _solve_scs(
+    q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]
+) -> tuple[FloatArray, FloatArray, str]:
+    scs: Any = importlib.import_module("scs")
+    order, top = [], 0  # SCS reads the lower triangle column by column
+    for size in sizes:
+        r, c, _ = _triangle(size)
+        order.append(top + np.lexsort((c, r)))
+        top += r.size
+    swap = np.concatenate(order)
+    data = {"P": None, "A": a[swap].tocsc(), "b": b[swap], "c": q}
+    result = scs.SCS(data, {"s": list(sizes)}, verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iters=50_000).solve()
+    z = np.empty_like(b)
+    z[swap] = result["y"]
+    return np.asarray(result["x"]), z, str(result["info"]["status"])
