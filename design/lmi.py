@@ -63,7 +63,7 @@ def largest_eigenvalue(matrix: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variable:
-    """A matrix of unknowns: ``basis`` of shape (unknowns, rows, columns), the first one at ``offset`` in the vector x."""
+    """A matrix of unknowns: ``basis`` has shape (unknowns, rows, columns), the first one is x[offset]."""
 
     basis: FloatArray
     offset: int
@@ -77,7 +77,7 @@ class Variable:
 class Inequality:
     """function(*matrices) < 0, the matrices given by name; without ``strict``, <= 0 is enough.
 
-    ``function`` is affine in all its arguments together and accepts batch axes.
+    ``function`` accepts batch axes and is affine in the matrices that are unknown (all together).
     """
 
     name: str
@@ -89,16 +89,29 @@ class Inequality:
         """The left side at the given matrices."""
         return np.asarray(self.function(*(matrices[name] for name in self.on)))
 
+    def fixing(self, known: Mapping[str, Array]) -> Inequality:
+        """The inequality on the remaining names, with the known matrices put in."""
+        rest = tuple(name for name in self.on if name not in known)
+
+        def function(*matrices: Array) -> Array:
+            given = dict(zip(rest, matrices))
+            return self.function(*(known[name] if name in known else given[name] for name in self.on))
+
+        return Inequality(name=self.name, function=function, on=rest, strict=self.strict)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LmiSolution:
-    """What came back: the matrices by name, the verified eigenvalues, the proven bound.
+    """What came back: the matrices by name, the verified eigenvalues, what the dual matrices prove.
 
     Parameters
     ----------
     matrices: solution by variable name.
     margin: -(largest eigenvalue) over all strict inequalities at these matrices; slack: over the others.
-    objective: q'x at the solution. bound: no admissible point with entries up to ``reach`` has an objective below it.
+    objective: value of the minimised scalar, or minus the margin that was maximised.
+    excluded: where a margin was maximised, the dual matrices prove that no solution with entries up to this size has a
+        positive one (0: they prove nothing).
+    reach: the size up to which solutions count; by default ten times the largest entry returned.
     solver: who found it. status: what the solver said (for the reader only).
     """
 
@@ -106,14 +119,35 @@ class LmiSolution:
     margin: float
     slack: float
     objective: float
-    bound: float
+    excluded: float
     reach: float
     solver: Solver
     status: str
 
+    @property
+    def holds(self) -> bool:
+        """Whether every strict inequality holds at the matrices, and the others to rounding."""
+        return self.margin > 0 and self.slack > -1e-7
+
+    @property
+    def refused(self) -> bool:
+        """Whether it is proved that there is no solution with entries up to ``reach``."""
+        return not self.holds and self.excluded >= self.reach
+
+    def explain(self) -> str:
+        """The verdict in words."""
+        if self.holds:
+            return f"every inequality holds at the returned matrices, margin {self.margin:.3g}"
+        if self.refused:
+            return f"dual matrices prove that no solution with entries up to {self.excluded:.2g} exists"
+        part = f"; dual matrices exclude entries up to {self.excluded:.2g} only" if self.excluded > 1 else ""
+        return (
+            f"none was found (best margin {self.margin:.3g}, {self.solver}: {self.status}){part}; absence is not proved"
+        )
+
 
 def verify(inequalities: Iterable[Inequality], matrices: Mapping[str, FloatArray]) -> tuple[float, float]:
-    """The margin -(largest eigenvalue) over the strict inequalities, and over the others; -inf if anything is not finite."""
+    """The margin -(largest eigenvalue) over the strict inequalities, and over the others; -inf if not all is finite."""
     if not all(np.isfinite(matrix).all() for matrix in matrices.values()):
         return -np.inf, -np.inf
     worst = {True: np.inf, False: np.inf}
@@ -132,7 +166,8 @@ def _triangle(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Fl
 class LmiProgram:
     """Collects variables and inequalities, then minimises a scalar or maximises the margin.
 
-    ``reach`` bounds every unknown where a verdict "infeasible" is proved: the proof excludes solutions up to that size.
+    ``reach``: a bound on every entry that the inequalities contain themselves, if they do; a verdict "infeasible" then
+    needs a proof up to that size.
 
     >>> program = LmiProgram()
     >>> program.symmetric("P", 2)
@@ -144,12 +179,13 @@ class LmiProgram:
     True
     """
 
-    reach: float = 1e6
+    reach: float | None = None
     variables: dict[str, Variable] = field(default_factory=dict)
     inequalities: list[Inequality] = field(default_factory=list)
     size: int = 0
 
-    def _add(self, name: str, basis: FloatArray) -> None:
+    def add(self, name: str, basis: FloatArray) -> None:
+        """Add the unknown sum_k x_k basis[k]."""
         self.variables[name] = Variable(basis=basis, offset=self.size)
         self.size += basis.shape[0]
 
@@ -158,11 +194,11 @@ class LmiProgram:
         rows, cols = np.tril_indices(n)
         basis = np.zeros((rows.size, n, n))
         basis[np.arange(rows.size), rows, cols] = basis[np.arange(rows.size), cols, rows] = 1.0
-        self._add(name, basis)
+        self.add(name, basis)
 
     def matrix(self, name: str, rows: int, columns: int) -> None:
         """Add a full rows x columns unknown."""
-        self._add(name, np.eye(rows * columns).reshape(-1, rows, columns))
+        self.add(name, np.eye(rows * columns).reshape(-1, rows, columns))
 
     def require(self, name: str, function: Function, *on: str, strict: bool = True) -> None:
         """Demand function(*matrices) < 0."""
@@ -220,18 +256,29 @@ class LmiProgram:
         x, z, status = run(q, a, b, sizes)
         matrices = {name: variable.value(x) for name, variable in self.variables.items()}
         margin, slack = verify(self.inequalities, matrices)
+        largest = float(np.abs(x).max())
         return LmiSolution(
             matrices=matrices, margin=margin, slack=slack, objective=float(q @ x),
-            bound=_dual_bound(q, a, b, sizes, z, self.reach), reach=self.reach, solver=solver, status=status,
+            excluded=_excluded(q, a, b, sizes, z) if minimise is None else 0.0,
+            reach=10.0 * largest if self.reach is None else self.reach, solver=solver, status=status,
         )  # fmt: skip
 
+    def decide(self) -> LmiSolution:
+        """Maximise the margin with Clarabel, and with SCS too where Clarabel's answer proves neither yes nor no."""
+        found = self.solve()
+        if found.holds or found.refused:
+            return found
+        second = self.solve(solver="scs")
+        return second if second.margin > found.margin and second.slack > -1e-7 else found
 
-def _dual_bound(
-    q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int], z: FloatArray, reach: float
-) -> float:
-    """Weak duality: for Z >= 0 and every admissible x, q'x >= (q + A'z)'x - b'z >= -|q + A'z|_1 reach - b'z."""
+
+def _excluded(q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int], z: FloatArray) -> float:
+    """Weak duality: for Z >= 0 and every admissible x, q'x >= (q + A'z)'x - b'z >= -|q + A'z|_1 max|x| - b'z.
+
+    With q'x = -margin, no margin is positive while max|x| <= -b'z / |q + A'z|_1. Z is the solver's, projected on Z >= 0.
+    """
     if not np.isfinite(z).all():
-        return -np.inf
+        return 0.0
     projected, top = np.empty_like(z), 0
     for size in sizes:
         r, c, weight = _triangle(size)
@@ -241,7 +288,7 @@ def _dual_bound(
         matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
         projected[top : top + r.size] = matrix[r, c] * weight
         top += r.size
-    return float(-np.abs(q + a.T @ projected).sum() * reach - b @ projected)
+    return max(0.0, float(-(b @ projected) / max(np.abs(q + a.T @ projected).sum(), 1e-300)))
 
 
 def _solve_clarabel(
@@ -268,7 +315,9 @@ def _solve_scs(
         top += r.size
     swap = np.concatenate(order)
     data = {"P": None, "A": a[swap].tocsc(), "b": b[swap], "c": q}
-    result = scs.SCS(data, {"s": list(sizes)}, verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iters=50_000).solve()
+    result = scs.SCS(
+        data, {"s": list(sizes)}, verbose=False, eps_abs=1e-7, eps_rel=1e-7, max_iters=100_000, time_limit_secs=3.0
+    ).solve()
     z = np.empty_like(b)
     z[swap] = result["y"]
     return np.asarray(result["x"]), z, str(result["info"]["status"])
