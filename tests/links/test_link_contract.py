@@ -1,0 +1,77 @@
+"""One contract for all links: memory, our CAN bus, python-can's, zenoh, and a real vcan where there is one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from transport import Link, memory_pair, open_link
+from transport.contract import CHECKS, Pair, check_clause
+
+
+@pytest.fixture(autouse=True)
+def bus_directory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A place of our own for `hil` buses; short, because the path of a Unix socket has at most 107 bytes."""
+    path = Path(tempfile.mkdtemp(prefix="hil-test-"))
+    monkeypatch.setenv("HIL_CAN_DIR", str(path))
+    yield path
+    shutil.rmtree(path)
+
+
+def has_vcan() -> bool:
+    return Path("/sys/class/net/vcan0").exists()
+
+
+def has_multicast() -> bool:
+    with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton("239.74.163.2") + bytes(4))
+        return True
+    return False
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+vcan = [
+    pytest.mark.vcan,
+    pytest.mark.skipif(not has_vcan(), reason="no vcan0 here: make test-vcan brings one"),
+]
+multicast = pytest.mark.skipif(not has_multicast(), reason="no multicast route: ip route add 224.0.0.0/4 dev lo")
+
+LINKS = [
+    pytest.param("memory:", id="memory"),
+    pytest.param("can:hil:contract", id="hil-fd"),
+    pytest.param("can:hil:contract?fd=0&base=0x300", id="hil-classic"),
+    pytest.param("can:virtual:contract", id="virtual"),
+    pytest.param("can:udp_multicast:239.74.163.2?port={port}", id="udp-multicast", marks=multicast),
+    pytest.param("zenoh:tcp/127.0.0.1:{port}", id="zenoh-tcp"),
+    pytest.param("zenoh:unixsock-stream/{directory}/z", id="zenoh-unix"),
+    pytest.param("can:socketcan:vcan0", id="vcan-fd", marks=vcan),
+    pytest.param("can:socketcan:vcan0?fd=0", id="vcan-classic", marks=vcan),
+]
+
+
+def pair(template: str, directory: Path) -> Pair:
+    if template == "memory:":
+        return memory_pair()
+    uri = template.format(port=free_port(), directory=directory)
+    rig: Link = open_link(uri, "rig")
+    return rig, open_link(uri, "controller")
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("template", LINKS)
+def test_link_keeps_the_contract(template: str, check: Callable[[Link, Link], None], bus_directory: Path) -> None:
+    check_clause(check, lambda: pair(template, bus_directory))
+    assert not (bus_directory / "contract").exists() or os.listdir(bus_directory / "contract") == []

@@ -1,0 +1,219 @@
+"""Zenoh: what can go wrong with the other end, and who may connect at all."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from time import monotonic
+
+import pytest
+
+from transport import Link, TransportError, open_link
+from transport.contract import SEND_LIMIT_S, control, expect, meet, sensor
+
+ECHO = """
+import sys
+from transport import open_link
+link = open_link(sys.argv[1], sys.argv[2])
+print("up", flush=True)
+while True:
+    packet = link.receive(1.0)
+    if packet is not None:
+        link.send(packet)
+"""
+
+
+@contextmanager
+def other_end(uri: str, role: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that sends back whatever it hears."""
+    with subprocess.Popen([sys.executable, "-c", ECHO, uri, role], stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None and process.stdout.readline() == b"up\n"
+            yield process
+        finally:
+            process.kill()
+
+
+def answered(link: Link, within_s: float) -> bool:
+    end = monotonic() + within_s
+    while monotonic() < end:
+        link.send(control(1))
+        if link.receive(0.02) is not None:
+            return True
+    return False
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+@pytest.fixture(params=["tcp", "unix"])
+def uri(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    return f"zenoh:tcp/127.0.0.1:{free_port()}" if request.param == "tcp" else f"zenoh:unixsock-stream/{tmp_path}/z"
+
+
+def test_controller_may_come_first_and_finds_a_rig_that_was_killed_and_restarted(uri: str) -> None:
+    with open_link(uri, "controller") as link:
+        with other_end(uri, "rig") as rig:
+            assert answered(link, 5)
+            rig.kill()
+            rig.wait()
+            assert not answered(link, 0.3)
+        with other_end(uri, "rig"):
+            assert answered(link, 5)
+
+
+def test_a_stopped_controller_never_blocks_the_rig(uri: str) -> None:
+    with open_link(uri, "rig") as link, other_end(uri, "controller") as controller:
+        assert answered(link, 5)
+        os.kill(controller.pid, signal.SIGSTOP)
+        slowest = 0.0
+        for seq in range(30_000):
+            begin = monotonic()
+            link.send(sensor(seq))
+            slowest = max(slowest, monotonic() - begin)
+        assert slowest < SEND_LIMIT_S
+        os.kill(controller.pid, signal.SIGCONT)
+        assert answered(link, 5)
+
+
+class Forwarder:
+    """A TCP connection through a cable that can be cut."""
+
+    def __init__(self, port: int) -> None:
+        self._target = ("127.0.0.1", port)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self._wake, self._alarm = socket.socketpair()
+        self._pairs: dict[socket.socket, socket.socket] = {}
+        self._whole = True
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def cut(self) -> None:
+        self._whole = False
+        self._alarm.send(b"!")
+
+    def mend(self) -> None:
+        self._whole = True
+
+    def _run(self) -> None:
+        while True:
+            ready, _, _ = select.select([self._listener, self._wake, *self._pairs], [], [])
+            if self._wake in ready and not self._wake.recv(64):
+                return
+            if not self._whole:
+                for end in self._pairs:
+                    end.close()
+                self._pairs.clear()
+            if self._listener in ready:
+                near, _ = self._listener.accept()
+                if self._whole:
+                    with suppress(OSError):
+                        far = socket.create_connection(self._target)
+                        self._pairs |= {near: far, far: near}
+                else:
+                    near.close()
+            for end in [end for end in ready if end in self._pairs]:
+                with suppress(OSError):
+                    if data := end.recv(65536):
+                        self._pairs[end].sendall(data)
+                        continue
+                for side in (end, self._pairs.pop(end)):
+                    side.close()
+                    self._pairs.pop(side, None)
+
+    def close(self) -> None:
+        self._alarm.close()
+        self._thread.join()
+        for end in (self._listener, self._wake, *self._pairs):
+            end.close()
+
+
+def test_a_cut_cable_is_survived_and_both_ends_meet_again() -> None:
+    port = free_port()
+    forwarder = Forwarder(port)
+    try:
+        with (
+            open_link(f"zenoh:tcp/127.0.0.1:{port}", "rig") as rig,
+            open_link(f"zenoh:tcp/127.0.0.1:{forwarder.port}", "controller") as controller,
+        ):
+            meet(rig, controller)
+            forwarder.cut()
+            deadline = monotonic() + 5
+            while controller.receive(0.05) is not None or rig.receive(0.05) is not None:
+                assert monotonic() < deadline
+            for seq in range(200):
+                rig.send(sensor(seq))
+                controller.send(control(seq))
+            assert rig.receive(0.1) is None and controller.receive(0.1) is None
+            forwarder.mend()
+            meet(rig, controller)
+            rig.send(sensor(7))
+            expect(controller, sensor(7))
+    finally:
+        forwarder.close()
+
+
+@pytest.mark.parametrize("end", ["raise RuntimeError", "sys.exit(0)", "pass"])
+@pytest.mark.parametrize("role", ["rig", "controller"])
+def test_a_process_that_never_closes_its_link_ends_all_the_same(role: str, end: str, uri: str) -> None:
+    program = f"import sys\nfrom transport import open_link\nlink = open_link({uri!r}, {role!r})\n{end}"
+    subprocess.run([sys.executable, "-c", program], stderr=subprocess.DEVNULL, timeout=20, check=False)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.0.7", "[::]", "[fe80::1]", "example.org", "127.0.0.1.example.org"])
+@pytest.mark.parametrize("role", ["rig", "controller"])
+def test_other_machines_are_refused_unless_the_uri_allows_them(host: str, role: str) -> None:
+    with pytest.raises(TransportError, match=r"not this machine alone.*append \?lan=1"):
+        open_link(f"zenoh:tcp/{host}:7447", role)  # type: ignore[arg-type]
+
+
+def test_lan_opens_the_endpoint_to_other_machines() -> None:
+    with open_link(f"zenoh:tcp/0.0.0.0:{free_port()}?lan=1", "rig") as rig:
+        assert rig.receive(0) is None
+
+
+def test_the_controller_listens_nowhere() -> None:
+    port = free_port()
+    with open_link(f"zenoh:tcp/127.0.0.1:{port}", "controller"):
+        tables = [Path(f"/proc/self/net/{name}").read_text().splitlines()[1:] for name in ("tcp", "tcp6", "udp", "udp6")]
+        own = {os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if Path(f"/proc/self/fd/{fd}").exists()}
+    listening = [line for table in tables for line in table if line.split()[3] in ("0A", "07")]
+    assert not [line for line in listening if f"socket:[{line.split()[9]}]" in own]
+
+
+def test_a_taken_port_is_refused_with_a_hint() -> None:
+    uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
+    with open_link(uri, "rig"), pytest.raises(TransportError, match="is another rig running there"):
+        open_link(uri, "rig")
+
+
+@pytest.mark.parametrize(
+    ("uri", "hint"),
+    [
+        ("zenoh:", "as in tcp/127.0.0.1:7447"),
+        ("zenoh:127.0.0.1:7447", "as in tcp/127.0.0.1:7447"),
+        ("zenoh:tcp/127.0.0.1", "expected host:port"),
+        ("zenoh:tcp/127.0.0.1:x", "expected host:port"),
+        ("zenoh:tcp/127.0.0.1:7447?nam=x", "'nam', expected name or lan"),
+        ("zenoh:tcp/127.0.0.1:7447?name=a/b", "name 'a/b'"),
+        ("zenoh:tcp/127.0.0.1:7447?name=**", "name"),
+        ("zenoh:tcp/127.0.0.1:7447?lan", "not name=value"),
+    ],
+)
+def test_a_bad_uri_is_refused_with_a_hint(uri: str, hint: str) -> None:
+    with pytest.raises(TransportError) as caught:
+        open_link(uri, "rig")
+    assert hint in str(caught.value) and repr(uri) in str(caught.value)
