@@ -70,7 +70,7 @@ class CanLink:
         self._bus = join()
         self._closed = False
         self._parts = b""
-        self._row = 0  # faults one after the other
+        self._row = 0  # tries to reopen, one after the other, since the interface vanished
 
     def send(self, packet: bytes) -> None:
         step, identifier, size = self._step, self._say, len(packet)
@@ -106,6 +106,8 @@ class CanLink:
                 self._fault(error, wait)
                 return None
             if message is None:
+                if self._row:  # a socket whose interface has vanished says so once, then it is silent
+                    self._reopen()
                 return None
             self._row = 0
             packet = self._packet(message)
@@ -154,14 +156,19 @@ class CanLink:
         self._parts = b""
         code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
         if code in _GONE or isinstance(error, ValueError):
-            if self._row % _REOPEN_EVERY == 0:
-                with suppress(*_FAULTS):
-                    bus = self._join()
-                    old, self._bus = self._bus, bus
-                    old.shutdown()
-            self._row += 1
+            self._reopen()
         if wait_s > 0:
             select.poll().poll(1e3 * min(wait_s, _FAULT_PAUSE_S))
+
+    def _reopen(self) -> None:
+        """Join the bus anew, if it is there again; every tenth call tries."""
+        self._row += 1
+        if self._row % _REOPEN_EVERY == 1:
+            with suppress(*_FAULTS):
+                bus = self._join()
+                old, self._bus = self._bus, bus
+                self._row = 0
+                old.shutdown()
 
     def close(self) -> None:
         if not self._closed:
