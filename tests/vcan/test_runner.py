@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("boots_kernels")
+
 RUNNER = Path(__file__).parents[1] / "with_vcan"
 
 # Two processes on the bus: one answers every frame, one sends and prints the clock, the kernel's time stamp and the data.
@@ -33,12 +35,6 @@ with can.Bus("vcan0", interface="socketcan") as bus:
         time.sleep(0.01)
 os.wait()
 """
-
-
-@pytest.fixture(autouse=True)
-def demanded(request: pytest.FixtureRequest) -> None:
-    if "vcan" not in request.config.getoption("--hil-require"):
-        pytest.skip("boots kernels; `make test-vcan` runs it (--hil-require=vcan)")
 
 
 def with_vcan(*args: str, timeout: float = 100, **kwargs: object) -> subprocess.CompletedProcess[str]:

@@ -1,0 +1,21 @@
+"""Gates of the tests around a real vcan0; `vcan` itself is gated by the plug-in, hil/pytest_plugin.py."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+
+@pytest.fixture
+def boots_kernels(request: pytest.FixtureRequest) -> None:
+    """For tests that start ``tests/with_vcan`` themselves: only on demand, as the first start may build a kernel."""
+    if "vcan" not in request.config.getoption("--hil-require"):
+        pytest.skip("boots kernels; `make test-vcan` runs it (--hil-require=vcan)")
+
+
+@pytest.fixture
+def virtual_time() -> None:
+    """For tests that assert exact times."""
+    if "VCAN_VIRTUAL_TIME" not in os.environ:
+        pytest.skip("needs virtual time: tests/with_vcan --virtual-time, as `make test-vcan` does")

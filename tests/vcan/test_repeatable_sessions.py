@@ -1,0 +1,53 @@
+"""Two machines, one log: sessions of two processes over vcan0 in virtual time, each in a kernel of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+RUNNER = Path(__file__).parents[1] / "with_vcan"
+
+
+@pytest.mark.usefixtures("boots_kernels")
+@pytest.mark.parametrize("uri", ["can:socketcan:vcan0", "can:socketcan:vcan0?fd=0"], ids=["fd", "classic"])
+def test_two_virtual_time_sessions_write_the_same_log_to_the_byte(uri: str, tmp_path: Path) -> None:
+    """Every value, every measured lateness and round trip, every time stamp."""
+    sums = set()
+    for name in ("one", "two"):
+        log = tmp_path / f"{name}.mcap"
+        run = [
+            sys.executable,
+            "-m",
+            "hil",
+            "run",
+            "dc-motor-hinf",
+            "--clock",
+            "real",
+            "--link",
+            uri,
+            "--duration",
+            "10",
+        ]
+        done = subprocess.run(
+            [
+                str(RUNNER),
+                "--virtual-time",
+                "--rw",
+                str(tmp_path),
+                "--",
+                *run,
+                "--require-valid-timing",
+                "-o",
+                str(log),
+            ],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        sums.add(sha256(log.read_bytes()).hexdigest())
+    assert len(sums) == 1
