@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,8 @@ def feedforward(model: LoopModel) -> NDArray[np.float64]:
     return np.asarray(np.linalg.pinv(N)[n:, n:])
 
 
-def _nested(K: NDArray[np.float64]) -> Gains:
+def nested(K: NDArray[np.float64]) -> Gains:
+    """Return K[tau, row, m, p] as the nested tuples that an experiment file holds."""
     return tuple(tuple(tuple(tuple(map(float, row)) for row in mat) for mat in rows) for rows in K)
 
 
@@ -117,7 +118,7 @@ class _GainRows:
     def __init__(self, K: NDArray[np.float64], selection: Selection, model: LoopModel, integral: bool = False) -> None:
         self.selection = selection
         self._sum = [0.0] * model.C.shape[0] if integral else []
-        self._gains = _nested(K)
+        self._gains = nested(K)
         self._last = len(self._gains) - 1
         self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
 
@@ -149,6 +150,8 @@ class SendAll:
     integral : bool
         The gains have p more columns, for the integral of the measured error (Remark 7.7).
     """
+
+    kind: ClassVar[str] = "send-all"
 
     gains: Gains
     selection: Selection = "applied"

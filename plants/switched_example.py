@@ -80,6 +80,7 @@ class SwitchedExample:
     inputs: ClassVar[tuple[Signal, ...]] = (Signal("u", "1"),)
     outputs: ClassVar[tuple[Signal, ...]] = (Signal("x1", "1"), Signal("x2", "1"), Signal("mode", "1"))
     states: ClassVar[tuple[Signal, ...]] = (*outputs, Signal("sigma", "1"), Signal("rho", "1"))
+    tracked: ClassVar[tuple[str, ...]] = ("x1", "x2")
 
     def __post_init__(self) -> None:
         require_vector("initial_state", self.initial_state, 2)

@@ -77,6 +77,7 @@ class DelayedVTOL:
     inputs: ClassVar[tuple[Signal, ...]] = VTOL_INPUTS
     outputs: ClassVar[tuple[Signal, ...]] = (*VTOL_STATES, Signal("mode", "1"))
     states: ClassVar[tuple[Signal, ...]] = (*VTOL_STATES, Signal("mode", "1"), Signal("delay", "s"))
+    tracked: ClassVar[tuple[str, ...]] = tuple(s.name for s in VTOL_STATES)
 
     def __post_init__(self) -> None:
         require_vector("initial_state", self.initial_state, 4)

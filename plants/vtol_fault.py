@@ -66,6 +66,7 @@ class FaultyVTOL:
     inputs: ClassVar[tuple[Signal, ...]] = VTOL_INPUTS
     outputs: ClassVar[tuple[Signal, ...]] = (*VTOL_STATES, Signal("detected_mode", "1"))
     states: ClassVar[tuple[Signal, ...]] = (*VTOL_STATES, Signal("fault_mode", "1"), Signal("detected_mode", "1"))
+    tracked: ClassVar[tuple[str, ...]] = tuple(s.name for s in VTOL_STATES)
 
     def __post_init__(self) -> None:
         require_vector("initial_state", self.initial_state, 4)

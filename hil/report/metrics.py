@@ -73,7 +73,7 @@ def run_metrics(run: Run, experiment: Experiment | None = None) -> dict[str, Any
     measurement, reference = run.arrays["/plant/measurement"], run.arrays["/reference"]
     # A torn log may hold a sample without its reference: what belongs together has one tick.
     _, i, j = np.intersect1d(measurement["tick"], reference["tick"], assume_unique=True, return_indices=True)
-    names = signal_names(run, "/plant/measurement")
+    names = tracked_names(run, experiment)
     t = measurement[TIME_FIELD][i] / 1e9
     y, r = matrix(measurement, names)[i], matrix(reference, names)[j]
     applied = run.arrays["/actuator/applied"]
@@ -89,6 +89,13 @@ def run_metrics(run: Run, experiment: Experiment | None = None) -> dict[str, Any
             for c, name in enumerate(names)
         }
     return found
+
+
+def tracked_names(run: Run, experiment: Experiment | None) -> list[str]:
+    """Return the outputs that shall follow the reference: all, unless the plant names them (a measured mode does not)."""
+    names = signal_names(run, "/plant/measurement")
+    tracked = getattr(experiment.plant, "tracked", names) if experiment is not None else names
+    return [name for name in names if name in tracked]
 
 
 def run_timing(run: Run) -> dict[str, Any]:

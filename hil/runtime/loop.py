@@ -119,7 +119,9 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
     controller = experiment.controller
     try:
         if hasattr(controller, "solve"):  # a design problem: what runs is its solution
-            controller = controller.solve(model, links.sc.law, links.ca.law)
+            controller = controller.solve(model, _chain(links.sc.law), _chain(links.ca.law), experiment.folder)
+            kinds = {**experiment.kinds, "controller": controller.kind}
+            experiment = replace(experiment, controller=controller, kinds=kinds)
         running = controller.start(model)
     except ValueError as e:
         raise ExperimentError(experiment.name, [f"controller.{e}"]) from e

@@ -1,0 +1,112 @@
+r"""State feedback that is scheduled by a mode and by the time spent in it (Chapters 2 to 4), in the loop.
+
+.. math:: u(k) = K(i, h)\, x(k - \tau_k)
+
+The plant's measurement is the state followed by the mode (1, 2, ... as in the thesis): the true mode in Chapters 2 and 3, the *detected* one in
+Chapter 4, where the fault itself is never seen. The controller measures the sojourn time h by its own clock, from the slot in
+which the mode that it sees changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from design.controllers import LoopModel, Rows, RunningController, Selection
+from design.scheduled_gain import ScheduledGain
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scheduled:
+    """Gains over mode and sojourn time.
+
+    Parameters
+    ----------
+    gain : nested tuple [mode][section][m][n]
+        Input unit per state unit.
+    starts_s : nested tuple [mode][section]
+        Sojourn time at which each section begins (``hold``) or at which each node lies (``linear``), s; the first is 0.
+    schedule : str
+        ``hold`` or ``linear``.
+    """
+
+    kind: ClassVar[str] = "scheduled"
+
+    gain: tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]
+    starts_s: tuple[tuple[float, ...], ...]
+    schedule: Literal["hold", "linear"] = "hold"
+
+    def __post_init__(self) -> None:
+        self._gain()
+
+    def _gain(self) -> ScheduledGain:
+        try:
+            gain, starts = np.array(self.gain, dtype=float), np.array(self.starts_s, dtype=float)
+        except ValueError:
+            raise ValueError("gain: expected [mode][section][m][n] with equal lengths") from None
+        return ScheduledGain(gain=gain, starts_s=starts, schedule=self.schedule)
+
+    def start(self, model: LoopModel) -> RunningController:
+        gain = self._gain()
+        m, p = model.B.shape[1], model.C.shape[0]
+        if gain.gain.shape[2:] != (m, p - 1):
+            raise ValueError(
+                f"gain: {gain.gain.shape[2]} x {gain.gain.shape[3]} matrices; the plant has {m} inputs and measures {p - 1} "
+                "states and the mode"
+            )
+        return _ScheduledRows(gain, model.period_s)
+
+
+class _ScheduledRows:
+    selection: Selection = "constant"
+
+    def __init__(self, gain: ScheduledGain, period_s: float) -> None:
+        self._gain, self._period_s = gain, period_s
+        self._mode, self._since = -1, 0
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        mode = min(max(round(y[-1]) - 1, 0), self._gain.modes - 1)
+        if mode != self._mode:
+            self._mode, self._since = mode, k - tau
+        K = self._gain.at(mode, (k - self._since) * self._period_s)
+        x = [a - b for a, b in zip(y[:-1], r[:-1])]
+        return (tuple(float(sum(g * v for g, v in zip(row, x))) for row in K.tolist()),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedScheduled:
+    """The printed gains of Chapters 2 to 4, as an experiment can name them.
+
+    Parameters
+    ----------
+    gains : str
+        ``ch2`` (2.27), ``ch2-reference`` (those of [1, 2]), ``ch3``, ``ch4`` ((4.30), seen modes only) or ``ch4-partitioned`` (4.31).
+    """
+
+    gains: Literal["ch2", "ch2-reference", "ch3", "ch4", "ch4-partitioned"]
+
+    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> Scheduled:
+        """Return the gains as the controller that runs; nothing is solved."""
+        from design import published
+
+        found = {
+            "ch2": published.chapter2_gain,
+            "ch2-reference": published.chapter2_reference_gain,
+            "ch3": published.chapter3_gain,
+            "ch4": lambda: published.chapter4_seen_gain(partitioned=False),
+            "ch4-partitioned": lambda: published.chapter4_seen_gain(partitioned=True),
+        }[self.gains]()
+        return scheduled_of(found)
+
+
+def scheduled_of(gain: ScheduledGain) -> Scheduled:
+    """Return the controller that runs a :class:`ScheduledGain`."""
+    nested: Any = tuple(
+        tuple(tuple(tuple(map(float, row)) for row in section) for section in mode) for mode in gain.gain.tolist()
+    )
+    return Scheduled(
+        gain=nested, starts_s=tuple(tuple(map(float, row)) for row in gain.starts_s.tolist()), schedule=gain.schedule
+    )
