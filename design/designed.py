@@ -24,7 +24,8 @@ class Designed:
     objective : str
         ``h2`` (7.26), ``hinf`` (7.31) or ``mixed`` (7.33).
     information : str
-        What the gain may depend on: ``constant``, ``tau``, ``previous``, ``generated`` (printed), ``applied``, ``both``, ``total``.
+        What the gain may depend on: ``constant``, ``tau``, ``previous``, ``generated`` (printed), ``applied``, ``both``,
+        ``total``.
     hinf_bound : float, optional
         Mixed only: bound of the H-infinity norm.
     gain_bound : float, optional

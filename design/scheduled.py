@@ -2,9 +2,9 @@ r"""State feedback that is scheduled by a mode and by the time spent in it (Chap
 
 .. math:: u(k) = K(i, h)\, x(k - \tau_k)
 
-The plant's measurement is the state followed by the mode (1, 2, ... as in the thesis): the true mode in Chapters 2 and 3, the *detected* one in
-Chapter 4, where the fault itself is never seen. The controller measures the sojourn time h by its own clock, from the slot in
-which the mode that it sees changed.
+The plant's measurement is the state followed by the mode (1, 2, ... as in the thesis): the true mode in Chapters 2 and 3,
+the *detected* one in Chapter 4, where the fault itself is never seen. The controller measures the sojourn time h by its
+own clock, from the slot in which the mode that it sees changed.
 """
 
 from __future__ import annotations
@@ -83,7 +83,8 @@ class PublishedScheduled:
     Parameters
     ----------
     gains : str
-        ``ch2`` (2.27), ``ch2-reference`` (those of [1, 2]), ``ch3``, ``ch4`` ((4.30), seen modes only) or ``ch4-partitioned`` (4.31).
+        ``ch2`` (2.27), ``ch2-reference`` (those of [1, 2]), ``ch3``, ``ch4`` ((4.30), seen modes only) or
+        ``ch4-partitioned`` (4.31).
     """
 
     gains: Literal["ch2", "ch2-reference", "ch3", "ch4", "ch4-partitioned"]
