@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import shutil
 import socket
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,19 +12,6 @@ import pytest
 
 from transport import Link, memory_pair, open_link
 from transport.contract import CHECKS, Pair, check_clause
-
-
-@pytest.fixture(autouse=True)
-def bus_directory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A place of our own for `hil` buses; short, because the path of a Unix socket has at most 107 bytes."""
-    path = Path(tempfile.mkdtemp(prefix="hil-test-"))
-    monkeypatch.setenv("HIL_CAN_DIR", str(path))
-    yield path
-    shutil.rmtree(path)
-
-
-def has_vcan() -> bool:
-    return Path("/sys/class/net/vcan0").exists()
 
 
 def has_multicast() -> bool:
@@ -43,10 +28,6 @@ def free_port() -> int:
     return port
 
 
-vcan = [
-    pytest.mark.vcan,
-    pytest.mark.skipif(not has_vcan(), reason="no vcan0 here: make test-vcan brings one"),
-]
 multicast = pytest.mark.skipif(not has_multicast(), reason="no multicast route: ip route add 224.0.0.0/4 dev lo")
 
 LINKS = [
@@ -57,8 +38,8 @@ LINKS = [
     pytest.param("can:udp_multicast:239.74.163.2?port={port}", id="udp-multicast", marks=multicast),
     pytest.param("zenoh:tcp/127.0.0.1:{port}", id="zenoh-tcp"),
     pytest.param("zenoh:unixsock-stream/{directory}/z", id="zenoh-unix"),
-    pytest.param("can:socketcan:vcan0", id="vcan-fd", marks=vcan),
-    pytest.param("can:socketcan:vcan0?fd=0", id="vcan-classic", marks=vcan),
+    pytest.param("can:socketcan:vcan0", id="vcan-fd", marks=pytest.mark.vcan),
+    pytest.param("can:socketcan:vcan0?fd=0", id="vcan-classic", marks=pytest.mark.vcan),
 ]
 
 

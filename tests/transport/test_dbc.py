@@ -1,0 +1,121 @@
+"""The DBC, our packing and the CAN link say the same of every byte."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+from uuid import uuid4
+
+import can
+import cantools
+import pytest
+from cantools.database.can import Database
+
+from transport import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, dbc_path, encode_control, encode_sensor
+from transport.can_link import BASE, FRAGMENTS, identifiers, open_can
+from transport.link import Role
+
+SENSORS = [
+    SensorPacket(seq=0xDEADBEEF, flags=MORE, sample_ns=-5, y=(3.25,)),
+    SensorPacket(seq=1, flags=0, sample_ns=2**40, y=(1.0, -2.5)),
+    SensorPacket(seq=2, flags=EMPTY, sample_ns=0, y=()),
+    SensorPacket(seq=3, flags=0, sample_ns=1, y=tuple(range(12))),
+    SensorPacket(seq=4, flags=0, sample_ns=1, y=tuple(range(28))),
+]
+CONTROLS = [
+    ControlPacket(seq=7, sample_ns=3, control_ns=4, tau=-1, selection=0, rows=((0.5,),)),
+    ControlPacket(seq=7, sample_ns=-3, control_ns=2**50, tau=2, selection=1, rows=((1.0, 2.0), (3.0, 4.0))),
+    ControlPacket(seq=8, sample_ns=3, control_ns=4, tau=300, selection=4, rows=tuple((float(i),) for i in range(9))),
+    ControlPacket(seq=9, sample_ns=3, control_ns=4, tau=0, selection=2, rows=tuple((i, -1.5, 2.0) for i in range(8))),
+]
+PACKETS = [*SENSORS, *CONTROLS]
+
+
+@pytest.fixture(scope="module")
+def database() -> Database:
+    loaded = cantools.database.load_file(dbc_path())
+    assert isinstance(loaded, Database)
+    return loaded
+
+
+def encode(packet: SensorPacket | ControlPacket) -> bytes:
+    return encode_sensor(packet) if isinstance(packet, SensorPacket) else encode_control(packet)
+
+
+def named(packet: SensorPacket | ControlPacket, data: bytes) -> dict[str, Any]:
+    """What the DBC has to say of a packet; values beyond the last are the padding's zeros."""
+    crc = int.from_bytes(data[:2], "little")
+    if isinstance(packet, SensorPacket):
+        flags = {"More": packet.flags & 1, "Empty": packet.flags >> 1}
+        head = {"Crc": crc, "Kind": "sensor", "Count": len(packet.y), **flags, "Seq": packet.seq}
+        return {**head, "SampleTime": packet.sample_ns, **{f"Y{i}": y for i, y in enumerate(packet.y)}}
+    head = {"Crc": crc, "Kind": "control", "Selection": SELECTIONS[packet.selection], "Seq": packet.seq, "Tau": packet.tau}
+    shape = {"Rows": len(packet.rows), "Inputs": len(packet.rows[0])}
+    values = [value for row in packet.rows for value in row]
+    times = {"SampleTime": packet.sample_ns, "ControlTime": packet.control_ns}
+    return {**head, **shape, **times, **{f"U{i}": value for i, value in enumerate(values)}}
+
+
+@contextmanager
+def frames(packet: SensorPacket | ControlPacket, fd: bool) -> Iterator[list[can.Message]]:
+    """The frames that the link makes of a packet."""
+    channel, role = uuid4().hex, "rig" if isinstance(packet, SensorPacket) else "controller"
+    protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
+    heard: list[can.Message] = []
+    with can.Bus(channel, interface="virtual", protocol=protocol) as listener:
+        sender: Role = "rig" if role == "rig" else "controller"
+        with open_can(f"can:virtual:{channel}?fd={fd:d}", sender) as link:
+            link.send(encode(packet))
+        while (message := listener.recv(0)) is not None:
+            heard.append(message)
+    yield heard
+
+
+@pytest.mark.parametrize("fd", [True, False], ids=["fd", "classic"])
+@pytest.mark.parametrize("packet", PACKETS, ids=lambda packet: f"{type(packet).__name__}-{packet.seq}")
+def test_every_frame_on_the_bus_reads_by_the_dbc_as_what_was_packed(
+    packet: SensorPacket | ControlPacket, fd: bool, database: Database
+) -> None:
+    data = encode(packet)
+    read: dict[str, Any] = {}
+    with frames(packet, fd) as heard:
+        for message in heard:
+            frame = database.get_message_by_frame_id(message.arbitration_id)
+            assert frame.is_fd == message.is_fd == fd and not message.is_extended_id and message.dlc <= frame.length
+            signals = database.decode_message(message.arbitration_id, bytes(message.data), allow_truncated=True)
+            assert isinstance(signals, Mapping)
+            read |= {name: str(v) if name in ("Kind", "Selection") else v for name, v in signals.items()}
+    expected = named(packet, data)
+    assert {name: read[name] for name in expected} == expected
+    assert not any(value for name, value in read.items() if name not in expected)
+
+
+@pytest.mark.parametrize("packet", PACKETS, ids=lambda packet: f"{type(packet).__name__}-{packet.seq}")
+def test_cantools_packs_the_very_bytes_that_we_pack(packet: SensorPacket | ControlPacket, database: Database) -> None:
+    data = encode(packet)
+    values = named(packet, data)
+    first = identifiers()[isinstance(packet, ControlPacket)]
+    packed = b""
+    for index in range(-(-len(data) // 64)):
+        frame = database.get_message_by_frame_id(first + index)
+        packed += frame.encode({signal.name: values.get(signal.name, 0) for signal in frame.signals}, strict=False)
+    assert packed[: len(data)] == data and not any(packed[len(data) :])
+
+
+def test_every_frame_lies_in_the_links_identifiers_and_says_its_kind(database: Database) -> None:
+    for fd in (True, False):
+        for first, sender in zip(identifiers(BASE, fd), ("Rig", "Controller")):
+            block = [message for message in database.messages if 0 <= message.frame_id - first < FRAGMENTS]
+            assert [message.frame_id - first for message in block] == list(range(len(block)))
+            assert sum(message.length for message in block) == 128
+            assert all(message.is_fd == fd and message.senders == [sender] for message in block)
+            assert all(message.length == (64 if fd else 8) for message in block)
+    assert len(database.messages) == 36
+    assert database.dbc is not None and database.dbc.attributes["BusType"].value == "CAN FD"
+
+
+def test_the_fd_flag_survives_cantools_writing_the_file(database: Database) -> None:
+    again = cantools.database.load_string(database.as_dbc_string(), "dbc")
+    assert isinstance(again, Database)
+    assert {m.name: m.is_fd for m in again.messages} == {m.name: m.is_fd for m in database.messages}
