@@ -28,6 +28,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from errno import EAFNOSUPPORT, EBADF, ENODEV, ENXIO
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -45,7 +46,8 @@ _FAULTS: Final = (can.CanError, OSError, ValueError)
 _GONE: Final = (ENODEV, ENXIO, EBADF)  # the socket is bound to nothing any more
 _REOPEN_EVERY: Final = 10
 _FAULT_PAUSE_S: Final = 0.01
-_SKIPPED: Final = 64
+_SKIPPED: Final = 2 * FRAGMENTS
+"""So many frames that complete no packet are taken in one call, lest a flood of them holds it for ever."""
 
 
 class CanLink:
@@ -97,6 +99,7 @@ class CanLink:
 
     def receive(self, timeout_s: float) -> bytes | None:
         wait = timeout_s if timeout_s > 0 else 0.0
+        begin = monotonic()  # what is left to wait after a fragment; no link tells the time of anything
         for _ in range(_SKIPPED):
             if self._closed:
                 return None
@@ -114,7 +117,7 @@ class CanLink:
             if packet is not None:
                 self.counters.received += 1
                 return packet
-            wait = 0.0
+            wait = max(0.0, timeout_s - (monotonic() - begin))
         return None
 
     def _packet(self, message: can.Message) -> bytes | None:
