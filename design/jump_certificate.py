@@ -36,6 +36,7 @@ class JumpCertificate:
     spectral_radius: of the per-jump second-moment operator (``exact`` only).
     matrices: the solution by name. rebuild: the inequalities, in floats or in fractions (``design.exact_proof``).
     gain: the gains that were analysed. assumptions: what the verdict rests on. solver: who found the matrices.
+    scale: factor on z in the inequalities, for conditioning; ``gamma`` is that of the z given.
     """
 
     method: Method
@@ -49,6 +50,7 @@ class JumpCertificate:
     gain: ScheduledGain | None = field(default=None, repr=False)
     assumptions: tuple[str, ...] = ()
     solver: str = ""
+    scale: float = 1.0
     matrices: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
     rebuild: Callable[[Lift], list[Inequality]] | None = field(default=None, repr=False)
 

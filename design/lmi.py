@@ -111,7 +111,7 @@ class LmiSolution:
     objective: value of the minimised scalar, or minus the margin that was maximised.
     excluded: where a margin was maximised, the dual matrices prove that no solution with entries up to this size has a
         positive one (0: they prove nothing).
-    reach: the size up to which solutions count; by default ten times the largest entry returned.
+    reach: the size up to which solutions count; by default 1e3, or ten times the largest entry returned.
     solver: who found it. status: what the solver said (for the reader only).
     """
 
@@ -260,7 +260,7 @@ class LmiProgram:
         return LmiSolution(
             matrices=matrices, margin=margin, slack=slack, objective=float(q @ x),
             excluded=_excluded(q, a, b, sizes, z) if minimise is None else 0.0,
-            reach=10.0 * largest if self.reach is None else self.reach, solver=solver, status=status,
+            reach=max(1e3, 10.0 * largest) if self.reach is None else self.reach, solver=solver, status=status,
         )  # fmt: skip
 
     def decide(self) -> LmiSolution:
