@@ -30,10 +30,11 @@ from errno import EAFNOSUPPORT, EBADF, ENODEV, ENXIO
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, Protocol, Self
 
 import can
 
+from transport.can_bus import ERROR, EXTENDED, REMOTE, HilBus
 from transport.link import LinkCounters, Role, TransportError, split_uri
 from transport.packets import decode, frame_length, packet_size
 
@@ -48,6 +49,42 @@ _REOPEN_EVERY: Final = 10
 _FAULT_PAUSE_S: Final = 0.01
 _SKIPPED: Final = 2 * FRAGMENTS
 """So many frames that complete no packet are taken in one call, lest a flood of them holds it for ever."""
+
+
+class _Frames(Protocol):
+    """A bus as the link uses it; `HilBus` is one."""
+
+    def send_frame(self, identifier: int, data: bytes) -> None: ...
+
+    def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None: ...
+
+    def shutdown(self) -> None: ...
+
+
+class _MessageFrames:
+    """Frames over any python-can bus, by way of its messages."""
+
+    __slots__ = ("_bus", "_fd", "shutdown")
+
+    def __init__(self, bus: can.BusABC, fd: bool) -> None:
+        self._bus, self._fd = bus, fd
+        self.shutdown = bus.shutdown
+
+    def send_frame(self, identifier: int, data: bytes) -> None:
+        fd = self._fd
+        message = can.Message(arbitration_id=identifier, is_extended_id=False, is_fd=fd, bitrate_switch=fd, data=data)
+        self._bus.send(message, 0.0)
+
+    def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
+        message = self._bus.recv(timeout)
+        if message is None:
+            return None
+        flags = message.is_error_frame * ERROR | message.is_remote_frame * REMOTE | message.is_extended_id * EXTENDED
+        return message.arbitration_id | flags, message.is_fd, bytes(message.data)
+
+
+def _frames_of(bus: can.BusABC, fd: bool) -> _Frames:
+    return bus if isinstance(bus, HilBus) else _MessageFrames(bus, fd)
 
 
 class CanLink:
@@ -69,7 +106,7 @@ class CanLink:
         self._say, self._hear = (f := identifiers(base, fd))[role == "controller"], f[role == "rig"]
         self._fd, self._step = fd, 64 if fd else 8
         self._join = join
-        self._bus = join()
+        self._bus = _frames_of(join(), fd)
         self._closed = False
         self._parts = b""
         self._row = 0  # tries to reopen, one after the other, since the interface vanished
@@ -79,17 +116,12 @@ class CanLink:
         if self._closed or size > FRAGMENTS * step:
             self.counters.dropped += 1
             return
-        if self._fd and frame_length(size) != size:
-            packet = packet + bytes(frame_length(size) - size)
         try:
             for start in range(0, size, step):
                 data = packet[start : start + step]
-                if self._fd and start and frame_length(len(data)) != len(data):
-                    data += bytes(frame_length(len(data)) - len(data))
-                message = can.Message(
-                    arbitration_id=identifier, is_extended_id=False, is_fd=self._fd, bitrate_switch=self._fd, data=data
-                )
-                self._bus.send(message, 0.0)
+                if self._fd and (length := frame_length(len(data))) != len(data):
+                    data += bytes(length - len(data))
+                self._bus.send_frame(identifier, data)
                 identifier += 1
         except _FAULTS as error:
             self.counters.dropped += 1
@@ -104,34 +136,36 @@ class CanLink:
             if self._closed:
                 return None
             try:
-                message = self._bus.recv(wait)
+                frame = self._bus.recv_frame(wait)
             except _FAULTS as error:
                 self._fault(error, wait)
                 return None
-            if message is None:
-                if self._row:  # a socket whose interface has vanished says so once, then it is silent
-                    self._reopen()
+            if frame is not None:
+                self._row = 0
+                packet = self._packet(*frame)
+                if packet is not None:
+                    self.counters.received += 1
+                    return packet
+            elif self._row:  # a socket whose interface has vanished says so once, then it is silent
+                self._reopen()
                 return None
-            self._row = 0
-            packet = self._packet(message)
-            if packet is not None:
-                self.counters.received += 1
-                return packet
+            if wait <= 0 and frame is None:
+                return None
             wait = max(0.0, timeout_s - (monotonic() - begin))
         return None
 
-    def _packet(self, message: can.Message) -> bytes | None:
+    def _packet(self, identifier: int, fd: bool, data: bytes) -> bytes | None:
         """Return the packet that this frame is or completes."""
-        if message.is_error_frame:
-            self.counters.errors += 1
-            return None
-        index = message.arbitration_id - self._hear
-        if message.is_extended_id or not 0 <= index < FRAGMENTS:
+        index = identifier - self._hear  # far out of range with any flag set
+        if not 0 <= index < FRAGMENTS:
+            if identifier & ERROR:
+                self.counters.errors += 1
+            elif identifier & REMOTE:
+                self.counters.malformed += 1
             return None  # foreign, on an interface that cannot filter
-        if message.is_remote_frame or message.is_fd != self._fd:
+        if fd != self._fd:
             self.counters.malformed += 1
             return None
-        data = bytes(message.data)
         if index == 0:
             self.counters.malformed += bool(self._parts)  # the one before was never completed
             size = packet_size(data)
@@ -168,7 +202,7 @@ class CanLink:
         self._row += 1
         if self._row % _REOPEN_EVERY == 1:
             with suppress(*_FAULTS):
-                bus = self._join()
+                bus = _frames_of(self._join(), self._fd)
                 old, self._bus = self._bus, bus
                 self._row = 0
                 old.shutdown()

@@ -51,14 +51,24 @@ class MeshError(Exception):
 class _Peer:
     """One connection, and how many datagrams it missed since the last one that got through."""
 
-    __slots__ = ("missed", "socket")
+    __slots__ = ("_send", "missed", "socket")
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
         with suppress(OSError):
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self.socket = connection
+        self._send = connection.send
         self.missed = 0
+
+    def offer(self, datagram: bytes) -> None:
+        """Send, or raise `OSError`; never wait."""
+        if self.missed:
+            head = HEAD.pack(HEAD.unpack_from(datagram)[0], min(self.missed, 0xFFFF))
+            self._send(head + datagram[HEAD.size :], socket.MSG_NOSIGNAL)
+            self.missed = 0
+        else:
+            self._send(datagram, socket.MSG_NOSIGNAL)
 
 
 class Mesh:
@@ -175,12 +185,7 @@ class Mesh:
             self._admit()
         for peer in self._peers:
             try:
-                if peer.missed:
-                    stamped = HEAD.pack(HEAD.unpack_from(datagram)[0], min(peer.missed, 0xFFFF)) + datagram[HEAD.size :]
-                    peer.socket.send(stamped, socket.MSG_NOSIGNAL)
-                    peer.missed = 0
-                else:
-                    peer.socket.send(datagram, socket.MSG_NOSIGNAL)
+                peer.offer(datagram)
             except OSError as error:
                 self._not_sent(peer, datagram, error, wait_s)
 
@@ -188,7 +193,7 @@ class Mesh:
         if isinstance(error, BlockingIOError) or error.errno == ENOBUFS:
             if wait_s > 0 and select.select((), (peer.socket,), (), wait_s)[1]:
                 with suppress(OSError):
-                    peer.socket.send(datagram, socket.MSG_NOSIGNAL)
+                    peer.offer(datagram)
                     return
             peer.missed += 1
             self.dropped += 1
