@@ -5,7 +5,6 @@ What runs is the table of gains that came out (:class:`design.controllers.SendAl
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -52,8 +51,8 @@ class Designed:
     design_seed: int = 0
     file: str = ""
 
-    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> SendAll:
-        """Return the gains for a loop.
+    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[SendAll, None]:
+        """Return the gains for a loop; their certificate is computed like any other's, when the loop is composed.
 
         Parameters
         ----------
@@ -70,7 +69,12 @@ class Designed:
             The message starts with the field.
         """
         if self.file:
-            return _read(Path(folder) / self.file, self.file)
+            from design.design_file import load_design
+
+            read = load_design(Path(folder) / self.file)
+            if read.samples != 1:
+                raise ValueError(f"file: {self.file}: its gains take {read.samples} samples per packet, the rig sends one")
+            return SendAll(gains=nested(read.gains), selection=read.selection, integral=read.integral), None  # type: ignore[arg-type]
         if sc is None or ca is None:
             raise ValueError("kind: a design needs age laws with a chain on both links, not packet laws or traces")
         from design.cache import solve_cached
@@ -82,24 +86,5 @@ class Designed:
             integral=self.integral, seed=self.design_seed,
         )  # fmt: skip
         design = solve_cached(problem)
-        return SendAll(
-            gains=nested(np.asarray(design.gains)),
-            selection=design.selection,  # type: ignore[arg-type]
-            integral=self.integral > 0,
-        )
-
-
-def _read(path: Path, name: str) -> SendAll:
-    try:
-        data = json.loads(path.read_text())
-    except OSError as e:
-        raise ValueError(f"file: {name}: cannot be read: {e.strerror}") from e
-    except ValueError as e:
-        raise ValueError(f"file: {name}: not JSON: {e}") from e
-    try:
-        gains, selection = np.asarray(data["gains"], dtype=float), str(data["selection"])
-        if gains.ndim != 4 or not np.isfinite(gains).all():
-            raise ValueError
-    except (KeyError, TypeError, ValueError):
-        raise ValueError(f"file: {name}: not a design: it needs selection and gains [tau][row][m][p]") from None
-    return SendAll(gains=nested(gains), selection=selection, integral=bool(data.get("integral", False)))  # type: ignore[arg-type]
+        gains = nested(np.asarray(design.gains))
+        return SendAll(gains=gains, selection=design.selection, integral=self.integral > 0), None  # type: ignore[arg-type]

@@ -11,12 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from design.controllers import LoopModel, Rows, RunningController, Selection
 from design.scheduled_gain import ScheduledGain
+
+if TYPE_CHECKING:
+    from design.jump_certificate import JumpCertificate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,9 +79,56 @@ class _ScheduledRows:
         return (tuple(float(sum(g * v for g, v in zip(row, x))) for row in K.tolist()),)
 
 
+Example = Literal["ch2", "ch3", "ch4"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobustScheduled:
+    """Our gains for the examples of Chapters 2 to 4, solved when the experiment is composed, with their certificate.
+
+    Parameters
+    ----------
+    example : str
+        ``ch2`` robust feedback, ``ch3`` H-infinity under time-varying delays, ``ch4`` fault-tolerant, seeing r only.
+    gain_bound : float
+        Largest spectral norm of any gain; without one the best gamma is 0 and the gains have no bound.
+    decay : float
+        ``ch2`` only: demanded decay rate of E|x|^2, 1/s.
+    """
+
+    example: Example
+    gain_bound: float = 5.0
+    decay: float = 0.0
+
+    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[Scheduled, dict[str, Any]]:
+        """Return the gains as the controller that runs, and the certificate that was computed from them."""
+        from design import published as p
+
+        certificate: JumpCertificate
+        if self.example == "ch2":
+            from design.robust_feedback import robust_feedback
+
+            system, process = p.chapter2_system("printed"), p.chapter2_process()
+            certificate = robust_feedback(system, process, gain_bound=self.gain_bound, decay=self.decay)
+        elif self.example == "ch3":
+            from design.delayed_hinf import delayed_hinf
+
+            sections = ((0.0, p.CHAPTER3_BOUNDARY_S),) * 3
+            certificate = delayed_hinf(
+                p.chapter3_system(), p.chapter3_process(), gain_bound=self.gain_bound, sections=sections
+            )
+        else:
+            from design.fault_tolerant import fault_tolerant_feedback
+
+            faults = p.chapter4_process(failure_restarts_detection_clock=False)
+            certificate = fault_tolerant_feedback(p.chapter4_system(), faults, gain_bound=self.gain_bound)
+        assert certificate.gain is not None
+        return scheduled_of(certificate.gain), _stated(certificate)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedScheduled:
-    """The printed gains of Chapters 2 to 4, as an experiment can name them.
+    """The printed gains of Chapters 2 to 4, as an experiment can name them, with what can be certified of them.
 
     Parameters
     ----------
@@ -89,18 +139,36 @@ class PublishedScheduled:
 
     gains: Literal["ch2", "ch2-reference", "ch3", "ch4", "ch4-partitioned"]
 
-    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> Scheduled:
-        """Return the gains as the controller that runs; nothing is solved."""
-        from design import published
+    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[Scheduled, dict[str, Any]]:
+        """Return the gains as the controller that runs, and the verdict on them; nothing is solved."""
+        from design import published as p
 
-        found = {
-            "ch2": published.chapter2_gain,
-            "ch2-reference": published.chapter2_reference_gain,
-            "ch3": published.chapter3_gain,
-            "ch4": lambda: published.chapter4_seen_gain(partitioned=False),
-            "ch4-partitioned": lambda: published.chapter4_seen_gain(partitioned=True),
-        }[self.gains]()
-        return scheduled_of(found)
+        certificate: JumpCertificate
+        if self.gains in ("ch2", "ch2-reference"):
+            from design.smjls_analysis import analyse
+
+            gain = p.chapter2_gain() if self.gains == "ch2" else p.chapter2_reference_gain()
+            certificate = analyse(p.chapter2_system("printed"), gain, p.chapter2_process())
+        elif self.gains == "ch3":
+            from design.delayed_hinf import analyse_delayed
+
+            gain = p.chapter3_gain()
+            certificate = analyse_delayed(p.chapter3_system(), gain, p.chapter3_process())
+        else:
+            from design.fault_tolerant_loop import analyse_fault_tolerant
+
+            gain = p.chapter4_seen_gain(partitioned=self.gains == "ch4-partitioned")
+            faults = p.chapter4_process(failure_restarts_detection_clock=False)
+            certificate = analyse_fault_tolerant(p.chapter4_system(), gain, faults)
+        return scheduled_of(gain), _stated(certificate)
+
+
+def _stated(certificate: JumpCertificate) -> dict[str, Any]:
+    """Return the certificate as JSON, saying of what it is one: the loop samples what the theory lets act at every instant."""
+    stated = dict(certificate.to_json())
+    stated["stable"] = certificate.certified and certificate.sound
+    stated["assumptions"] = [*stated["assumptions"], "the feedback acts at every instant; the loop samples it at T"]
+    return stated
 
 
 def scheduled_of(gain: ScheduledGain) -> Scheduled:

@@ -10,6 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from design.controllers import LoopModel, RunningController, StaticGains, row_count
+from design.errors import DesignError
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.log.records import Channel, channels
@@ -117,17 +118,18 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
         d_max=links.ca.max_age,
     )
     controller = experiment.controller
+    stated: dict[str, Any] | None = None
     try:
         if hasattr(controller, "solve"):  # a design problem: what runs is its solution
-            controller = controller.solve(model, _chain(links.sc.law), _chain(links.ca.law), experiment.folder)
+            controller, stated = controller.solve(model, _chain(links.sc.law), _chain(links.ca.law), experiment.folder)
             kinds = {**experiment.kinds, "controller": controller.kind}
             experiment = replace(experiment, controller=controller, kinds=kinds)
         running = controller.start(model)
-    except ValueError as e:
-        raise ExperimentError(experiment.name, [f"controller.{e}"]) from e
+    except (ValueError, DesignError) as e:
+        raise ExperimentError(experiment.name, [f"controller.{e}" if isinstance(e, ValueError) else f"controller: {e}"]) from e
     certificate = None
     if certify:
-        certificate = _certify(experiment, model, controller)
+        certificate = _certify(experiment, model, controller) if stated is None else _accept(experiment, stated)
     return Loop(
         experiment=experiment,
         model=model,
@@ -172,6 +174,16 @@ def _faults(e: Experiment) -> list[str]:
         if name not in names:
             faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
     return faults
+
+
+def _accept(e: Experiment, stated: dict[str, Any]) -> dict[str, Any]:
+    """Return the certificate that came with a design, or refuse the run."""
+    if not stated["stable"] and not e.allow_uncertified:
+        reason = stated.get("reason", "not stable")
+        raise ExperimentError(
+            e.name, [f"controller: no certificate of stability: {reason}; set allow_uncertified = true to run it all the same"]
+        )
+    return stated
 
 
 def _chain(law: Any) -> Any | None:
