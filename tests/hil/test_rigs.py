@@ -1,0 +1,52 @@
+"""The rigs of Chapters 2 to 4 and the VTOL of Chapter 7: they run like any other, in virtual and in real time."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.errors import HilError
+from hil.experiment import load_experiment
+from hil.replay import verify
+from hil.runtime.loop import compose
+from hil.session import run_session, simulate
+
+
+def test_published_fault_tolerant_gains_are_refused_and_with_leave_stopped_by_safety(tmp_path: Path) -> None:
+    with pytest.raises(HilError, match="no certificate of stability"):
+        compose(load_experiment("vtol-fault-published", ["allow_uncertified=false"]))
+    session = run_session(load_experiment("vtol-fault-published"), path=tmp_path / "a.mcap")
+    assert session.status == 3
+    assert session.run.certificate["verdict"] == "refused"
+
+
+@pytest.mark.parametrize("name", ["smjls-robust", "vtol-delayed", "vtol-fault"])
+def test_our_gains_bring_their_certificate_into_the_log_and_the_log_verifies(tmp_path: Path, name: str) -> None:
+    session = run_session(load_experiment(name, ["duration=4"]), path=tmp_path / "a.mcap")
+    assert session.status == 0
+    assert session.run.certificate["verdict"] == "certified" and session.run.certificate["sound"]
+    assert session.run.resolved["controller"]["kind"] == "scheduled"
+    assert verify(session.run).difference is None
+
+
+def test_fault_that_the_controller_does_not_see_is_in_the_log_only() -> None:
+    run = simulate(compose(load_experiment("vtol-fault", ["duration=10"])), 1)
+    state, seen = run.arrays["/plant/state"], run.arrays["/plant/measurement"]
+    assert set(np.unique(state["fault_mode"])) == {1.0, 2.0}
+    assert "fault_mode" not in (seen.dtype.names or ())
+    assert (state["fault_mode"] != seen["detected_mode"]).any()
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", ["smjls-robust", "vtol-fault", "vtol-delayed"])
+def test_rig_with_random_modes_in_real_time_is_the_virtual_run_up_to_the_first_late_tick(tmp_path: Path, name: str) -> None:
+    experiment = load_experiment(name, ["duration=1", "period=10 ms", "limits.watchdog_ticks=50"])
+    real = run_session(experiment, clock="real", link=f"can:hil:rigs{os.getpid()}", path=tmp_path / "real.mcap")
+    virtual = simulate(compose(experiment), experiment.seed)
+    late = real.summary["timing"]["first_late_tick"]
+    end = 100 if late is None else late + 1
+    assert end > 1
+    np.testing.assert_array_equal(real.run.arrays["/plant/state"][:end], virtual.arrays["/plant/state"][:end])
