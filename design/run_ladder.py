@@ -1,0 +1,99 @@
+"""The ladder of a Monte Carlo study: one core, all cores, many machines, with the same numbers on every rung.
+
+The runs are cut into chunks by their number, always at the same places. A chunk is computed the same way wherever it is
+computed, so no split into jobs can change a bit of the result: not by vector units that treat the ends of an array
+differently, not by an iteration that stops when all members of a batch have converged. Between processors of different
+instruction sets the logarithm of the C library may differ in its last digit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Literal, TypeVar, get_args
+
+from design.errors import DesignError
+
+Backend = Literal["serial", "loky", "threading", "dask"]
+Result = TypeVar("Result")
+Job = TypeVar("Job")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ladder:
+    """Where the runs are computed.
+
+    Parameters
+    ----------
+    backend: ``serial`` (this process), ``loky`` (processes on this machine), ``threading``, ``dask`` (many machines).
+    jobs: processes or threads; -1 for one per core. A dask cluster uses what it has.
+    scheduler: address of the dask scheduler, e.g. ``tcp://10.0.0.1:8786``; its workers need this package.
+    connect_timeout_s: how long to wait for it.
+    """
+
+    backend: Backend = "serial"
+    jobs: int = -1
+    scheduler: str | None = None
+    connect_timeout_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        if self.backend not in get_args(Backend):
+            raise ValueError(f"backend: {self.backend!r} is not one of {get_args(Backend)}")
+        if self.jobs == 0 or self.jobs < -1:
+            raise ValueError(f"jobs: {self.jobs}, expected -1 or a positive number")
+        if (self.scheduler is None) == (self.backend == "dask"):
+            raise ValueError(
+                f"scheduler: {self.scheduler!r} with backend {self.backend!r}; "
+                "dask needs the address of its scheduler and the others have none"
+            )
+
+
+def spread(task: Callable[[Job], Result], jobs: Sequence[Job], ladder: Ladder) -> Iterator[Result]:
+    """Results of task(job) for every job, in order, each as soon as it and those before it are there.
+
+    Closing the iterator (or Ctrl-C) cancels what has not begun.
+
+    Raises
+    ------
+    DesignError: the dask scheduler does not answer.
+    """
+    if ladder.backend == "serial" or not jobs:
+        yield from map(task, jobs)
+        return
+    from joblib import Parallel, delayed, parallel_config
+
+    with ExitStack() as stack:
+        options: dict[str, Any] = {"backend": ladder.backend, "n_jobs": ladder.jobs}
+        if ladder.backend == "loky":
+            options["inner_max_num_threads"] = 1
+        if ladder.backend == "dask":
+            options["client"] = stack.enter_context(_client(ladder))
+        stack.enter_context(parallel_config(**options))
+        results = Parallel(return_as="generator")(delayed(task)(job) for job in jobs)
+        stack.enter_context(closing(results))
+        yield from results
+
+
+def _client(ladder: Ladder) -> Any:
+    try:
+        connect: Any = import_module("distributed").Client
+    except ImportError as error:
+        raise DesignError("backend dask: the package dask[distributed] is not installed") from error
+    try:
+        return connect(ladder.scheduler, timeout=ladder.connect_timeout_s, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise DesignError(f"scheduler: no dask scheduler answers at {ladder.scheduler} ({error})") from error
+
+
+def chunk_numbers(first: int, runs: int, size: int) -> range:
+    """Numbers of the chunks of ``size`` runs that hold the runs first, ..., first + runs - 1."""
+    if runs < 1 or first < 0:
+        raise ValueError(f"runs: {runs} from number {first}, expected at least one from number 0 on")
+    return range(first // size, (first + runs - 1) // size + 1)
+
+
+def inside_chunk(chunk: int, first: int, runs: int, size: int) -> slice:
+    """Which of a chunk's runs are among the runs first, ..., first + runs - 1."""
+    return slice(max(first - chunk * size, 0), min(first + runs - chunk * size, size))

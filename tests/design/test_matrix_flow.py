@@ -1,0 +1,66 @@
+"""exp(M s) x in bulk equals scipy's exponential, on the grid and between, whatever the eigenvalues."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from design.matrix_flow import MatrixFlow, apply, multiply, norm_bound
+
+RNG = np.random.default_rng(5)
+STACKS = {
+    "scalar": RNG.normal(size=(1, 1, 6)),
+    "plane": RNG.normal(scale=3.0, size=(2, 2, 6)),
+    "defective": np.repeat(np.array([[-1.0, 5.0], [0.0, -1.0]])[:, :, None], 2, axis=2),
+    "nearly defective": np.array([[-1.0, 5.0], [1e-13, -1.0]])[:, :, None],
+    "oscillating": np.array([[0.0, 40.0], [-40.0, 0.0]])[:, :, None],
+    "zero": np.zeros((3, 3, 2)),
+    "stiff": np.array([[-500.0, 3.0], [1.0, -0.5]])[:, :, None],
+    "four states": RNG.normal(size=(4, 4, 3)),
+}
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_flow_equals_the_exponential(name: str) -> None:
+    m = STACKS[name]
+    flow = MatrixFlow(m, dt_s=0.03, longest_s=4.0)
+    s = np.concatenate([[0.0, 0.03, 1e-12, 4.0], RNG.uniform(0, 4.0, 60)])
+    which = RNG.integers(0, m.shape[2], s.size)
+    x = RNG.normal(size=(m.shape[0], s.size))
+    got = flow.flow(which, x, s)
+    for k in range(s.size):
+        phi = expm(m[:, :, which[k]] * s[k])
+        scale = np.linalg.norm(phi, 2) * np.linalg.norm(x[:, k])
+        assert np.abs(got[:, k] - phi @ x[:, k]).max() <= 2e-12 * max(scale, 1e-3)
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_grid_equals_the_exponential_and_growth_bounds_it(name: str) -> None:
+    m = STACKS[name]
+    dt = 0.02
+    flow = MatrixFlow(m, dt_s=dt, longest_s=4.0)
+    points = np.array([0, 1, 2, 3, 4, 5, 17, 64, 65, 100, 0, 33])
+    which = RNG.integers(0, m.shape[2], points.size)
+    x = RNG.normal(size=(m.shape[0], points.size))
+    bound = flow.growth(which, points)
+    seen = []
+    for index, states in flow.grid(which, x, points):
+        seen += index.tolist()
+        for column, k in enumerate(index):
+            assert states.shape[1] >= points[k]
+            for j in range(points[k]):
+                phi = expm(m[:, :, which[k]] * (j * dt))
+                scale = np.linalg.norm(phi, 2) * np.linalg.norm(x[:, k])
+                assert np.abs(states[:, j, column] - phi @ x[:, k]).max() <= 2e-12 * max(scale, 1e-3)
+                assert np.linalg.norm(phi, 2) <= bound[k] * (1 + 1e-12)
+    assert sorted(seen) == np.flatnonzero(points).tolist()
+
+
+def test_stacked_algebra_is_matrix_algebra() -> None:
+    a, b = RNG.normal(size=(3, 3, 5)), RNG.normal(size=(3, 3, 5))
+    x = RNG.normal(size=(3, 5))
+    for k in range(5):
+        np.testing.assert_allclose(multiply(a, b)[:, :, k], a[:, :, k] @ b[:, :, k], rtol=1e-13)
+        np.testing.assert_allclose(apply(a, x)[:, k], a[:, :, k] @ x[:, k], rtol=1e-13)
+        assert np.linalg.norm(a[:, :, k], 2) <= norm_bound(a)[k]
