@@ -96,5 +96,5 @@ def test_a_rule_that_cannot_be_is_refused(field: str, value: object) -> None:
 
 
 def test_values_that_are_missing_are_refused() -> None:
-    with pytest.raises(ValueError, match="^values: "):
+    with pytest.raises(ValueError, match=r"^values: "):
         mean_interval([1.0, np.inf])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def integrate(loop: JumpLoop, run: int, duration_s: float, grid: np.ndarray) -> 
     x, out = np.array(loop.start), np.full((grid.size, loop.system.states), np.nan)
     for mode, seen, age, start, stop in visits:
         edges = [start, *(start + s - age for s in loop.gain.starts_s[seen] if start < start + s - age < stop), stop]
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges):
             k = loop.gain.at(seen, age + 0.5 * (a + b) - start)
             m = loop.system.a[mode] + loop.system.b[mode] @ k
             if loop.uncertain:
@@ -193,7 +194,7 @@ def test_detection_clock_restarts_as_it_was_told(restarts: bool) -> None:
 def test_linear_gain_held_in_small_steps_converges() -> None:
     nodes = np.array([[0.0, 0.8326]] * 2)
     linear = ScheduledGain(gain=chapter2_gain().gain, starts_s=nodes, schedule="linear")
-    with pytest.raises(ValueError, match="^gain: a gain that moves"):
+    with pytest.raises(ValueError, match=r"^gain: a gain that moves"):
         loop(linear)
     ends = [
         trajectories(loop(held(linear, step, 0.8326)), 20, duration_s=2.0, dt_s=0.5)[:, 2] for step in (0.04, 0.02, 0.005)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ def alone() -> np.ndarray:
 def test_any_split_into_batches_gives_the_same_bits(alone: np.ndarray) -> None:
     cuts = [0, 1, 40, CHUNK, CHUNK + 1, 2 * CHUNK + 17, RUNS]
     parts = [
-        settling_times(LOOP, b - a, duration_s=3.0, seed=4, first=a) for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+        settling_times(LOOP, b - a, duration_s=3.0, seed=4, first=a) for a, b in pairwise(cuts)
     ]
     np.testing.assert_array_equal(np.concatenate(parts), alone)
     assert np.unique(alone).size > 100  # the runs are not one run
@@ -108,7 +109,7 @@ def test_results_come_in_order_and_an_error_in_a_job_is_raised() -> None:
 
 def test_a_scheduler_that_is_not_there_is_said() -> None:
     ladder = Ladder(backend="dask", scheduler="tcp://127.0.0.1:9", connect_timeout_s=0.5)
-    with pytest.raises(DesignError, match="^scheduler: no dask scheduler answers at tcp://127.0.0.1:9"):
+    with pytest.raises(DesignError, match=r"^scheduler: no dask scheduler answers at tcp://127.0.0.1:9"):
         list(spread(abs, [1], ladder))
 
 

@@ -45,7 +45,7 @@ def test_consecutive_runs_are_uncorrelated() -> None:
 
 
 def test_bad_addresses_are_refused() -> None:
-    with pytest.raises(ValueError, match="^seed: -1"):
+    with pytest.raises(ValueError, match=r"^seed: -1"):
         uniforms(-1, 0, 1, blocks=1, purpose=JUMPS)
-    with pytest.raises(ValueError, match="^runs: "):
+    with pytest.raises(ValueError, match=r"^runs: "):
         uniforms(1, -1, 1, blocks=1, purpose=JUMPS)
