@@ -78,7 +78,7 @@ def certify_loop(
         Lambda, Pi: S-C and C-A transition matrices or delay chains.
         gains: (tau labels, rows, m, p'), the convention u = u* + K[tau, row] (y - r).
         selection: how the row is chosen, see `design.closed_loop`.
-        Q, R: weights of z; defaults C and 0.01.
+        Q, R: weights of z; defaults C and the row 0.01 .. 0.01.
         output, samples, integral: as in `design.closed_loop.loop_structure`.
         initial: distribution of the mode at the impulse; default uniform.
         hinf: compute the H-infinity norm too (some 10 ms more).

@@ -151,7 +151,8 @@ def loop_structure(
         sc, ca: S-C and C-A delay chains, or their transition matrices Lambda and Pi.
         selection: information pattern, see the module.
         Q: (l, n) weight of the state; default C.
-        R: weight of u1(k-1), (l', m), a vector (one row), or a number (times the identity); default 0.01.
+        R: weight of u1(k-1), (l', m), a vector (one row), or a number (times the identity); default: the row
+            0.01 .. 0.01 of Section 7.4.
         output: "stacked" is z = [Q x; R u1], "sum" is z = Q x + R u1 as printed (the two may cancel).
         samples: 1, or 2 for packets that carry the sample before too: Y = [y(k - tau); y(k - tau - 1)].
         integral: > 0 adds the integral of the measured error, xi(k+1) = xi(k) + C x(k - tau_k), at the controller: Y

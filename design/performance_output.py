@@ -25,7 +25,8 @@ def performance_output(
     Args:
         C: (p, n) output matrix, the default of Q.
         m: number of inputs; order: number of closed-loop states.
-        Q: (l, n) weight of x; R: (l', m), vector (one row) or number (times the identity), weight of u1(k-1).
+        Q: (l, n) weight of x, default C. R: weight of u1(k-1): (l', m), a vector (one row), or a number (times the
+            identity); default the row 0.01 .. 0.01 of Section 7.4.
         output: "stacked" or "sum".
         input_at: first of the m states that R weighs, u1(k-1) of (7.16) or the applied input.
         integral: weight of the integrated error at states `integral_at`.., 0 for none; always stacked.
@@ -35,7 +36,7 @@ def performance_output(
     """
     n, p = C.shape[1], C.shape[0]
     state_weight = C if Q is None else np.atleast_2d(np.asarray(Q, dtype=np.float64))
-    raw = np.asarray(0.01 if R is None else R, dtype=np.float64)
+    raw = np.asarray(np.full(m, 0.01) if R is None else R, dtype=np.float64)
     input_weight = raw * np.eye(m) if raw.ndim == 0 else np.atleast_2d(raw)
     for name, weight, columns, what in (("Q", state_weight, n, "states"), ("R", input_weight, m, "inputs")):
         if weight.ndim != 2 or weight.shape[1] != columns:

@@ -93,8 +93,22 @@ def solve(problem: TrackingProblem, *, progress: Progress | None = None) -> Desi
         objective = LoopObjective(structure, space, problem.alpha(structure.base.shape[0]))
         best, values = _multistart(problem, objective, progress)
         gains, evaluations = space.gains(best.x), objective.evaluations
+    return certified(problem, gains, starts=values, evaluations=evaluations)
+
+
+def certified(problem: TrackingProblem, gains: Array, *, starts: tuple[float, ...], evaluations: int) -> Design:
+    """A design from its gains, with everything that is known of it computed from them.
+
+    Raises:
+        NotStable: the gains have no certificate.
+        ValueError: their shape does not fit the problem.
+    """
     certificate = certify_system(
-        structure.system(gains), selection=problem.selection, output=problem.output, initial=problem.initial, hinf=True
+        problem.structure().system(gains),
+        selection=problem.selection,
+        output=problem.output,
+        initial=problem.initial,
+        hinf=True,
     )
     if not certificate.stable:
         raise NotStable(
@@ -108,7 +122,7 @@ def solve(problem: TrackingProblem, *, progress: Progress | None = None) -> Desi
         initial = problem.initial if problem.selection != "previous" else None
         bounds = lower_bounds(A, B, Q, *problem.chains, initial)
     return Design(
-        problem=problem, gains=gains, certificate=certificate, bounds=bounds, starts=values, evaluations=evaluations
+        problem=problem, gains=gains, certificate=certificate, bounds=bounds, starts=starts, evaluations=evaluations
     )
 
 

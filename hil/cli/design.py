@@ -1,0 +1,152 @@
+"""``hil design``: solve a tracking design, certify it, and write it for an experiment to name."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from design.tracking import Design
+
+
+@click.command()
+@click.argument("place", metavar="PLANT|EXPERIMENT")
+@click.option("--objective", type=click.Choice(["h2", "hinf", "mixed"]), default="h2", show_default=True)
+@click.option(
+    "--information",
+    type=click.Choice(["applied", "generated", "tau", "constant", "both", "previous", "total"]),
+    default="applied",
+    show_default=True,
+    help="What a gain may depend on besides tau: d at application, d at generation (printed rule), nothing, ...",
+)
+@click.option("--gain-bound", type=float, help="Bound on every |entry| of every gain.")
+@click.option("--hinf-bound", type=float, help="Bound of a mixed design [1.05 times the smallest H-infinity norm].")
+@click.option("--input-weight", type=float, help="Weight R of the input, equal for every input [0.01].")
+@click.option("--output", "z", type=click.Choice(["stacked", "sum"]), default="stacked", show_default=True,
+              help="z = [Q x; R u], or Q x + R u as printed, whose terms may cancel.")  # fmt: skip
+@click.option("--period", type=float, help="Sample period in s [the thesis's, or the experiment's].")
+@click.option("--samples", type=click.IntRange(1, 2), default=1, show_default=True, help="Samples per sensor packet.")
+@click.option("--integral", type=float, default=0.0, help="Weight of the integrated error in z; > 0 adds integral action.")
+@click.option("--starts", type=click.IntRange(0), default=0, help="Starts of the multistart [by objective].")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--method", type=click.Choice(["direct", "ccl"]), default="direct", show_default=True,
+              help="ccl: the thesis's iterated linear matrix inequalities, for comparison.")  # fmt: skip
+@click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(
+    place: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
+    input_weight: float | None, z: str, period: float | None, samples: int, integral: float, starts: int, seed: int,
+    method: str, path: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
+
+    Exit status 2 where no gains meet the request; the message has the number that decides it.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: threads only wait for each other on such sizes
+    import numpy as np
+
+    from design.design_file import save_design, to_document
+    from design.errors import DesignError
+    from design.tracking import solve
+    from hil.design_problem import problem_for, site
+    from hil.log.provenance import package_versions
+
+    if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
+        raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
+    if path is not None and not path.parent.is_dir():
+        raise HilError(f"--file: there is no directory {path.parent}")
+    where = site(place, period)
+    problem = problem_for(
+        where, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
+        R=None if input_weight is None else np.full(where.B.shape[1], input_weight), output=z, samples=samples,
+        integral=integral, starts=starts, seed=seed, method=method,
+    )  # fmt: skip
+    begun = time.perf_counter()
+    try:
+        with _Watch(f"{where.plant} {objective} {information}") as watch:
+            design = solve(problem, progress=watch)
+    except DesignError as error:
+        raise HilError(f"design: {error}") from error
+    except KeyboardInterrupt:
+        print("hil: design interrupted; nothing was written", file=sys.stderr)
+        sys.exit(130)
+    wall_s = round(time.perf_counter() - begun, 3)
+    document = to_document(
+        design, plant=where.plant, period_s=where.period_s, wall_s=wall_s, versions=package_versions()
+    )
+    if path is not None:
+        try:
+            save_design(path, document)
+        except OSError as error:
+            raise HilError(f"--file: {path}: {error.strerror}") from None
+        document["file"] = str(path)
+    if as_json:
+        print(json.dumps(document, indent=2))
+    else:
+        _show(design, document)
+
+
+class _Watch:
+    """Progress on a terminal, silence elsewhere."""
+
+    def __init__(self, title: str) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(stderr=True)
+        self._bar = Progress(console=console, disable=not console.is_terminal, transient=True)
+        self._title = title
+        self._task: Any = None
+
+    def __enter__(self) -> _Watch:
+        self._bar.start()
+        self._task = self._bar.add_task(self._title, total=None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, stage: str, done: int, total: int, value: float) -> None:
+        self._bar.update(
+            self._task, description=f"{self._title}: {stage} norm {value:.6g}", completed=done, total=total
+        )
+
+
+def _show(design: Design, document: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console, c, problem = Console(), design.certificate, design.problem
+    table = Table(title=f"gains K[tau][row], row by {design.selection!r}")
+    table.add_column("tau", justify="right")
+    rows = design.gains.shape[1]
+    for row in range(rows):
+        table.add_column(f"row {row}", justify="right")
+    for tau, gains in enumerate(design.gains):
+        table.add_row(str(tau), *("  ".join(f"{v:.5g}" for v in gains[row].ravel()) for row in range(rows)))
+    console.print(table)
+    bounds = document["lower_bounds"]
+    lines = [
+        ("H2 norm", f"{c.h2_norm:.6g}", f"any causal controller: >= {bounds['h2_delayed_information']:.4g}" if bounds else ""),
+        (
+            "H-infinity norm",
+            f"{c.hinf_norm:.6g}",
+            f"any causal controller: >= {bounds['hinf_delayed_information']:.4g}" if bounds else "",
+        ),
+        ("second-moment radius", f"{c.mean_square_radius:.6f}", "mean-square stable" if c.stable else "NOT STABLE"),
+        ("margin of (7.17)", f"{c.lyapunov_margin:.3g}", f"rounding {c.rounding:.1g}"),
+        ("margin of (7.28)", "-" if c.hinf_margin is None else f"{c.hinf_margin:.3g}", "at gamma (1 + 1e-6)"),
+        ("solved in", f"{document['wall_s']} s", f"{design.evaluations} norms, {len(design.starts)} starts, seed {problem.seed}"),
+    ]
+    for name, value, note in lines:
+        console.print(f"{name:>22}  {value:<12} {note}", highlight=False)
+    if "file" in document:
+        console.print(f"{'written':>22}  {document['file']}", highlight=False)
