@@ -37,6 +37,7 @@ QUEUE_LIMIT: Final = 256
 
 LOOKS: Final = 600
 """How often a short wait looks for an answer before it sleeps: about 200 us."""
+_VAIN: Final = 8
 
 _SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds more than QUEUE_LIMIT, see the tests
 _LARGEST: Final = 128
@@ -95,7 +96,7 @@ class Mesh:
         self._epoll = select.epoll()
         self._own: _Peer | None = None
         self._closed = False
-        self._waits = self._vain = 0
+        self._rest = self._vain = 0  # short waits that will not look first; looks in vain, one after the other
         try:
             with _locked(directory.parent, _JOIN_TIMEOUT_S):
                 self._join()
@@ -245,16 +246,19 @@ class Mesh:
         look = self._epoll.poll
         if timeout_s is None or timeout_s >= _COARSE_S or timeout_s <= 0:
             return look(timeout_s)
-        # Who waits this briefly waits for an answer: waking up from a sleep would double its way (README, real time).
-        # Where looking does not help, as on one CPU, it is given up, and tried again now and then.
-        self._waits += 1
-        if self._vain < 8 or self._waits & 0xFF == 0:
+        # Who waits this briefly waits for an answer, and waking up from a sleep would double its way. Where looking does
+        # not help, as when both ends share one CPU, it is given up, and tried again ever more rarely.
+        if self._rest == 0:
             for _ in range(LOOKS):
                 ready = look(0)
                 if ready:
                     self._vain = 0
                     return ready
             self._vain += 1
+            if self._vain >= _VAIN:
+                self._rest = 1 << min(self._vain, 14)
+        else:
+            self._rest -= 1
         with suppress(ValueError):  # more than 1024 open files
             if not select.select((self._epoll,), (), (), timeout_s)[0]:
                 return []

@@ -1,0 +1,257 @@
+"""Round trips of all links side by side, between two real processes each, with C over UDP as the floor.
+
+Every link has its own pair of processes, set up as a session sets up rig and controller (priority, CPU, locked memory). The
+pairs take turns, half a second each, so that what else the machine does hits all of them alike.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Any, Final
+
+from hil.runtime.clock import RealClock, monotonic_ns
+from hil.runtime.realtime import die_with_parent, go_real_time
+from transport import ControlPacket, Link, SensorPacket, TransportError, encode_control, encode_sensor, open_link
+
+LINKS: Final = (
+    "can:hil:bench-{pid}",
+    "can:udp_multicast:239.74.163.2?port={port}",
+    "zenoh:tcp/127.0.0.1:{port}",
+    "zenoh:unixsock-stream/{folder}/bench",
+)
+"""What is measured unless told otherwise; python-can's own interface stands beside ours."""
+
+FLOOR: Final = "C over UDP"
+PRIORITY: Final = 60
+SLICE_S: Final = 0.5
+PATIENCE_NS: Final = 50_000_000  # then a round trip is lost
+MEETING_NS: Final = 10_000_000_000
+
+Row = dict[str, Any]
+
+
+def bench_links(
+    rate_hz: float = 1000.0,
+    duration_s: float = 10.0,
+    *,
+    links: Sequence[str] = LINKS,
+    progress: Callable[[str], None] = lambda text: None,
+) -> list[Row]:
+    """Measure round trips, 20 bytes there and 48 back, over every link and over plain UDP in C, all in one run.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Round trips per second.
+    duration_s : float
+        Length for each link, s.
+    links : sequence of str
+        URIs; ``{port}``, ``{pid}`` and ``{folder}`` are filled in.
+    progress : callable
+        Told what is running.
+
+    Returns
+    -------
+    list of dict
+        One row per link, the floor first: `link`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio of the p50), `lost`
+        and `note`, which says what was missing where there are no numbers.
+    """
+    number = max(round(SLICE_S * rate_hz), 1)
+    slices = max(round(duration_s * rate_hz / number), 1)
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-bench-")))
+        pairs: list[tuple[str, _Pair | str]] = [(FLOOR, _open(stack, lambda: _floor(folder, rate_hz)))]
+        for template in links:
+            uri = template.format(port=_free_port(), pid=os.getpid(), folder=folder)
+            pairs.append((template.partition("?")[0].format(port="*", pid="*", folder="*"), _open(stack, _python(uri, rate_hz))))
+        taken: dict[str, list[int]] = {name: [] for name, _ in pairs}
+        for turn in range(slices + 1):
+            progress(f"turn {turn} of {slices}")
+            for i, (name, pair) in enumerate(pairs):
+                if isinstance(pair, str):
+                    continue
+                try:
+                    trips = pair.drive(number)
+                except (OSError, ValueError) as error:
+                    pairs[i] = (name, f"ended in mid-run: {error}")
+                    continue
+                if turn:  # the first turn warms up
+                    taken[name] += trips
+    floor = _percentile(taken[FLOOR], 0.5)
+    return [_row(name, taken[name], floor, pair if isinstance(pair, str) else "") for name, pair in pairs]
+
+
+def _row(name: str, taken: list[int], floor_us: float, note: str) -> Row:
+    p50, p99, p99_9 = (_percentile(taken, q) for q in (0.5, 0.99, 0.999))
+    lost = sum(trip < 0 for trip in taken)
+    return {
+        "link": name,
+        "p50_us": p50,
+        "p99_us": p99,
+        "p99_9_us": p99_9,
+        "times_floor": p50 / floor_us,
+        "lost": lost,
+        "note": note,
+    }
+
+
+def _percentile(taken: list[int], q: float) -> float:
+    """Return the q-quantile in us of the round trips that came back, NaN if none did.
+
+    >>> _percentile([-1, 3000, 1000, 2000], 0.5)
+    2.0
+    """
+    trips = sorted(trip for trip in taken if trip >= 0)
+    return trips[min(int(len(trips) * q), len(trips) - 1)] / 1e3 if trips else math.nan
+
+
+class _Pair:
+    """An answering process and a driving one that is told how many round trips to make."""
+
+    def __init__(self, echo: Sequence[str], drive: Sequence[str]) -> None:
+        self._children: list[subprocess.Popen[str]] = []
+        try:
+            for command in (echo, drive):
+                child = subprocess.Popen(
+                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+                )
+                self._children.append(child)
+                line = self._pipe(child.stdout).readline().strip()
+                if line != "ready":
+                    raise OSError(line or "the process ended")
+        except BaseException:
+            self.close()
+            raise
+
+    @staticmethod
+    def _pipe(stream: IO[str] | None) -> IO[str]:
+        assert stream is not None
+        return stream
+
+    def drive(self, number: int) -> list[int]:
+        """Make round trips; return ns for each, -1 where none came back."""
+        driver = self._children[1]
+        stream = self._pipe(driver.stdin)
+        stream.write(f"{number}\n")
+        stream.flush()
+        trips = [int(word) for word in self._pipe(driver.stdout).readline().split()]
+        if len(trips) != number:
+            raise OSError("the driving process ended")
+        return trips
+
+    def close(self) -> None:
+        for child in self._children:
+            child.kill()
+            child.communicate()
+
+
+def _open(stack: ExitStack, make: Callable[[], _Pair]) -> _Pair | str:
+    """Return the pair, or why there is none."""
+    try:
+        pair = make()
+    except (OSError, subprocess.CalledProcessError) as error:
+        return str(error)
+    stack.callback(pair.close)
+    return pair
+
+
+def _python(uri: str, rate_hz: float) -> Callable[[], _Pair]:
+    command = [sys.executable, "-m", "hil.bench.links"]
+    return lambda: _Pair([*command, "echo", uri], [*command, "drive", uri, str(rate_hz)])
+
+
+def _floor(folder: Path, rate_hz: float) -> _Pair:
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        raise OSError("no C compiler, hence no floor: apt-get install gcc")
+    program = folder / "udp_echo"
+    source = Path(__file__).with_name("udp_echo.c")
+    subprocess.run([compiler, "-O2", "-o", program, source], check=True, capture_output=True)
+    cpus = sorted(os.sched_getaffinity(0))
+    port = str(_free_port())
+    echo_cpu, drive_cpu = (str(cpus[-1 - i]) if len(cpus) > i + 1 else "-1" for i in (1, 0))
+    return _Pair(
+        [str(program), "echo", port, str(PRIORITY - 1), echo_cpu],
+        [str(program), "drive", port, str(PRIORITY), drive_cpu, str(rate_hz)],
+    )
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+# What follows runs in the processes of a pair.
+
+
+def echo(uri: str) -> None:
+    """Answer every packet with a control packet of the same sequence number (its lowest byte), until killed."""
+    answers = [encode_control(ControlPacket(seq, 0, 0, 0, 1, ((1.0, 2.0), (3.0, 4.0)))) for seq in range(256)]
+    go_real_time(PRIORITY - 1, 1)
+    with open_link(uri, "controller") as link:
+        print("ready", flush=True)  # noqa: T201 (this is the process's interface)
+        while True:
+            packet = link.receive(1.0)
+            if packet is not None:
+                link.send(answers[packet[4]])
+
+
+def drive(uri: str, rate_hz: float) -> None:
+    """Make as many round trips as each line of standard input says, and print how long each took, ns."""
+    questions = [encode_sensor(SensorPacket(seq, 0, 0, (1.0,))) for seq in range(256)]
+    with open_link(uri, "rig") as link:
+        limit = monotonic_ns() + MEETING_NS
+        while _trip(link, questions, 0) < 0:
+            if monotonic_ns() > limit:
+                raise TransportError(f"link {uri!r}: no answer within {MEETING_NS / 1e9:g} s")
+        go_real_time(PRIORITY, 0)
+        print("ready", flush=True)  # noqa: T201
+        for line in sys.stdin:
+            while link.receive(0) is not None:
+                pass
+            clock = RealClock(monotonic_ns() + 1_000_000)
+            taken = []
+            for k in range(int(line)):
+                clock.wait_until(round(k * 1e9 / rate_hz))
+                taken.append(_trip(link, questions, k + 1))
+            print(*taken, flush=True)  # noqa: T201
+
+
+def _trip(link: Link, questions: list[bytes], seq: int) -> int:
+    """Return the ns of one round trip, -1 if the answer did not come in time."""
+    seq &= 0xFF
+    begin = monotonic_ns()
+    link.send(questions[seq])
+    while (left := begin + PATIENCE_NS - monotonic_ns()) > 0:
+        packet = link.receive(left / 1e9)
+        if packet is not None and packet[4] == seq:
+            return monotonic_ns() - begin
+    return -1
+
+
+def main() -> None:
+    """Be one of the processes of a pair."""
+    die_with_parent(os.getppid())
+    try:
+        if sys.argv[1] == "echo":
+            echo(sys.argv[2])
+        else:
+            drive(sys.argv[2], float(sys.argv[3]))
+    except TransportError as error:
+        print(error, flush=True)  # noqa: T201
+        raise SystemExit(1) from error
+
+
+if __name__ == "__main__":
+    main()
