@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import can
 
-from transport.unix_mesh import Mesh, MeshError
+from transport.link import TransportError
+from transport.unix_mesh import Mesh
 
 if TYPE_CHECKING:
     from can.typechecking import AutoDetectedConfig, CanFilters, Channel
@@ -73,7 +74,7 @@ class HilBus(can.BusABC):
             raise can.CanInitializationError(f"hil: channel {name!r}: expected up to 32 letters, digits, '_', '-', '.'")
         try:
             self._mesh = Mesh(bus_directory() / name, echo=receive_own_messages)
-        except (MeshError, OSError) as error:
+        except (TransportError, OSError) as error:
             raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
         self.channel = name
         self.channel_info = f"hil channel '{name}'"

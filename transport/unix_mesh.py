@@ -14,20 +14,20 @@ missed before it, which is the mesh's to fill in.
 
 from __future__ import annotations
 
-import fcntl
 import mmap
 import os
 import select
 import socket
-import stat
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from errno import ENOBUFS
 from pathlib import Path
 from struct import Struct
 from threading import Lock
 from types import TracebackType
 from typing import Final, Self
+
+from transport.link import TransportError
+from transport.private_directory import locked
 
 HEAD: Final = Struct("<dH")
 """Time stamp, s; datagrams lost before this one."""
@@ -43,10 +43,6 @@ _SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds 
 _LARGEST: Final = 128
 _JOIN_TIMEOUT_S: Final = 2.0
 _COARSE_S: Final = 0.05  # epoll rounds up to milliseconds: good enough for a wait as long as this
-
-
-class MeshError(Exception):
-    """The mesh cannot be joined; the message says why."""
 
 
 class _Peer:
@@ -84,7 +80,7 @@ class Mesh:
         lost: datagrams others could not hand to this one.
 
     Raises:
-        MeshError: no such directory can be had, or it belongs to somebody else.
+        TransportError: no such directory can be had, or it belongs to somebody else.
     """
 
     def __init__(self, directory: Path, *, echo: bool = False) -> None:
@@ -96,9 +92,10 @@ class Mesh:
         self._epoll = select.epoll()
         self._own: _Peer | None = None
         self._closed = False
+        self._knows_all = True
         self._rest = self._vain = 0  # short waits that will not look first; looks in vain, one after the other
         try:
-            with _locked(directory.parent, _JOIN_TIMEOUT_S):
+            with locked(directory.parent, _JOIN_TIMEOUT_S):
                 self._join()
         except BaseException:
             self._epoll.close()
@@ -120,6 +117,7 @@ class Mesh:
                 connection.connect(str(path))
             except BlockingIOError:  # alive, stopped, and thousands have knocked already
                 connection.close()
+                self._knows_all = False
             except (ConnectionRefusedError, FileNotFoundError):
                 connection.close()
                 path.unlink(missing_ok=True)
@@ -136,7 +134,7 @@ class Mesh:
             self._listener.bind(str(path))
         except OSError as error:
             self._listener.close()
-            raise MeshError(f"{path}: {error.strerror or error}; a Unix socket's path has at most 107 bytes") from error
+            raise TransportError(f"{path}: {error.strerror or error}; a Unix socket's path has at most 107 bytes") from error
         self._listener.listen(socket.SOMAXCONN)
         self._path = path
         self._epoll.register(self._listener, select.EPOLLIN)
@@ -285,22 +283,34 @@ class Mesh:
         return len(self._peers) + 1
 
     def close(self) -> None:
-        """Leave; what was sent stays readable for the others."""
+        """Leave; what was sent stays readable for the others. The last one alive clears the directory away."""
+        if self._closed:
+            return
+        with suppress(TransportError, OSError), locked(self.directory.parent, 0.2):
+            self._path.unlink(missing_ok=True)
+            if self._last():
+                for path in (*self.directory.glob("*.sock"), self.directory / "joined"):
+                    path.unlink(missing_ok=True)
+                self.directory.rmdir()
         with self._lock:
             if self._closed:
                 return
             self._closed = True
             sources, self._sources, self._peers = self._sources, {}, ()
+        self._path.unlink(missing_ok=True)  # where the lock was not to be had
         self._epoll.close()
         self._listener.close()
         for peer in [*sources.values(), *([self._own] if self._own else [])]:
             peer.socket.close()
-        self._path.unlink(missing_ok=True)
-        with suppress(MeshError, OSError), _locked(self.directory.parent, 0.2):
-            if not any(self.directory.glob("*.sock")):
-                (self.directory / "joined").unlink(missing_ok=True)
-                self.directory.rmdir()
         self._joined.close()
+
+    def _last(self) -> bool:
+        """Return whether all others have left or were killed; nobody can join while the lock is held."""
+        self._admit()
+        poll = select.poll()
+        for peer in self._peers:
+            poll.register(peer.socket, 0)
+        return self._knows_all and sum(bool(event & select.POLLHUP) for _, event in poll.poll(0)) == len(self._peers)
 
     def __enter__(self) -> Self:
         return self
@@ -309,29 +319,3 @@ class Mesh:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-@contextmanager
-def _locked(root: Path, timeout_s: float) -> Iterator[None]:
-    """Hold the lock on the directory of all meshes, which must be ours alone; a killed holder's lock is void."""
-    try:
-        root.mkdir(mode=0o700, exist_ok=True)
-        descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError as error:
-        raise MeshError(f"{root}: {error.strerror}") from error
-    try:
-        status = os.fstat(descriptor)
-        if status.st_uid != os.geteuid() or stat.S_IMODE(status.st_mode) & 0o077:
-            raise MeshError(f"{root}: must be a directory of user {os.geteuid()} with mode 700; remove it")
-        pause = select.poll()
-        for _ in range(max(1, round(timeout_s / 0.01))):
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                pause.poll(10)
-        else:
-            raise MeshError(f"{root}: locked for {timeout_s:g} s by a process that is stopped while it joins")
-        yield
-    finally:
-        os.close(descriptor)

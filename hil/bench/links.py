@@ -149,9 +149,12 @@ class _Pair:
         return trips
 
     def close(self) -> None:
-        for child in self._children:
-            child.kill()
-            child.communicate()
+        for child, grace_s in zip(self._children, (0.0, 2.0)):  # the driving one ends by itself, and tidies up
+            try:
+                child.communicate(timeout=grace_s)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.communicate()
 
 
 def _open(stack: ExitStack, make: Callable[[], _Pair]) -> _Pair | str:

@@ -308,6 +308,19 @@ def test_nothing_is_left_behind_by_the_last_to_leave(bus_directory: Path) -> Non
     assert list(bus_directory.iterdir()) == []
 
 
+def test_the_last_one_alive_clears_away_what_killed_processes_left(bus_directory: Path) -> None:
+    with bus() as survivor, process(*python(IDLE)) as first, process(*python(IDLE)) as second:
+        survivor.send(frame(1))
+        first.kill()
+        first.wait()
+        with bus():
+            pass
+        assert len(list((bus_directory / "t").glob("*.sock"))) == 2  # who leaves among the living leaves them alone
+        second.kill()
+        second.wait()
+    assert list(bus_directory.iterdir()) == []
+
+
 def test_a_directory_open_to_others_is_refused(bus_directory: Path) -> None:
     bus_directory.chmod(0o755)
     with pytest.raises(can.CanInitializationError, match="mode 700"):

@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from transport.unix_mesh import HEAD, LOOKS, Mesh, MeshError
+from transport import TransportError
+from transport.unix_mesh import HEAD, LOOKS, Mesh
 
 
 @pytest.fixture
@@ -79,7 +80,7 @@ def test_who_cannot_get_the_lock_says_that_somebody_stopped_in_mid_join(
     monkeypatch.setattr("transport.unix_mesh._JOIN_TIMEOUT_S", 0.05)
     held = os.open(directory.parent, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
-    with pytest.raises(MeshError, match="stopped while it joins"):
+    with pytest.raises(TransportError, match="stopped while it joins"):
         Mesh(directory)
     os.close(held)
     Mesh(directory).close()
@@ -88,7 +89,7 @@ def test_who_cannot_get_the_lock_says_that_somebody_stopped_in_mid_join(
 def test_a_directory_that_is_a_link_is_refused(directory: Path, tmp_path: Path) -> None:
     trap = tmp_path / "trap"
     trap.symlink_to(directory.parent)
-    with pytest.raises(MeshError, match="trap"):
+    with pytest.raises(TransportError, match="trap"):
         Mesh(trap / "mesh")
 
 
