@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
+from threadpoolctl import threadpool_limits
 
 from design.controllers import LoopModel, RunningController, StaticGains, row_count
 from design.errors import DesignError
@@ -103,6 +104,12 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
     ExperimentError
         If sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is not set.
     """
+    # Small matrices: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
+    with threadpool_limits(1, user_api="blas"):
+        return _compose(experiment, certify)
+
+
+def _compose(experiment: Experiment, certify: bool) -> Loop:
     faults = _faults(experiment)
     if faults:
         raise ExperimentError(experiment.name, faults)
