@@ -10,6 +10,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 
 import pytest
 
+import transport
 from transport import Link, TransportError, memory_pair, open_link
 from transport.memory import QUEUE_LIMIT
 
@@ -60,6 +61,13 @@ def test_a_users_link_comes_in_by_the_same_door(monkeypatch: pytest.MonkeyPatch)
 def test_importing_the_package_imports_neither_can_nor_zenoh_nor_numpy() -> None:
     program = "import sys, transport; print(*{'can', 'zenoh', 'cantools', 'numpy'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "\n"
+
+
+def test_every_public_name_is_there() -> None:
+    for name in transport.__all__:
+        assert getattr(transport, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        transport.nothing  # noqa: B018
 
 
 @pytest.fixture
