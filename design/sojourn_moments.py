@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import linalg
 
 from design.errors import DesignError
 from design.jump_certificate import JumpCertificate
+from design.matrix_exponential import exponential
 from design.scheduled_gain import ScheduledGain
 from design.semi_markov import SemiMarkov
 from design.smjls import JumpSystem
@@ -66,12 +66,12 @@ def _closed_loop(
 def _transitions(a0: FloatArray, slope: FloatArray, offset: float, lengths: FloatArray) -> FloatArray:
     """Phi from ``offset`` to offset + lengths for A(s) = a0 + slope s (fourth-order Magnus)."""
     if not slope.any():
-        return np.asarray(linalg.expm(a0 * lengths[:, None, None]))
+        return exponential(a0 * lengths[:, None, None])
     x = lengths[:, None, None]
     shift = math.sqrt(3.0) / 6.0
     first, second = a0 + slope * (offset + x * (0.5 - shift)), a0 + slope * (offset + x * (0.5 + shift))
     commutator = second @ first - first @ second
-    return np.asarray(linalg.expm(0.5 * x * (first + second) + math.sqrt(3.0) / 12.0 * x * x * commutator))
+    return exponential(0.5 * x * (first + second) + math.sqrt(3.0) / 12.0 * x * x * commutator)
 
 
 def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, mode: int, parts: int) -> _ModeMoments:

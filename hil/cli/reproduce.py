@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from pathlib import Path
 
 import click
@@ -27,18 +28,14 @@ def command(chapter: str, as_json: bool, output: Path | None) -> None:
     if as_json:
         print(json.dumps(result.to_json(), indent=2))
         return
-    from rich.console import Console
-    from rich.table import Table
-
     colours = {"reproduced": "green", "not reproduced": "yellow", "claim false": "red"}
-    table = Table(title=result.title, show_lines=True)
-    for head in ("item", "printed", "computed", "verdict", "assumption or witness"):
-        table.add_column(head, overflow="fold")
+    click.secho(result.title, bold=True)
     for row in result.rows:
-        verdict = f"[{colours[row.verdict]}]{row.verdict}[/]"
-        table.add_row(
-            *(text.replace("[", "\\[") for text in (row.item, row.printed, row.computed)),
-            verdict,
-            row.basis.replace("[", "\\["),
-        )
-    Console().print(table)
+        click.echo(f"\n{click.style(row.verdict, fg=colours[row.verdict], bold=True)}: {row.item}")
+        for name, text in (("printed", row.printed), ("computed", row.computed), ("basis", row.basis)):
+            if text:
+                click.echo(
+                    textwrap.fill(f"{name:9} {text}", width=110, initial_indent="    ", subsequent_indent=" " * 14)
+                )
+    counts = ", ".join(f"{sum(row.verdict == verdict for row in result.rows)} {verdict}" for verdict in colours)
+    click.echo(f"\n{len(result.rows)} rows: {counts}")

@@ -35,6 +35,11 @@ class Row:
     basis: str = ""
 
 
+def row(item: str, printed: str, computed: str, verdict: Verdict, basis: str = "") -> Row:
+    """A row, written as it is read: item, printed, computed, verdict, assumption or witness."""
+    return Row(item=item, printed=printed, computed=computed, verdict=verdict, basis=basis)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plot:
     """One figure of a chapter: its number there, and the panels that show it."""
