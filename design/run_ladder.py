@@ -8,8 +8,10 @@ instruction sets the logarithm of the C library may differ in its last digit.
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal, TypeVar, get_args
@@ -71,9 +73,27 @@ def spread(task: Callable[[Job], Result], jobs: Sequence[Job], ladder: Ladder) -
         if ladder.backend == "dask":
             options["client"] = stack.enter_context(_client(ladder))
         stack.enter_context(parallel_config(**options))
-        results = Parallel(return_as="generator")(delayed(task)(job) for job in jobs)
+        with _deaf_children():
+            results = Parallel(return_as="generator")(delayed(task)(job) for job in jobs)
         stack.enter_context(closing(results))
         yield from results
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Ignore Ctrl-C for the milliseconds in which workers are started: they inherit that for good.
+
+    A terminal sends it to all of them; it is for this process alone, which then stops them. (A mask would not lose a
+    signal, but loky lifts masks when it starts its resource tracker.)
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set handlers
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
 
 
 def _client(ladder: Ladder) -> Any:

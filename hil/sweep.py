@@ -1,18 +1,23 @@
-"""Many seeds of one experiment on all cores: same loop, same code, no log files."""
+"""Many seeds of one experiment on one core, all cores or many machines: same loop, same code, no log files."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from design.confidence import Interval, StopRule
+from design.run_ladder import Ladder, spread
 from hil.experiment import Experiment
 from hil.runtime.loop import Loop, compose
+from hil.sweep_store import SweepStore
 
 METRICS = ("sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u")
+COLUMNS = ("stopped", *METRICS)
 TOPICS = ("/plant/measurement", "/reference", "/actuator/applied", "/events")
 
 
@@ -32,6 +37,20 @@ def run_seeds(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     return rows
 
 
+class Sweep(NamedTuple):
+    """What a sweep has found.
+
+    values: ``seed``, ``stopped`` and every metric, one entry per run in the order of the seeds.
+    interrupted: Ctrl-C came; the values are those of the runs that were done.
+    interval, reached: with a stopping rule, its interval (None before the first look) and whether it is narrow enough.
+    """
+
+    values: dict[str, NDArray[np.float64]]
+    interrupted: bool
+    interval: Interval | None = None
+    reached: bool = False
+
+
 def sweep(
     experiment: Experiment,
     seeds: Sequence[int],
@@ -39,41 +58,74 @@ def sweep(
     jobs: int = -1,
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Run an experiment for every seed.
+    """Run an experiment for every seed on this machine; as `run_sweep`, but only its values."""
+    ladder = Ladder(backend="serial") if jobs == 1 else Ladder(backend="loky", jobs=jobs)
+    return run_sweep(experiment, seeds, ladder=ladder, progress=progress).values
 
-    Every run has its own seed, so the numbers are the same for every number of jobs and every split.
+
+def run_sweep(
+    experiment: Experiment,
+    seeds: Sequence[int],
+    *,
+    ladder: Ladder,
+    progress: Callable[[int], None] = lambda done: None,
+    store: SweepStore | None = None,
+    until: tuple[str, StopRule] | None = None,
+) -> Sweep:
+    """Run an experiment for every seed, or for as many as a confidence interval needs.
+
+    Every run has its own seed, so the numbers are the same for every number of jobs and machines and every split.
 
     Parameters
     ----------
     experiment : Experiment
         What to run, in virtual time.
     seeds : sequence of int
-        One run each.
-    jobs : int
-        Processes; -1 for one per core.
+        One run each; with ``until`` the most that may be run.
+    ladder : Ladder
+        Where: this process, the cores of this machine, or a dask cluster.
     progress : callable
         Told how many runs have been done.
-
-    Returns
-    -------
-    dict of str to ndarray
-        ``seed``, ``stopped`` and every metric, one entry per run in the order of the seeds. After Ctrl-C: what was done.
+    store : SweepStore, optional
+        Where finished runs are kept, and taken from instead of being run again.
+    until : (metric, StopRule), optional
+        Stop as soon as the interval of the metric is narrow enough. It is looked at only at the rule's numbers of runs,
+        which is what its error rate needs; runs in which the metric is undefined do not count for it.
     """
-    from joblib import Parallel, delayed
-
+    done = {seed: store.rows[seed] for seed in seeds if seed in store.rows} if store else {}
+    look, interval, reached, interrupted = 0, None, False, False
+    wanted: Sequence[int] = seeds
     loop = compose(experiment)
-    workers = min(jobs if jobs > 0 else len(os.sched_getaffinity(0)), max(len(seeds), 1))
-    size = max(1, min(25, -(-len(seeds) // (4 * workers))))
-    chunks = [seeds[i : i + size] for i in range(0, len(seeds), size)]
-    rows: list[dict[str, float]] = []
     try:
-        parallel = Parallel(n_jobs=workers, return_as="generator", inner_max_num_threads=1, backend="loky")
-        for part in parallel(delayed(run_seeds)(loop, chunk) for chunk in chunks):
-            rows += part
-            progress(len(rows))
+        while not reached and (look == 0 or len(wanted) < len(seeds)):
+            look += 1
+            if until is not None:
+                wanted = seeds[: until[1].runs(look)]
+            progress(sum(seed in done for seed in wanted))
+            missing = [seed for seed in wanted if seed not in done]
+            for rows in spread(partial(run_seeds, loop), _parts(missing, ladder), ladder):
+                done.update((int(row["seed"]), row) for row in rows)
+                if store:
+                    store.add(rows)
+                progress(sum(seed in done for seed in wanted))
+            if until is not None:
+                found = np.array([done[seed][until[0]] for seed in wanted])
+                interval = until[1].interval(found[np.isfinite(found)], look)
+                reached = interval.half_width <= until[1].half_width
+                interval = interval._replace(level=until[1].level)
     except KeyboardInterrupt:
-        pass  # what is done is worth having
-    return {name: np.array([row[name] for row in rows]) for name in ("seed", "stopped", *METRICS)}
+        interrupted = True  # what is done is worth having
+        wanted = seeds
+    rows = [done[seed] for seed in wanted if seed in done]
+    values = {name: np.array([row[name] for row in rows]) for name in ("seed", *COLUMNS)}
+    return Sweep(values, interrupted, interval, reached)
+
+
+def _parts(seeds: Sequence[int], ladder: Ladder) -> list[Sequence[int]]:
+    """Seeds for one job each: few enough that Ctrl-C loses little, and that all workers have work to the end."""
+    workers = ladder.jobs if ladder.jobs > 0 else len(os.sched_getaffinity(0))
+    size = max(1, min(25, -(-len(seeds) // (4 * workers))))
+    return [seeds[i : i + size] for i in range(0, len(seeds), size)]
 
 
 def statistics(values: NDArray[np.float64]) -> dict[str, Any]:

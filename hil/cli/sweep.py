@@ -1,34 +1,62 @@
-"""``hil sweep``: one experiment, many seeds, all cores, no log files."""
+"""``hil sweep``: one experiment, many seeds, all cores or many machines, no log files."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
+from contextlib import ExitStack
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.errors import HilError
 
+if TYPE_CHECKING:
+    from design.confidence import StopRule
+
 
 @click.command()
 @click.argument("experiment")
-@click.option("--runs", type=int, default=100, show_default=True, help="Number of runs; seeds 0, 1, ...")
+@click.option("--runs", type=int, default=100, show_default=True, help="Number of runs, with --until at most; seeds 0, 1, ...")
 @click.option("--first-seed", type=int, default=0, show_default=True)
+@click.option(
+    "--until", metavar="METRIC=HALFWIDTH", help="Stop when the interval of this metric's mean (sd:METRIC: deviation) is narrow."
+)
+@click.option("--level", type=float, default=0.95, show_default=True, help="Confidence of that interval at the stop.")
+@click.option("--resume", type=click.Path(path_type=Path, dir_okay=False), help="Keep finished runs in this file, go on from it.")
+@click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True)
+@click.option("--scheduler", metavar="ADDRESS", help="The dask scheduler, e.g. tcp://10.0.0.1:8786.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def command(experiment: str, runs: int, first_seed: int, jobs: int, sets: tuple[str, ...], as_json: bool) -> None:
+def command(
+    experiment: str,
+    runs: int,
+    first_seed: int,
+    until: str | None,
+    level: float,
+    resume: Path | None,
+    backend: str,
+    scheduler: str | None,
+    jobs: int,
+    sets: tuple[str, ...],
+    as_json: bool,
+) -> None:
     """Run EXPERIMENT in virtual time for many seeds; print mean, spread and percentiles of its metrics.
 
-    Ctrl-C prints what was done so far and exits with 130.
+    The numbers do not depend on the number of processes and machines. Ctrl-C prints what was done so far and exits with
+    130; with --resume the same command goes on from there. If --runs did not suffice for --until, the status is 1.
     """
     from rich.console import Console
     from rich.progress import Progress, TimeRemainingColumn
-    from rich.table import Table
 
+    from design.run_ladder import Ladder
     from hil.experiment import load_experiment
-    from hil.sweep import METRICS, statistics, sweep
+    from hil.sweep import COLUMNS, METRICS, run_sweep, statistics
+    from hil.sweep_store import SweepStore
 
     if runs < 1:
         raise HilError(f"--runs: {runs} is below 1")
@@ -36,36 +64,103 @@ def command(experiment: str, runs: int, first_seed: int, jobs: int, sets: tuple[
         raise HilError(f"--first-seed: {first_seed} is negative")
     if jobs == 0 or jobs < -1:
         raise HilError(f"--jobs: {jobs}; expected -1 or a positive number")
+    if (scheduler is None) == (backend == "dask"):
+        raise HilError("--scheduler: --backend dask needs the address of its scheduler, and nothing else does")
+    rule = stop_rule(until, level, METRICS) if until is not None else None
     checked = load_experiment(experiment, sets)
+    if backend == "dask":
+        ladder = Ladder(backend="dask", scheduler=scheduler)
+    else:
+        ladder = Ladder() if jobs == 1 else Ladder(backend="loky", jobs=jobs)
     begun = time.perf_counter()
     err = Console(stderr=True)
-    with Progress(*Progress.get_default_columns()[:-1], TimeRemainingColumn(), console=err, disable=not err.is_terminal) as bar:
+    with ExitStack() as stack:
+        store = stack.enter_context(SweepStore(resume, checked, COLUMNS)) if resume is not None else None
+        columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
+        bar = stack.enter_context(Progress(*columns, console=err, disable=not err.is_terminal))
         task = bar.add_task(checked.name, total=runs)
-        found = sweep(
+        found = run_sweep(
             checked,
             range(first_seed, first_seed + runs),
-            jobs=jobs,
+            ladder=ladder,
             progress=lambda done: bar.update(task, completed=done),
+            store=store,
+            until=rule,
         )
-    done = int(found["seed"].size)
-    out = {
+    values = found.values
+    out: dict[str, Any] = {
         "experiment": checked.name,
-        "runs": done,
+        "runs": int(values["seed"].size),
         "requested": runs,
         "first_seed": first_seed,
         "wall_s": round(time.perf_counter() - begun, 3),
-        "stopped_by_safety": int(found["stopped"].sum()),
-        "metrics": {name: statistics(found[name]) for name in METRICS},
+        "stopped_by_safety": int(values["stopped"].sum()),
+        "metrics": {name: statistics(values[name]) for name in METRICS},
     }
+    if rule is not None:
+        seen = found.interval
+        out["until"] = {
+            "metric": rule[0],
+            "statistic": rule[1].statistic,
+            "half_width": rule[1].half_width,
+            "level": level,
+            "reached": found.reached,
+            "interval": None if seen is None or not isfinite(seen.half_width) else seen._asdict(),
+        }
+    _show(out, as_json)
+    if found.interrupted:
+        if resume is not None:
+            print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
+        sys.exit(130)
+    if rule is not None and not found.reached:
+        sys.exit(1)
+
+
+def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, StopRule]:
+    """The metric and the rule that ``METRIC=HALFWIDTH`` or ``sd:METRIC=HALFWIDTH`` asks for.
+
+    Raises
+    ------
+    HilError
+        If it is not of this form.
+    """
+    from design.confidence import StopRule
+
+    name, _, width = text.partition("=")
+    statistic, _, metric = name.rpartition(":")
+    if metric not in metrics:
+        raise HilError(f"--until: {metric!r} is not one of {', '.join(metrics)}")
+    try:
+        number = float(width)
+    except ValueError:
+        raise HilError(f"--until: {width!r} is not a number; expected METRIC=HALFWIDTH") from None
+    try:
+        return metric, StopRule(half_width=number, statistic=statistic or "mean", level=level)  # type: ignore[arg-type]
+    except ValueError as e:
+        raise HilError(f"--until: {e}") from e
+
+
+def _show(out: dict[str, Any], as_json: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     if as_json:
         print(json.dumps(out, indent=2))
-    else:
-        table = Table(title=f"{checked.name}: {done} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
-        for head in ("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"):
-            table.add_column(head, justify="left" if head == "metric" else "right")
-        for name, s in out["metrics"].items():  # type: ignore[attr-defined]
-            values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
-            table.add_row(name, str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in values))
-        Console().print(table)
-    if done < runs:
-        sys.exit(130)
+        return
+    table = Table(
+        title=f"{out['experiment']}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety"
+    )
+    for head in ("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"):
+        table.add_column(head, justify="left" if head == "metric" else "right")
+    for name, s in out["metrics"].items():
+        values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
+        table.add_row(name, str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in values))
+    Console().print(table)
+    wanted = out.get("until")
+    if wanted and wanted["interval"]:
+        seen = wanted["interval"]
+        print(
+            f"{wanted['statistic']} of {wanted['metric']}: {seen['value']:.6g} in [{seen['low']:.6g}, {seen['high']:.6g}] "
+            f"with {wanted['level']:.6g} confidence, whenever it stops ({seen['n']} runs)"
+            + ("" if wanted["reached"] else f"; not within +-{wanted['half_width']:g} yet")
+        )

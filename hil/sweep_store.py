@@ -1,0 +1,118 @@
+"""The file of a sweep: one line per finished run, so that a sweep that was interrupted goes on where it was."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hil.errors import HilError
+from hil.experiment import Experiment
+
+FORMAT = "hil-sweep/1"
+
+
+class SweepStore:
+    """Rows of metrics by seed, in a text file of JSON lines that is complete after every row.
+
+    The first line says which experiment the rows belong to; a file of another one is refused. A last line that was torn
+    by a crash is cut off. The file is locked, so that two sweeps cannot mix their rows.
+
+    Parameters
+    ----------
+    path : Path
+        The file; made if it is not there.
+    experiment : Experiment
+        What the rows belong to; its own seed does not matter.
+    metrics : sequence of str
+        Columns of a row, besides ``seed``.
+
+    Raises
+    ------
+    HilError
+        If the file belongs to something else, is in use, or cannot be written.
+    """
+
+    def __init__(self, path: Path, experiment: Experiment, metrics: Sequence[str]) -> None:
+        self.path = path
+        self.rows: dict[int, dict[str, float]] = {}
+        head = {"format": FORMAT, "experiment": experiment.name, "digest": _digest(experiment), "metrics": list(metrics)}
+        try:
+            self._file = open(path, "a+b")  # noqa: SIM115
+        except OSError as e:
+            raise HilError(f"--resume: {path}: {e.strerror}") from e
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as e:
+            self._file.close()
+            raise HilError(f"--resume: {path} is in use by another sweep") from e
+        try:
+            self._load(head)
+        except HilError:
+            self._file.close()
+            raise
+
+    def _load(self, head: dict[str, Any]) -> None:
+        self._file.seek(0)
+        text = self._file.read()
+        whole = text[: text.rfind(b"\n") + 1]
+        lines = whole.splitlines()
+        if lines:
+            self._check(lines[0], head)
+        elif text and not json.dumps(head).encode().startswith(text):  # a torn first line of ours is a new file
+            raise HilError(f"--resume: {self.path} is not the file of a sweep")
+        for number, line in enumerate(lines[1:], 2):
+            try:
+                row = json.loads(line)
+                found = {name: math.nan if row[name] is None else float(row[name]) for name in head["metrics"]}
+                self.rows[int(row["seed"])] = found | {"seed": int(row["seed"])}
+            except (ValueError, KeyError, TypeError) as e:
+                raise HilError(f"--resume: {self.path}: line {number} is not a row of this sweep") from e
+        if len(whole) < len(text):
+            self._file.truncate(len(whole))
+        if not lines:
+            self._write(head)
+
+    def _check(self, line: bytes, head: dict[str, Any]) -> None:
+        try:
+            found = json.loads(line)
+            ours = found["format"] == FORMAT
+        except (ValueError, KeyError, TypeError):
+            ours = False
+        if not ours:
+            raise HilError(f"--resume: {self.path} is not the file of a sweep")
+        for key in ("experiment", "digest", "metrics"):
+            if found.get(key) != head[key]:
+                raise HilError(
+                    f"--resume: {self.path} holds runs of {found.get('experiment')!r} with another {key}; "
+                    f"expected {head['experiment']!r} as it is now"
+                )
+
+    def _write(self, line: dict[str, Any]) -> None:
+        self._file.write(json.dumps(line).encode() + b"\n")
+        self._file.flush()
+
+    def add(self, rows: Sequence[dict[str, float]]) -> None:
+        """Append finished runs and hand them to the operating system."""
+        for row in rows:
+            self.rows[int(row["seed"])] = row
+            self._write({name: None if isinstance(v, float) and math.isnan(v) else v for name, v in row.items()})
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> SweepStore:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _digest(experiment: Experiment) -> str:
+    resolved = {k: v for k, v in experiment.resolved().items() if k not in ("seed", "name", "description")}
+    return hashlib.sha256(json.dumps(resolved, sort_keys=True).encode()).hexdigest()
