@@ -165,9 +165,10 @@ class PublishedScheduled:
 
 def _stated(certificate: JumpCertificate) -> dict[str, Any]:
     """Return the certificate as JSON, saying of what it is one: the loop samples what the theory lets act at every instant."""
-    stated = dict(certificate.to_json())
+    stated: dict[str, Any] = dict(certificate.to_json())
+    assumptions: list[str] = list(certificate.assumptions)
     stated["stable"] = certificate.certified and certificate.sound
-    stated["assumptions"] = [*stated["assumptions"], "the feedback acts at every instant; the loop samples it at T"]
+    stated["assumptions"] = [*assumptions, "the feedback acts at every instant; the loop samples it at T"]
     return stated
 
 

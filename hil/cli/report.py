@@ -21,9 +21,11 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     from hil.log.read import read_run
     from hil.report.metrics import summarise
     from hil.report.run_page import render_report
+    from hil.report.theory import theory_section
 
     run = read_run(file)
-    page = render_report(run, {**summarise(run), **run.summary})
+    theory = theory_section(run)
+    page = render_report(run, {**summarise(run), **run.summary}, sections=[theory] if theory else [])
     target = output or file.with_suffix(".html")
     if target.resolve() == file.resolve():
         raise HilError(f"{target}: is the log itself; choose another -o")

@@ -64,9 +64,7 @@ def tracking_metrics(
         return found
     t, outputs, reference = np.asarray(t, dtype=np.float64)[:n], outputs[:n], reference[:n]
     changes = np.flatnonzero(np.any(reference[1:] != reference[:-1], axis=1)) + 1
-    target = reference.copy()
-    if changes.size:
-        target[: changes[0]] = reference[changes[0]]
+    target = target_of(reference)
     with np.errstate(over="ignore", invalid="ignore"):
         error = outputs - target
         squared = np.sum(error**2, axis=1)
@@ -86,6 +84,15 @@ def tracking_metrics(
             found["overshoot"] = _overshoot(error[first:end, moved], step[moved])
             found["settling_time_s"] = _settling(t[first:end], error[first:end, moved], step[moved])
     return found
+
+
+def target_of(reference: Array) -> Array:
+    """Return what the error counts against, (n, p): the reference, and before its first change the value that it goes to."""
+    target: Array = reference.copy()
+    changes = np.flatnonzero(np.any(reference[1:] != reference[:-1], axis=1)) + 1
+    if changes.size:
+        target[: changes[0]] = reference[changes[0]]
+    return target
 
 
 def _overshoot(error: Array, step: Array) -> float | None:

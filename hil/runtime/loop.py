@@ -128,7 +128,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
     stated: dict[str, Any] | None = None
     try:
         if hasattr(controller, "solve"):  # a design problem: what runs is its solution
-            controller, stated = controller.solve(model, _chain(links.sc.law), _chain(links.ca.law), experiment.folder)
+            controller, stated = controller.solve(model, delay_chain(links.sc.law), delay_chain(links.ca.law), experiment.folder)
             kinds = {**experiment.kinds, "controller": controller.kind}
             experiment = replace(experiment, controller=controller, kinds=kinds)
         running = controller.start(model)
@@ -193,7 +193,7 @@ def _accept(e: Experiment, stated: dict[str, Any]) -> dict[str, Any]:
     return stated
 
 
-def _chain(law: Any) -> Any | None:
+def delay_chain(law: Any) -> Any | None:
     """Return the delay chain of a network law, None where it has none (packet laws, traces)."""
     from design.delay_chain import DelayChain
 
@@ -207,7 +207,7 @@ def _chain(law: Any) -> Any | None:
 
 def _certify(e: Experiment, model: LoopModel, controller: Any) -> dict[str, Any] | None:
     """Return the certificate of the closed loop, or refuse the run."""
-    sc, ca = _chain(e.links.sc.law), _chain(e.links.ca.law)
+    sc, ca = delay_chain(e.links.sc.law), delay_chain(e.links.ca.law)
     if not isinstance(controller, StaticGains) or sc is None or ca is None:
         if not e.allow_uncertified:
             what = "this kind of network law" if isinstance(controller, StaticGains) else "this kind of controller"

@@ -216,7 +216,8 @@ def test_nobody_answers_on_the_link(tmp_path: Path) -> None:
         "from hil.experiment import load_experiment; from hil.runtime.loop import compose\n"
         "from hil.log.sinks import MemorySink\n"
         "loop = compose(load_experiment('dc-motor-hinf'))\n"
-        f"out = real.run_real(loop, 0, 'can:hil:n{os.getpid()}', MemorySink(loop.channels()), external=True, hello_timeout_s=0.5)\n"
+        "sink = MemorySink(loop.channels())\n"
+        f"out = real.run_real(loop, 0, 'can:hil:n{os.getpid()}', sink, external=True, hello_timeout_s=0.5)\n"
         "assert out.rig_status == 3, out\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)

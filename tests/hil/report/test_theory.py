@@ -1,0 +1,39 @@
+"""The predicted error beside emulated ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.experiment import load_experiment
+from hil.report.figures import Figure, Table
+from hil.report.theory import theory_section
+from hil.session import run_session
+
+
+@pytest.mark.parametrize(("name", "mean", "sd"), [("dc-motor-hinf", 12.03, 0.41), ("dc-motor-h2", 12.33, 0.46)])
+def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
+    tmp_path: Path, name: str, mean: float, sd: float
+) -> None:
+    run = run_session(load_experiment(name), path=tmp_path / "a.mcap").run
+    section = theory_section(run)
+    assert section is not None
+    figure, table = section.blocks
+    assert isinstance(figure, Figure) and isinstance(table, Table)
+    assert table.rows[0][1] == pytest.approx(mean, abs=0.03)  # 10,000 runs gave the known mean, to 0.005 + rounding
+    assert table.rows[0][2] == pytest.approx(sd, rel=0.05)
+    theory, emulated = figure.bands
+    # Where 95 % of 100 runs lie is within 4 predicted sd of the mean (at ticks whose spread is more than rounding).
+    centre = (np.asarray(theory.lower) + np.asarray(theory.upper)) / 2
+    spread = (np.asarray(theory.upper) - np.asarray(theory.lower)) / 4
+    wide = spread > 1e-4
+    for edge in (emulated.lower, emulated.upper):
+        assert np.all(np.abs(np.asarray(edge) - centre)[wide] < 4 * spread[wide])
+
+
+@pytest.mark.parametrize("name", ["dc-motor-smith", "dc-motor-packets", "smjls-robust"])
+def test_what_has_no_prediction_has_no_panel(tmp_path: Path, name: str) -> None:
+    run = run_session(load_experiment(name, ["duration=2"]), path=tmp_path / "a.mcap").run
+    assert theory_section(run) is None
