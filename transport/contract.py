@@ -56,12 +56,13 @@ def meet(rig: Link, controller: Link) -> None:
 
 
 def packets_arrive_whole_and_in_order(rig: Link, controller: Link) -> None:
-    for seq in range(1, 31):
-        rig.send(sensor(seq, 1 + seq % 12))
-        controller.send(control(seq, 1 + seq % 3, 1 + seq % 3))
-    for seq in range(1, 31):
-        expect(controller, sensor(seq, 1 + seq % 12))
-        expect(rig, control(seq, 1 + seq % 3, 1 + seq % 3))
+    for first in range(1, 41, 8):  # at once: the frames of one slot
+        for seq in range(first, first + 8):
+            rig.send(sensor(seq, 1 + seq % 12))
+            controller.send(control(seq, 1 + seq % 3, 1 + seq % 3))
+        for seq in range(first, first + 8):
+            expect(controller, sensor(seq, 1 + seq % 12))
+            expect(rig, control(seq, 1 + seq % 3, 1 + seq % 3))
 
 
 def long_packets_arrive(rig: Link, controller: Link) -> None:
