@@ -2,6 +2,7 @@
 
     closed_loop -> mjls -> (second_moment, h2, bounded_real) -> certificate
                      \\-> tracking (h2, hinf, mixed synthesis; ccl for comparison; bounds)
+    rates -> semi_markov -> (smjls_analysis, robust_feedback, delayed_hinf, fault_tolerant) -> jump_certificate -> exact_proof
 
 Names are re-exported lazily: a process that keeps time imports `design.controllers` and pays for nothing else.
 """
@@ -29,6 +30,26 @@ _EXPORTS = {
     "solve": "design.tracking",
     "steady_state": "design.steady_state",
     "lower_bounds": "design.bounds",
+    "SemiMarkov": "design.semi_markov",
+    "FaultDetection": "design.semi_markov",
+    "JumpSystem": "design.smjls",
+    "DelayedJumpSystem": "design.smjls",
+    "NormBounded": "design.smjls",
+    "VertexUncertainty": "design.smjls",
+    "ScheduledGain": "design.scheduled_gain",
+    "JumpCertificate": "design.jump_certificate",
+    "analyse": "design.smjls_analysis",
+    "largest_decay": "design.smjls_analysis",
+    "robust_feedback": "design.robust_feedback",
+    "fastest_feedback": "design.robust_feedback",
+    "largest_uncertainty": "design.robust_feedback",
+    "FeedbackRequest": "design.robust_feedback",
+    "analyse_delayed": "design.delayed_hinf",
+    "delayed_hinf": "design.delayed_hinf",
+    "Siqc": "design.fault_tolerant_loop",
+    "analyse_fault_tolerant": "design.fault_tolerant_loop",
+    "fault_tolerant_feedback": "design.fault_tolerant",
+    "prove": "design.exact_proof",
 }
 
 __all__ = sorted(_EXPORTS)  # noqa: PLE0605

@@ -155,9 +155,13 @@ def analyse_delayed(
         raise ValueError(
             f"gain: (modes, inputs, states) = {got}, process: {process.modes} modes; the system has {expected}"
         )
-    if method not in ("pwl", "pwc"):
-        raise ValueError(f"method: {method!r} is not pwl or pwc; for the printed forms see design.delayed_hinf_printed")
     starts = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
+    if method == "printed":
+        from design.delayed_hinf_printed import printed_delayed
+
+        return printed_delayed(system, process, starts, gain, gamma=gamma)
+    if method not in ("pwl", "pwc"):
+        raise ValueError(f"method: {method!r} is not one of pwl, pwc, printed")
 
     def build(scale: float) -> LmiProgram:
         program = LmiProgram()
@@ -250,13 +254,14 @@ def delayed_hinf(
     gain_bound: float,
     sections: Partition | None = None,
     gamma: float | None = None,
+    method: Method = "pwc",
 ) -> JumpCertificate:
     """State feedback K(i, m) with the smallest certified gamma under a gain bound, or at a given gamma.
 
     Parameters
     ----------
     gain_bound: largest spectral norm of any gain; required, the infimum of gamma is 0 without one.
-    sections: section starts per mode; by default one section.
+    sections: section starts per mode; by default one section. method: ``pwc``, or ``printed`` (then ``sound = False``).
 
     Returns
     -------
@@ -271,6 +276,12 @@ def delayed_hinf(
     if process.modes != system.modes:
         raise ValueError(f"process: {process.modes} modes, the system has {system.modes}")
     starts = sections if sections is not None else ((0.0,),) * system.modes
+    if method == "printed":
+        from design.delayed_hinf_printed import printed_delayed
+
+        return printed_delayed(system, process, starts, None, gain_bound=gain_bound, gamma=gamma)
+    if method != "pwc":
+        raise ValueError(f"method: {method!r} is not pwc or printed")
     build = partial(synthesis_program, system, process, starts, gain_bound)
     what = f"delayed H-infinity feedback with gain norm <= {gain_bound:g}"
     result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)

@@ -29,12 +29,13 @@ from design.fault_tolerant_loop import (
     pair_cells,
     r_sections,
 )
-from design.jump_certificate import JumpCertificate
+from design.jump_certificate import JumpCertificate, Method
 from design.lmi import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
 from design.partitions import Partition
 from design.scheduled_gain import ScheduledGain
 from design.semi_markov import FaultDetection
 from design.smjls import JumpSystem
+from design.stabilisability import check_stabilisable
 
 Measured = tuple[str, ...]
 
@@ -190,6 +191,7 @@ def fault_tolerant_feedback(
     gamma: float | None = None,
     performance: Siqc | None = None,
     rounds: int = 8,
+    method: Method = "pwc",
 ) -> JumpCertificate:
     """Gains K(what is measured, section of r's clock) with the smallest certified gamma under a gain bound.
 
@@ -199,6 +201,7 @@ def fault_tolerant_feedback(
     sections: sections of r's clock per detection mode, by default one. eta_nodes: sections of eta's clock for P.
     gamma: stop as soon as this level is certified. performance: a SIQC (4.6) to meet instead of gamma.
     rounds: largest number of alternations; they end when gamma falls by less than 1e-3 per round.
+    method: ``pwc``, or ``printed`` for (4.26), (4.27): K_ik whatever is measured, ``sound = False``.
 
     Returns
     -------
@@ -211,6 +214,7 @@ def fault_tolerant_feedback(
     check_loop(system, process)
     if not np.isfinite(gain_bound) or gain_bound <= 0:
         raise ValueError(f"gain_bound: {gain_bound!r} is not a finite positive norm")
+    check_stabilisable(system, process.failure)
     if measured not in ((), ("r",), ("eta", "r")):
         raise ValueError(f"measured: {measured!r} is not (), ('r',) or ('eta', 'r')")
     detections = process.detection[0].modes
@@ -218,6 +222,14 @@ def fault_tolerant_feedback(
     if measured == () and max(len(row) for row in parts) > 1:
         raise ValueError("sections: a controller that sees nothing has no clock to schedule by")
     eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
+    if method == "printed":
+        from design.fault_tolerant_printed import printed_fault_tolerant
+
+        return printed_fault_tolerant(
+            system, process, None, eta_sections=eta, r_sections=parts, gain_bound=gain_bound, gamma=gamma
+        )
+    if method != "pwc":
+        raise ValueError(f"method: {method!r} is not pwc or printed")
     build = partial(_start_program, system, process, measured, parts, gain_bound, performance)
     what = f"fault-tolerant feedback with gain norm <= {gain_bound:g}, measured {measured}"
     if performance is not None:

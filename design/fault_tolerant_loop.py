@@ -24,8 +24,9 @@ import numpy.typing as npt
 
 from design.attenuation import at_gamma, smallest_gamma
 from design.errors import Infeasible
-from design.jump_certificate import JumpCertificate, Verdict
+from design.jump_certificate import JumpCertificate, Method, Verdict
 from design.lmi import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
+from design.markov_growth import gain_mode, worst_growth
 from design.partitions import Partition
 from design.scheduled_gain import ScheduledGain
 from design.semi_markov import FaultDetection
@@ -67,11 +68,6 @@ class Siqc:
     def scale(self) -> float:
         """Factor on y and w that makes G22 of size one."""
         return float(1.0 / np.sqrt(np.linalg.norm(self.g22, 2)))
-
-
-def gain_mode(gain: ScheduledGain, process: FaultDetection, i: int, k: int) -> int:
-    """Which row of the gains acts at eta = i, r = k; depends on what is ``measured``: (), ("r",) or ("eta", "r")."""
-    return {(): 0, ("r",): k, ("eta", "r"): i * process.detection[0].modes + k}[gain.measured]
 
 
 def check_loop(system: JumpSystem, process: FaultDetection, gain: ScheduledGain | None = None) -> None:
@@ -218,6 +214,7 @@ def analyse_fault_tolerant(
     r_nodes: Partition | None = None,
     performance: Siqc | None = None,
     gamma: float | None = None,
+    method: Method = "pwc",
 ) -> JumpCertificate:
     """The smallest certified gamma of given gains (or the verdict at a given gamma, or on a SIQC).
 
@@ -225,6 +222,7 @@ def analyse_fault_tolerant(
     ----------
     gain: K by what is measured: ("r",), ("eta", "r") with index eta * N_r + r, or () for one blind gain; sections on r's clock.
     eta_nodes, r_nodes: sections of both clocks for P; by default one for eta, and for r those of the gains.
+    method: ``pwc``, or ``printed`` for (4.26), (4.27) as they stand (then ``sound = False``).
 
     Returns
     -------
@@ -237,6 +235,12 @@ def analyse_fault_tolerant(
     check_loop(system, process, gain)
     eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
     r = r_nodes if r_nodes is not None else r_sections(process, gain)
+    if method == "printed":
+        from design.fault_tolerant_printed import printed_fault_tolerant
+
+        return printed_fault_tolerant(system, process, gain, eta_sections=eta, r_sections=r, gamma=gamma)
+    if method != "pwc":
+        raise ValueError(f"method: {method!r} is not pwc or printed")
     rebuild = partial(_known, system, process, gain, eta, r, performance)
     assumptions = ("rates anywhere in their bounds on every pair of sections", "x(0) = 0 for the performance bound")
 
@@ -274,55 +278,3 @@ def analyse_fault_tolerant(
         decay_rate=None if growth is None else -growth[0], assumptions=assumptions, matrices=found.matrices, scale=scale,
         rebuild=partial(rebuild, scale, level), solver=found.solver,
     )  # fmt: skip
-
-
-def worst_growth(
-    system: JumpSystem, gain: ScheduledGain, process: FaultDetection
-) -> tuple[float, dict[str, tuple[float, ...]]] | None:
-    """The fastest growth of E|x|^2 (1/s) over all vertices of the rate bounds held constant, with these rates.
-
-    Exact at every vertex (spectral abscissa of the second-moment generator), for gains without sections. None if there are
-    more than 4096 vertices.
-    """
-    n_eta, n_r = system.modes, process.detection[0].modes
-    one = ((0.0,),)
-    eta = {cell.mode: cell.rates for cell in cells(process.failure, one * n_eta)}
-    r = {(i, c.mode): c.rates for i in range(n_eta) for c in cells(process.detection[i], one * n_r)}
-    keys: list[tuple[int, ...]] = [*((i,) for i in eta), *r]
-    options = [eta[key[0]] if len(key) == 1 else r[key[0], key[1]] for key in keys]
-    if np.prod([len(option) for option in options]) > 4096:
-        return None
-    loops = np.array(
-        [
-            [system.a[i] + system.b[i] @ gain.gain[gain_mode(gain, process, i, k), 0] for k in range(n_r)]
-            for i in range(n_eta)
-        ]
-    )
-    worst: tuple[float, dict[str, tuple[float, ...]]] = (-np.inf, {})
-    for choice in itertools.product(*options):
-        rates = dict(zip(keys, choice))
-        generator = np.zeros((n_eta, n_r, n_eta, n_r))
-        for i, k in itertools.product(range(n_eta), range(n_r)):
-            generator[i, k, :, k] += rates[(i,)]
-            generator[i, k, i, :] += rates[i, k]
-        growth = mean_square_abscissa(loops.reshape(-1, *loops.shape[2:]), generator.reshape(n_eta * n_r, -1))
-        if growth > worst[0]:
-            worst = growth, {f"eta={key[0]}" + (f", r={key[1]}" if len(key) > 1 else ""): rates[key] for key in keys}
-    return worst
-
-
-def mean_square_abscissa(loops: FloatArray, rates: FloatArray) -> float:
-    """Growth rate of E|x|^2 of a Markov jump system dx = A_i x (1/s): the abscissa of blkdiag(A_i (+) A_i) + (Lambda' (x) I).
-
-    Parameters
-    ----------
-    loops: shape (N, n, n). rates: jump rates, shape (N, N); the diagonal is ignored.
-    """
-    modes, n = loops.shape[:2]
-    eye = np.eye(n)
-    rates = rates * (1.0 - np.eye(modes))
-    out = np.kron(rates.T - np.diag(rates.sum(axis=1)), np.eye(n * n))
-    for i in range(modes):
-        block = slice(i * n * n, (i + 1) * n * n)
-        out[block, block] += np.kron(loops[i], eye) + np.kron(eye, loops[i])
-    return float(np.linalg.eigvals(out).real.max())

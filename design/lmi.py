@@ -13,19 +13,19 @@ in doubt SCS gives a second opinion. References: findings section 5.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
+from design.conic_solvers import SOLVERS, Solver, excluded, triangle
+
 FloatArray = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
 Function = Callable[..., Array]
-Solver = Literal["clarabel", "scs"]
 
 
 def transpose(matrix: Array) -> Array:
@@ -156,12 +156,6 @@ def verify(inequalities: Iterable[Inequality], matrices: Mapping[str, FloatArray
     return worst[True], worst[False]
 
 
-def _triangle(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray]:
-    # Upper triangle, column by column, off-diagonals times sqrt(2): the inner product is kept.
-    rows, cols = np.tril_indices(size)
-    return cols, rows, np.where(rows == cols, 1.0, np.sqrt(2.0))
-
-
 @dataclass(slots=True)
 class LmiProgram:
     """Collects variables and inequalities, then minimises a scalar or maximises the margin.
@@ -224,7 +218,7 @@ class LmiProgram:
         data, rows, cols, rhs, sizes, top = [], [], [], [], [], 0
         for item in self.inequalities:
             constant, linear, columns = self._coefficients(item)
-            r, c, weight = _triangle(constant.shape[0])
+            r, c, weight = triangle(constant.shape[0])
             block = linear[:, r, c] * weight
             hit = np.nonzero(block)
             data.append(block[hit])
@@ -252,14 +246,13 @@ class LmiProgram:
         if minimise is None:  # t <= largest_margin, as one more 1 x 1 block
             row = sparse.csc_matrix(([1.0], ([0], [self.size])), shape=(1, a.shape[1]))
             a, b, sizes = sparse.vstack([a, row], format="csc"), np.append(b, largest_margin), [*sizes, 1]
-        run = _solve_clarabel if solver == "clarabel" else _solve_scs
-        x, z, status = run(q, a, b, sizes)
+        x, z, status = SOLVERS[solver](q, a, b, sizes)
         matrices = {name: variable.value(x) for name, variable in self.variables.items()}
         margin, slack = verify(self.inequalities, matrices)
         largest = float(np.abs(x).max())
         return LmiSolution(
             matrices=matrices, margin=margin, slack=slack, objective=float(q @ x),
-            excluded=_excluded(q, a, b, sizes, z) if minimise is None else 0.0,
+            excluded=excluded(q, a, b, sizes, z) if minimise is None else 0.0,
             reach=max(1e3, 10.0 * largest) if self.reach is None else self.reach, solver=solver, status=status,
         )  # fmt: skip
 
@@ -270,54 +263,3 @@ class LmiProgram:
             return found
         second = self.solve(solver="scs")
         return second if second.margin > found.margin and second.slack > -1e-7 else found
-
-
-def _excluded(q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int], z: FloatArray) -> float:
-    """Weak duality: for Z >= 0 and every admissible x, q'x >= (q + A'z)'x - b'z >= -|q + A'z|_1 max|x| - b'z.
-
-    With q'x = -margin, no margin is positive while max|x| <= -b'z / |q + A'z|_1. Z is the solver's, projected on Z >= 0.
-    """
-    if not np.isfinite(z).all():
-        return 0.0
-    projected, top = np.empty_like(z), 0
-    for size in sizes:
-        r, c, weight = _triangle(size)
-        matrix = np.zeros((size, size))
-        matrix[r, c] = matrix[c, r] = z[top : top + r.size] / weight
-        values, vectors = np.linalg.eigh(matrix)
-        matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        projected[top : top + r.size] = matrix[r, c] * weight
-        top += r.size
-    return max(0.0, float(-(b @ projected) / max(np.abs(q + a.T @ projected).sum(), 1e-300)))
-
-
-def _solve_clarabel(
-    q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]
-) -> tuple[FloatArray, FloatArray, str]:
-    clarabel: Any = importlib.import_module("clarabel")
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 2
-    cones = [clarabel.PSDTriangleConeT(size) for size in sizes]
-    quadratic = sparse.csc_matrix((q.size, q.size))
-    result = clarabel.DefaultSolver(quadratic, q, a, b, cones, settings).solve()
-    return np.array(result.x), np.array(result.z), str(result.status)
-
-
-def _solve_scs(
-    q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]
-) -> tuple[FloatArray, FloatArray, str]:
-    scs: Any = importlib.import_module("scs")
-    order, top = [], 0  # SCS reads the lower triangle column by column
-    for size in sizes:
-        r, c, _ = _triangle(size)
-        order.append(top + np.lexsort((c, r)))
-        top += r.size
-    swap = np.concatenate(order)
-    data = {"P": None, "A": a[swap].tocsc(), "b": b[swap], "c": q}
-    result = scs.SCS(
-        data, {"s": list(sizes)}, verbose=False, eps_abs=1e-7, eps_rel=1e-7, max_iters=100_000, time_limit_secs=3.0
-    ).solve()
-    z = np.empty_like(b)
-    z[swap] = result["y"]
-    return np.asarray(result["x"]), z, str(result["info"]["status"])

@@ -35,6 +35,7 @@ from design.semi_markov import SemiMarkov
 from design.smjls import JumpSystem, NormBounded, VertexUncertainty
 from design.smjls_analysis import analyse
 from design.sojourn_cells import Cell, cells, refine
+from design.stabilisability import check_stabilisable
 
 CONDITION = 1e4
 """Largest condition number of X that is searched (X >= I, X <= CONDITION I)."""
@@ -199,6 +200,7 @@ class FeedbackRequest:
             raise ValueError(f"decay: {decay!r} is not a finite non-negative rate")
         if self.process.modes != system.modes:
             raise ValueError(f"process: {self.process.modes} modes, the system has {system.modes}")
+        check_stabilisable(system, self.process)
         for condition in (self.condition, 0.1 * self.condition):  # a smaller box is easier to prove empty
             program = feedback_program(
                 system, self.process, self.nodes, self.method, self.gain_bound, decay, condition

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from design.fault_tolerant import fault_tolerant_feedback
-from design.fault_tolerant_loop import analyse_fault_tolerant, mean_square_abscissa
+from design.fault_tolerant_loop import analyse_fault_tolerant
 from design.fault_tolerant_printed import printed_section
 from design.jump_certificate import JumpCertificate
+from design.markov_growth import mean_square_abscissa
 from design.published import (
     CHAPTER4_DETECTION_BOUNDARY_S,
     CHAPTER4_FAILURE_BOUNDARY_S,

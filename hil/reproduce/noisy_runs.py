@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from design.fault_tolerant_loop import gain_mode
+from design.markov_growth import gain_mode
 from design.matrix_exponential import exponential
 from design.scheduled_gain import ScheduledGain
 from design.semi_markov import FaultDetection, JumpPath, SemiMarkov, sample_fault_detection, sample_path

@@ -77,6 +77,13 @@ def test_published_gains_fit_093_in_one_reading_of_the_printed_condition_only() 
         assert consistent.gamma == pytest.approx(smallest, abs=2e-3) and not consistent.sound
 
 
+def test_printed_method_carries_its_flag_in_analysis_and_synthesis() -> None:
+    analysed = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS, method="printed")
+    assert analysed.gamma == pytest.approx(0.760, abs=2e-3) and not analysed.sound
+    made = delayed_hinf(SYSTEM, PROCESS, gain_bound=5.0, sections=SECTIONS, method="printed", gamma=0.93)
+    assert not made.sound and made.gain is not None and made.gain.gain.shape == (3, 2, 2, 4)
+
+
 def test_rates_meet_the_printed_bounds_of_both_sections() -> None:
     for cell in cells(PROCESS, SECTIONS):
         totals = sorted(sum(rates) for rates in cell.rates)

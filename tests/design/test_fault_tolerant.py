@@ -8,8 +8,9 @@ import pytest
 from design.errors import Infeasible
 from design.exact_proof import prove
 from design.fault_tolerant import fault_tolerant_feedback
-from design.fault_tolerant_loop import Siqc, analyse_fault_tolerant, mean_square_abscissa, worst_growth
+from design.fault_tolerant_loop import Siqc, analyse_fault_tolerant
 from design.fault_tolerant_printed import printed_section
+from design.markov_growth import mean_square_abscissa, worst_growth
 from design.published import (
     chapter4_gain,
     chapter4_partitioned_gain,
@@ -86,6 +87,16 @@ def test_printed_levels_are_loose_and_speak_against_the_partition() -> None:
     assert single.gamma == pytest.approx(0.0622, abs=2e-4) and not single.sound
     second = printed_section(SYSTEM, PROCESS, ETA, DETECTION, 1, chapter4_partitioned_gain()[:, :, 1])
     assert second.gamma == pytest.approx(0.1468, abs=5e-4)
+
+
+def test_printed_method_carries_its_flag_and_needs_the_fault() -> None:
+    made = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=5.0, method="printed")
+    assert made.gamma == pytest.approx(0.52, abs=0.02) and not made.sound
+    assert made.gain is not None and made.gain.measured == ("eta", "r")
+    again = analyse_fault_tolerant(SYSTEM, made.gain, PROCESS, method="printed")
+    assert again.gamma is not None and again.gamma <= (made.gamma or 0) * 1.05
+    with pytest.raises(ValueError, match="measured"):
+        analyse_fault_tolerant(SYSTEM, chapter4_seen_gain(partitioned=True), PROCESS, method="printed")
 
 
 def test_printed_sections_miss_the_pair_of_clocks_that_diverges() -> None:

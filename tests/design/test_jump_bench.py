@@ -7,6 +7,7 @@ import pytest
 from design.jump_bench import BenchCase, bench_cases
 
 
+@pytest.mark.slow  # the same numbers are asserted, more cheaply, in the tests of each synthesis
 @pytest.mark.parametrize("case", bench_cases(), ids=lambda case: case.name)
 def test_case_reaches_its_requirement_and_the_certificate_proves_it(case: BenchCase) -> None:
     reached, certificate = case.run()

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from design.conic_solvers import Solver
 from design.exact_proof import as_fraction, pivots, prove_inequalities, rounded
-from design.lmi import Inequality, LmiProgram, Solver, largest_eigenvalue, symmetric_blocks, symmetric_part, verify
+from design.lmi import Inequality, LmiProgram, largest_eigenvalue, symmetric_blocks, symmetric_part, verify
 
 A = np.array([[0.0, 1.0], [-2.0, -0.5]])
 

@@ -8,7 +8,7 @@ import pytest
 from design.errors import Infeasible
 from design.exact_proof import prove
 from design.published import chapter2_process, chapter2_system
-from design.rates import PiecewiseLinearRate
+from design.rates import PiecewiseLinearRate, constant_rate
 from design.robust_feedback import FeedbackRequest, fastest_feedback, largest_uncertainty, robust_feedback
 from design.semi_markov import SemiMarkov
 from design.smjls import JumpSystem
@@ -30,13 +30,13 @@ def test_certified_uncertainty_scale_reaches_the_required_one(sections: int, req
     # an independent look: worst constant uncertainty at a dense set of rates of the box, exactly
     for vertex in (0, 1):
         assert second_moment_radius(system.at_vertex(vertex), gain, PROCESS) < 1.0
-    # and at 4001 sojourn times, 5 uncertainties: V decreases along P interpolated from the certificate
+    # and at 501 sojourn times, 5 uncertainties: V decreases along P interpolated from the certificate
     nodes = gain.starts_s[0]
     p = np.array([[certificate.matrices[f"P[{i},{r}]"] for r in range(nodes.size)] for i in range(2)])
     doubt = system.uncertainty
     worst = -np.inf
     for i in range(2):
-        for h in np.linspace(0.0, 5.0, 1001):
+        for h in np.linspace(0.0, 5.0, 501):
             r = min(int(np.searchsorted(nodes, h, side="right")) - 1, nodes.size - 1)
             last = r == nodes.size - 1
             width = 1.0 if last else nodes[r + 1] - nodes[r]
@@ -100,6 +100,16 @@ def test_decay_objective_finds_faster_gains_than_stability_alone() -> None:
     fast = fastest_feedback(system, request, tolerance=2e-2)
     assert fast.gain is not None and fast.gain.norm <= 30.0
     assert (fast.decay_rate or 0.0) > max(0.55, plain.decay_rate or 0.0)  # findings: .279 in |x|, .558 in |x|^2
+
+
+def test_request_that_no_gain_can_meet_is_told_before_any_solver_runs() -> None:
+    slow = SemiMarkov(rates=((None, constant_rate(0.5)), (constant_rate(0.5), None)))
+    a = np.array([[[-1.0, 0.0], [0.0, 0.4]], [[-1.0, 0.0], [0.0, -1.0]]])
+    b = np.array([[[1.0], [0.0]], [[1.0], [1.0]]])
+    with pytest.raises(Infeasible, match=r"mode 0: the eigenvalue \+0.4 is out of the input's reach"):
+        robust_feedback(JumpSystem(a=a, b=b), slow, gain_bound=10.0)
+    quick = SemiMarkov(rates=((None, constant_rate(5.0)), (constant_rate(0.5), None)))
+    assert robust_feedback(JumpSystem(a=a, b=b), quick, gain_bound=10.0, sections=1).certified
 
 
 @pytest.mark.parametrize(
