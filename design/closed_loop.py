@@ -51,7 +51,7 @@ class LoopStructure:
 
     Fields: `base` (N, n, n) matrices for zero gains; `B` (N, n, q); `C` (N, l, n); `transition` (N, N);
     `sc_mode`, `ca_mode`, `ca_before` (N,) indices of each mode's chains (`ca_before` is -1 unless the pattern is
-    `previous`); `gain_shape` = (sc labels, rows, m, py); `used` (sc labels, rows) tells which gains can matter.
+    `previous`); `stored_outputs` samples lie behind x; `gain_shape` = (sc labels, rows, m, py); `used` (sc labels, rows) tells which gains can matter.
     """
 
     base: Array
@@ -66,6 +66,8 @@ class LoopStructure:
     ca_mode: Index
     ca_before: Index
     plant_order: int
+    stored_outputs: int
+    integral: bool
     selection: str
 
     @property
@@ -262,6 +264,8 @@ def loop_structure(
         ca_mode=index[:, 1],
         ca_before=index[:, 2],
         plant_order=n,
+        stored_outputs=depth,
+        integral=integral > 0,
         selection=selection,
     )
 
