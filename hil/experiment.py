@@ -138,10 +138,15 @@ class Limits(Table, frozen=True, kw_only=True):
 
 
 class Timing(Table, frozen=True, kw_only=True):
-    """Real time only: ``deadline`` is the share of the period within which the controller's answer must be here."""
+    """Real time only: ``deadline`` is the share of the period within which the controller's answer must be here.
+
+    ``affinity``: ``free`` leaves the choice of a CPU to the scheduler, which on a virtual machine evades a CPU that the host
+    has taken away; ``pinned`` gives rig and controller one CPU each, counted from the last.
+    """
 
     deadline: float = 0.6
     priority: int = 60
+    affinity: Literal["free", "pinned"] = "free"
     overrun: Literal["catch-up"] = "catch-up"
 
     @staticmethod

@@ -60,7 +60,8 @@ def main() -> None:
     job: Job = pickle.load(sys.stdin.buffer)
     stop_on_sigterm()
     die_with_parent(job.parent)
-    go_real_time(max(job.loop.experiment.timing.priority - 1, 1), 1)
+    timing = job.loop.experiment.timing
+    go_real_time(max(timing.priority - 1, 1), 1 if timing.affinity == "pinned" else None)
     try:
         serve(job.loop, job.uri)
     except Stopped:

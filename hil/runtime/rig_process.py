@@ -159,7 +159,8 @@ def main() -> None:
             sink.close()
             raise SystemExit(3)
         warm_up(job.loop)
-        scheduler = go_real_time(job.loop.experiment.timing.priority, 0)
+        timing = job.loop.experiment.timing
+        scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None)
         real = RealLoop(job, link, sink)
         loops.append(real)
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
