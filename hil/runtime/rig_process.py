@@ -149,6 +149,10 @@ def main() -> None:
 
     signal.signal(signal.SIGTERM, stop)
     sink = PipeSink(job.log_fd, job.loop.channels())
+    warm_up(job.loop)
+    timing = job.loop.experiment.timing
+    # Before the link is opened, so that the threads of a link inherit the priority.
+    scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None)
     with open_link(job.uri, "rig") as link:
         if not await_controller(link, job.hello_timeout_s, lambda: stopped):
             if not stopped:
@@ -158,9 +162,6 @@ def main() -> None:
                 )
             sink.close()
             raise SystemExit(3)
-        warm_up(job.loop)
-        timing = job.loop.experiment.timing
-        scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None)
         real = RealLoop(job, link, sink)
         loops.append(real)
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
