@@ -75,7 +75,7 @@ class Running:
         while time.monotonic() < limit:
             assert self.process.poll() is None, self.process.communicate()
             if self.log.exists() and self.log.stat().st_size > 12_000:
-                for line in subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines():
+                for line in subprocess.run(["ps", "-wweo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines():
                     pid, ppid, args = line.split(None, 2)
                     if ppid == str(self.process.pid) and f"hil.runtime.{name}_process" in args:
                         return int(pid)
