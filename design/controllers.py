@@ -121,8 +121,14 @@ class _GainRows:
         self._gains = nested(K)
         self._last = len(self._gains) - 1
         self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
+        # One input, one output: the same sums without loops in loops, as a sweep runs this a million times.
+        scalar = K.shape[2:] == (1, 1)
+        self._scalars = [[mat[0][0] for mat in rows] for rows in self._gains] if scalar else None
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        if self._scalars is not None:
+            error, held = y[0] - r[0], self._omega[0][0] * r[0]
+            return tuple([(held + g * error,) for g in self._scalars[min(tau, self._last)]])
         e = [a - b for a, b in zip(y, r)]
         known = e + self._sum
         self._sum = [s + x for s, x in zip(self._sum, e)]

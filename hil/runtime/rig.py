@@ -6,8 +6,8 @@ sink, and time is the nominal time that the kernel hands over. So virtual and re
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
+from math import isfinite, nan
 from typing import Any
 
 from design.controllers import row_count
@@ -101,6 +101,7 @@ class Rig:
         self._log_u, self._pack_u = self._log["/actuator/applied"]
         self._log_rows, self._pack_rows = self._log["/controller/rows"]
         self._row_slots = loop.rows * self._inputs
+        self._row_counts = [row_count(selection, self._d_max) for selection in SELECTIONS]
 
         self.k = -1
         self.late = 0
@@ -202,12 +203,12 @@ class Rig:
             self._stop()
 
     def _acceptable(self, packet: ControlPacket, t_ns: int) -> bool:
-        expected = row_count(SELECTIONS[packet.selection], self._d_max)
+        expected, rows = self._row_counts[packet.selection], packet.rows
         fault = None
-        if len(packet.rows) != expected or len(packet.rows[0]) != self._inputs:
+        if len(rows) != expected or len(rows[0]) != self._inputs:
             shape = f"{len(packet.rows)} rows of {len(packet.rows[0]) if packet.rows else 0}"
             fault = f"{shape}, expected {expected} of {self._inputs} for {SELECTIONS[packet.selection]!r}"
-        elif not math.isfinite(sum(map(sum, packet.rows))):
+        elif not isfinite(sum(map(sum, rows))):
             fault = "a row is not finite"
         if fault is None:
             return True
@@ -260,7 +261,7 @@ class Rig:
             log(t_ns, pack(self.k, 0, self._answer_bytes))
         if self._log_rows:
             values = [v for row in packet.rows for v in row][: self._row_slots]
-            values += [math.nan] * (self._row_slots - len(values))
+            values += [nan] * (self._row_slots - len(values))
             self._log_rows(
                 t_ns,
                 self._pack_rows(*values, packet.sample_ns, packet.control_ns, self.k, packet.tau, packet.selection),
