@@ -24,6 +24,11 @@ BUCKETS = 4000
 
 SIGNS = {"good": "✓", "warning": "!", "bad": "✕", "neutral": "·"}
 
+SHORT_CELL = 40
+"""Characters of a cell that are kept on one line."""
+
+LONG_TABLE = 40
+"""Rows above which a table scrolls in its own box."""
 
 GAP = -32768
 """What stands for NaN among whole numbers."""
@@ -233,9 +238,16 @@ def _table(table: Table) -> str:
     for i, row in enumerate(table.rows):
         cells = "".join(f"<td{kinds[j]}>{_cell(cell)}</td>" for j, cell in enumerate(row))
         lines.append(f"<tr{' class=highlight' if i in table.highlight else ''}>{cells}</tr>")
-    kind = ' class="prose-last"' if len(table.columns) > 2 and not numeric[-1] else ""
+    # The last column takes what the others leave, unless they hold sentences too: then all of them wrap.
+    widest = max((len(_words(cell)) for row in table.rows for cell in row[:-1]), default=0)
+    kind = ' class="prose-last"' if len(table.columns) > 2 and not numeric[-1] and widest <= SHORT_CELL else ""
+    scroll = "scroll long" if len(table.rows) > LONG_TABLE else "scroll"
     body = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-    return _panel(table.title, f'<div class="scroll">{body}</div>', table.note)
+    return _panel(table.title, f'<div class="{scroll}">{body}</div>', table.note)
+
+
+def _words(cell: Cell) -> str:
+    return f"{cell.label} {cell.detail}" if isinstance(cell, Badge) else str(cell)
 
 
 def _is_number(cell: Cell) -> bool:

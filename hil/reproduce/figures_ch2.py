@@ -50,7 +50,7 @@ def one_run(published: JumpLoop, reference: JumpLoop, seed: int = 3) -> Plot:
         Figure(
             title=f"2.2b: x{n + 1}(t), 20 runs of (2.27)",
             y_label=f"x{n + 1}",
-            series=tuple(Series(label=f"run {k + 1}", x=t, y=many[k, :, n], colour=0, faint=True) for k in range(20)),
+            series=tuple(Series(label="single runs", x=t, y=many[k, :, n], colour=0, faint=True) for k in range(20)),
         )
         for n in (0, 1)
     ]

@@ -108,7 +108,7 @@ def text_rule(diverging: Ensemble, calm: Ensemble) -> Plot:
     for title, e in (("(4.30) as K_kk", diverging), ("(4.31) as K_kk,m", calm)):
         size = np.maximum(np.linalg.norm(e.x, axis=2), 1e-12)
         series = tuple(
-            Series(label=f"run {k + 1}", x=e.time_s, y=size[k], colour=0, faint=True) for k in range(size.shape[0])
+            Series(label="single runs", x=e.time_s, y=size[k], colour=0, faint=True) for k in range(size.shape[0])
         )
         panels.append(Figure(title=title, y_label="|x|", y_log=True, series=series))
     return Plot(
