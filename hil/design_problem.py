@@ -55,7 +55,7 @@ def site(name: str, period_s: float | None = None) -> Site:
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:
         from hil.experiment import load_experiment
-        from hil.runtime.loop import delay_chain as delay_chain
+        from hil.runtime.loop import delay_chain
 
         experiment = load_experiment(name)
         plant = experiment.plant

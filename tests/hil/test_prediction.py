@@ -1,0 +1,60 @@
+"""Runs of the rig itself, seed by seed, agree with the prediction at every tick."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from hil.experiment import load_experiment
+from hil.runtime.loop import compose, delay_chain
+from hil.session import simulate
+
+QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the prediction knows nothing of it
+
+
+def predicted_of(loop, ticks):
+    from design.prediction import predict_tracking
+
+    links, reference, disturbance = loop.experiment.links, loop.reference(), loop.disturbance()
+    return predict_tracking(
+        loop.model.A, loop.model.B, loop.model.C, delay_chain(links.sc.law), delay_chain(links.ca.law),
+        loop.controller.table(loop.model), loop.controller.selection, np.array([reference(k) for k in range(ticks)]),
+        period_s=loop.model.period_s, disturbance=np.array([disturbance(k) for k in range(ticks)]),
+    )  # fmt: skip
+
+
+def squared_errors(loop, seeds):
+    found = []
+    for seed in seeds:
+        run = simulate(loop, seed, ("/plant/measurement", "/reference"))
+        found.append((run.arrays["/plant/measurement"]["angle"] - run.arrays["/reference"]["angle"]) ** 2)
+    return np.array(found)
+
+
+def assert_in_bands(squares, predicted, ticks):
+    runs = len(squares)
+    z = norm.isf(0.001 / 4 / ticks)  # 99.9 % for means and variances of all ticks at once
+    spread, size = predicted.square_sd / np.sqrt(runs), np.sqrt(predicted.square_mean) + QUANTISED
+    rounding = 2 * QUANTISED * size
+    assert np.all(np.abs(squares.mean(axis=0) - predicted.square_mean) <= z * spread + rounding)
+    deviation = (squares - predicted.square_mean) ** 2
+    error = deviation.std(axis=0) / np.sqrt(runs)
+    # a sample that holds no rare run underestimates its own spread: the predicted variance enters the band as well
+    band = z * np.maximum(error, 3 * predicted.square_sd**2 / np.sqrt(runs)) + 2 * rounding * size**2
+    assert np.all(np.abs(deviation.mean(axis=0) - predicted.square_sd**2) <= band)
+
+
+def test_two_hundred_runs_lie_in_the_bands():
+    loop = compose(load_experiment("dc-motor-hinf", ("duration=8 s",)))
+    assert_in_bands(squared_errors(loop, range(200)), predicted_of(loop, 160), 160)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_ten_thousand_runs_lie_in_the_bands():
+    from joblib import Parallel, delayed
+
+    loop = compose(load_experiment("dc-motor-hinf"))
+    chunks = Parallel(n_jobs=-1)(
+        delayed(squared_errors)(loop, range(first, first + 250)) for first in range(0, 10_000, 250)
+    )
+    assert_in_bands(np.concatenate(chunks), predicted_of(loop, 1000), 1000)
