@@ -120,7 +120,7 @@ def _policy(matrices: Matrices, P: Array, square: float) -> Policy | None:
     V = square * np.eye(B.shape[2]) - BE @ B - D.transpose(0, 2, 1) @ D
     if not np.isfinite(V).all() or not is_positive(V):
         return None
-    F = np.linalg.solve(V, BE @ A + D.transpose(0, 2, 1) @ C)
+    F = np.asarray(np.linalg.solve(V, BE @ A + D.transpose(0, 2, 1) @ C), dtype=np.float64)
     return Policy(P, F, A + B @ F, C + D @ F, V)
 
 

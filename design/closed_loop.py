@@ -51,7 +51,8 @@ class LoopStructure:
 
     Fields: `base` (N, n, n) matrices for zero gains; `B` (N, n, q); `C` (N, l, n); `transition` (N, N);
     `sc_mode`, `ca_mode`, `ca_before` (N,) indices of each mode's chains (`ca_before` is -1 unless the pattern is
-    `previous`); `stored_outputs` samples lie behind x; `gain_shape` = (sc labels, rows, m, py); `used` (sc labels, rows) tells which gains can matter.
+    `previous`); `stored_outputs` samples lie behind x; `gain_shape` = (sc labels, rows, m, py);
+    `used` (sc labels, rows) tells which gains can matter.
     """
 
     base: Array

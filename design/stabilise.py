@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 
@@ -32,7 +34,7 @@ def stabilising(objective: LoopObjective, start: Array) -> Array:
                 return v
             scale = float(np.sqrt(target / radius))
             descent = bfgs(
-                lambda x, scale=scale: objective.h2(x, scale),
+                partial(objective.h2, scale=scale),
                 v, iterations=60, gradient_tolerance=1e-4, value_tolerance=1e-3, patience=2,
             )  # fmt: skip
             v, before = descent.x, radius

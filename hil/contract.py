@@ -25,7 +25,7 @@ def check_controller(controller: Any, model: LoopModel) -> None:
         running = controller.start(model)
         out = []
         for k in range(60):
-            rows = running.rows(k, int(rng.integers(0, model.tau_max + 1)), tuple(rng.normal(size=p).tolist()), (1.0,) * p)
+            rows = running.rows(k, int(rng.integers(0, model.tau_max + 1)), tuple(map(float, rng.normal(size=(p,)))), (1.0,) * p)
             expected = row_count(running.selection, model.d_max)
             assert len(rows) == expected, f"{len(rows)} rows, expected {expected} for {running.selection!r}"
             assert all(len(row) == m for row in rows), f"a row has not {m} inputs"
