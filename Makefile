@@ -28,7 +28,7 @@ test: $(INSTALLED) ## lint, types, import rules, tests and doctests
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto $(PYTEST_ARGS)
 
 # Only the files with vcan tests: importing all the others inside a user-mode kernel takes longer than the tests.
 VCAN_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.vcan' tests)

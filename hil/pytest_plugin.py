@@ -9,40 +9,16 @@ Every import of ours happens when a fixture is used: a test run that does not us
 
 from __future__ import annotations
 
+import shutil
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
 if TYPE_CHECKING:
     from hil.session import ClockName, Session
-
-KNOWN = ("vcan", "chromium", "cyclictest")
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the ``--hil-*`` options."""
-    group = parser.getgroup("hil", "hardware-in-the-loop")
-    group.addoption("--hil-require", default="", metavar="WHAT", help=f"comma list of {', '.join(KNOWN)}: fail, don't skip")
-    group.addoption("--hil-slow", action="store_true", help="run tests marked slow")
-    group.addoption("--hil-clock", choices=["virtual", "real"], default="virtual", help="clock of hil.run() [virtual]")
-    group.addoption("--hil-link", metavar="URI", help="link of hil.run() in real time")
-    group.addoption("--hil-logs", metavar="DIR", help="keep the logs of hil.run() here")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Register the markers and check the options."""
-    config.addinivalue_line("markers", "vcan: needs a real vcan0; skipped, or failed with --hil-require=vcan")
-    config.addinivalue_line("markers", "slow: minutes of computing; runs with --hil-slow")
-    unknown = set(_required(config)) - set(KNOWN)
-    if unknown:
-        raise pytest.UsageError(f"--hil-require: {', '.join(sorted(unknown))} is not one of {', '.join(KNOWN)}")
-
-
-def _required(config: pytest.Config) -> list[str]:
-    return [name for name in str(config.getoption("--hil-require")).split(",") if name]
 
 
 def has_vcan(interface: str = "vcan0") -> bool:
@@ -55,15 +31,58 @@ def has_vcan(interface: str = "vcan0") -> bool:
         return False
 
 
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+class Requirement(NamedTuple):
+    """What a marked test needs of the machine: how to see that it is there, and the remedy where it is not."""
+
+    there: Callable[[], bool]
+    remedy: str
+
+
+NEEDS = {
+    "vcan": Requirement(has_vcan, "no vcan0: run `make test-vcan`"),
+    "chromium": Requirement(lambda: any(map(shutil.which, BROWSERS)), "no browser: apt-get install chromium"),
+    "cyclictest": Requirement(lambda: shutil.which("cyclictest") is not None, "no cyclictest: apt-get install rt-tests"),
+}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the ``--hil-*`` options."""
+    group = parser.getgroup("hil", "hardware-in-the-loop")
+    group.addoption("--hil-require", default="", metavar="WHAT", help=f"comma list of {', '.join(NEEDS)}: fail, don't skip")
+    group.addoption("--hil-slow", action="store_true", help="run tests marked slow")
+    group.addoption("--hil-clock", choices=["virtual", "real"], default="virtual", help="clock of hil.run() [virtual]")
+    group.addoption("--hil-link", metavar="URI", help="link of hil.run() in real time")
+    group.addoption("--hil-logs", metavar="DIR", help="keep the logs of hil.run() here")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the markers and check the options."""
+    for name, need in NEEDS.items():
+        config.addinivalue_line("markers", f"{name}: skipped, or failed with --hil-require={name}, where there is {need.remedy}")
+    config.addinivalue_line("markers", "slow: minutes of computing; runs with --hil-slow")
+    unknown = set(_required(config)) - set(NEEDS)
+    if unknown:
+        raise pytest.UsageError(f"--hil-require: {', '.join(sorted(unknown))} is not one of {', '.join(NEEDS)}")
+
+
+def _required(config: pytest.Config) -> list[str]:
+    return [name for name in str(config.getoption("--hil-require")).split(",") if name]
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Skip, with the reason and the remedy, what this machine cannot run."""
-    if any(item.get_closest_marker("vcan") for item in items) and not has_vcan():
-        if "vcan" in _required(config):
-            raise pytest.UsageError("--hil-require=vcan, but there is no vcan0: run under tests/with_vcan, or make one")
-        skip = pytest.mark.skip(reason="no vcan0: run `make test-vcan` (--hil-require=vcan makes this a failure)")
-        for item in items:
-            if item.get_closest_marker("vcan"):
-                item.add_marker(skip)
+    for name, need in NEEDS.items():
+        marked = [item for item in items if item.get_closest_marker(name)]
+        if not marked or need.there():
+            continue
+        if name in _required(config):
+            raise pytest.UsageError(f"--hil-require={name}, but there is {need.remedy}")
+        skip = pytest.mark.skip(reason=f"{need.remedy} (--hil-require={name} makes this a failure)")
+        for item in marked:
+            item.add_marker(skip)
     if not config.getoption("--hil-slow"):
         skip = pytest.mark.skip(reason="slow: runs with --hil-slow")
         for item in items:

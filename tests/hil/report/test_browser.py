@@ -12,7 +12,7 @@ from hil.report.run_page import render_report
 from tests.hil.report import chromium
 from tests.hil.report.runs import run_of
 
-pytestmark = pytest.mark.skipif(chromium.find_chromium() is None, reason="no Chromium: apt-get install chromium (.ci/run does)")
+pytestmark = pytest.mark.chromium
 
 
 def page_of_panels() -> str:
