@@ -21,7 +21,6 @@ both       d_g (d_max + 1) + d_k          all of it
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, Protocol, runtime_checkable
@@ -277,55 +276,3 @@ class _ConstantRows:
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
         return self._rows
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Smith:
-    """Smith predictor for the S-C delay, *send all, apply one* for the C-A delay (thesis, Figure 7.4, [212]).
-
-    A model of the plant, driven by the nominal rows, gives the undelayed output; the delayed measurement corrects its
-    bias. Row d of the packet is the control for the d-step-ahead prediction, so the row is chosen by d at application.
-
-    Parameters
-    ----------
-    gain : nested tuple [m][p]
-        Local output feedback gain. The default is cautious: 3 % overshoot on the motor.
-    """
-
-    gain: tuple[tuple[float, ...], ...] = ((-0.03,),)
-
-    def start(self, model: LoopModel) -> RunningController:
-        K = np.asarray(self.gain, dtype=float)
-        m, p = model.B.shape[1], model.C.shape[0]
-        if K.shape != (m, p):
-            raise ValueError(f"gain: shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
-        return _SmithRows(K, model)
-
-
-class _SmithRows:
-    selection: Selection = "applied"
-
-    def __init__(self, K: NDArray[np.float64], model: LoopModel) -> None:
-        self._K, self._model, self._omega = K, model, feedforward(model)
-        self._x = np.zeros(model.A.shape[0])
-        self._past: deque[NDArray[np.float64]] = deque([model.C @ self._x], maxlen=64)  # model outputs, newest last
-        self._k: int | None = None
-        self._u = np.zeros(model.B.shape[1])
-
-    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
-        A, B, C = self._model.A, self._model.B, self._model.C
-        if self._k is not None:
-            for _ in range(k - self._k):  # a slot whose packet was lost still passes for the model
-                self._x = A @ self._x + B @ self._u
-                self._past.append(C @ self._x)
-        self._k = k
-        bias = np.asarray(y) - self._past[-1 - min(tau, len(self._past) - 1)]
-        ref = np.asarray(r)
-        star = self._omega @ ref
-        x, rows = self._x, []
-        for _ in range(self._model.d_max + 1):
-            u = star + self._K @ (C @ x + bias - ref)
-            rows.append(tuple(map(float, u)))
-            x = A @ x + B @ u
-        self._u = np.asarray(rows[0])
-        return tuple(rows)

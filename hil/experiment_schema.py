@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from hil import registry
-from hil.experiment import HIDDEN, UNITS, Direction, Experiment, Links, Seconds
+from hil.experiment_tables import HIDDEN, UNITS, Direction, Experiment, Links, Seconds
 
 PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
 

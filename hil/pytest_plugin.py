@@ -124,12 +124,7 @@ class Rig:
         from hil.experiment import load_experiment
         from hil.session import run_session
 
-        changes = list(set)
-        if seed is not None:
-            changes.append(f"seed={seed}")
-        if duration is not None:
-            changes.append(f'duration="{duration}"')
-        checked = load_experiment(experiment, changes)
+        checked = load_experiment(experiment, set, seed=seed, duration=duration)
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._folder / f"{checked.name}-{len(self.sessions)}.mcap"
         session = run_session(

@@ -57,12 +57,7 @@ def command(
     from hil.experiment import load_experiment
     from hil.session import run_session
 
-    changes = list(sets)
-    if seed is not None:
-        changes.append(f"seed={seed}")
-    if duration is not None:
-        changes.append(f'duration="{duration}"')
-    checked = load_experiment(experiment, changes)
+    checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
     uri = link or checked.links.uri
