@@ -104,3 +104,31 @@ def _iterated(problem: TrackingProblem, direct_s: float, programmes: int) -> dic
         return empty
     spent = time.perf_counter() - begun
     return {"ccl_norm": result.level, "ccl_s": round(spent, 3), "ccl_ratio": round(spent / direct_s, 1)}
+
+
+def bench_scheduled(*, progress: Callable[[str], None] = lambda text: None) -> list[dict[str, Any]]:
+    """The syntheses of Chapters 2 to 4: what each reached, what it must reach, and how long it took.
+
+    Parameters
+    ----------
+    progress : callable
+        Told what is running.
+    """
+    from design.jump_bench import LIMIT_S, bench_cases
+
+    rows = []
+    for case in bench_cases():
+        progress(case.name)
+        begun = time.perf_counter()
+        reached, certificate = case.run()
+        spent = time.perf_counter() - begun
+        rows.append({
+            "design": case.name,
+            "quantity": case.quantity,
+            "reached": reached,
+            "goal": f"{case.sense} {case.required:g}",
+            "s": round(spent, 3),
+            "limit_s": LIMIT_S,
+            "met": bool(case.met(reached) and certificate.certified and certificate.sound and spent <= LIMIT_S),
+        })  # fmt: skip
+    return rows
