@@ -155,7 +155,8 @@ def _multistart(
         tell(str(problem.objective), start + 1, count, min(r.value for r in results))
     best = min(results, key=lambda r: r.value)
     if not np.isfinite(best.value):
-        raise DesignError(f"no start of {count} ended at a stable loop")
+        radius = objective.radius(centre.x)
+        raise NotStable(f"no start of {count} ended at a stable loop; best second-moment radius {radius:.9g}", value=radius)
     return best, tuple(float(r.value) for r in results)
 
 
