@@ -131,6 +131,8 @@ class Rig:
             checked, clock=clock or self._clock, link=link or self._link, path=path
         )
         self.sessions.append(session)
+        if session.status == 130:
+            raise KeyboardInterrupt  # the session closed its log first; now pytest shall end too
         return session
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,7 @@ from hil.log.recorder import McapSink
 from hil.log.sinks import MemorySink, Put
 from hil.runtime.clock import monotonic_ns, wall_clock
 from hil.runtime.loop import Loop, compose
+from hil.runtime.stop_signals import StopSignals
 from hil.runtime.virtual import run_virtual
 from transport.draws import REASONS
 from transport.packets import SELECTIONS
@@ -103,8 +104,7 @@ def run_session(
     with McapSink(path, loop.channels(), provenance, now=now) as sink:
         outcome: dict[str, Any] = {}
         if clock == "virtual":
-            rig = run_virtual(loop, experiment.seed, sink)
-            sink.event(max(rig.k, 0) * experiment.period_ns, "outcome", "rig ended", **rig.outcome())
+            outcome = _run_in_virtual_time(loop, sink)
         else:
             outcome = _run_real(loop, uri, sink, external, taps)
         sink.commit()
@@ -115,6 +115,27 @@ def run_session(
         outcome["log_error"] = sink.error
     run = read_run(path, whole=sink.error is None)
     return Session(run=run, summary=_summary(run, sink, outcome, wall_s), status=_status(run, sink, outcome))
+
+
+def _run_in_virtual_time(loop: Loop, sink: McapSink) -> dict[str, Any]:
+    stops: list[Callable[[], None]] = []
+
+    def stop(number: int) -> None:
+        for each in stops:
+            each()
+
+    with StopSignals(stop) as signals:
+        rig = run_virtual(loop, loop.experiment.seed, sink, stoppable=stops.append)
+    end_ns = max(rig.k, 0) * loop.experiment.period_ns
+    out = {} if signals.seen is None else _interrupted(signals.seen, sink, end_ns)
+    sink.event(end_ns, "outcome", "rig ended", **rig.outcome())
+    return out
+
+
+def _interrupted(number: int, sink: McapSink, t_ns: int = 0) -> dict[str, Any]:
+    name = signal.Signals(number).name
+    sink.event(t_ns, "interrupted", f"stopped by {name}", severity="warning")
+    return {"interrupted": name}
 
 
 def _run_real(
@@ -128,8 +149,7 @@ def _run_real(
         out["controller_lost"] = real.controller_lost
         sink.event(0, "controller lost", real.controller_lost, severity="error")
     if real.interrupted is not None:
-        out["interrupted"] = signal.Signals(real.interrupted).name
-        sink.event(0, "interrupted", f"stopped by {out['interrupted']}", severity="warning")
+        out |= _interrupted(real.interrupted, sink)
     elif real.rig_status == 3:
         out["no_controller"] = f"no controller answered on {uri}"
     elif real.rig_status != 0:

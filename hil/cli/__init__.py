@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 from typing import Any
 
@@ -32,6 +33,18 @@ COMMANDS = {
 ROOTS = ("TransportError", "PlantError", "DesignError")  # the error roots of the other packages, not imported for a name
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM or SIGHUP, raised where Ctrl-C would be: everything is taken down in order."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.status = 128 + number
+
+
+def _terminate(number: int, _frame: object) -> None:
+    raise Terminated(number)
+
+
 class LazyGroup(click.Group):
     """Knows the names and one line each; imports a command only when it is called."""
 
@@ -43,6 +56,14 @@ class LazyGroup(click.Group):
             return None
         command: click.Command = importlib.import_module(f"hil.cli.{cmd_name}").command
         return command
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; an interrupt is one line and status 130 or 143, not click's "Aborted!" and 1."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as e:
+            print("\nhil: interrupted", file=sys.stderr)
+            sys.exit(e.status if isinstance(e, Terminated) else 130)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -71,6 +92,9 @@ def main(args: list[str] | None = None) -> Any:
     # Our matrices are small: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    ours = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]  # nohup ignores SIGHUP
+    for number in ours:
+        signal.signal(number, _terminate)
     try:
         return cli.main(args, prog_name="hil", standalone_mode=True)
     except BrokenPipeError:  # `hil list | head`
@@ -82,6 +106,9 @@ def main(args: list[str] | None = None) -> Any:
         for line in str(e).splitlines():
             print(f"hil: {line}", file=sys.stderr)
         sys.exit(2)
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

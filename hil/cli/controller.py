@@ -21,9 +21,6 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     from hil.runtime.loop import compose
 
     loop = compose(load_experiment(experiment, sets))
-    uri = link or loop.experiment.links.uri
+    uri = loop.experiment.links.uri if link is None else link
     print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)
-    try:
-        serve(loop, uri)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    serve(loop, uri)

@@ -17,6 +17,7 @@ from hil.log.sinks import Put, Sink
 from hil.runtime import controller_process, rig_process
 from hil.runtime.clock import monotonic_ns, pause
 from hil.runtime.loop import Loop
+from hil.runtime.stop_signals import StopSignals
 
 POLL_S = 0.02
 GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
@@ -91,27 +92,6 @@ def _has_fileno(stream: object) -> bool:
     return True
 
 
-class _Signals:
-    """SIGINT and SIGTERM set a flag while the session runs, if this is the main thread."""
-
-    def __init__(self) -> None:
-        self.seen: int | None = None
-        self._old: dict[int, object] = {}
-
-    def __enter__(self) -> _Signals:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                self._old[number] = signal.signal(number, self._see)
-        return self
-
-    def _see(self, number: int, _frame: object) -> None:
-        self.seen = number
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._old.items():
-            signal.signal(number, handler)  # type: ignore[arg-type]
-
-
 def run_real(
     loop: Loop,
     seed: int,
@@ -159,7 +139,7 @@ def run_real(
         target=lambda: pumped.append(pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set)),
         name="log",
     )
-    with _Signals() as signals:
+    with StopSignals() as signals:
         try:
             job = rig_process.Job(
                 loop=loop, uri=uri, seed=seed, parent=parent, log_fd=write_fd,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 from hil.log.sinks import Sink
 from hil.runtime.clock import VirtualClock
@@ -12,7 +13,9 @@ from hil.runtime.loop import Loop
 from hil.runtime.rig import Rig
 
 
-def run_virtual(loop: Loop, seed: int, sink: Sink) -> Rig:
+def run_virtual(
+    loop: Loop, seed: int, sink: Sink, *, stoppable: Callable[[Callable[[], None]], None] = lambda stop: None
+) -> Rig:
     """Run a loop from slot 0 to its end, or until safety ends it; return the rig with its counters.
 
     Parameters
@@ -23,9 +26,12 @@ def run_virtual(loop: Loop, seed: int, sink: Sink) -> Rig:
         Seed of the run (the loop's own seed is not read).
     sink : Sink
         Takes the records.
+    stoppable : callable
+        Given, before the first slot, a function that ends the run; a signal handler may call it.
     """
     e = loop.experiment
     kernel = Kernel(VirtualClock())
+    stoppable(kernel.stop)
     frames: deque[bytes] = deque()
     rig = Rig(loop, seed, sink, loop.channels(), frames.append, kernel.stop)
     node = ControlNode(loop.start_controller(), loop.reference(), e.period_ns, loop.rows, len(e.plant.inputs))
