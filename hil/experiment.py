@@ -52,11 +52,13 @@ def load_experiment(
     if duration is not None:
         changes.append(f'duration="{duration}"')
     name = str(source)
+    if not name:
+        raise HilError("no experiment is named; `hil list` shows the shipped ones")
     path = shipped().get(name, Path(source))
     if not path.exists():
         near = difflib.get_close_matches(name, shipped(), n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        raise HilError(f"no experiment {name!r}: neither a file nor a shipped name; {hint}(`hil list` shows them)")
+        raise HilError(f"no experiment {name!r}: neither a file nor a shipped name; {hint}`hil list` shows the shipped ones")
     if path.is_dir():
         raise HilError(f"{name}: is a folder, not an experiment file")
     try:

@@ -174,7 +174,7 @@ class Experiment(Table, frozen=True, kw_only=True):
         if period is not None and not 1e-5 <= period <= 60:
             yield f"period: {period:g} s is not between 10 us and 60 s"
         elif period is not None and duration is not None:
-            if duration < period:
+            if not duration >= period:  # NaN is no duration either
                 yield f"duration: {duration:g} s is shorter than the period {period:g} s"
             elif duration / period > 1e8:
                 yield f"duration: {duration / period:.3g} ticks; at most 1e8"

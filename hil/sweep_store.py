@@ -41,6 +41,8 @@ class SweepStore:
         self.path = path
         self.rows: dict[int, dict[str, float]] = {}
         head = {"format": FORMAT, "experiment": experiment.name, "digest": _digest(experiment), "metrics": list(metrics)}
+        if path.exists() and not path.is_file():  # a device has no end
+            raise HilError(f"--resume: {path} is no file")
         try:
             self._file = open(path, "a+b")  # noqa: SIM115
         except OSError as e:

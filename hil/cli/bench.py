@@ -17,6 +17,13 @@ def _status(text: str) -> None:
     click.echo(text, err=True)
 
 
+def _positive(option: str, value: float) -> None:
+    from hil.errors import HilError
+
+    if not 0 < value < float("inf"):
+        raise HilError(f"{option}: {value:g}; expected a positive number")
+
+
 def _table(title: str, rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -39,6 +46,8 @@ def _table(title: str, rows: list[dict[str, Any]]) -> None:
 def timing(duration: float, links: tuple[str, ...], as_json: bool) -> None:
     """The rig at 1 kHz beside cyclictest at the same priority."""
     from hil.bench.timing import LINKS, bench_timing
+
+    _positive("--duration", duration)
 
     rows = bench_timing(duration_s=duration, links=links or LINKS, progress=_status)
     if as_json:
@@ -71,6 +80,9 @@ def timing(duration: float, links: tuple[str, ...], as_json: bool) -> None:
 def links(rate: float, duration: float, as_json: bool) -> None:
     """Round trips of all links side by side, with C over UDP as the floor."""
     from hil.bench.links import bench_links
+
+    _positive("--rate", rate)
+    _positive("--duration", duration)
 
     rows = bench_links(rate_hz=rate, duration_s=duration)
     if as_json:

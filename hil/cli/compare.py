@@ -27,12 +27,18 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     from rich.progress import Progress
     from rich.table import Table
 
+    from hil.cli.outputs import check_output
+    from hil.cli.sweep import check_jobs
+    from hil.cli.tables import print_table
     from hil.experiment import load_experiment
     from hil.report.compare import compare_page, paired
     from hil.sweep import METRICS, statistics, sweep
 
     if runs < 2:
         raise HilError(f"--runs: {runs} is below 2")
+    check_jobs(jobs)
+    if output is not None:
+        check_output(output)  # now, and not after minutes of work
     if len(set(experiments)) < len(experiments):
         raise HilError("the same experiment is named twice")
     checked = {name: load_experiment(name) for name in experiments}
@@ -47,7 +53,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
             if found[name]["seed"].size < runs:
                 sys.exit(130)
     if output is not None:
-        output.write_text(compare_page(found, runs))
+        output.write_text(compare_page(found, runs), encoding="utf-8")
     first = experiments[0]
     out: dict[str, Any] = {
         name: {
@@ -71,6 +77,6 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
                 name, str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in (s["mean"], s["sd"])),
                 f"{d['mean']:+.4g}" if gap else "", f"{d['low']:.4g} to {d['high']:.4g}" if gap else "",
             )  # fmt: skip
-        Console().print(table)
+        print_table(table)
     if output is not None:
         print(f"page: {output}")

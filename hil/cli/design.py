@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from pathlib import Path
@@ -50,7 +49,6 @@ def command(
 
     Exit status 2 where no gains meet the request; the message has the number that decides it.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: threads only wait for each other on such sizes
     import numpy as np
 
     from design.design_file import save_design, to_document

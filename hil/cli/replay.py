@@ -10,6 +10,8 @@ import click
 
 from hil.errors import HilError
 
+SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
+
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
@@ -34,17 +36,25 @@ def command(
 
     Exit status: 0; 1 if --verify finds a difference; 2 bad input.
     """
+    from hil.cli.outputs import check_output
     from hil.log.read import read_run
 
-    chosen = [name for name, given in (("--verify", do_verify), ("--controller", controller), ("--onto", onto)) if given]
+    ways = {"--verify": do_verify, "--controller": controller is not None, "--onto": onto is not None}
+    chosen = [name for name, given in ways.items() if given]
     if len(chosen) > 1:
         raise HilError(f"{' and '.join(chosen)}: choose one")
-    if not speed > 0 or speed == float("inf"):
-        raise HilError(f"--speed: {speed}; expected a positive number")
+    if not SLOWEST <= speed < float("inf"):
+        raise HilError(f"--speed: {speed}; expected a number of at least {SLOWEST:g}")
+    companions = (("--set", sets, "--controller"), ("-o", output, "--controller"), ("--speed", speed != 1, "--onto"))
+    for name, given, needed in companions:
+        if given and not ways[needed]:
+            raise HilError(f"{name}: has no meaning without {needed}")
+    if output is not None:
+        check_output(output, fresh=True)
     run = read_run(file)
-    if controller:
+    if controller is not None:
         _what_if(run, file, controller, sets, output, as_json)
-    elif onto:
+    elif onto is not None:
         _onto(run, onto, speed, as_json)
     else:
         _verify(run, file, as_json)
@@ -84,8 +94,6 @@ def _what_if(
             "max_abs_replayed": float(np.nanmax(np.abs(series[f"{kind}_{name}"]))),
         }
     if output is not None:
-        if output.exists():
-            raise HilError(f"{output}: exists already")
         np.savetxt(
             output, np.column_stack(list(series.values())), delimiter=",", header=",".join(series), comments="", fmt="%.9g"
         )

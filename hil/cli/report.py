@@ -18,17 +18,18 @@ def command(file: Path, output: Path | None, show: bool) -> None:
 
     An existing page is replaced; the log is never changed.
     """
+    from hil.cli.outputs import check_output
     from hil.log.read import read_run
     from hil.report.metrics import summarise
     from hil.report.run_page import render_report
     from hil.report.theory import theory_section
 
+    target = check_output(output or file.with_suffix(".html"))
+    if target.resolve() == file.resolve():
+        raise HilError(f"{target}: is the log itself; choose another -o")
     run = read_run(file)
     theory = theory_section(run)
     page = render_report(run, {**summarise(run), **run.summary}, sections=[theory] if theory else [])
-    target = output or file.with_suffix(".html")
-    if target.resolve() == file.resolve():
-        raise HilError(f"{target}: is the log itself; choose another -o")
     try:
         target.write_text(page, encoding="utf-8")
     except OSError as e:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -58,18 +59,21 @@ def command(
     from hil.session import run_session
 
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
-    if clock == "virtual" and (link or external):
+    if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
-    uri = link or checked.links.uri
+    uri = checked.links.uri if link is None else link
     if clock == "real":
         from transport.link import open_link
 
         with open_link(uri, "rig"):  # what cannot be opened is said now, before anything is started or written
             pass
     path = output or default_path(checked.name, clock, checked.seed)
-    if path.exists() and not force:
-        raise HilError(f"{path}: exists already; choose another -o or add --force")
-    made = not path.parent.exists()
+    try:
+        if path.exists() and not force:
+            raise HilError(f"{path}: exists already; choose another -o or add --force")
+        made = [folder for folder in path.parents if not folder.exists()]  # the innermost first
+    except OSError as e:
+        raise HilError(f"log {path}: cannot be created: {e.strerror}") from e
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as e:
@@ -86,8 +90,9 @@ def command(
                     checked, clock=clock, link=uri, path=path, external=external, taps=view.taps  # type: ignore[arg-type]
                 )
     except HilError:
-        if made and not any(path.parent.iterdir()):
-            path.parent.rmdir()
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()  # unless there is something in it
         raise
 
     status = session.status

@@ -14,6 +14,8 @@ import click
 
 from hil.errors import HilError
 
+MOST_JOBS = 512
+
 if TYPE_CHECKING:
     from design.confidence import StopRule
 
@@ -62,8 +64,9 @@ def command(
         raise HilError(f"--runs: {runs} is below 1")
     if first_seed < 0:
         raise HilError(f"--first-seed: {first_seed} is negative")
-    if jobs == 0 or jobs < -1:
-        raise HilError(f"--jobs: {jobs}; expected -1 or a positive number")
+    if first_seed + runs > 2**63:
+        raise HilError(f"--first-seed: {first_seed}, and the last seed is beyond 2^63 - 1")
+    check_jobs(jobs)
     if (scheduler is None) == (backend == "dask"):
         raise HilError("--scheduler: --backend dask needs the address of its scheduler, and nothing else does")
     rule = stop_rule(until, level, METRICS) if until is not None else None
@@ -116,6 +119,12 @@ def command(
         sys.exit(1)
 
 
+def check_jobs(jobs: int) -> None:
+    """Refuse a number of processes that means nothing, or that would only bring the machine down."""
+    if jobs == 0 or not -1 <= jobs <= MOST_JOBS:
+        raise HilError(f"--jobs: {jobs}; expected -1 or a number from 1 to {MOST_JOBS}")
+
+
 def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, StopRule]:
     """The metric and the rule that ``METRIC=HALFWIDTH`` or ``sd:METRIC=HALFWIDTH`` asks for.
 
@@ -141,8 +150,9 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
 
 
 def _show(out: dict[str, Any], as_json: bool) -> None:
-    from rich.console import Console
     from rich.table import Table
+
+    from hil.cli.tables import print_table
 
     if as_json:
         print(json.dumps(out, indent=2))
@@ -155,7 +165,7 @@ def _show(out: dict[str, Any], as_json: bool) -> None:
     for name, s in out["metrics"].items():
         values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
         table.add_row(name, str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in values))
-    Console().print(table)
+    print_table(table)
     wanted = out.get("until")
     if wanted and wanted["interval"]:
         seen = wanted["interval"]

@@ -1,0 +1,41 @@
+"""The command line as a user calls it, in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hil.cli import main
+
+Hil = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="session")
+def hil_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of four seconds."""
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    assert run_main("run", "dc-motor-hinf", "--duration", "4", "-o", str(path)) == 0
+    return path
+
+
+def run_main(*arguments: str) -> int:
+    """Return the exit status of ``hil ARGUMENTS``; any exception but its exit is a fault of ours."""
+    with pytest.raises(SystemExit) as end:
+        main([*arguments])
+    return 0 if end.value.code is None else int(end.value.code)
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Hil:
+    """Call ``hil`` in an empty folder: (exit status, standard output, standard error)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        status = run_main(*map(str, arguments))
+        seen = capsys.readouterr()
+        return status, seen.out, seen.err
+
+    return call

@@ -1,0 +1,81 @@
+"""The frame of the command line, and the small commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.cli import COMMANDS
+from hil.experiment import shipped
+from tests.hil.cli.conftest import Hil
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_and_refuses_an_unknown_option(cli: Hil, command: str) -> None:
+    status, out, _ = cli(command, "--help")
+    assert status == 0 and out.startswith(f"Usage: hil {command}")
+    status, _, err = cli(command, "--nosuch")
+    assert status == 2 and "--nosuch" in err
+
+
+def test_a_mistyped_command_is_guessed(cli: Hil) -> None:
+    status, _, err = cli("rum")
+    assert status == 2 and "Did you mean 'run'?" in err
+
+
+def test_list_names_all_that_ships(cli: Hil) -> None:
+    found = json.loads(cli("list", "--json")[1])
+    assert set(found["experiments"]) == set(shipped())
+    assert {"hinf", "h2", "local", "smith", "constant"} <= set(found["plugins"]["controllers"])
+    text = cli("list")[1]
+    assert "dc-motor-hinf" in text and "semi-markov" in text
+
+
+def test_schema_is_json_and_knows_the_tables(cli: Hil) -> None:
+    schema = json.loads(cli("schema")[1])
+    assert schema["$schema"].startswith("https://json-schema.org/") and "plant" in schema["properties"]
+
+
+def test_doctor_gives_a_remedy_for_all_that_is_missing(cli: Hil) -> None:
+    status, out, _ = cli("doctor")
+    assert status in (0, 1)
+    assert "package ownership" in out and "clock" in out
+    assert out.count("missing") <= out.count("remedy:")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["controller", "nosuch"], "no experiment 'nosuch'"),
+        (["controller", "dc-motor-hinf", "--link", ""], "link '': no scheme"),
+        (["controller", "dc-motor-hinf", "--link", "foo:bar"], "no link is called 'foo'"),
+        (["laws", "nosuch"], "no experiment 'nosuch'"),
+        (["bench", "nosuch"], "nosuch"),
+        (["bench", "timing", "--duration", "-1"], "--duration: -1"),
+        (["bench", "links", "--duration", "nan"], "--duration: nan"),
+        (["bench", "links", "--rate", "0"], "--rate: 0"),
+        (["reproduce", "ch1"], "is not one of ch2"),
+        (["reproduce", "ch2", "-o", "no/x.html"], "no folder no"),
+    ],
+)
+def test_bad_input_is_one_message_and_status_2(cli: Hil, arguments: list[str], says: str) -> None:
+    status, out, err = cli(*arguments)
+    assert (status, out) == (2, "") and says in err
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_command_says_so_in_one_line(tmp_path: Path, number: int, status: int) -> None:
+    command = [sys.executable, "-m", "hil", "controller", "dc-motor-hinf", "--link", f"can:hil:stop{os.getpid()}"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert "Ctrl-C ends it" in process.stderr.readline()
+        process.send_signal(number)
+        rest = process.communicate(timeout=20)[1]
+    assert process.returncode == status
+    assert rest.split() == ["hil:", "interrupted"]

@@ -1,0 +1,58 @@
+"""`hil replay`: three questions to a log, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.hil.cli.conftest import Hil
+
+
+def test_without_an_option_it_verifies(cli: Hil, hil_log: Path) -> None:
+    assert cli("replay", hil_log)[:2] == (0, "identical: 80 control packets, 80 plant states\n")
+
+
+def test_another_controller_gives_a_series(cli: Hil, hil_log: Path, tmp_path: Path) -> None:
+    status, out, _ = cli("replay", hil_log, "--controller", "h2", "-o", "h2.csv", "--json")
+    assert status == 0 and json.loads(out)["inputs"]["voltage"]["rms"] > 0
+    lines = (tmp_path / "h2.csv").read_text().splitlines()
+    assert lines[0] == "t_s,recorded_voltage,h2_voltage" and len(lines) == 81
+
+
+def test_frames_go_onto_a_bus(cli: Hil, hil_log: Path) -> None:
+    status, out, _ = cli("replay", hil_log, "--onto", "can:hil:replaycli", "--speed", "50", "--json")
+    assert status == 0 and json.loads(out)["frames"] == 160
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--verify", "--controller", "h2"], "choose one"),
+        (["--controller", "nosuch"], "no controller plug-in is called 'nosuch'"),
+        (["--controller", ""], "no controller plug-in is called ''"),
+        (["--onto", ""], "link '': no scheme"),
+        (["--onto", "memory:"], "lives inside one process"),
+        (["--onto", "can:hil:x", "--speed", "0"], "--speed: 0.0"),
+        (["--onto", "can:hil:x", "--speed", "nan"], "--speed: nan"),
+        (["--onto", "can:hil:x", "--speed", "1e-300"], "--speed: 1e-300"),
+        (["--speed", "2"], "no meaning without --onto"),
+        (["--set", "gain=1"], "no meaning without --controller"),
+        (["-o", "x.csv"], "no meaning without --controller"),
+        (["--controller", "h2", "-o", "nowhere/x.csv"], "there is no folder nowhere"),
+        (["--controller", "h2", "-o", "."], "is a folder"),
+    ],
+)
+def test_bad_input_is_one_message_and_status_2(
+    cli: Hil, hil_log: Path, tmp_path: Path, arguments: list[str], says: str
+) -> None:
+    status, out, err = cli("replay", hil_log, *arguments)
+    assert (status, out) == (2, "") and says in err
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_a_series_is_never_overwritten(cli: Hil, hil_log: Path, tmp_path: Path) -> None:
+    (tmp_path / "kept.csv").write_text("mine")
+    assert cli("replay", hil_log, "--controller", "h2", "-o", "kept.csv")[0] == 2
+    assert (tmp_path / "kept.csv").read_text() == "mine"

@@ -1,0 +1,92 @@
+"""`hil run`: what it prints, its statuses, and what it refuses before anything is written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hil.log.read import read_run
+from tests.hil.cli.conftest import Hil
+
+
+def test_json_holds_every_promised_key(cli: Hil) -> None:
+    status, out, _ = cli("run", "dc-motor-hinf", "--duration", "4", "--seed", "3", "--json")
+    summary = json.loads(out)
+    assert status == 0
+    assert {"experiment", "seed", "clock", "link", "ticks", "duration_s", "wall_s"} <= set(summary)
+    metrics = {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"}
+    assert metrics <= set(summary["metrics"])
+    for side in ("sc", "ca"):
+        keys = {"law", "mode_counts", "transition_counts", "p_value", "lost", "late", "duplicated"}
+        assert keys <= set(summary["network"][side])
+    assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
+    assert {"path", "sha256", "messages", "dropped"} <= set(summary["log"])
+    assert (summary["seed"], summary["ticks"]) == (3, 80)
+
+
+def test_a_second_run_takes_another_name_and_no_log_is_overwritten(cli: Hil, tmp_path: Path) -> None:
+    for _ in range(2):
+        assert cli("run", "dc-motor-hinf", "--duration", "1")[0] == 0
+    _, second = sorted(tmp_path.glob("runs/*.mcap"))
+    before = second.read_bytes()
+    status, _, err = cli("run", "dc-motor-hinf", "--duration", "2", "-o", second)
+    assert status == 2 and "exists already" in err and second.read_bytes() == before
+    assert cli("run", "dc-motor-hinf", "--duration", "2", "-o", second, "--force")[0] == 0
+
+
+def test_safety_ends_the_local_gain_with_status_3(cli: Hil) -> None:
+    status, out, _ = cli("run", "dc-motor-local")
+    assert status == 3 and "safe state" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nosuch"], "no experiment 'nosuch'"),
+        ([""], "no experiment is named"),
+        (["."], "is a folder"),
+        (["dc-motor-hinf", "--duration", "nan"], "duration: nan s"),
+        (["dc-motor-hinf", "--duration", "inf"], "duration: inf ticks"),
+        (["dc-motor-hinf", "--duration", "-1"], "duration: -1 s is shorter"),
+        (["dc-motor-hinf", "--seed", "-1"], "seed: -1"),
+        (["dc-motor-hinf", "--set", "plant.gian=1"], "did you mean 'gain'?"),
+        (["dc-motor-hinf", "--link", "can:hil:rig0"], "--clock real"),
+        (["dc-motor-hinf", "--link", ""], "--clock real"),
+        (["dc-motor-hinf", "--clock", "real", "--link", ""], "link '': no scheme"),
+        (["dc-motor-hinf", "--clock", "real", "--link", "memory:"], "lives inside one process"),
+        (["dc-motor-hinf", "-o", "x" * 300 + ".mcap"], "File name too long"),
+        (["dc-motor-hinf", "-o", "new/" + "x" * 300 + ".mcap"], "File name too long"),
+        (["dc-motor-hinf", "-o", "/proc/self/x/y.mcap"], "cannot be"),
+        (["dc-motor-hinf", "-o", "a/b/c.mcap", "--set", "links.sc.law={kind='constant', age=9}"], "the links reach tau = 9"),
+        (["dc-motor-hinf", "-o", ".", "--force"], "Is a directory"),
+    ],
+)
+def test_bad_input_is_one_message_status_2_and_nothing_written(
+    cli: Hil, tmp_path: Path, arguments: list[str], says: str
+) -> None:
+    status, out, err = cli("run", *arguments)
+    assert (status, out) == (2, "")
+    assert says in err and "Traceback" not in err
+    assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_virtual_run_that_is_interrupted_closes_its_log(tmp_path: Path, number: int, status: int) -> None:
+    log = tmp_path / "long.mcap"
+    command = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--duration", "100 h", "-o", str(log)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}) as process:
+        end = time.monotonic() + 20
+        while not (log.exists() and log.stat().st_size > 100_000) and time.monotonic() < end:
+            time.sleep(0.02)  # it runs when its log grows
+        process.send_signal(number)
+        out, _ = process.communicate(timeout=20)
+    assert process.returncode == status
+    assert "interrupted" in out
+    assert any(e["kind"] == "interrupted" for e in read_run(log).events)

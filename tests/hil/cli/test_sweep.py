@@ -1,0 +1,81 @@
+"""`hil sweep` and `hil compare`: numbers that are never cut, and what is refused before any work."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.hil.cli.conftest import Hil
+
+SHORT = ("--jobs", "1", "--set", "duration=4")
+
+
+def test_json_has_statistics_of_every_metric(cli: Hil) -> None:
+    status, out, _ = cli("sweep", "dc-motor-hinf", "--runs", "3", *SHORT, "--json")
+    found = json.loads(out)
+    assert status == 0 and found["runs"] == 3
+    assert found["metrics"]["sse"]["n"] == 3 and set(found["metrics"]["sse"]["percentiles"]) >= {"5", "50", "95"}
+
+
+@pytest.mark.parametrize("columns", ["40", "80"])
+def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.MonkeyPatch, columns: str) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    _, out, _ = cli("sweep", "dc-motor-hinf", "--runs", "3", *SHORT)
+    assert "…" not in out and "steady_state_error" in out
+    _, out, _ = cli("compare", "dc-motor-hinf", "dc-motor-h2", "--runs", "2", "--jobs", "1")
+    assert "…" not in out and "dc-motor-hinf" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--runs", "0"], "--runs: 0"),
+        (["--first-seed", "-1"], "--first-seed: -1"),
+        (["--first-seed", "9223372036854775807", "--runs", "2"], "beyond 2^63 - 1"),
+        (["--jobs", "0"], "--jobs: 0"),
+        (["--jobs", "-7"], "--jobs: -7"),
+        (["--jobs", "100000"], "--jobs: 100000"),
+        (["--until", "sse"], "--until"),
+        (["--until", "foo=1"], "'foo' is not one of"),
+        (["--until", "sse=nan"], "--until"),
+        (["--resume", "/dev/zero"], "is no file"),
+        (["--resume", "no/where"], "No such file"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "--scheduler"),
+        (["--set", "plant.gain=nan"], "plant.gain: nan"),
+    ],
+)
+def test_a_bad_sweep_is_refused_before_it_starts(cli: Hil, arguments: list[str], says: str) -> None:
+    status, out, err = cli("sweep", "dc-motor-hinf", *arguments)
+    assert (status, out) == (2, "") and says in err
+
+
+def test_a_sweep_keeps_its_rows_and_refuses_those_of_another(cli: Hil, tmp_path: Path) -> None:
+    assert cli("sweep", "dc-motor-hinf", "--runs", "2", *SHORT, "--resume", "rows")[0] == 0
+    assert len((tmp_path / "rows").read_text().splitlines()) == 3
+    status, _, err = cli("sweep", "dc-motor-h2", "--runs", "2", *SHORT, "--resume", "rows")
+    assert status == 2 and "rows holds runs of 'dc-motor-hinf'" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["dc-motor-hinf", "nosuch"], "no experiment 'nosuch'"),
+        (["dc-motor-hinf", "dc-motor-hinf"], "named twice"),
+        (["dc-motor-hinf", "dc-motor-h2", "--runs", "1"], "--runs: 1"),
+        (["dc-motor-hinf", "dc-motor-h2", "--jobs", "0"], "--jobs: 0"),
+        (["dc-motor-hinf", "dc-motor-h2", "-o", "."], "is a folder"),
+        (["dc-motor-hinf", "dc-motor-h2", "--runs", "100000", "-o", "no/x.html"], "no folder no"),
+    ],
+)
+def test_a_bad_comparison_is_refused_before_it_starts(cli: Hil, arguments: list[str], says: str) -> None:
+    status, out, err = cli("compare", *arguments)
+    assert (status, out) == (2, "") and says in err
+
+
+def test_compare_writes_a_page_and_paired_differences(cli: Hil, tmp_path: Path) -> None:
+    arguments = ("dc-motor-hinf", "dc-motor-h2", "--runs", "2", "--jobs", "1", "-o", "page.html", "--json")
+    status, out, _ = cli("compare", *arguments)
+    assert status == 0 and json.loads(out)["experiments"]["dc-motor-h2"]["difference"]["sse"]["mean"] is not None
+    assert "<html" in (tmp_path / "page.html").read_text()
