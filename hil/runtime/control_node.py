@@ -23,6 +23,8 @@ class ControlNode:
         Sample period, ns.
     rows, inputs : int
         Shape of the answer while no sample has arrived yet.
+    restart : callable, optional
+        Gives a fresh control law when a rig asks "is anybody there" again: the next session, whose time begins at 0.
     """
 
     def __init__(
@@ -32,8 +34,10 @@ class ControlNode:
         period_ns: int,
         rows: int,
         inputs: int,
+        restart: Callable[[], RunningController] | None = None,
     ) -> None:
         self._controller = controller
+        self._restart = restart
         self._reference = reference
         self._period_ns = period_ns
         self._selection = SELECTIONS.index(controller.selection)
@@ -49,6 +53,10 @@ class ControlNode:
             self.malformed += 1
             return None
         seq, flags, sample_ns, y = packet
+        if seq == HELLO and self._sample_ns >= 0:
+            self._sample_ns, self._y = -1, ()
+            if self._restart is not None:
+                self._controller = self._restart()
         if not flags & EMPTY and sample_ns >= self._sample_ns:  # an older sample than the newest is of no use
             self._sample_ns, self._y = sample_ns, y
         if flags & MORE:
@@ -57,5 +65,8 @@ class ControlNode:
         if self._sample_ns < 0 or seq == HELLO:
             return encode_control(ControlPacket(seq, -1, t_ns, 0, self._selection, self._zeros))
         tau = (t_ns - self._sample_ns) // self._period_ns
+        if tau < 0:  # a sample from the future: two rigs on one link, or not our rig
+            self.malformed += 1
+            return None
         rows = self._controller.rows(seq, tau, self._y, self._reference(seq))
         return encode_control(ControlPacket(seq, self._sample_ns, t_ns, tau, self._selection, rows))

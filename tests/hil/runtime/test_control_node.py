@@ -1,0 +1,41 @@
+"""The controller node outlives a session, and what does not fit its time."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.experiment import load_experiment
+from hil.runtime.control_node import HELLO, ControlNode
+from hil.runtime.loop import compose
+from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
+
+PERIOD_NS = 50_000_000
+
+
+def node(kind: str) -> ControlNode:
+    loop = compose(load_experiment(kind))
+    start = loop.start_controller
+    return ControlNode(start(), loop.reference(), PERIOD_NS, loop.rows, 1, start)
+
+
+def session(of: ControlNode, slots: int) -> list[bytes | None]:
+    hello = of.hear(encode_sensor(SensorPacket(HELLO, EMPTY, 0, ())))
+    assert hello is not None
+    return [of.hear(encode_sensor(SensorPacket(k, 0, k * PERIOD_NS, (0.01 * k,)))) for k in range(slots)]
+
+
+@pytest.mark.parametrize("kind", ["dc-motor-hinf", "dc-motor-smith"])
+def test_a_second_session_is_answered_as_the_first(kind: str) -> None:
+    lasting = node(kind)
+    first = session(lasting, 40)
+    assert None not in first
+    assert session(lasting, 40) == first
+
+
+def test_a_sample_from_the_future_is_counted_and_not_answered() -> None:
+    ours = node("dc-motor-hinf")
+    session(ours, 20)
+    assert ours.hear(encode_sensor(SensorPacket(3, EMPTY, 0, ()))) is None  # another rig, which has only begun
+    assert ours.malformed == 1
+    answer = ours.hear(encode_sensor(SensorPacket(20, 0, 20 * PERIOD_NS, (0.2,))))
+    assert answer is not None and isinstance(decode(answer), ControlPacket)
