@@ -143,7 +143,12 @@ def _run_real(
 ) -> dict[str, Any]:
     from hil.runtime.real import run_real
 
-    real = run_real(loop, loop.experiment.seed, uri, sink, external=external, taps=taps)
+    try:
+        real = run_real(loop, loop.experiment.seed, uri, sink, external=external, taps=taps)
+    except HilError:  # nothing ran: nothing is left behind
+        sink.close()
+        sink.path.unlink(missing_ok=True)
+        raise
     out: dict[str, Any] = {"dropped_in_pipe": real.pump.dropped, "torn_bytes": real.pump.torn_bytes}
     if real.controller_lost:
         out["controller_lost"] = real.controller_lost

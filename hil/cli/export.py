@@ -18,8 +18,10 @@ def command(file: Path, output: Path, topics: tuple[str, ...]) -> None:
 
     Times are session times. Tables of more than one topic become files named OUTPUT.topic.csv.
     """
+    from hil.cli.outputs import check_output
     from hil.log.export import export
     from hil.log.read import read_run
 
+    check_output(output, fresh=True)
     for path in export(read_run(file), output, topics):
         print(path)

@@ -62,7 +62,7 @@ def command(
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
     uri = checked.links.uri if link is None else link
-    if clock == "real":
+    if clock == "real" and not external:  # an external controller may be there already: do not let it meet this end
         from transport.link import open_link
 
         with open_link(uri, "rig"):  # what cannot be opened is said now, before anything is started or written

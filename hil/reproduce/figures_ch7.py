@@ -131,7 +131,7 @@ def vtol_plots(progress: Progress) -> list[Plot]:
         mean, sd = predicted.error_mean[:, 0] + 1.0, predicted.error_sd[:, 0]
         panels = (
             Figure(
-                title="Vertical velocity", y_label="velocity", y_unit="kn",
+                title="Vertical velocity", y_label="velocity", y_unit="kn", sync="vtol",
                 series=(Series(label="published gains, one run", x=t, y=measured["vertical_velocity"]),),
                 bands=(Band(label="predicted mean +- 2 sd", x=t, lower=mean - 2 * sd, upper=mean + 2 * sd),),
                 markers=(Marker(x=3.0, label="impulse"),),

@@ -124,7 +124,7 @@ def fit(
     Differential evolution over the logarithms, a factor of four about round numbers: runs with stiction make the
     misfit rugged, and a local search stops at once.
     """
-    from scipy.optimize import differential_evolution
+    from scipy.optimize import Bounds, differential_evolution
 
     names = tuple(START)
     done, best = 0, (np.inf, Imperfections(**START))
@@ -141,7 +141,7 @@ def fit(
         return np.array(results)
 
     centre = np.log([v - 1.0 if k == "static_ratio" else v for k, v in START.items()])
-    bounds = [(float(x) - REACH, float(x) + REACH) for x in centre]
+    bounds = Bounds(centre - REACH, centre + REACH)
     differential_evolution(
         values, bounds, maxiter=generations, popsize=6, tol=0.0,
         rng=np.random.default_rng(0), polish=False, vectorized=True, updating="deferred", x0=centre,

@@ -90,3 +90,13 @@ def test_a_virtual_run_that_is_interrupted_closes_its_log(tmp_path: Path, number
     assert process.returncode == status
     assert "interrupted" in out
     assert any(e["kind"] == "interrupted" for e in read_run(log).events)
+
+
+def test_external_link_that_cannot_be_opened_leaves_no_log(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--external",
+         "--link", "zenoh:tcp/999.1.1.1:1", "-o", "x.mcap"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 2 and "999.1.1.1" in done.stderr
+    assert list(tmp_path.iterdir()) == []
