@@ -147,8 +147,10 @@ def locate_norm(matrices: Matrices, guess: Fold | None = None) -> Fold | float:
     while policy is None:
         high *= 4.0
         policy = solve_bounded_real(matrices, high)
-    while high / low > 1.0 + 1e-13:
-        if high / low < 1.5:
+    near = 0.5  # Newton is tried at ever closer brackets, not at every one
+    while high / low > 1.0 + 1e-12:
+        if high / low - 1.0 < near:
+            near = 0.1 * (high / low - 1.0)
             fold = refine_fold(matrices, Fold(high, policy, identity, identity))
             if fold is not None and low * (1 - 1e-9) <= fold.square <= high * (1 + 1e-9):
                 return fold

@@ -16,7 +16,7 @@ from design.errors import DesignError
 from design.problem import TrackingProblem
 from design.tracking import Design, Progress, certified, solve
 
-SOLVER_VERSION = 1
+SOLVER_VERSION = 2
 """Raise it whenever `design.tracking.solve` may return other gains for the same problem."""
 
 

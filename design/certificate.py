@@ -89,10 +89,13 @@ def certify_loop(
     Raises:
         ValueError: wrong shapes; the message starts with the argument at fault.
     """
+    from threadpoolctl import threadpool_limits
+
     structure = loop_structure(
         A, B, C, Lambda, Pi, selection, Q=Q, R=R, output=output, samples=samples, integral=integral  # type: ignore[arg-type]
     )  # fmt: skip
-    return certify_system(structure.system(gains), selection=selection, output=output, initial=initial, hinf=hinf)
+    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+        return certify_system(structure.system(gains), selection=selection, output=output, initial=initial, hinf=hinf)
 
 
 def certify_system(

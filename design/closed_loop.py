@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.delay_chain import Array, DelayChain, Index, as_chain
+from design.loop_shapes import check_gains, check_plant_shapes
 from design.mjls import MJLS
 from design.packet_registers import packet_registers
 from design.performance_output import performance_output
@@ -107,23 +108,6 @@ class LoopStructure:
         return MJLS(A=A, B=self.B, C=self.C, transition=self.transition)
 
 
-def check_gains(gains: npt.ArrayLike, shape: tuple[int, int, int, int], field: str = "gains") -> Array:
-    """Return gains as an array of `shape` (sc labels, rows, m, p), or refuse them.
-
-    Raises:
-        ValueError: wrong shape or not finite; the message starts with `field`.
-    """
-    try:
-        array = np.array(gains, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{field}: expected a regular nested list of shape {shape} [tau][row][m][p]") from None
-    if array.shape != tuple(shape):
-        raise ValueError(f"{field}: shape {array.shape}, expected {tuple(shape)} [tau][row][m][p]")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{field}{np.argwhere(~np.isfinite(array))[0].tolist()}: not finite")
-    return array
-
-
 def row_count(selection: str, ca_labels: int) -> int:
     """Rows of gains that a pattern demands, for `ca_labels` labels of the C-A delay."""
     if selection not in SELECTIONS:
@@ -168,7 +152,7 @@ def loop_structure(
     Raises:
         ValueError: wrong shapes; the message starts with the argument's name.
     """
-    A_, B_, C_ = _plant(A, B, C)
+    A_, B_, C_ = check_plant_shapes(A, B, C)
     n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
     sc_chain, ca_chain = as_chain(sc, "Lambda"), as_chain(ca, "Pi")
     if samples not in (1, 2):
@@ -284,24 +268,6 @@ def _modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool) -> tuple[list
             if b2 == c:
                 full[i, j] = transition[index[s, c], index[s2, c2]]
     return modes, full
-
-
-def _plant(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    arrays = []
-    for name, value in (("A", A), ("B", B), ("C", C)):
-        array = np.asarray(value, dtype=np.float64)
-        if array.ndim != 2 or not np.isfinite(array).all():
-            raise ValueError(f"{name}: expected a finite matrix, got shape {array.shape}")
-        arrays.append(array)
-    A_, B_, C_ = arrays
-    n = A_.shape[0]
-    if A_.shape != (n, n):
-        raise ValueError(f"A: shape {A_.shape}, expected a square matrix")
-    if B_.shape[0] != n:
-        raise ValueError(f"B: {B_.shape[0]} rows, expected {n}")
-    if C_.shape[1] != n:
-        raise ValueError(f"C: {C_.shape[1]} columns, expected {n}")
-    return A_, B_, C_
 
 
 def _pack(entries: list[tuple[int, int, int, Array, Array]]) -> _Entries:

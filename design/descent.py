@@ -103,7 +103,7 @@ def _weak_wolfe(
     """A step with sufficient decrease and a slope that has risen, by bisection and doubling."""
     low, high, step = 0.0, np.inf, 1.0
     best: tuple[Array, float, Array] | None = None
-    for tried in range(1, 51):
+    for tried in range(1, 36):
         point = x + step * direction
         new_value, new_gradient = objective(point)
         if not np.isfinite(new_value) or new_value > value + ARMIJO * step * slope:

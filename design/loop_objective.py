@@ -52,7 +52,19 @@ class LoopObjective:
                 return np.inf, np.zeros_like(v)
             found = locate_norm(matrices)
             if not isinstance(found, Fold):
-                return np.inf, np.zeros_like(v)
+                return self._without_fold(v, float(np.sqrt(found)))
             fold = found
         self._fold = fold
         return fold.norm, self.space.gradient(v, s.gain_gradient(fold.gradient_A(s.transition)))
+
+    def _without_fold(self, v: Array, norm: float) -> tuple[float, Array]:
+        """A norm that is reached without a fold (finite memory) has no null vectors: its slope by differences."""
+        s, slope = self.structure, np.zeros_like(v)
+        step = 1e-5 * max(1.0, float(np.abs(v).max()))
+        for i, direction in enumerate(np.eye(v.size) * step):
+            ends = []
+            for side in (v + direction, v - direction):
+                found = locate_norm((s.matrices(self.space.gains(side)), s.B, s.C, self._zero, s.transition))
+                ends.append(found.norm if isinstance(found, Fold) else float(np.sqrt(found)))
+            slope[i] = (ends[0] - ends[1]) / (2.0 * step)
+        return norm, slope

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from design.closed_loop import LoopStructure, Selection, check_gains, loop_structure
+from design.closed_loop import LoopStructure, Selection, loop_structure
 from design.delay_chain import Array, DelayChain, as_chain
+from design.loop_shapes import check_gains
 from design.second_moment import congruence_matrices, forward, to_matrix, to_vector
 from design.steady_state import steady_state
 
@@ -81,6 +82,8 @@ def predict_tracking(
     Raises:
         ValueError: wrong shapes. DesignError: a reference that no input holds.
     """
+    from threadpoolctl import threadpool_limits
+
     sc, ca = as_chain(Lambda, "Lambda"), as_chain(Pi, "Pi")
     structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=1.0 if integral else 0.0)
     K = check_gains(gains, structure.gain_shape)
@@ -104,16 +107,17 @@ def predict_tracking(
     start = -ideal(r[0])
     if x0 is not None:
         start[:n] += np.asarray(x0, dtype=np.float64)
-    walk.begin(start, _initial_modes(structure, sc, ca, initial))
-    rows = []
-    for k in range(len(r)):
-        if k and (r[k] != r[k - 1]).any():
-            walk.jump(ideal(r[k - 1]) - ideal(r[k]))
-        walk.aim(r[k] - aim[k])
-        rows.append(walk.read())
-        hold = np.zeros(m) if star is None else star.input @ r[k]
-        walk.step(k, w[k], hold)
-    sums = walk.sums()
+    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+        walk.begin(start, _initial_modes(structure, sc, ca, initial))
+        rows = []
+        for k in range(len(r)):
+            if k and (r[k] != r[k - 1]).any():
+                walk.jump(ideal(r[k - 1]) - ideal(r[k]))
+            walk.aim(r[k] - aim[k])
+            rows.append(walk.read())
+            hold = np.zeros(m) if star is None else star.input @ r[k]
+            walk.step(k, w[k], hold)
+        sums = walk.sums()
     mean, second, square, fourth = (np.array(column) for column in zip(*rows, strict=True))
     return Prediction(
         error_mean=mean,

@@ -21,7 +21,7 @@ from design.bounds import LowerBounds, lower_bounds
 from design.certificate import Certificate, certify_system
 from design.delay_chain import Array
 from design.descent import Descent, bfgs
-from design.errors import DesignError, Infeasible, NotStable
+from design.errors import Infeasible, NotStable
 from design.gain_space import COARSER, embed
 from design.loop_objective import LoopObjective
 from design.problem import DEFAULT_STARTS, TrackingProblem
@@ -81,6 +81,13 @@ def solve(problem: TrackingProblem, *, progress: Progress | None = None) -> Desi
         NotStable: no gains stabilise the loop; `value` is the radius (or eigenvalue) that decides it.
         Infeasible: a mixed bound below the smallest H-infinity norm found, which is `value`.
     """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+        return _solve(problem, progress)
+
+
+def _solve(problem: TrackingProblem, progress: Progress | None) -> Design:
     structure, space = problem.structure(), problem.space()
     check_plant(*(np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C)))
     if problem.method == "ccl":
@@ -103,13 +110,16 @@ def certified(problem: TrackingProblem, gains: Array, *, starts: tuple[float, ..
         NotStable: the gains have no certificate.
         ValueError: their shape does not fit the problem.
     """
-    certificate = certify_system(
-        problem.structure().system(gains),
-        selection=problem.selection,
-        output=problem.output,
-        initial=problem.initial,
-        hinf=True,
-    )
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):  # and one order of the sums: a cached design has the same certificate
+        certificate = certify_system(
+            problem.structure().system(gains),
+            selection=problem.selection,
+            output=problem.output,
+            initial=problem.initial,
+            hinf=True,
+        )
     if not certificate.stable:
         raise NotStable(
             f"the gains found have no certificate: radius {certificate.mean_square_radius:.9g}",

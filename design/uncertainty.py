@@ -23,9 +23,10 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from design.bounded_real import hinf_norm, solve_bounded_real
-from design.closed_loop import LoopStructure, check_gains
+from design.closed_loop import LoopStructure
 from design.delay_chain import Array
 from design.errors import Infeasible
+from design.loop_shapes import check_gains
 from design.mjls import MJLS
 from design.second_moment import expect
 

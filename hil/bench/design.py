@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -55,7 +54,6 @@ def bench_design(
         goals: designs to solve.
         programmes: budget of the iterated route, in semidefinite programmes; 0 leaves it out.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: threads only wait for each other on such sizes
     from design.tracking import solve
     from hil.design_problem import problem_for, site
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from design.closed_loop import SELECTIONS, check_gains, loop_structure, row_count
+from design.closed_loop import SELECTIONS, loop_structure, row_count
 from design.delay_chain import DelayChain
+from design.loop_shapes import check_gains
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, VTOL
 
 PLANTS = {"motor": MOTOR, "vtol": VTOL}

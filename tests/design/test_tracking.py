@@ -66,6 +66,16 @@ def test_more_information_is_never_worse():
     assert all(norms[fine] <= norms[coarse] + 1e-9 for fine, coarse in COARSER.items())
 
 
+def test_deadbeat_optimum_is_reached_although_its_norm_has_no_fold():
+    # x+ = 0.9 x + u + w: with K = -0.9 the loop has finite memory, and no other gain has a smaller H-infinity norm
+    scalar = TrackingProblem(
+        A=[[0.9]], B=[[1.0]], C=[[1.0]], sc=[[1.0]], ca=[[1.0]], R=0.1, objective="hinf", starts=1
+    )
+    design = solve(scalar)
+    assert np.isclose(design.gains.item(), -0.9, atol=1e-6)
+    assert np.isclose(design.certificate.hinf_norm, np.sqrt(1 + 0.09**2), rtol=1e-6)
+
+
 def test_same_problem_same_gains():
     first, second = (solve(problem("motor", objective="hinf", starts=3, seed=5)) for _ in range(2))
     assert np.array_equal(first.gains, second.gains)
