@@ -66,6 +66,7 @@ def test_more_information_is_never_worse():
     assert all(norms[fine] <= norms[coarse] + 1e-9 for fine, coarse in COARSER.items())
 
 
+@pytest.mark.slow
 def test_deadbeat_optimum_is_reached_although_its_norm_has_no_fold():
     # x+ = 0.9 x + u + w: with K = -0.9 the loop has finite memory, and no other gain has a smaller H-infinity norm
     scalar = TrackingProblem(
