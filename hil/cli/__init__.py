@@ -101,7 +101,7 @@ def main(args: list[str] | None = None) -> Any:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
     except Exception as e:
-        if not isinstance(e, HilError) and type(e).__name__ not in ROOTS:
+        if not isinstance(e, HilError) and not any(c.__name__ in ROOTS for c in type(e).__mro__):
             raise
         for line in str(e).splitlines():
             print(f"hil: {line}", file=sys.stderr)
