@@ -91,6 +91,12 @@ def _starts(loop: Loop, ticks: int) -> tuple[int, ...]:
     return (0, after) if after < ticks else (0,)
 
 
+def _initial(law: Any, chain: Any) -> np.ndarray[Any, Any]:
+    """Return the distribution of the chain's modes in slot 0: the law's own, where its modes are the chain's."""
+    own = law.initial_law() if hasattr(law, "initial_law") else chain.stationary
+    return np.asarray(own if len(own) == chain.modes else chain.stationary)
+
+
 def _predict(loop: Loop, chains: list[Any], r: np.ndarray[Any, Any]) -> Any | None:
     from design.errors import DesignError
     from design.prediction import predict_tracking
@@ -103,6 +109,7 @@ def _predict(loop: Loop, chains: list[Any], r: np.ndarray[Any, Any]) -> Any | No
         "period_s": model.period_s,
         "disturbance": np.array([at(k) for k in range(len(r))]),
         "integral": bool(getattr(controller, "integral", False)),
+        "initial": tuple(map(_initial, (loop.sc_law, loop.ca_law), chains)),
     }
     arguments = (model.A, model.B, model.C, *chains, gains, controller.selection, r)
     try:

@@ -37,3 +37,16 @@ def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
 def test_what_has_no_prediction_has_no_panel(tmp_path: Path, name: str) -> None:
     run = run_session(load_experiment(name, ["duration=2"]), path=tmp_path / "a.mcap").run
     assert theory_section(run) is None
+
+
+def test_prediction_starts_where_the_law_starts(tmp_path: Path) -> None:
+    """Always the longest delay in slot 0, a step in slot 0: the first input cannot act before slot 2 or later."""
+    changes = ["duration=2", "reference.0.at=0", "links.sc.law.initial=[0.0, 0.0, 1.0]", "disturbance.0.at=1.5"]
+    sections = []
+    for extra in ([], ["links.sc.law.initial=stationary"]):
+        run = run_session(load_experiment("dc-motor-hinf", changes + extra), path=tmp_path / f"{len(extra)}.mcap").run
+        section = theory_section(run)
+        assert section is not None and isinstance(section.blocks[0], Figure)
+        sections.append(np.asarray(section.blocks[0].series[0].y))
+    late, stationary = sections
+    assert late[1] == late[0] == -3.0 and stationary[1] > -3.0
