@@ -12,7 +12,7 @@ from hil.log.read import Run
 from hil.report.figures import Band, Block, Figure, Section, Series, Table
 from hil.report.metrics import experiment_of, matrix, signal_names
 from hil.report.tracking import target_of
-from hil.runtime.loop import Loop, compose, delay_chain
+from hil.runtime.loop import Loop, compose, delay_chain, gains_over
 
 RUNS = 100
 TICKS = 120_000  # of emulation that a page may cost: some 3 s
@@ -102,9 +102,7 @@ def _predict(loop: Loop, chains: list[Any], r: np.ndarray[Any, Any]) -> Any | No
     from design.prediction import predict_tracking
 
     model, controller, at = loop.model, loop.controller, loop.disturbance()
-    gains = controller.table(model)[: chains[0].max_delay + 1]
-    if controller.selection in ("generated", "applied", "previous"):
-        gains = gains[:, : chains[1].max_delay + 1]
+    gains = gains_over(controller, model, *chains)
     common: dict[str, Any] = {
         "period_s": model.period_s,
         "disturbance": np.array([at(k) for k in range(len(r))]),

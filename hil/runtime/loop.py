@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from design.controllers import LoopModel, RunningController, StaticGains, row_count
@@ -183,6 +184,12 @@ def _faults(e: Experiment) -> list[str]:
     return faults
 
 
+def gains_over(controller: StaticGains, model: LoopModel, sc: Any, ca: Any) -> NDArray[np.float64]:
+    """Return K[tau, row, m, p] for the delays that two chains reach; a table may cover more (``max_age``)."""
+    K = controller.table(model)[: sc.max_delay + 1]
+    return K[:, : ca.max_delay + 1] if controller.selection in ("generated", "applied", "previous") else K
+
+
 def _accept(e: Experiment, stated: dict[str, Any]) -> dict[str, Any]:
     """Return the certificate that came with a design, or refuse the run."""
     if not stated["stable"] and not e.allow_uncertified:
@@ -217,9 +224,7 @@ def _certify(e: Experiment, model: LoopModel, controller: Any) -> dict[str, Any]
         return None
     from design.certificate import certify_loop
 
-    K = controller.table(model)[: sc.max_delay + 1]
-    if controller.selection in ("generated", "applied", "previous"):
-        K = K[:, : ca.max_delay + 1]
+    K = gains_over(controller, model, sc, ca)
     certificate = certify_loop(
         model.A, model.B, model.C, sc, ca, K, controller.selection, integral=float(getattr(controller, "integral", False))
     )
