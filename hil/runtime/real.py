@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hil.errors import HilError
@@ -101,7 +101,6 @@ def run_real(
     external: bool = False,
     hello_timeout_s: float | None = None,
     taps: Mapping[str, Put] | None = None,
-    started: Callable[[Mapping[str, int]], None] = lambda pids: None,
 ) -> RealOutcome:
     """Run a loop in real time; return when it has ended and nothing of it is left.
 
@@ -121,8 +120,6 @@ def run_real(
         How long the rig waits for a first answer, s.
     taps : mapping
         See :func:`hil.log.pipe.pump`.
-    started : callable
-        Told the process ids, by name.
 
     Raises
     ------
@@ -158,7 +155,6 @@ def run_real(
                     controller_process.Job(loop=loop, uri=uri, parent=parent),
                 )
                 children.append(controller)
-            started({c.name: c.pid for c in children})
             while rig.poll() is None and signals.seen is None:
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
                     outcome.controller_lost = controller.how()

@@ -168,3 +168,9 @@ def test_schema_accepts_the_names_of_every_table() -> None:
     kinds = {variant["properties"]["kind"]["const"] for variant in schema["properties"]["plant"]["oneOf"]}
     assert {"dc-motor", "vtol"} <= kinds
     json.dumps(schema)
+
+
+def test_shipped_schema_that_the_experiments_name_is_the_one_that_hil_prints() -> None:
+    path = shipped()["dc-motor-hinf"].with_name("experiment.schema.json")
+    assert "#:schema ./experiment.schema.json" in GOOD
+    assert json.loads(path.read_text()) == json.loads(json.dumps(experiment_schema())), f"write it again: hil schema > {path}"
