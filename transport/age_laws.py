@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -28,6 +29,11 @@ class AgePath:
     """A running age law as an endless iterator of (mode, age); `draw` is the iterator's own `__next__`, hence fast."""
 
     draw: Callable[[], tuple[int, int]]
+
+    @classmethod
+    def of(cls, states: Iterator[tuple[int, int]]) -> AgePath:
+        """Return the path over these states. The first is drawn now: slot 0 does not pay for what a law does once."""
+        return cls(chain((next(states),), states).__next__)
 
 
 def checked_age(path: str, age: object) -> int:
@@ -184,7 +190,7 @@ class IidAge:
 
     def start(self, rng: np.random.Generator) -> AgePath:
         """Return the process: one uniform number per slot."""
-        return AgePath(self._path(rng).__next__)
+        return AgePath.of(self._path(rng))
 
     def _path(self, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
         row = cumulative(self.probabilities)
@@ -263,7 +269,7 @@ class MarkovAge:
 
     def start(self, rng: np.random.Generator) -> AgePath:
         """Return the process: one uniform number per slot."""
-        return AgePath(self._path(rng).__next__)
+        return AgePath.of(self._path(rng))
 
     def _path(self, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
         rows = [cumulative(row) for row in self.matrix]

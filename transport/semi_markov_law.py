@@ -92,7 +92,7 @@ class SemiMarkovAge:
 
     def start(self, rng: np.random.Generator) -> AgePath:
         """Return the process: two uniform numbers per sojourn."""
-        return AgePath(self._path(rng).__next__)
+        return AgePath.of(self._path(rng))
 
     def _path(self, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
         uniform = uniforms(rng).__next__

@@ -95,7 +95,7 @@ class TraceAge:
 
     def start(self, rng: np.random.Generator) -> AgePath:
         """Return the process; it draws nothing from `rng`."""
-        return AgePath(self._path().__next__)
+        return AgePath.of(self._path())
 
     def _path(self) -> Iterator[tuple[int, int]]:
         states = [(age, age) for age in self.loaded().ages]

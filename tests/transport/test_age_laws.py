@@ -101,6 +101,12 @@ def test_a_faulty_law_is_refused_with_the_entry_named(make: Callable[[], object]
     assert str(fault.value).startswith(message)
 
 
+def test_slot_0_does_not_pay_for_what_a_law_does_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    path = MarkovAge(matrix=((0.5, 0.5), (0.7, 0.3))).start(np.random.default_rng(0))
+    monkeypatch.setattr(MarkovAge, "initial_law", lambda law: pytest.fail("computed in slot 0"))
+    assert path.draw()[0] in (0, 1)
+
+
 def test_a_row_sum_within_the_tolerance_is_accepted() -> None:
     MarkovAge(matrix=((0.5 + 9e-10, 0.5), (0.7, 0.3)))
     with pytest.raises(ValueError, match=r"matrix\[0\]: row sums to 1.000000002"):
