@@ -186,6 +186,7 @@ def pump(
     *,
     taps: Mapping[str, Put] | None = None,
     stop: Callable[[], bool] = lambda: False,
+    rest: Callable[[], None] = lambda: None,
     poll_s: float = 0.02,
 ) -> PumpReport:
     """Carry records from the pipe to a sink until the writer is gone, however it went.
@@ -203,6 +204,8 @@ def pump(
         is taken off and reported.
     stop : callable
         Asked whenever the pipe is empty; true ends the pump though somebody still holds the writing end.
+    rest : callable
+        Called after every read; one that sleeps keeps the reader from waking up with every tick of the writer.
     poll_s : float
         Longest wait in s.
 
@@ -221,11 +224,12 @@ def pump(
             read = os.read(fd, _READ_BYTES)
             if not read:
                 break
-            rest = _take(data + read if data else read, takers, sink, report)
+            torn = _take(data + read if data else read, takers, sink, report)
             sink.commit()
-            if rest is None:
+            if torn is None:
                 break
-            data = rest
+            data = torn
+            rest()
         else:
             sink.commit()
             if stop():

@@ -133,7 +133,9 @@ def run_real(
     stop_pump = threading.Event()
     pumped: list[PumpReport] = []
     thread = threading.Thread(
-        target=lambda: pumped.append(pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set)),
+        target=lambda: pumped.append(
+            pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set, rest=lambda: pause(POLL_S))
+        ),
         name="log",
     )
     with StopSignals() as signals:
