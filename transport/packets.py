@@ -48,6 +48,7 @@ TAU_LIMIT: Final = 32767
 
 FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """The payload lengths that a CAN FD frame can have."""
+_LENGTHS: Final = tuple(next(length for length in FD_LENGTHS if length >= size) for size in range(65))
 
 _SENSOR: Final = 0x11
 _CONTROL: Final = 0x12
@@ -105,9 +106,7 @@ def frame_length(size: int) -> int:
     >>> [frame_length(n) for n in (0, 8, 9, 20, 44, 64, 65)]
     [0, 8, 12, 20, 48, 64, 72]
     """
-    if size > 64:
-        return -(-size // 8) * 8
-    return next(length for length in FD_LENGTHS if length >= size)
+    return _LENGTHS[size] if size <= 64 else -(-size // 8) * 8
 
 
 @cache

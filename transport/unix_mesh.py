@@ -21,6 +21,7 @@ import socket
 from contextlib import suppress
 from errno import ENOBUFS
 from pathlib import Path
+from socket import MSG_NOSIGNAL
 from struct import Struct
 from threading import Lock
 from types import TracebackType
@@ -61,11 +62,9 @@ class _Peer:
     def offer(self, datagram: bytes) -> None:
         """Send, or raise `OSError`; never wait."""
         if self.missed:
-            head = HEAD.pack(HEAD.unpack_from(datagram)[0], min(self.missed, 0xFFFF))
-            self._send(head + datagram[HEAD.size :], socket.MSG_NOSIGNAL)
-            self.missed = 0
-        else:
-            self._send(datagram, socket.MSG_NOSIGNAL)
+            datagram = HEAD.pack(HEAD.unpack_from(datagram)[0], min(self.missed, 0xFFFF)) + datagram[HEAD.size :]
+        self._send(datagram, MSG_NOSIGNAL)
+        self.missed = 0
 
 
 class Mesh:
