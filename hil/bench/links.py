@@ -1,7 +1,7 @@
 """Round trips of all links side by side, between two real processes each, with C over UDP as the floor.
 
-Every link has its own pair of processes, set up as a session sets up rig and controller (priority, CPU, locked memory). The
-pairs take turns, half a second each, so that what else the machine does hits all of them alike.
+Every link has its own pair of processes, set up as `dc-motor-1khz` sets up rig and controller (priority, locked memory, CPUs
+kept awake). The pairs take turns, half a second each, so that what else the machine does hits all of them alike.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ def _free_port() -> int:
 def echo(uri: str) -> None:
     """Answer every packet with a control packet of the same sequence number (its lowest byte), until killed."""
     answers = [encode_control(ControlPacket(seq, 0, 0, 0, 1, ((1.0, 2.0), (3.0, 4.0)))) for seq in range(256)]
-    go_real_time(PRIORITY - 1, None)
+    go_real_time(PRIORITY - 1, None, awake=True)
     with open_link(uri, "controller") as link:
         print("ready", flush=True)  # noqa: T201 (this is the process's interface)
         while True:
@@ -211,7 +211,7 @@ def echo(uri: str) -> None:
 def drive(uri: str, rate_hz: float) -> None:
     """Make as many round trips as each line of standard input says, and print how long each took, ns."""
     questions = [encode_sensor(SensorPacket(seq, 0, 0, (1.0,))) for seq in range(256)]
-    go_real_time(PRIORITY, None)  # before the link is opened, as in a session: its threads inherit the priority
+    go_real_time(PRIORITY, None, awake=True)  # before the link is opened, as in a session: its threads inherit the priority
     with open_link(uri, "rig") as link:
         limit = monotonic_ns() + MEETING_NS
         while _trip(link, questions, 0) < 0:

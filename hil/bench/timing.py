@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.read import Run
 from hil.report.timing import percentiles
 from hil.session import run_session
 
-LINKS = ("can:hil:bench", "zenoh:tcp/127.0.0.1:7447")
+LINKS = ("can:hil:bench", "zenoh:tcp/127.0.0.1:7447", "can:udp_multicast:239.74.163.2")
 
 
 def start_cyclictest(priority: int, period_us: int, duration_s: float, output: Path) -> subprocess.Popen[bytes]:
@@ -41,37 +39,24 @@ def start_cyclictest(priority: int, period_us: int, duration_s: float, output: P
     return subprocess.Popen(args, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
-def read_cyclictest(output: Path) -> dict[str, float]:
-    """Return p50, p99, p99_9 and max of the wake-up lateness, us."""
-    thread = json.loads(output.read_text())["thread"]["0"]
-    histogram = {int(us): int(n) for us, n in thread["histogram"].items()}
-    total = sum(histogram.values()) or 1
-    out, seen = {}, 0
-    wanted = [("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)]
-    for us in sorted(histogram):
-        seen += histogram[us]
-        while wanted and seen >= wanted[0][1] * total:
-            out[wanted.pop(0)[0]] = float(us)
-    return {**out, "max": float(thread["max"])}
+def read_cyclictest(output: Path, period_us: int) -> dict[str, Any]:
+    """Return p50, p99, p99_9 and max of the wake-up lateness in us, the number of ticks, and how many of them were missed.
 
-
-def wake_ups_us(run: Run) -> NDArray[np.float64]:
-    """Return the lateness of the slots that the rig slept for, us.
-
-    After a stall the rig runs the slots that it missed back to back; cyclictest leaves out the ticks that it missed. So the two
-    are compared on the slots before which the rig went to sleep: those whose predecessor ended in time.
+    After a stall cyclictest leaves out the ticks that have gone by, the rig runs them all. They are put in here with the
+    lateness that they would have had (the correction for coordinated omission), so that both are judged over every tick.
     """
-    ticks = run.arrays["/timing/tick"]
-    period_us = float(run.resolved["period"]) * 1e6
-    busy = ticks["lateness_us"] + np.nan_to_num(ticks["round_trip_us"], nan=period_us) + ticks["work_us"]
-    slept = np.concatenate([[True], busy[:-1] < period_us])
-    return np.asarray(ticks["lateness_us"][slept])
+    histogram = json.loads(output.read_text())["thread"]["0"]["histogram"]
+    late = [int(us) for us, times in histogram.items() for _ in range(times)]
+    missed = [us - n * period_us for us in late for n in range(1, us // period_us + 1)]
+    return {**percentiles(np.array(late + missed)), "ticks": len(late) + len(missed), "missed": len(missed)}
 
 
 def bench_timing(
     *, duration_s: float = 20.0, links: Sequence[str] = LINKS, progress: Callable[[str], None] = lambda text: None
 ) -> list[dict[str, Any]]:
     """Run ``dc-motor-1khz`` over each link with cyclictest beside it; return one row per link.
+
+    `ratio` is the rig's lateness over cyclictest's, `round_trip_ratio` the median round trip over that of the last link.
 
     Parameters
     ----------
@@ -98,21 +83,23 @@ def bench_timing(
                     reference.wait()
             if not output.exists():
                 raise HilError(f"cyclictest gave no result: {(reference.stderr.read() if reference.stderr else b'').decode()!r}")
-            timing, beside = session.summary["timing"], read_cyclictest(output)
-            ticks, woken = session.summary["ticks"], percentiles(wake_ups_us(session.run))
+            timing, ticks, beside = session.summary["timing"], session.summary["ticks"], read_cyclictest(output, 1000)
+            lateness = timing["lateness_us"]
             rows.append({
                 "link": uri,
                 "ticks": ticks,
-                "lateness_us": timing["lateness_us"],
-                "wake_up_us": woken,
+                "lateness_us": lateness,
                 "cyclictest_us": beside,
-                "ratio": {q: (woken[q] or 0.0) / max(beside[q], 1.0) for q in beside},
+                "ratio": {q: lateness[q] / max(beside[q], 1.0) for q in lateness},
                 "round_trip_us": timing["round_trip_us"],
                 "overruns": timing["overruns"],
-                "overrun_share": timing["overruns"] / max(ticks, 1),
+                "overrun_share": timing["overruns"] / ticks,
+                "cyclictest_missed_share": beside.pop("missed") / beside.pop("ticks"),
                 "late": sum(session.summary["network"][side]["late"] for side in ("ca",)),
                 "dropped_records": session.summary["log"]["dropped"],
                 "valid": timing["valid"],
                 "scheduler": timing["scheduler"],
             })  # fmt: skip
+    for row in rows:
+        row["round_trip_ratio"] = row["round_trip_us"]["p50"] / rows[-1]["round_trip_us"]["p50"]
     return rows

@@ -56,21 +56,22 @@ def timing(duration: float, links: tuple[str, ...], as_json: bool) -> None:
     flat = []
     for row in rows:
         shown = {
-            "rig, all slots": row["lateness_us"],
-            "rig, wake-ups": row["wake_up_us"],
+            "rig": row["lateness_us"],
             "cyclictest": row["cyclictest_us"],
-            "ratio of wake-ups": row["ratio"],
+            "ratio": row["ratio"],
         }
         for name, values in shown.items():
             points = {q: float(values[q]) for q in ("p50", "p99", "p99_9", "max")}
             flat.append({"link": row["link"], "lateness in us": name, **points})
     _table("wake-up lateness at 1 kHz", flat)
-    for row in rows:
-        trip = ", ".join(f"{q} {v:.0f}" for q, v in row["round_trip_us"].items() if v is not None)
-        print(
-            f"{row['link']}: round trip in us: {trip}; overruns {row['overruns']} ({row['overrun_share']:.3%}), "
-            f"records dropped {row['dropped_records']}; {row['scheduler']}"
-        )
+    of = f"of {rows[-1]['link']}"
+    _table("round trips and overruns", [
+        {"link": row["link"], **{f"{q} us": v for q, v in row["round_trip_us"].items()}, f"p50 {of}": row["round_trip_ratio"],
+         "late": row["late"], "overruns": f"{row['overrun_share']:.3%}",
+         "missed by cyclictest": f"{row['cyclictest_missed_share']:.3%}", "records dropped": row["dropped_records"]}
+        for row in rows
+    ])  # fmt: skip
+    print(f"{rows[0]['ticks']} slots for each link; {rows[0]['scheduler']}")
 
 
 @command.command()

@@ -33,7 +33,7 @@ def _hil_can() -> Check:
         with can.Bus(interface="hil", channel=f"doctor{os.getpid()}", fd=True):
             return "CAN without a kernel", True, "can.Bus(interface='hil') opens", ""
     except (can.CanError, OSError, ValueError) as e:
-        return "CAN without a kernel", False, str(e), "set XDG_RUNTIME_DIR to a private folder that can be written"
+        return "CAN without a kernel", False, str(e), "set HIL_CAN_DIR to a private folder that can be written"
 
 
 def _zenoh() -> Check:
@@ -51,6 +51,15 @@ def _scheduler() -> Check:
     except OSError as e:
         remedy = f"add '{os.environ.get('USER', 'USER')} - rtprio 98' and '- memlock unlimited' to /etc/security/limits.conf"
         return "scheduler", False, f"SCHED_FIFO is refused: {e.strerror}", remedy
+
+
+def _idle() -> Check:
+    device = "/dev/cpu_dma_latency"
+    if os.access(device, os.W_OK):
+        return "idle CPUs", True, "can be kept awake (timing.idle)", ""
+    if not os.path.exists(device):
+        return "idle CPUs", False, f"no {device}", "none: this kernel decides alone; expect tens of microseconds more per wake-up"
+    return "idle CPUs", False, f"{device} is not yours to write", "run as root, or give your group access by a udev rule"
 
 
 def _clock() -> Check:
@@ -96,7 +105,7 @@ def command(as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. What is missing limits some runs and hinders none in virtual time."""
     import json
 
-    checks = [_packages(), _hil_can(), _vcan(), _zenoh(), _scheduler(), _clock(), _cpus(),
+    checks = [_packages(), _hil_can(), _vcan(), _zenoh(), _scheduler(), _idle(), _clock(), _cpus(),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     if as_json:

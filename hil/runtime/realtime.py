@@ -11,7 +11,7 @@ import sys
 MCL_CURRENT, MCL_FUTURE, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 2, 1, 29
 
 
-def go_real_time(priority: int, cpu: int | None) -> str:
+def go_real_time(priority: int, cpu: int | None, awake: bool = False) -> str:
     """Ask for SCHED_FIFO, locked memory, one CPU and a still garbage collector; return one line that says what was given.
 
     Parameters
@@ -20,6 +20,8 @@ def go_real_time(priority: int, cpu: int | None) -> str:
         SCHED_FIFO priority, 1 to 98.
     cpu : int or None
         Index into the CPUs that this process may use, counted from the last; None does not pin.
+    awake : bool
+        Keep idle CPUs from sleeping until this process ends.
     """
     got = []
     libc = ctypes.CDLL(None, use_errno=True)
@@ -39,6 +41,12 @@ def go_real_time(priority: int, cpu: int | None) -> str:
             got.append("any CPU")
     else:
         got.append("any CPU")
+    if awake:
+        try:
+            os.write(os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC), bytes(4))  # in force while it is open
+            got.append("CPUs awake")
+        except OSError:
+            got.append("CPUs may doze")
     sys.setswitchinterval(1e-4)
     gc.collect()
     gc.freeze()

@@ -152,7 +152,7 @@ def main() -> None:
     warm_up(job.loop)
     timing = job.loop.experiment.timing
     # Before the link is opened, so that the threads of a link inherit the priority.
-    scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None)
+    scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None, timing.idle == "awake")
     with open_link(job.uri, "rig") as link:
         if not await_controller(link, job.hello_timeout_s, lambda: stopped):
             if not stopped:
