@@ -16,6 +16,7 @@ base + 0xC0 + i control packet        the same
 
 Fragments have one identifier each, as CANopen's TPDO1 to TPDOn have, and are sent in order; what is put together is checked
 by the packet's CRC. Sensor frames win the arbitration. `transport/hilrig.dbc` names every signal for the default base 0x100.
+A frame is as short as its packet allows; with ``pad=1`` every FD frame has 64 bytes, for tools that insist on the DBC's length.
 
 Each role hears the other's identifiers only. Error frames, foreign frames and faults of the bus are counted; the link works
 again when the interface does.
@@ -96,15 +97,18 @@ class CanLink:
         join: opens the bus with the given filters; called again when the interface has vanished.
         base: first of 256 identifiers.
         fd: one CAN FD frame of up to 64 bytes, or classic frames of 8.
+        pad: fill every FD frame up to 64 bytes.
     """
 
-    __slots__ = ("_bus", "_closed", "_fd", "_hear", "_join", "_parts", "_row", "_say", "_step", "counters", "uri")
+    __slots__ = ("_bus", "_closed", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step", "counters", "uri")
 
-    def __init__(self, uri: str, role: Role, join: Callable[[], can.BusABC], *, base: int = BASE, fd: bool = True) -> None:
+    def __init__(
+        self, uri: str, role: Role, join: Callable[[], can.BusABC], *, base: int = BASE, fd: bool = True, pad: bool = False
+    ) -> None:
         self.uri = uri
         self.counters = LinkCounters()
         self._say, self._hear = (f := identifiers(base, fd))[role == "controller"], f[role == "rig"]
-        self._fd, self._step = fd, 64 if fd else 8
+        self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
         self._join = join
         self._bus = _frames_of(join(), fd)
         self._closed = False
@@ -119,7 +123,7 @@ class CanLink:
         try:
             for start in range(0, size, step):
                 data = packet[start : start + step]
-                if self._fd and (length := frame_length(len(data))) != len(data):
+                if self._fd and (length := 64 if self._pad else frame_length(len(data))) != len(data):
                     data += bytes(length - len(data))
                 self._bus.send_frame(identifier, data)
                 identifier += 1
@@ -171,7 +175,7 @@ class CanLink:
             size = packet_size(data)
             if self._fd and size is not None and size <= len(data):
                 self._parts = b""
-                return data  # alone in one frame; the receiver's decoder judges it
+                return data[:size] if self._pad else data  # alone in one frame; the receiver's decoder judges it
         elif not self._parts or index * self._step != len(self._parts):
             self.counters.malformed += 1  # one before it is missing
             self._parts = b""
@@ -236,8 +240,8 @@ def open_can(uri: str, role: Role) -> CanLink:
     """Open one end of a link over a python-can interface.
 
     Args:
-        uri: ``can:<interface>:<channel>``, with the options ``fd`` (1 or 0), ``base`` (first identifier, a multiple of
-            0x100) and whatever the interface takes, ``bitrate`` for instance.
+        uri: ``can:<interface>:<channel>``, with the options ``fd`` (1 or 0), ``pad`` (1 or 0), ``base`` (first identifier, a
+            multiple of 0x100) and whatever the interface takes, ``bitrate`` for instance.
         role: "rig" or "controller".
 
     Raises:
@@ -260,6 +264,9 @@ def open_can(uri: str, role: Role) -> CanLink:
     fd = options.pop("fd", "1")
     if fd not in ("0", "1"):
         raise TransportError(f"link {uri!r}: fd={fd}, expected 1 (CAN FD) or 0 (classic CAN)")
+    pad = options.pop("pad", "0")
+    if pad not in ("0", fd):
+        raise TransportError(f"link {uri!r}: pad={pad}, expected 1 (FD frames of 64 bytes) or 0; classic frames have no padding")
     try:
         base = int(options.pop("base", str(BASE)), 0)
     except ValueError:
@@ -288,7 +295,7 @@ def open_can(uri: str, role: Role) -> CanLink:
     except (OSError, ValueError):
         pass  # absent: opening it says so
     try:
-        return CanLink(uri, role, join, base=base, fd=flexible)
+        return CanLink(uri, role, join, base=base, fd=flexible, pad=pad == "1")
     except (can.CanError, OSError, ImportError, NotImplementedError, TypeError, ValueError) as error:
         raise TransportError(f"link {uri!r}: {error}{_remedy(interface, channel, error)}") from error
 

@@ -20,7 +20,7 @@ from typing import Any
 import can
 import pytest
 
-from transport import SensorPacket, dbc_path, encode_sensor
+from transport import SensorPacket, dbc_path, encode_sensor, open_link
 from transport.can_bus import HilBus
 from transport.unix_mesh import QUEUE_LIMIT
 
@@ -371,17 +371,17 @@ def test_cantools_monitor_shows_our_signals() -> None:
     main, side = pty.openpty()
     command = [str(BIN / "cantools"), "monitor", "-i", "hil", "-c", "t", str(dbc_path())]
     environment = {**os.environ, "TERM": "xterm", "LINES": "40", "COLUMNS": "120"}
-    with bus() as sender, subprocess.Popen(command, stdin=side, stdout=side, stderr=side, env=environment) as monitor:
+    with (
+        open_link("can:hil:t?pad=1", "rig") as rig,
+        subprocess.Popen(command, stdin=side, stdout=side, stderr=side, env=environment) as monitor,
+    ):
         try:
             screen, end = b"", monotonic() + 20
-            message = can.Message(
-                arbitration_id=0x100, is_extended_id=False, is_fd=True, data=encode_sensor(SensorPacket(7, 0, 5, (3.25,)))
-            )
-            while b"SensorFD0" not in screen and monotonic() < end:
-                sender.send(message)
+            while b"Y0: 3.25" not in screen and monotonic() < end:
+                rig.send(encode_sensor(SensorPacket(7, 0, 5, (3.25,))))
                 if select.select([main], [], [], 0.05)[0]:
                     screen += os.read(main, 65536)
-            assert b"SensorFD0" in screen, screen
+            assert b"SensorFD0" in screen and b"Y0: 3.25" in screen, screen
         finally:
             monitor.kill()
     os.close(main)

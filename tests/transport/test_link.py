@@ -29,6 +29,8 @@ from transport.memory import QUEUE_LIMIT
         ("can:sockecan:vcan0", "did you mean 'socketcan'?"),
         ("can:hil:../rig0", "expected up to 32 letters"),
         ("can:hil:rig0?fd=2", "fd=2, expected 1 (CAN FD) or 0 (classic CAN)"),
+        ("can:hil:rig0?pad=yes", "pad=yes, expected 1"),
+        ("can:hil:rig0?fd=0&pad=1", "classic frames have no padding"),
         ("can:hil:rig0?base=0x110", "base: expected a multiple of 0x100"),
         ("can:hil:rig0?base=ten", "base: expected a multiple of 0x100"),
         ("can:hil:rig0?base=0x800", "base: expected a multiple of 0x100"),
