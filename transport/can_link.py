@@ -24,10 +24,13 @@ again when the interface does.
 
 from __future__ import annotations
 
+import os
 import select
+import socket
 from collections.abc import Callable
 from contextlib import suppress
-from errno import EAFNOSUPPORT, EBADF, ENODEV, ENXIO
+from errno import EADDRINUSE, EAFNOSUPPORT, EBADF, ENODEV, ENXIO
+from hashlib import sha256
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -35,7 +38,7 @@ from typing import Any, Final, Protocol, Self
 
 import can
 
-from transport.can_bus import ERROR, EXTENDED, REMOTE, HilBus
+from transport.can_bus import ERROR, EXTENDED, REMOTE, HilBus, bus_directory
 from transport.link import LinkCounters, Role, TransportError, split_uri
 from transport.packets import decode, frame_length, packet_size
 
@@ -98,18 +101,28 @@ class CanLink:
         base: first of 256 identifiers.
         fd: one CAN FD frame of up to 64 bytes, or classic frames of 8.
         pad: fill every FD frame up to 64 bytes.
+        claim: closed with the link.
     """
 
-    __slots__ = ("_bus", "_closed", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step", "counters", "uri")
+    __slots__ = ("_bus", "_claim", "_closed", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step", "counters",
+                 "uri")  # fmt: skip
 
     def __init__(
-        self, uri: str, role: Role, join: Callable[[], can.BusABC], *, base: int = BASE, fd: bool = True, pad: bool = False
+        self,
+        uri: str,
+        role: Role,
+        join: Callable[[], can.BusABC],
+        *,
+        base: int = BASE,
+        fd: bool = True,
+        pad: bool = False,
+        claim: socket.socket | None = None,
     ) -> None:
         self.uri = uri
         self.counters = LinkCounters()
         self._say, self._hear = (f := identifiers(base, fd))[role == "controller"], f[role == "rig"]
         self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
-        self._join = join
+        self._claim, self._join = claim, join
         self._bus = _frames_of(join(), fd)
         self._closed = False
         self._parts = b""
@@ -216,6 +229,8 @@ class CanLink:
             self._closed = True
             with suppress(*_FAULTS):
                 self._bus.shutdown()
+            if self._claim is not None:
+                self._claim.close()
 
     def __enter__(self) -> Self:
         return self
@@ -294,10 +309,30 @@ def open_can(uri: str, role: Role) -> CanLink:
             )
     except (OSError, ValueError):
         pass  # absent: opening it says so
+    claim = _claim(uri, interface, channel, heard) if role == "rig" else None
     try:
-        return CanLink(uri, role, join, base=base, fd=flexible, pad=pad == "1")
+        return CanLink(uri, role, join, base=base, fd=flexible, pad=pad == "1", claim=claim)
     except (can.CanError, OSError, ImportError, NotImplementedError, TypeError, ValueError) as error:
+        if claim is not None:
+            claim.close()
         raise TransportError(f"link {uri!r}: {error}{_remedy(interface, channel, error)}") from error
+
+
+def _claim(uri: str, interface: str, *where: object) -> socket.socket:
+    """Be the only rig there: hold a name as an abstract Unix socket.
+
+    It goes with the process and, like a CAN interface, belongs to one network namespace.
+    """
+    world = {"hil": bus_directory(), "virtual": os.getpid()}.get(interface, "")
+    name = sha256(repr((interface, world, where)).encode()).hexdigest()
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0hilrig-{os.geteuid()}-{name}")
+    except OSError as error:
+        claim.close()
+        hint = "is another rig running there? Stop it, or choose another channel or base" if error.errno == EADDRINUSE else error
+        raise TransportError(f"link {uri!r}: {hint}") from error
+    return claim
 
 
 def _value(text: str) -> int | float | bool | str:

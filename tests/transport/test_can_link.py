@@ -11,7 +11,7 @@ from uuid import uuid4
 import can
 import pytest
 
-from transport import open_link
+from transport import TransportError, open_link
 from transport.can_link import CanLink, open_can
 from transport.contract import control, sensor
 
@@ -220,3 +220,14 @@ def test_a_motor_packet_is_one_frame_with_bit_rate_switch(channel: str) -> None:
         assert message is not None and node.recv(0) is None
         assert (message.arbitration_id, message.is_fd, message.bitrate_switch, message.dlc) == (0x100, True, True, 20)
         assert bytes(message.data) == sensor(1)
+
+
+@pytest.mark.parametrize("interface", ["virtual", "hil"])
+def test_a_second_rig_is_refused_until_the_first_has_gone(channel: str, interface: str) -> None:
+    uri = f"can:{interface}:{channel}"
+    with open_link(uri, "rig"):
+        with pytest.raises(TransportError, match="is another rig running there"):
+            open_link(uri, "rig")
+        open_link(f"{uri}?base=0x200", "rig").close()  # other identifiers: two loops share the bus
+        open_link(uri, "controller").close()
+    open_link(uri, "rig").close()
