@@ -212,7 +212,56 @@ class IidAge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MarkovAge:
+class ChainAge:
+    """What Markov and semi-Markov age laws share: a chain over modes, each with an age."""
+
+    matrix: tuple[tuple[float, ...], ...]
+    initial: Initial = "stationary"
+    ages: tuple[int, ...] | None = None
+    allow_gaps: bool = False
+
+    def __post_init__(self) -> None:
+        matrix = checked_matrix("matrix", self.matrix)
+        object.__setattr__(self, "matrix", matrix)
+        self._check_modes()
+        object.__setattr__(self, "ages", checked_ages(self.ages, len(matrix)))
+        object.__setattr__(self, "initial", checked_initial(self.initial, len(matrix)))
+        if not self.allow_gaps:
+            refuse_gaps(matrix, self.mode_ages)
+        if self.initial == "stationary":
+            try:
+                stationary_row(matrix)
+            except ValueError as fault:
+                raise ValueError(f'initial: {fault}; give "uniform" or a list') from None
+
+    def _check_modes(self) -> None:
+        """Refuse a mode that the law cannot have."""
+
+    @property
+    def max_age(self) -> int:
+        """Largest age of any mode, in slots."""
+        return max(self.mode_ages)
+
+    @property
+    def mode_ages(self) -> tuple[int, ...]:
+        """Age of every mode, in slots."""
+        return tuple(range(len(self.matrix))) if self.ages is None else self.ages
+
+    def stationary(self) -> NDArray[np.float64]:
+        """Return the share of slots spent in every mode, (n,)."""
+        return stationary_row(self.matrix)
+
+    def initial_law(self) -> NDArray[np.float64]:
+        """Return the law of the mode in slot 0, (n,)."""
+        if self.initial == "stationary":
+            return self.stationary()
+        if self.initial == "uniform":
+            return np.full(len(self.matrix), 1.0 / len(self.matrix))
+        return np.array(self.initial, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MarkovAge(ChainAge):
     """Ages driven by a Markov chain: Pr(mode_{k+1} = j | mode_k = i) = matrix[i][j].
 
     Args:
@@ -235,37 +284,12 @@ class MarkovAge:
     kind: ClassVar[str] = "markov"
     family: ClassVar[Literal["age"]] = "age"
 
-    matrix: tuple[tuple[float, ...], ...]
-    initial: Initial = "stationary"
-    ages: tuple[int, ...] | None = None
-    allow_gaps: bool = False
     allow_absorbing: bool = False
 
-    def __post_init__(self) -> None:
-        matrix = checked_matrix("matrix", self.matrix)
-        object.__setattr__(self, "matrix", matrix)
-        object.__setattr__(self, "ages", checked_ages(self.ages, len(matrix)))
-        object.__setattr__(self, "initial", checked_initial(self.initial, len(matrix)))
-        if not self.allow_gaps:
-            refuse_gaps(matrix, self.mode_ages)
-        for i, row in enumerate(matrix):
-            if row[i] == 1.0 and len(matrix) > 1 and not self.allow_absorbing:
+    def _check_modes(self) -> None:
+        for i, row in enumerate(self.matrix):
+            if row[i] == 1.0 and len(self.matrix) > 1 and not self.allow_absorbing:
                 raise ValueError(f"matrix[{i}]: mode {i} is never left (allow_absorbing permits it)")
-        if self.initial == "stationary":
-            try:
-                stationary_row(matrix)
-            except ValueError as fault:
-                raise ValueError(f'initial: {fault}; give "uniform" or a list') from None
-
-    @property
-    def max_age(self) -> int:
-        """Largest age of any mode, in slots."""
-        return max(self.mode_ages)
-
-    @property
-    def mode_ages(self) -> tuple[int, ...]:
-        """Age of every mode, in slots."""
-        return tuple(range(len(self.matrix))) if self.ages is None else self.ages
 
     def start(self, rng: np.random.Generator) -> AgePath:
         """Return the process: one uniform number per slot."""
@@ -280,21 +304,9 @@ class MarkovAge:
             yield states[mode]
             row = rows[mode]
 
-    def initial_law(self) -> NDArray[np.float64]:
-        """Return the law of the mode in slot 0, (n,)."""
-        if self.initial == "stationary":
-            return self.stationary()
-        if self.initial == "uniform":
-            return np.full(len(self.matrix), 1.0 / len(self.matrix))
-        return np.array(self.initial, dtype=np.float64)
-
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain, (n, n)."""
         return np.array(self.matrix)
-
-    def stationary(self) -> NDArray[np.float64]:
-        """Return the stationary law over modes, (n,)."""
-        return stationary_row(self.matrix)
 
     def mean_bursts(self) -> NDArray[np.float64]:
         """Return the mean number of slots that a mode lasts, (n,): 1/(1 - p_ii)."""

@@ -33,13 +33,12 @@ from errno import EADDRINUSE, EAFNOSUPPORT, EBADF, ENODEV, ENXIO
 from hashlib import sha256
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Protocol
 
 import can
 
 from transport.can_bus import ERROR, EXTENDED, REMOTE, HilBus, bus_directory
-from transport.link import LinkCounters, Role, TransportError, split_uri
+from transport.link import Closing, LinkCounters, Role, TransportError, split_uri
 from transport.packets import decode, frame_length, packet_size
 
 BASE: Final = 0x100
@@ -91,7 +90,7 @@ def _frames_of(bus: can.BusABC, fd: bool) -> _Frames:
     return bus if isinstance(bus, HilBus) else _MessageFrames(bus, fd)
 
 
-class CanLink:
+class CanLink(Closing):
     """One end of a link on a CAN bus.
 
     Args:
@@ -231,14 +230,6 @@ class CanLink:
                 self._bus.shutdown()
             if self._claim is not None:
                 self._claim.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def identifiers(base: int = BASE, fd: bool = True) -> tuple[int, int]:

@@ -82,6 +82,24 @@ class Link(Protocol):
     ) -> None: ...
 
 
+class Closing:
+    """`with` for what has `close`."""
+
+    __slots__ = ()
+
+    def close(self) -> None:
+        """Let go of it; may be called twice."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
 def split_uri(uri: str) -> tuple[str, str, dict[str, str]]:
     """Return scheme, address and options of a link URI.
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from threading import Condition
-from types import TracebackType
-from typing import Never, Self
+from typing import Never
 
-from transport.link import LinkCounters, Role, TransportError
+from transport.link import Closing, LinkCounters, Role, TransportError
 
 QUEUE_LIMIT = 256
 """Packets that wait at one end; what comes on top is dropped and counted by the sender."""
 
 
-class MemoryLink:
+class MemoryLink(Closing):
     """One end of an in-process pair; make both with `memory_pair`. Ends may live in different threads."""
 
     __slots__ = ("_arrived", "_closed", "_queue", "_waiting", "counters", "peer", "uri")
@@ -55,14 +54,6 @@ class MemoryLink:
         with self._arrived:
             self._closed = True
             self._arrived.notify_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def memory_pair() -> tuple[MemoryLink, MemoryLink]:

@@ -10,9 +10,9 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.age_laws import AgePath, Initial, checked_ages, checked_initial, refuse_gaps
+from transport.age_laws import AgePath, ChainAge
 from transport.sojourn import SojournLaw, hazards, mean_sojourn, remaining_sampler
-from transport.stochastic_matrix import checked_matrix, cumulative, stationary_row, uniforms
+from transport.stochastic_matrix import cumulative, stationary_row, uniforms
 
 
 class AugmentedChain(NamedTuple):
@@ -30,7 +30,7 @@ class AugmentedChain(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SemiMarkovAge:
+class SemiMarkovAge(ChainAge):
     """Ages driven by a semi-Markov chain.
 
     A mode i lasts h slots, h drawn from sojourn[i], then mode j follows with probability matrix[i][j]. Modes may share
@@ -39,8 +39,7 @@ class SemiMarkovAge:
     Args:
         matrix: (n, n) embedded chain: row-stochastic, zero diagonal.
         sojourn: one sojourn law per mode.
-        initial: slot 0 is met in a long run ("stationary", in the midst of a sojourn), or begins a sojourn in a mode
-        drawn
+        initial: slot 0 is met in a long run ("stationary", in the midst of a sojourn), or begins a sojourn in a mode drawn
             from "uniform" or from one probability per mode.
         ages: age of every mode in slots; the mode's own number by default.
         allow_gaps: accept an age that can grow by more than one per slot.
@@ -54,41 +53,16 @@ class SemiMarkovAge:
     kind: ClassVar[str] = "semi-markov"
     family: ClassVar[Literal["age"]] = "age"
 
-    matrix: tuple[tuple[float, ...], ...]
     sojourn: tuple[SojournLaw, ...]
-    initial: Initial = "stationary"
-    ages: tuple[int, ...] | None = None
-    allow_gaps: bool = False
 
-    def __post_init__(self) -> None:
-        matrix = checked_matrix("matrix", self.matrix)
-        object.__setattr__(self, "matrix", matrix)
-        for i, row in enumerate(matrix):
+    def _check_modes(self) -> None:
+        for i, row in enumerate(self.matrix):
             if row[i] != 0.0:
                 fault = f"mode {i} is never left" if row[i] == 1.0 else f"mode {i} follows itself"
                 raise ValueError(f"matrix[{i}][{i}]: {row[i]:g}, {fault}; expected 0, the sojourn law says how long")
         object.__setattr__(self, "sojourn", tuple(self.sojourn))
-        if len(self.sojourn) != len(matrix):
-            raise ValueError(f"sojourn: has {len(self.sojourn)} laws, expected one per mode, {len(matrix)}")
-        object.__setattr__(self, "ages", checked_ages(self.ages, len(matrix)))
-        object.__setattr__(self, "initial", checked_initial(self.initial, len(matrix)))
-        if not self.allow_gaps:
-            refuse_gaps(matrix, self.mode_ages)
-        if self.initial == "stationary":
-            try:
-                stationary_row(matrix)
-            except ValueError as fault:
-                raise ValueError(f'initial: {fault}; give "uniform" or a list') from None
-
-    @property
-    def max_age(self) -> int:
-        """Largest age of any mode, in slots."""
-        return max(self.mode_ages)
-
-    @property
-    def mode_ages(self) -> tuple[int, ...]:
-        """Age of every mode, in slots."""
-        return tuple(range(len(self.matrix))) if self.ages is None else self.ages
+        if len(self.sojourn) != len(self.matrix):
+            raise ValueError(f"sojourn: has {len(self.sojourn)} laws, expected one per mode, {len(self.matrix)}")
 
     def start(self, rng: np.random.Generator) -> AgePath:
         """Return the process: two uniform numbers per sojourn."""
@@ -108,14 +82,6 @@ class SemiMarkovAge:
                 yield state
             mode = bisect_right(rows[mode], uniform())
             slots = samplers[mode](uniform())
-
-    def initial_law(self) -> NDArray[np.float64]:
-        """Return the law of the mode in slot 0, (n,)."""
-        if self.initial == "stationary":
-            return self.stationary()
-        if self.initial == "uniform":
-            return np.full(len(self.matrix), 1.0 / len(self.matrix))
-        return np.array(self.initial, dtype=np.float64)
 
     def stationary(self) -> NDArray[np.float64]:
         """Return the share of slots spent in every mode, (n,): nu_i E h_i / sum_j nu_j E h_j, nu P = nu."""

@@ -24,10 +24,9 @@ from pathlib import Path
 from socket import MSG_NOSIGNAL
 from struct import Struct
 from threading import Lock
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
-from transport.link import TransportError
+from transport.link import Closing, TransportError
 from transport.private_directory import locked
 
 HEAD: Final = Struct("<dH")
@@ -67,7 +66,7 @@ class _Peer:
         self.missed = 0
 
 
-class Mesh:
+class Mesh(Closing):
     """One participant.
 
     Args:
@@ -310,11 +309,3 @@ class Mesh:
         for peer in self._peers:
             poll.register(peer.socket, 0)
         return self._knows_all and sum(bool(event & select.POLLHUP) for _, event in poll.poll(0)) == len(self._peers)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

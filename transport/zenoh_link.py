@@ -16,10 +16,9 @@ import re
 from contextlib import suppress
 from functools import partial
 from queue import Empty, SimpleQueue
-from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
-from transport.link import LinkCounters, Role, TransportError, split_uri
+from transport.link import Closing, LinkCounters, Role, TransportError, split_uri
 
 if TYPE_CHECKING:
     import zenoh
@@ -30,10 +29,11 @@ QUEUE_LIMIT: Final = 256
 _NETWORKED: Final = ("tcp", "udp", "tls", "quic", "ws")
 _LOCAL: Final = ("unixsock-stream", "unixpipe")
 _LOOPBACK: Final = re.compile(r"(127\.\d+\.\d+\.\d+|\[::1\]|localhost)")
+_SOURCE: Final = re.compile(r" at \S+\.rs:\d+\.?")  # where in zenoh's source an error arose
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
-class ZenohLink:
+class ZenohLink(Closing):
     """One end of a link over zenoh.
 
     Args:
@@ -103,14 +103,6 @@ class ZenohLink:
             with suppress(self._error):
                 self._session.close()  # type: ignore[no-untyped-call]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
 
 def _take(queue: SimpleQueue[bytes], counters: LinkCounters, sample: zenoh.Sample) -> None:
     if queue.qsize() < QUEUE_LIMIT:
@@ -168,7 +160,7 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
         raise TransportError(f"link {uri!r}: name {name!r}, expected up to 64 letters, digits, '_', '-', '.'")
     if protocol in _NETWORKED:
         host, _, port = address.partition("#")[0].rpartition(":")
-        if not host or not port.isdecimal():
+        if not host or not port.isdecimal() or int(port) > 65535:
             raise TransportError(f"link {uri!r}: address {address!r}, expected host:port, as in 127.0.0.1:7447")
         if lan != "1" and not _LOOPBACK.fullmatch(host):
             raise TransportError(
@@ -180,5 +172,6 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
     try:
         return ZenohLink(uri, role, endpoint, name)
     except zenoh.ZError as error:
-        hint = "; is another rig running there?" if role == "rig" else ""
-        raise TransportError(f"link {uri!r}: {error}{hint}") from error
+        said = _SOURCE.sub("", str(error))
+        hint = "; is another rig running there?" if "in use" in said else ""
+        raise TransportError(f"link {uri!r}: {said}{hint}") from error

@@ -198,8 +198,9 @@ def test_the_controller_listens_nowhere() -> None:
 
 def test_a_taken_port_is_refused_with_a_hint() -> None:
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
-    with open_link(uri, "rig"), pytest.raises(TransportError, match="is another rig running there"):
+    with open_link(uri, "rig"), pytest.raises(TransportError, match=r"in use.*is another rig running there\?$") as caught:
         open_link(uri, "rig")
+    assert ".rs:" not in str(caught.value)  # where in zenoh's source it arose says nothing to our user
 
 
 @pytest.mark.parametrize(
@@ -209,6 +210,8 @@ def test_a_taken_port_is_refused_with_a_hint() -> None:
         ("zenoh:127.0.0.1:7447", "as in tcp/127.0.0.1:7447"),
         ("zenoh:tcp/127.0.0.1", "expected host:port"),
         ("zenoh:tcp/127.0.0.1:x", "expected host:port"),
+        ("zenoh:tcp/127.0.0.1:99999", "expected host:port"),
+        ("zenoh:unixsock-stream//no/such/folder", "No such file or directory"),
         ("zenoh:tcp/127.0.0.1:7447?nam=x", "'nam', expected name or lan"),
         ("zenoh:tcp/127.0.0.1:7447?name=a/b", "name 'a/b'"),
         ("zenoh:tcp/127.0.0.1:7447?name=**", "name"),
