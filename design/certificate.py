@@ -11,7 +11,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import numpy.typing as npt
 
-from design.closed_loop import Selection, loop_structure
+from design.closed_loop import loop_structure
+from design.controllers import Selection
 from design.delay_chain import DelayChain
 from design.mjls import MJLS
 from design.second_moment import Array, Resolvent, backward, expect

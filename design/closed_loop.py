@@ -26,13 +26,13 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from design.controllers import Selection, row_count
 from design.delay_chain import Array, DelayChain, Index, as_chain
 from design.loop_shapes import check_gains, check_plant_shapes
 from design.mjls import MJLS
 from design.packet_registers import packet_registers
 from design.performance_output import performance_output
 
-Selection = Literal["constant", "generated", "applied", "previous", "both"]
 SELECTIONS: tuple[str, ...] = get_args(Selection)
 
 
@@ -108,13 +108,6 @@ class LoopStructure:
         return MJLS(A=A, B=self.B, C=self.C, transition=self.transition)
 
 
-def row_count(selection: str, ca_labels: int) -> int:
-    """Rows of gains that a pattern demands, for `ca_labels` labels of the C-A delay."""
-    if selection not in SELECTIONS:
-        raise ValueError(f"selection: {selection!r}, expected one of {', '.join(SELECTIONS)}")
-    return {"constant": 1, "both": ca_labels**2}.get(selection, ca_labels)
-
-
 def loop_structure(
     A: npt.ArrayLike,
     B: npt.ArrayLike,
@@ -160,7 +153,9 @@ def loop_structure(
     if integral < 0 or not np.isfinite(integral):
         raise ValueError(f"integral: {integral:g}, expected a finite weight >= 0")
     labels = int(ca_chain.label.max()) + 1
-    rows = row_count(selection, labels)
+    if selection not in SELECTIONS:
+        raise ValueError(f"selection: {selection!r}, expected one of {', '.join(SELECTIONS)}")
+    rows = row_count(selection, labels - 1)
     taken = C_ if store == "output" else np.eye(n)
     width = taken.shape[0]
     depth = sc_chain.max_delay + samples - 1

@@ -33,7 +33,7 @@ Rows = tuple[tuple[float, ...], ...]
 Gains = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [tau][row][m][p]
 
 
-def row_count(selection: Selection, d_max: int) -> int:
+def row_count(selection: Selection | str, d_max: int) -> int:
     """Return how many rows a send-all packet carries.
 
     >>> [row_count(s, 1) for s in ("constant", "generated", "applied", "previous", "both")]

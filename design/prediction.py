@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from design.closed_loop import LoopStructure, Selection, loop_structure
+from design.closed_loop import LoopStructure, loop_structure
+from design.controllers import Selection
 from design.delay_chain import Array, DelayChain, as_chain
 from design.loop_shapes import check_gains
 from design.second_moment import congruence_matrices, forward, to_matrix, to_vector

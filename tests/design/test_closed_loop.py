@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from design.closed_loop import SELECTIONS, loop_structure, row_count
+from design.closed_loop import SELECTIONS, loop_structure
 from design.delay_chain import DelayChain
 from design.loop_shapes import check_gains
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, VTOL
@@ -129,7 +129,3 @@ def test_gains_of_the_wrong_shape_are_refused_with_both_shapes():
         check_gains([[[[0.0]], [[np.nan]]]], (1, 2, 1, 1))
     with pytest.raises(ValueError, match=r"^gains: expected a regular nested list"):
         check_gains([[1.0], [1.0, 2.0]], (1, 2, 1, 1))
-
-
-def test_rows_that_a_pattern_demands():
-    assert [row_count(s, 2) for s in SELECTIONS] == [1, 2, 2, 2, 4]
