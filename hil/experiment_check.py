@@ -14,8 +14,11 @@ import msgspec
 from hil import registry
 from hil.errors import HilError
 from hil.experiment_tables import HIDDEN, Direction, Experiment, Links, Seconds, Table
+from transport.network_laws import load_files
 
 FIELD = re.compile(r"[a-z_]\w*(\[\d+\])*(\.\w+)*: ")
+INFINITE = "is not a finite number"
+OLDEST = 63  # slots
 
 
 def _hook(kind: type, value: object) -> object:
@@ -41,7 +44,7 @@ class Checker:
         given: dict[str, Any] = {
             "plant": self.plugin("hil.plants", raw.get("plant"), "plant"),
             "controller": self.plugin("hil.controllers", raw.get("controller"), "controller"),
-            "links": self._links(links),
+            "links": self._links(links, folder),
             "text": text,
             "folder": folder,
             "kinds": self.kinds,
@@ -51,9 +54,11 @@ class Checker:
                 self.faults.append(f"{reserved}: unknown field")
         rest = {k: v for k, v in raw.items() if k not in given}
         experiment = self.table(Experiment, rest, "", given)
+        infinite = {fault.partition(": ")[0] for fault in self.faults if fault.endswith(INFINITE)}
+        self.faults = [f for f in self.faults if f.endswith(INFINITE) or f.partition(": ")[0] not in infinite]  # say it once
         return experiment if not self.faults else None
 
-    def _links(self, raw: Any) -> Links | None:
+    def _links(self, raw: Any, folder: str) -> Links | None:
         if raw is None:
             self.faults.append("links: missing table")
             return None
@@ -67,7 +72,7 @@ class Checker:
                 self.faults.append(f"links.{side}: missing table" if table is None else f"links.{side}: expected a table")
                 given[side] = None
                 continue
-            law = self.plugin("hil.laws", table.get("law"), f"links.{side}.law")
+            law = self._law(table.get("law"), f"links.{side}.law", folder)
             bound = getattr(law, "max_age", None)
             default = 3 if bound is None else int(bound)
             direction = self.table(
@@ -78,11 +83,21 @@ class Checker:
                     self.faults.append(f"links.{side}.max_age: {direction.max_age} is negative")
                 elif bound is not None and direction.max_age < bound:
                     self.faults.append(f"links.{side}.max_age: {direction.max_age} is below the law's largest delay {bound}")
-                elif direction.max_age > 63:
-                    self.faults.append(f"links.{side}.max_age: {direction.max_age} is above 63")
+                elif direction.max_age > OLDEST:
+                    field = "max_age:" if "max_age" in table else "law: its largest delay"
+                    self.faults.append(f"links.{side}.{field} {direction.max_age} is above {OLDEST}")
             given[side] = direction
         links: Links | None = self.table(Links, {k: v for k, v in raw.items() if k not in given}, "links", given)
         return links
+
+    def _law(self, raw: Any, path: str, folder: str) -> Any:
+        """Return a network law with the files that it names read, from where the experiment stands."""
+        law = self.plugin("hil.laws", raw, path)
+        try:
+            return load_files(law, folder)
+        except ValueError as e:
+            self.faults.append(f"{path}.{e}")
+            return None
 
     def plugin(self, group: registry.Group, raw: Any, path: str) -> Any:
         if not isinstance(raw, dict):
@@ -155,7 +170,7 @@ class Checker:
 
     def finite(self, value: Any, at: str) -> None:
         if isinstance(value, float) and not math.isfinite(value):
-            self.faults.append(f"{at}: {value} is not a finite number")
+            self.faults.append(f"{at}: {value} {INFINITE}")
         elif isinstance(value, dict):
             for k, v in value.items():
                 self.finite(v, _join(at, str(k)))

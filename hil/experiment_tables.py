@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 import msgspec
 
+from transport.link import TransportError, find_link
+
 HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
@@ -99,6 +101,13 @@ class Links(Table, frozen=True, kw_only=True):
     uri: str
     sc: Direction
     ca: Direction
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        try:
+            find_link(values.get("uri", "memory:"))
+        except TransportError as error:
+            yield f"uri: {error}"
 
 
 class Limits(Table, frozen=True, kw_only=True):

@@ -259,8 +259,6 @@ def open_can(uri: str, role: Role) -> CanLink:
     """
     _, address, options = split_uri(uri)
     interface, _, channel = address.partition(":")
-    if not interface or not channel:
-        raise TransportError(f"link {uri!r}: no channel, expected can:<interface>:<channel>, as in can:hil:rig0")
     if interface not in can.VALID_INTERFACES:
         from difflib import get_close_matches
 

@@ -6,10 +6,14 @@ first colon is the scheme, a plug-in found in the entry point group ``hil.links`
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Literal, Protocol, Self, get_args, runtime_checkable
+from typing import TYPE_CHECKING, Final, Literal, Protocol, Self, get_args, runtime_checkable
 from urllib.parse import parse_qsl
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 Role = Literal["rig", "controller"]
 
@@ -100,11 +104,17 @@ class Closing:
         self.close()
 
 
+_FORMS: Final = {
+    "can": (re.compile("[^:]+:.+"), "no channel, expected can:<interface>:<channel>, as in can:hil:rig0"),
+    "zenoh": (re.compile("[^/:]+/.+"), "no endpoint, expected <protocol>/<address>, as in tcp/127.0.0.1:7447"),
+}
+
+
 def split_uri(uri: str) -> tuple[str, str, dict[str, str]]:
     """Return scheme, address and options of a link URI.
 
     Raises:
-        TransportError: an option without a value, or named twice.
+        TransportError: an address of another form than the scheme's, an option without a value, or named twice.
 
     >>> split_uri("can:socketcan:vcan0?fd=0&base=0x200")
     ('can', 'socketcan:vcan0', {'fd': '0', 'base': '0x200'})
@@ -115,10 +125,40 @@ def split_uri(uri: str) -> tuple[str, str, dict[str, str]]:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError as error:
         raise TransportError(f"link {uri!r}: options {query!r} are not name=value, joined by &") from error
+    form, expected = _FORMS.get(scheme, (None, ""))
+    if form is not None and not form.fullmatch(address):
+        raise TransportError(f"link {uri!r}: {expected}")
     options = dict(pairs)
     if len(options) != len(pairs):
         raise TransportError(f"link {uri!r}: an option is named twice in {query!r}")
     return scheme, address, options
+
+
+def find_link(uri: str) -> EntryPoint:
+    """Return the plug-in that a URI names; nothing is opened or imported.
+
+    Raises:
+        TransportError: no such scheme, or a URI of another form than the scheme's.
+
+    >>> find_link("cann:hil:rig0")
+    Traceback (most recent call last):
+    transport.link.TransportError: link 'cann:hil:rig0': no link is called 'cann', did you mean 'can:hil:rig0'?
+    """
+    from importlib.metadata import entry_points  # 20 ms that importing the package does not need
+
+    found = {plugin.name: plugin for plugin in entry_points(group="hil.links")}
+    scheme, colon, rest = uri.partition(":")
+    if not colon or not scheme:
+        raise TransportError(f"link {uri!r}: no scheme, expected one of {', '.join(sorted(found))}, as in can:hil:rig0")
+    if scheme not in found:
+        from difflib import get_close_matches
+
+        near = get_close_matches(scheme, found, n=1)
+        hint = f"did you mean '{near[0]}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
+        raise TransportError(f"link {uri!r}: no link is called {scheme!r}, {hint}")
+    if scheme in _FORMS:
+        split_uri(uri)
+    return found[scheme]
 
 
 def open_link(uri: str, role: Role) -> Link:
@@ -133,28 +173,13 @@ def open_link(uri: str, role: Role) -> Link:
 
     Raises:
         TransportError: the URI is not understood, or the medium cannot be had; the message says what to do.
-
-    >>> open_link("cann:hil:rig0", "rig")
-    Traceback (most recent call last):
-    transport.link.TransportError: link 'cann:hil:rig0': no link is called 'cann', did you mean 'can:hil:rig0'?
     """
-    from importlib.metadata import entry_points  # 20 ms that a rig in virtual time does not need
-
     if role not in get_args(Role):
         raise TransportError(f"link {uri!r}: role {role!r}, expected 'rig' or 'controller'")
-    found = {plugin.name: plugin for plugin in entry_points(group="hil.links")}
-    scheme, colon, rest = uri.partition(":")
-    if not colon or not scheme:
-        raise TransportError(f"link {uri!r}: no scheme, expected one of {', '.join(sorted(found))}, as in can:hil:rig0")
-    if scheme not in found:
-        from difflib import get_close_matches
-
-        near = get_close_matches(scheme, found, n=1)
-        hint = f"did you mean '{near[0]}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
-        raise TransportError(f"link {uri!r}: no link is called {scheme!r}, {hint}")
+    plugin = find_link(uri)
     try:
-        opener = found[scheme].load()
+        opener = plugin.load()
     except (ImportError, AttributeError) as error:
-        raise TransportError(f"link {uri!r}: plug-in {found[scheme].value} cannot be loaded: {error}") from error
+        raise TransportError(f"link {uri!r}: plug-in {plugin.value} cannot be loaded: {error}") from error
     link: Link = opener(uri, role)
     return link

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
+from stat import S_ISREG
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -123,10 +124,13 @@ def read_column(path: Path, column: str) -> list[str]:
     """Return one column of a CSV file as text: the named one if there is a heading, else the first.
 
     Raises:
-        ValueError: the file is missing, no text, too large or empty; the message starts with "file".
+        ValueError: the file is missing, no regular one, no text, too large or empty; the message starts with "file".
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
+        status = path.stat()
+        if not S_ISREG(status.st_mode):
+            raise ValueError(f"file: {path} is no regular file")
+        if status.st_size > MAX_BYTES:
             raise ValueError(f"file: {path} has more than {MAX_BYTES} bytes")
         with path.open(newline="", encoding="utf-8") as stream:
             rows = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]

@@ -72,6 +72,11 @@ FAULTS: list[tuple[str, str, str]] = [
      "links.sc.law.matrix[0][2]"),
     ("law that nobody has", law('{ kind = "poisson" }'), "links.sc.law.kind: no law plug-in"),
     ("negative age", law('{ kind = "constant", age = -1 }'), "links.sc.law.age"),
+    ("delay that nobody can cover", law('{ kind = "constant", age = 64 }'), "links.sc.law: its largest delay 64 is above 63"),
+    ("link that nobody has", changed("can:hil:rig0", "nonsense"), "links.uri: link 'nonsense': no scheme"),
+    ("link of a scheme nobody has", changed("can:hil:rig0", "cam:hil:rig0"), "did you mean 'can:hil:rig0'?"),
+    ("link without a channel", changed("can:hil:rig0", "can:hil"), "links.uri: link 'can:hil': no channel"),
+    ("link without an endpoint", changed("can:hil:rig0", "zenoh:127.0.0.1:7447"), "as in tcp/127.0.0.1:7447"),
     ("delay bound above the rows", law('{ kind = "constant", age = 4 }'), "controller.kind: the published gains cover"),
     ("rows below the law's delay", changed("[limits]", "[links.ca]\nmax_age = 0\n[limits]").replace(
         "ca.law = ", "#").replace("[links.ca]", '[links.ca]\nlaw = { kind = "constant", age = 1 }'),
@@ -149,6 +154,32 @@ def test_shipped_experiment_composes_and_its_resolved_form_is_the_same_experimen
     compose(experiment)
     resolved = json.loads(json.dumps(experiment.resolved()))
     assert experiment_from_resolved(resolved, experiment.text, name).resolved() == experiment.resolved()
+
+
+@pytest.mark.parametrize(
+    ("law_text", "heading"),
+    [
+        ('{ kind = "trace", file = "x.csv" }', "age\n0\n1\n"),
+        ('{ kind = "packet", latency = { file = "x.csv" } }\nsc.max_age = 2', "1 ms\n"),
+    ],
+    ids=["ages", "latencies"],
+)
+def test_a_recorded_law_is_read_from_beside_the_experiment(law_text: str, heading: str, tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_text(law(law_text))
+    with pytest.raises(ExperimentError, match=r"links\.sc\.law\.(latency\.)?file: .*x\.csv: No such file"):
+        load_experiment(tmp_path / "x.toml")
+    (tmp_path / "x.csv").write_text(heading)
+    assert "file" not in str(load_experiment(tmp_path / "x.toml").links.sc.law).replace("file=''", "")
+    (tmp_path / "x.csv").unlink()
+    (tmp_path / "x.csv").symlink_to("/dev/zero")
+    with pytest.raises(ExperimentError, match=r"x\.csv is no regular file"):
+        load_experiment(tmp_path / "x.toml")
+
+
+def test_what_is_not_finite_is_said_once() -> None:
+    with pytest.raises(ExperimentError) as caught:
+        parse_experiment(law('{ kind = "markov", matrix = [[nan, 1.0], [0.5, 0.5]] }'))
+    assert caught.value.faults == ["links.sc.law.matrix[0][0]: nan is not a finite number"]
 
 
 def test_set_changes_fields_tables_and_list_entries() -> None:

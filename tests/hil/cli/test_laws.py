@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from hil.cli.laws import command
 from hil.errors import HilError
+from hil.experiment import shipped
 
 PACKET = 'links.ca.law={kind="packet", latency={dist="gamma", a=2.0, scale="20 ms"}, loss={p_gb=0.1, p_bg=0.4}}'
 
@@ -40,6 +42,14 @@ def test_a_packet_law_shows_losses_and_the_ages_that_follow() -> None:
     text = laws("--set", PACKET)
     assert "0.2 of the packets" in text
     assert "mean latency              40 ms" in text
+
+
+def test_recorded_latencies_come_from_beside_the_experiment(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("120 ms\n")
+    (tmp_path / "x.toml").write_text(shipped()["dc-motor-hinf"].read_text())
+    given = 'links.sc.law={kind="packet", latency={file="x.csv"}}'
+    result = CliRunner().invoke(command, [str(tmp_path / "x.toml"), "--set", given], catch_exceptions=False)
+    assert "mean latency              120 ms" in result.output
 
 
 def test_a_faulty_law_is_named_by_its_path() -> None:
