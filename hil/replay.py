@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
+from hil.log.arrays import StructuredArray
 from hil.log.read import Run
+from hil.log.sinks import MemorySink
 from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.control_node import ControlNode
 from hil.runtime.loop import Loop, compose
-from hil.runtime.rig import OK, row_index
-from hil.runtime.streams import rng_for
+from hil.runtime.rig import OK, Rig, row_index
 from transport.link import open_link
 from transport.packets import ControlPacket, decode
 
@@ -30,7 +31,7 @@ class Verdict:
     Parameters
     ----------
     answers, states : int
-        Control packets and plant states that were compared.
+        Control packets and plant states that were compared and found identical.
     difference : str or None
         The first differing sample, None if all are identical.
     """
@@ -61,42 +62,73 @@ def _answers(loop: Loop, run: Run) -> dict[int, bytes]:
 
 
 def verify(run: Run, source: str = "log") -> Verdict:
-    """Re-run the controller on the recorded arrivals and the plant on the recorded inputs; compare bit for bit."""
+    """Run controller and rig again on the recorded control packets; compare every record, bit for bit.
+
+    What is not compared: times measured (``/timing/tick``), late packets, events, and the packets of a foreign controller.
+
+    Raises
+    ------
+    HilError
+        If the log has no slots.
+    """
     experiment = experiment_of(run, source)
     loop = compose(experiment, certify=False)
-    difference = None
-    external = run.session.get("external_controller") == "True"
-    control = run.arrays["/link/control"]
-    heard = {
-        tick: bytes(data)
-        for tick, data, late in zip(control["tick"].tolist(), control["data"], control["late"].tolist())
-        if not late
-    }
-    if not external:
-        answers = _answers(loop, run)
-        for tick in sorted(heard):
-            if heard[tick] != answers.get(tick):
-                difference = f"control packet of slot {tick}: {_words(heard[tick])} recorded, {_words(answers.get(tick))} now"
+    foreign = run.session.get("external_controller") == "True"
+    applied = run.arrays["/actuator/applied"]["tick"]
+    if not len(applied):
+        raise HilError(f"{source}: the log holds no slots")
+    ended = any(event["kind"] == "outcome" for event in run.events)
+    slots = int(applied[-1]) + ended  # the last slot of a rig that was killed may be torn
+    control = _in_time(run.arrays["/link/control"])
+    heard = dict(zip(control["tick"].tolist(), map(bytes, control["data"])))
+
+    again = MemorySink(loop.channels())
+    frames: list[bytes] = []
+    rig = Rig(loop, int(run.metadata["seed"]), again, loop.channels(), frames.append, lambda: None)
+    node = ControlNode(loop.start_controller(), loop.reference(), experiment.period_ns, loop.rows, len(experiment.plant.inputs))
+    differences: list[tuple[int, str]] = []
+    for k in range(slots):
+        rig.sense(k * experiment.period_ns)
+        answers = [answer for answer in map(node.hear, frames) if answer is not None]
+        frames.clear()
+        if k in heard:
+            rig.hear(heard[k])
+            answer = answers[-1] if answers else None
+            if not foreign and answer != heard[k]:
+                differences.append((k, f"control packet of slot {k}: {_words(heard[k])} recorded, {_words(answer)} now"))
+                slots = k
                 break
-    states = run.arrays["/plant/state"]
-    applied = run.arrays["/actuator/applied"]
-    names = [f for f in states.dtype.names or () if f not in ("t_ns", "tick")]
-    inputs = [f for f in applied.dtype.names or () if f.startswith("w_")]
-    u = np.column_stack([applied[name[2:]] for name in inputs]).tolist()
-    w = np.column_stack([applied[name] for name in inputs]).tolist()
-    plant = experiment.plant.start(rng_for(int(run.metadata["seed"]), "plant"))
-    recorded = np.column_stack([states[name] for name in names]).tolist()
-    ticks = states["tick"].tolist()
-    for i, (tick, row) in enumerate(zip(ticks, recorded)):
-        if tick != i:
-            break  # records were dropped here: nothing behind can be compared
-        plant.measure()
-        if tuple(row) != tuple(plant.state) and difference is None:
-            difference = f"plant state of slot {tick}: {row} recorded, {list(plant.state)} now"
-            break
-        if i < len(u):
-            plant.advance(experiment.period_ns, tuple(u[i]), tuple(w[i]))
-    return Verdict(answers=0 if external else len(heard), states=len(recorded), difference=difference)
+        rig.actuate(k * experiment.period_ns)
+    now = Run.from_memory(again).arrays
+    for topic in sorted(now):
+        if topic != "/timing/tick":
+            difference = _first_difference(topic, _in_time(run.arrays[topic]), now[topic], slots)
+            differences += [difference] if difference is not None else []
+    first, text = min(differences, default=(slots, None))
+    return Verdict(answers=0 if foreign else sum(k < first for k in heard), states=min(first, slots), difference=text)
+
+
+def _in_time(records: StructuredArray) -> StructuredArray:
+    return records[records["late"] == 0] if "late" in (records.dtype.names or ()) else records
+
+
+def _first_difference(topic: str, recorded: StructuredArray, now: StructuredArray, slots: int) -> tuple[int, str] | None:
+    """Return the first slot below ``slots`` in which two series of records differ, and how."""
+    recorded, now = recorded[recorded["tick"] < slots], now[now["tick"] < slots]
+    n = min(len(recorded), len(now))
+    a, b = recorded[:n], now[:n]
+    names = [name for name in now.dtype.names or () if name != "tick"]
+    differs = {name: (a[name] != b[name]) & ((a[name] == a[name]) | (b[name] == b[name])) for name in ["tick", *names]}
+    where = np.flatnonzero(np.any([*differs.values()], axis=0))
+    if not where.size and len(recorded) == len(now):
+        return None
+    i = int(where[0]) if where.size else n
+    if i >= n or differs["tick"][i]:
+        missing = i < len(now) and (i >= len(recorded) or recorded["tick"][i] > now["tick"][i])
+        slot = int((now if missing else recorded)["tick"][i])
+        return slot, f"{topic}: a record of slot {slot} is {'missing' if missing else 'there that should not be'}"
+    name, slot = next(name for name in names if differs[name][i]), int(now["tick"][i])
+    return slot, f"{topic} of slot {slot}: {name} = {a[name][i]} recorded, {b[name][i]} now"
 
 
 def _words(data: bytes | None) -> str:
@@ -129,6 +161,8 @@ def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[s
             rows.append((math.nan,) * len(names))
             continue
         rows.append(packet.rows[row_index(selection, k - g, g, d, d_max)])
+    if not any(status == OK for status in applied["status"].tolist()):
+        raise HilError(f"{source}: no slot in which a command was applied: there is nothing to compare with")
     out: dict[str, NDArray[np.float64]] = {"t_s": applied["t_ns"] / 1e9}
     for i, name in enumerate(names):
         out[f"recorded_{name}"] = applied[name]

@@ -108,6 +108,9 @@ def run_session(
         else:
             outcome = _run_real(loop, uri, sink, external, taps)
         sink.commit()
+        problems = {name: text for name, text in outcome.items() if text}
+        if problems:
+            sink.summary({"problems": problems})
 
     # 4. Sum up what the log says, and what only this process knows.
     wall_s = (monotonic_ns() - begun) / 1e9
@@ -132,7 +135,7 @@ def _run_in_virtual_time(loop: Loop, sink: McapSink) -> dict[str, Any]:
     return out
 
 
-def _interrupted(number: int, sink: McapSink, t_ns: int = 0) -> dict[str, Any]:
+def _interrupted(number: int, sink: McapSink, t_ns: int) -> dict[str, Any]:
     name = signal.Signals(number).name
     sink.event(t_ns, "interrupted", f"stopped by {name}", severity="warning")
     return {"interrupted": name}
@@ -149,12 +152,13 @@ def _run_real(
         sink.close()
         sink.path.unlink(missing_ok=True)
         raise
-    out: dict[str, Any] = {"dropped_in_pipe": real.pump.dropped, "torn_bytes": real.pump.torn_bytes}
+    sink.dropped += real.pump.dropped
+    out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes}
     if real.controller_lost:
         out["controller_lost"] = real.controller_lost
-        sink.event(0, "controller lost", real.controller_lost, severity="error")
+        sink.event(real.controller_lost_ns, "controller lost", real.controller_lost, severity="error")
     if real.interrupted is not None:
-        out |= _interrupted(real.interrupted, sink)
+        out |= _interrupted(real.interrupted, sink, real.pump.last_ns)
     elif real.rig_status == 3:
         out["no_controller"] = f"no controller answered on {uri}"
     elif real.rig_status != 0:
@@ -163,7 +167,7 @@ def _run_real(
             if real.rig_status is not None and real.rig_status < 0
             else f"the rig process ended with status {real.rig_status}"
         )
-        sink.event(0, "rig lost", out["rig_lost"], severity="error")
+        sink.event(real.pump.last_ns, "rig lost", out["rig_lost"], severity="error")
     return out
 
 
@@ -176,7 +180,7 @@ def _summary(run: Run, sink: McapSink, outcome: dict[str, Any], wall_s: float) -
         "path": str(sink.path),
         "sha256": sink.sha256(),
         "messages": sink.messages,
-        "dropped": sink.dropped + int(outcome.pop("dropped_in_pipe", 0)),
+        "dropped": sink.dropped,
     }
     summary["problems"] = {k: v for k, v in outcome.items() if v}
     return summary

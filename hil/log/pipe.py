@@ -169,6 +169,8 @@ class PumpReport:
         Whether the writer ended in good order.
     faults : list of str
         Taps that raised and were taken off.
+    last_ns : int
+        Session time of the last record.
     """
 
     records: int = 0
@@ -177,6 +179,7 @@ class PumpReport:
     torn_bytes: int = 0
     complete: bool = False
     faults: list[str] = field(default_factory=list)
+    last_ns: int = field(default=0, compare=False)
 
 
 def pump(
@@ -187,6 +190,7 @@ def pump(
     taps: Mapping[str, Put] | None = None,
     stop: Callable[[], bool] = lambda: False,
     rest: Callable[[], None] = lambda: None,
+    report: PumpReport | None = None,
     poll_s: float = 0.02,
 ) -> PumpReport:
     """Carry records from the pipe to a sink until the writer is gone, however it went.
@@ -206,6 +210,8 @@ def pump(
         Asked whenever the pipe is empty; true ends the pump though somebody still holds the writing end.
     rest : callable
         Called after every read; one that sleeps keeps the reader from waking up with every tick of the writer.
+    report : PumpReport
+        Filled in as records come, for who watches; a new one by default.
     poll_s : float
         Longest wait in s.
 
@@ -214,7 +220,7 @@ def pump(
     PumpReport
         What came, and what was lost.
     """
-    report = PumpReport()
+    report = report or PumpReport()
     takers = _takers(sink, channels, taps or {}, report)
     poll = select.poll()
     poll.register(fd, select.POLLIN)
@@ -288,6 +294,7 @@ def _take(data: bytes, takers: Mapping[int, _Taker], sink: Sink, report: PumpRep
         taker = takers.get(number)
         if taker is not None and (size == taker[1] if taker[1] is not None else size >= taker[2]):
             taker[0](t_ns, payload)
+            report.last_ns = t_ns
             records += 1
         elif number == _DROPPED_ID and size == _COUNT.size:
             lost = _COUNT.unpack(payload)[0]

@@ -161,6 +161,11 @@ def _run(content: Content) -> Run:
             )
         except HilError as error:
             raise HilError(f"topic {channel.topic}: {error}") from error
+    if not arrays:
+        raise HilError("holds no records: the session ended before the first of them was written")
+    summary = _json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'")
+    if content.metadata.get("recovery", {}).get("closed") == "False":
+        summary.setdefault("problems", {})["recovered"] = "rebuilt from a torn log: its end is missing"
     text = content.attachments.get("experiment.toml")
     return Run(
         arrays=arrays,
@@ -173,7 +178,7 @@ def _run(content: Content) -> Run:
         experiment_text=text.data.decode(errors="replace") if text is not None else "",
         resolved=_attached_json(content, "resolved.json"),
         certificate=_attached_json(content, "certificate.json"),
-        summary=_json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'"),
+        summary=summary,
     )
 
 

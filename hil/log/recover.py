@@ -139,7 +139,7 @@ def _rebuild(records: list[Record], writer: Writer, report: Recovery) -> None:
         report.losses.append(f"{report.lost_messages} messages stood in damaged chunks")
     writer.add_metadata("recovery", {
         "kept_messages": str(report.messages), "lost_bytes": str(report.lost_bytes),
-        "lost_messages": str(report.lost_messages), "losses": "\n".join(report.losses),
+        "lost_messages": str(report.lost_messages), "losses": "\n".join(report.losses), "closed": str(report.closed),
     })  # fmt: skip
     writer.finish()  # type: ignore[no-untyped-call]
 

@@ -32,6 +32,7 @@ class RealOutcome:
     interrupted: int | None = None  # the signal that stopped the session
     rig_status: int | None = None
     controller_lost: str | None = None
+    controller_lost_ns: int = 0  # session time
 
 
 class Child:
@@ -131,11 +132,10 @@ def run_real(
     parent = os.getpid()
     children: list[Child] = []
     stop_pump = threading.Event()
-    pumped: list[PumpReport] = []
     thread = threading.Thread(
-        target=lambda: pumped.append(
-            pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set, rest=lambda: pause(POLL_S))
-        ),
+        target=pump,
+        args=(read_fd, sink, loop.channels()),
+        kwargs={"taps": taps, "stop": stop_pump.is_set, "rest": lambda: pause(POLL_S), "report": outcome.pump},
         name="log",
     )
     with StopSignals() as signals:
@@ -159,7 +159,7 @@ def run_real(
                 children.append(controller)
             while rig.poll() is None and signals.seen is None:
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
-                    outcome.controller_lost = controller.how()
+                    outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
                 pause(POLL_S)
         finally:
             for child in children:
@@ -175,8 +175,6 @@ def run_real(
             os.close(read_fd)
     outcome.interrupted = signals.seen
     outcome.rig_status = children[0].poll()
-    if pumped:
-        outcome.pump = pumped[0]
     if outcome.rig_status not in (0, 3) and signals.seen is None and not outcome.pump.records:
         raise HilError(f"{children[0].how()} before it started: its message stands above")
     return outcome

@@ -63,7 +63,31 @@ def test_log_verifies_and_a_changed_log_does_not(tmp_path: Path) -> None:
     assert verdict.difference is None and verdict.answers == verdict.states == 200
     run = read_run(tmp_path / "a.mcap")
     run.arrays["/plant/state"]["speed"][77] += 1e-12
-    assert "slot 77" in (verify(run).difference or "")
+    verdict = verify(run)
+    assert "/plant/state of slot 77: speed" in (verdict.difference or "") and verdict.answers == verdict.states == 77
+
+
+@pytest.mark.parametrize(
+    ("topic", "name"),
+    [("/plant/measurement", "angle"), ("/reference", "angle"), ("/network/ca", "age"), ("/actuator/applied", "voltage")],
+)
+def test_a_change_of_any_record_is_found_and_the_first_one_is_named(tmp_path: Path, topic: str, name: str) -> None:
+    run = run_session(load_experiment("dc-motor-hinf", ["duration=3"]), path=tmp_path / "a.mcap").run
+    frames = run.arrays["/link/control"]["data"]
+    frames[50] = bytes([frames[50][0] ^ 1]) + frames[50][1:]
+    assert "control packet of slot 50" in (verify(run).difference or "")
+    at = int(np.flatnonzero(run.arrays[topic]["tick"] == 20)[0])
+    run.arrays[topic][name][at] += 1
+    assert f"{topic} of slot 20: {name}" in (verify(run).difference or "")
+
+
+def test_a_gap_in_the_log_is_a_difference(tmp_path: Path) -> None:
+    run = run_session(load_experiment("dc-motor-hinf", ["duration=3"]), path=tmp_path / "a.mcap").run
+    run.arrays["/plant/state"] = np.delete(run.arrays["/plant/state"], 10)
+    assert verify(run).difference == "/plant/state: a record of slot 10 is missing"
+    run.arrays["/actuator/applied"] = run.arrays["/actuator/applied"][:0]
+    with pytest.raises(HilError, match="no slots"):
+        verify(run)
 
 
 def test_what_if_with_the_same_controller_is_what_was(tmp_path: Path) -> None:
