@@ -13,14 +13,29 @@ import click
 from hil.errors import HilError
 
 
-def default_path(name: str, clock: str, seed: int) -> Path:
-    """Return a path below ``runs/`` that does not exist yet."""
-    stem = f"{name}-{clock}-seed{seed}"
-    number, path = 1, Path("runs") / f"{stem}.mcap"
-    while path.exists():
-        number += 1
-        path = Path("runs") / f"{stem}-{number}.mcap"
-    return path
+def reserve(output: Path | None, stem: str, force: bool) -> Path:
+    """Make the log's file, empty, so that no other run takes its name; by default the first free one below ``runs/``.
+
+    Raises
+    ------
+    HilError
+        If it exists already (without ``force``) or cannot be created.
+    """
+    path = output or Path("runs") / f"{stem}.mcap"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        number = 1
+        while True:
+            try:
+                path.touch(exist_ok=force and output is not None)
+                return path
+            except FileExistsError:
+                if output is not None:
+                    raise HilError(f"{path}: exists already; choose another -o or add --force") from None
+                number += 1
+                path = path.with_name(f"{stem}-{number}.mcap")
+    except OSError as e:
+        raise HilError(f"log {path}: cannot be created: {e.strerror}") from e
 
 
 @click.command()
@@ -32,7 +47,7 @@ def default_path(name: str, clock: str, seed: int) -> Path:
 @click.option("--duration", type=str, metavar="S", help="Length of the run: seconds, or '10 s', '2 min'.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
 @click.option("--force", is_flag=True, help="Overwrite an existing log.")
-@click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link.")
+@click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link within 120 s.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")
@@ -67,20 +82,14 @@ def command(
 
         with open_link(uri, "rig"):  # what cannot be opened is said now, before anything is started or written
             pass
-    path = output or default_path(checked.name, clock, checked.seed)
+    if external and sys.stderr is not None:
+        print(f"waiting up to 120 s for your controller on {uri}", file=sys.stderr)
+    folder = output.parent if output else Path("runs")
+    made = [each for each in (folder, *folder.parents) if not each.exists()]  # the innermost first
+    path = None
     try:
-        if path.exists() and not force:
-            raise HilError(f"{path}: exists already; choose another -o or add --force")
-        made = [folder for folder in path.parents if not folder.exists()]  # the innermost first
-    except OSError as e:
-        raise HilError(f"log {path}: cannot be created: {e.strerror}") from e
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise HilError(f"{path.parent}: cannot be made: {e.strerror}") from e
-
-    try:
-        if as_json or quiet or not sys.stderr.isatty():
+        path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force)
+        if as_json or quiet or sys.stderr is None or not sys.stderr.isatty():
             session = run_session(checked, clock=clock, link=uri, path=path, external=external)  # type: ignore[arg-type]
         else:
             from hil.report.live import LiveView
@@ -90,9 +99,12 @@ def command(
                     checked, clock=clock, link=uri, path=path, external=external, taps=view.taps  # type: ignore[arg-type]
                 )
     except HilError:
-        for folder in made:
+        with suppress(OSError):
+            if path is not None and not path.stat().st_size:
+                path.unlink()
+        for each in made:
             with suppress(OSError):
-                folder.rmdir()  # unless there is something in it
+                each.rmdir()  # unless there is something in it
         raise
 
     status = session.status
@@ -133,7 +145,7 @@ def show(summary: dict[str, Any]) -> None:
     timing = summary["timing"]
     if summary["clock"] == "real":
         late = timing.get("first_late_tick")
-        table.add_row("timing", ("valid" if timing["valid"] else "NOT VALID") + f", {timing['scheduler']}")
+        table.add_row("timing", ("valid" if timing["valid"] else "NOT VALID") + f", {timing['scheduler'] or 'no slot was run'}")
         for name in ("lateness_us", "round_trip_us"):
             table.add_row(name, "  ".join(f"{q} {text(v)}" for q, v in timing[name].items()))
         table.add_row("overruns", f"{timing['overruns']}; first late tick: {'none' if late is None else late}")

@@ -60,11 +60,11 @@ def serve(loop: Loop, uri: str) -> None:
 def main() -> None:
     """Run one job from standard input."""
     job: Job = pickle.load(sys.stdin.buffer)
-    stop_on_sigterm()
-    die_with_parent(job.parent)
     timing = job.loop.experiment.timing
-    go_real_time(max(timing.priority - 1, 1), 1 if timing.affinity == "pinned" else None)
     try:
+        stop_on_sigterm()
+        die_with_parent(job.parent)
+        go_real_time(max(timing.priority - 1, 1), 1 if timing.affinity == "pinned" else None)
         serve(job.loop, job.uri)
     except Stopped:
         pass

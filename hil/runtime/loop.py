@@ -37,6 +37,8 @@ class Loop:
         The network laws, distributions tabulated: no process that keeps time computes them.
     rows : int
         Rows in one send-all packet.
+    selection : str
+        How the actuator picks one of them.
     certificate : dict or None
         JSON form of the certificate of the closed loop, None if this kind of loop has none.
     """
@@ -47,6 +49,7 @@ class Loop:
     sc_law: Any
     ca_law: Any
     rows: int
+    selection: str
     certificate: dict[str, Any] | None
 
     def start_controller(self) -> RunningController:
@@ -145,6 +148,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         sc_law=prepare(links.sc.law),
         ca_law=prepare(links.ca.law),
         rows=row_count(running.selection, model.d_max),
+        selection=running.selection,
         certificate=certificate,
     )
 

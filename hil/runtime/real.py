@@ -125,7 +125,7 @@ def run_real(
     Raises
     ------
     HilError
-        If the rig could not start, or no controller answered.
+        If rig or controller ended before the run began, or no controller answered.
     """
     outcome = RealOutcome()
     read_fd, write_fd = os.pipe()
@@ -160,6 +160,8 @@ def run_real(
             while rig.poll() is None and signals.seen is None:
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
                     outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
+                    if not outcome.pump.records:
+                        break  # it never answered, so nothing runs yet
                 pause(POLL_S)
         finally:
             for child in children:
@@ -175,6 +177,8 @@ def run_real(
             os.close(read_fd)
     outcome.interrupted = signals.seen
     outcome.rig_status = children[0].poll()
-    if outcome.rig_status not in (0, 3) and signals.seen is None and not outcome.pump.records:
-        raise HilError(f"{children[0].how()} before it started: its message stands above")
+    if signals.seen is None and not outcome.pump.records:
+        if outcome.controller_lost is None and outcome.rig_status == rig_process.NOBODY:
+            raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s")
+        raise HilError(f"{outcome.controller_lost or children[0].how()} before the run began; its message, if any, stands above")
     return outcome

@@ -6,7 +6,6 @@ non-blocking pipe; nothing here writes a file.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import pickle
 import signal
@@ -15,9 +14,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from types import FrameType
 
-from msgspec.structs import replace
-
-from hil.experiment import Seconds
 from hil.log.pipe import PipeSink
 from hil.log.sinks import MemorySink
 from hil.runtime.clock import RealClock, monotonic_ns
@@ -26,12 +22,12 @@ from hil.runtime.kernel import Kernel, Phase
 from hil.runtime.loop import Loop
 from hil.runtime.realtime import die_with_parent, go_real_time
 from hil.runtime.rig import Rig
-from hil.runtime.virtual import run_virtual
 from transport.link import Link, TransportError, open_link
-from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
+from transport.packets import EMPTY, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 
 HELLO_S = 0.05
 SETTLE_NS = 50_000_000
+NOBODY = 3  # exit status: no controller answered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,14 +123,22 @@ class RealLoop:
 
 
 def warm_up(loop: Loop) -> None:
-    """Run the first slots in virtual time, so that slot 0 does not pay for what is done once (tables, first calls)."""
+    """Run a rig through a few slots without a link, so that slot 0 does not pay for what is done once (tables, first calls).
+
+    The answers are zeros: no line of a controller ever runs in this process.
+    """
     e = loop.experiment
-    short = replace(e, duration=Seconds(min(e.ticks, 50) * float(e.period)))
-    run_virtual(dataclasses.replace(loop, experiment=short), 0, MemorySink(loop.channels()))
+    frames: list[bytes] = []
+    rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), frames.append, lambda: None)
+    rows = ((0.0,) * len(e.plant.inputs),) * loop.rows
+    for k in range(min(e.ticks, 50)):
+        rig.sense(k * e.period_ns)
+        rig.hear(encode_control(ControlPacket(k, 0, 0, 0, SELECTIONS.index(loop.selection), rows)))
+        rig.actuate(k * e.period_ns)
 
 
 def main() -> None:
-    """Run one job from standard input; exit status 3 if no controller answered."""
+    """Run one job from standard input; exit status `NOBODY` if no controller answered."""
     job: Job = pickle.load(sys.stdin.buffer)
     die_with_parent(job.parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -155,13 +159,8 @@ def main() -> None:
     scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None, timing.idle == "awake")
     with open_link(job.uri, "rig") as link:
         if not await_controller(link, job.hello_timeout_s, lambda: stopped):
-            if not stopped:
-                sink.event(
-                    0, "no controller", f"no controller answered on {job.uri} within {job.hello_timeout_s:g} s",
-                    severity="error",
-                )
             sink.close()
-            raise SystemExit(3)
+            raise SystemExit(NOBODY)
         real = RealLoop(job, link, sink)
         loops.append(real)
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)

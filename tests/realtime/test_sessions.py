@@ -210,18 +210,35 @@ def test_full_disk_costs_the_log_and_not_the_run(tmp_path: Path) -> None:
     assert len(read_run(tmp_path / "saved.mcap").arrays["/plant/state"]) > 10
 
 
-def test_nobody_answers_on_the_link(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("spoil", "external", "message"),
+    [
+        ("", True, "no controller answered on can:hil:"),
+        ("real.controller_process.Job = lambda **job: 7", False, "the controller process"),
+        ("real.rig_process.Job = lambda **job: Spoilt()", False, "the rig process"),
+    ],
+    ids=["nobody", "controller dies", "rig dies"],
+)
+def test_a_session_that_does_not_begin_says_why_at_once(spoil: str, external: bool, message: str) -> None:
     code = (
-        "from hil.runtime import rig_process; import hil.runtime.real as real\n"
+        "import hil.runtime.real as real\n"
+        "from hil.errors import HilError\n"
         "from hil.experiment import load_experiment; from hil.runtime.loop import compose\n"
         "from hil.log.sinks import MemorySink\n"
+        "class Spoilt: hello_timeout_s = 1\n"
+        f"{spoil}\n"
         "loop = compose(load_experiment('dc-motor-hinf'))\n"
         "sink = MemorySink(loop.channels())\n"
-        f"out = real.run_real(loop, 0, 'can:hil:n{os.getpid()}', sink, external=True, hello_timeout_s=0.5)\n"
-        "assert out.rig_status == 3, out\n"
+        "try:\n"
+        f"    real.run_real(loop, 0, 'can:hil:n{os.getpid()}', sink, external={external},"
+        f" hello_timeout_s={0.5 if external else None})\n"
+        "except HilError as e:\n"
+        "    print(e)\n"
     )
+    begun = time.monotonic()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
-    assert done.returncode == 0, done.stderr
+    assert message in done.stdout, done.stderr
+    assert time.monotonic() - begun < 12  # not the 15 s that a controller has to answer
 
 
 def test_foreign_controller_drives_the_rig(tmp_path: Path) -> None:

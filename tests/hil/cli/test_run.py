@@ -100,3 +100,10 @@ def test_external_link_that_cannot_be_opened_leaves_no_log(tmp_path: Path) -> No
     )  # fmt: skip
     assert done.returncode == 2 and "999.1.1.1" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_runs_at_the_same_time_get_a_log_each(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--duration", "2", "--json"]
+    runs = [subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    paths = {json.loads(run.communicate(timeout=60)[0])["log"]["path"] for run in runs}
+    assert len(paths) == 4 and all((tmp_path / path).stat().st_size > 1000 for path in paths)
