@@ -60,10 +60,12 @@ class _Peer:
 
     def offer(self, datagram: bytes) -> None:
         """Send, or raise `OSError`; never wait."""
-        if self.missed:
-            datagram = HEAD.pack(HEAD.unpack_from(datagram)[0], min(self.missed, 0xFFFF)) + datagram[HEAD.size :]
-        self._send(datagram, MSG_NOSIGNAL)
-        self.missed = 0
+        if not self.missed:
+            self._send(datagram, MSG_NOSIGNAL)
+            return
+        told = min(self.missed, 0xFFFF)
+        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], told) + datagram[HEAD.size :], MSG_NOSIGNAL)
+        self.missed -= told
 
 
 class Mesh(Closing):

@@ -104,3 +104,20 @@ def test_participants_number_themselves_and_leave_no_descriptor_open(directory: 
         mesh.close()
         assert mesh.fileno() == -1
     assert len(os.listdir("/proc/self/fd")) == before and not directory.exists()
+
+
+def test_who_missed_more_than_one_datagram_can_tell_is_told_by_the_next_ones(directory: Path) -> None:
+    with Mesh(directory) as sender, Mesh(directory) as listener:
+        sender.send(HEAD.pack(0.0, 0))
+        sender._peers[0].missed = 0x1_2345
+        for _ in range(3):
+            sender.send(HEAD.pack(0.0, 0))
+        while listener.receive(0.01) is not None:
+            pass
+        assert listener.lost == 0x1_2345
+
+
+def test_a_directory_open_to_others_is_refused_with_the_remedy(directory: Path) -> None:
+    directory.parent.chmod(0o755)
+    with pytest.raises(TransportError, match="with mode 700; chmod 700 it, or choose another directory"):
+        Mesh(directory)
