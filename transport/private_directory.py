@@ -32,7 +32,8 @@ def locked(root: Path, timeout_s: float) -> Iterator[None]:
     try:
         status = os.fstat(descriptor)
         if status.st_uid != os.geteuid() or stat.S_IMODE(status.st_mode) & 0o077:
-            raise TransportError(f"{root}: must be a directory of user {os.geteuid()} with mode 700; remove it")
+            need = f"must be a directory of user {os.geteuid()} with mode 700"
+            raise TransportError(f"{root}: {need}; chmod 700 it, or choose another directory")
         pause = select.poll()
         for _ in range(max(1, round(timeout_s / 0.01))):
             try:
