@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 QUEUE_LIMIT: Final = 256
 """Packets that wait for `receive`; what comes on top is dropped and counted."""
 
-_NETWORKED: Final = ("tcp", "udp", "tls", "quic", "ws")
-_LOCAL: Final = ("unixsock-stream", "unixpipe")
+_NETWORKED: Final = ("tcp", "udp", "ws")
+_LOCAL: Final = ("unixsock-stream",)
 _LOOPBACK: Final = re.compile(r"(127\.\d+\.\d+\.\d+|\[::1\]|localhost)")
 _SOURCE: Final = re.compile(r" at \S+\.rs:\d+\.?")  # where in zenoh's source an error arose
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -156,11 +156,13 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
     name, lan = options.pop("name", "rig0"), options.pop("lan", "0")
     if options:
         raise TransportError(f"link {uri!r}: no option is called {next(iter(options))!r}, expected name or lan")
+    if lan not in ("0", "1"):
+        raise TransportError(f"link {uri!r}: lan={lan}, expected 1 (other machines may connect) or 0")
     if not _NAME.fullmatch(name):
         raise TransportError(f"link {uri!r}: name {name!r}, expected up to 64 letters, digits, '_', '-', '.'")
     if protocol in _NETWORKED:
         host, _, port = address.partition("#")[0].rpartition(":")
-        if not host or not port.isdecimal() or int(port) > 65535:
+        if not host or not port.isdecimal() or not 0 < int(port) < 65536:
             raise TransportError(f"link {uri!r}: address {address!r}, expected host:port, as in 127.0.0.1:7447")
         if lan != "1" and not _LOOPBACK.fullmatch(host):
             raise TransportError(
