@@ -24,13 +24,18 @@ again when the interface does.
 
 from __future__ import annotations
 
+import logging
 import os
 import select
 import socket
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
+from difflib import get_close_matches
 from errno import EADDRINUSE, EAFNOSUPPORT, EBADF, ENODEV, ENXIO
 from hashlib import sha256
+from importlib import import_module
+from inspect import Parameter, signature
 from pathlib import Path
 from time import monotonic
 from typing import Any, Final, Protocol
@@ -54,8 +59,21 @@ _SKIPPED: Final = 2 * FRAGMENTS
 """So many frames that complete no packet are taken in one call, lest a flood of them holds it for ever."""
 
 
+_RESERVED: Final = ("args", "kwargs", "channel", "interface", "config_context", "ignore_config", "can_filters", "protocol")
+_BIT_RATES: Final = ("bitrate", "data_bitrate", "sample_point", "data_sample_point")
+_SWALLOWING: Final = ("hil", "socketcan", "udp_multicast", "virtual")  # take any option, and ignore it; need no driver
+_NETWORK: Final = Path("/sys/class/net")
+_SILENCE: Final = logging.NullHandler()
+
+
 class _Frames(Protocol):
     """A bus as the link uses it; `HilBus` is one."""
+
+    @property
+    def dropped(self) -> int: ...
+
+    @property
+    def lost(self) -> int: ...
 
     def send_frame(self, identifier: int, data: bytes) -> None: ...
 
@@ -68,6 +86,8 @@ class _MessageFrames:
     """Frames over any python-can bus, by way of its messages."""
 
     __slots__ = ("_bus", "_fd", "shutdown")
+
+    dropped = lost = 0  # no other bus says so
 
     def __init__(self, bus: can.BusABC, fd: bool) -> None:
         self._bus, self._fd = bus, fd
@@ -93,6 +113,8 @@ def _frames_of(bus: can.BusABC, fd: bool) -> _Frames:
 class CanLink(Closing):
     """One end of a link on a CAN bus.
 
+    A packet counts as dropped where a listener, be it a logger, had no room for it (`can:hil` says so), and where we had none.
+
     Args:
         uri: for messages.
         role: the rig sends sensor packets and hears control packets, the controller the other way round.
@@ -103,7 +125,7 @@ class CanLink(Closing):
         claim: closed with the link.
     """
 
-    __slots__ = ("_bus", "_claim", "_closed", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step", "counters",
+    __slots__ = ("_bus", "_claim", "_closed", "_counters", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step",
                  "uri")  # fmt: skip
 
     def __init__(
@@ -118,7 +140,7 @@ class CanLink(Closing):
         claim: socket.socket | None = None,
     ) -> None:
         self.uri = uri
-        self.counters = LinkCounters()
+        self._counters = LinkCounters()
         self._say, self._hear = (f := identifiers(base, fd))[role == "controller"], f[role == "rig"]
         self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
         self._claim, self._join = claim, join
@@ -127,23 +149,31 @@ class CanLink(Closing):
         self._parts = b""
         self._row = 0  # tries to reopen, one after the other, since the interface vanished
 
+    @property
+    def counters(self) -> LinkCounters:
+        return replace(self._counters, dropped=self._counters.dropped + self._bus.lost)
+
     def send(self, packet: bytes) -> None:
-        step, identifier, size = self._step, self._say, len(packet)
+        step, identifier, size, bus = self._step, self._say, len(packet), self._bus
         if self._closed or size > FRAGMENTS * step:
-            self.counters.dropped += 1
+            self._counters.dropped += 1
             return
+        dropped = bus.dropped
         try:
             for start in range(0, size, step):
                 data = packet[start : start + step]
                 if self._fd and (length := 64 if self._pad else frame_length(len(data))) != len(data):
                     data += bytes(length - len(data))
-                self._bus.send_frame(identifier, data)
+                bus.send_frame(identifier, data)
                 identifier += 1
         except _FAULTS as error:
-            self.counters.dropped += 1
+            self._counters.dropped += 1
             self._fault(error, 0.0)
         else:
-            self.counters.sent += 1
+            if bus.dropped == dropped:
+                self._counters.sent += 1
+            else:
+                self._counters.dropped += 1
 
     def receive(self, timeout_s: float) -> bytes | None:
         wait = timeout_s if timeout_s > 0 else 0.0
@@ -160,7 +190,7 @@ class CanLink(Closing):
                 self._row = 0
                 packet = self._packet(*frame)
                 if packet is not None:
-                    self.counters.received += 1
+                    self._counters.received += 1
                     return packet
             elif self._row:  # a socket whose interface has vanished says so once, then it is silent
                 self._reopen()
@@ -175,21 +205,21 @@ class CanLink(Closing):
         index = identifier - self._hear  # far out of range with any flag set
         if not 0 <= index < FRAGMENTS:
             if identifier & ERROR:
-                self.counters.errors += 1
+                self._counters.errors += 1
             elif identifier & REMOTE:
-                self.counters.malformed += 1
+                self._counters.malformed += 1
             return None  # foreign, on an interface that cannot filter
         if fd != self._fd:
-            self.counters.malformed += 1
+            self._counters.malformed += 1
             return None
         if index == 0:
-            self.counters.malformed += bool(self._parts)  # the one before was never completed
+            self._counters.malformed += bool(self._parts)  # the one before was never completed
             size = packet_size(data)
             if self._fd and size is not None and size <= len(data):
                 self._parts = b""
                 return data[:size] if self._pad else data  # alone in one frame; the receiver's decoder judges it
         elif not self._parts or index * self._step != len(self._parts):
-            self.counters.malformed += 1  # one before it is missing
+            self._counters.malformed += 1  # one before it is missing
             self._parts = b""
             return None
         else:
@@ -199,13 +229,13 @@ class CanLink(Closing):
         if self._parts:
             return None
         if size is None or decode(data[:size]) is None:
-            self.counters.malformed += 1
+            self._counters.malformed += 1
             return None
         return data[:size]
 
     def _fault(self, error: BaseException, wait_s: float) -> None:
         """Count a fault of the bus; pause, so that a loop that polls does not spin; reopen what has vanished."""
-        self.counters.errors += 1
+        self._counters.errors += 1
         self._parts = b""
         code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
         if code in _GONE or isinstance(error, ValueError):
@@ -247,7 +277,8 @@ def open_can(uri: str, role: Role) -> CanLink:
 
     Args:
         uri: ``can:<interface>:<channel>``, with the options ``fd`` (1 or 0), ``pad`` (1 or 0), ``base`` (first identifier, a
-            multiple of 0x100) and whatever the interface takes, ``bitrate`` for instance.
+            multiple of 0x100) and whatever the interface takes, ``bitrate`` for instance. ``virtual`` is python-can's bus within
+            one process.
         role: "rig" or "controller".
 
     Raises:
@@ -260,8 +291,6 @@ def open_can(uri: str, role: Role) -> CanLink:
     _, address, options = split_uri(uri)
     interface, _, channel = address.partition(":")
     if interface not in can.VALID_INTERFACES:
-        from difflib import get_close_matches
-
         near = get_close_matches(interface, can.VALID_INTERFACES, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(can.VALID_INTERFACES))}"
         raise TransportError(f"link {uri!r}: python-can has no interface {interface!r}, {hint}")
@@ -277,6 +306,10 @@ def open_can(uri: str, role: Role) -> CanLink:
         base = -1
     if base not in range(0, 0x800, 0x100):
         raise TransportError(f"link {uri!r}: base: expected a multiple of 0x100 from 0 to 0x700, as in base=0x200")
+    logger = logging.getLogger("can")  # what python-can has to say, we say in one line
+    logger.addHandler(_SILENCE)
+    logger.propagate = False
+    _check_options(uri, interface, options)
     flexible = fd == "1"
     heard = identifiers(base, flexible)[role == "rig"]
     arguments: dict[str, Any] = {name: _value(text) for name, text in options.items()}
@@ -291,20 +324,44 @@ def open_can(uri: str, role: Role) -> CanLink:
     def join() -> can.BusABC:
         return can.Bus(interface=interface, channel=channel, ignore_config=True, **arguments)
 
-    try:
-        if interface == "socketcan" and flexible and int(Path(f"/sys/class/net/{channel}/mtu").read_text()) < 72:
-            raise TransportError(
-                f"link {uri!r}: {channel} carries classic frames only; ip link set {channel} mtu 72, or append ?fd=0"
-            )
-    except (OSError, ValueError):
-        pass  # absent: opening it says so
+    if interface == "socketcan":
+        _check_interface(uri, channel, flexible)
     claim = _claim(uri, interface, channel, heard) if role == "rig" else None
     try:
         return CanLink(uri, role, join, base=base, fd=flexible, pad=pad == "1", claim=claim)
-    except (can.CanError, OSError, ImportError, NotImplementedError, TypeError, ValueError) as error:
+    except Exception as error:  # a back end without its driver raises anything, a NameError for instance
         if claim is not None:
             claim.close()
-        raise TransportError(f"link {uri!r}: {error}{_remedy(interface, channel, error)}") from error
+        said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise TransportError(f"link {uri!r}: {said}{_remedy(interface, channel, error)}") from error
+
+
+def _check_options(uri: str, interface: str, options: dict[str, str]) -> None:
+    """Refuse what we set ourselves, and what the bus does not name, where it would swallow or choke on it."""
+    known: list[str] = []
+    with suppress(Exception):  # a back end without its driver; opening it says so
+        module, name = can.interfaces.BACKENDS[interface]
+        parameters = signature(getattr(import_module(module), name)).parameters
+        known = [name for name in parameters if name not in _RESERVED]
+        if any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values()):
+            known = [*known, *_BIT_RATES] if interface in _SWALLOWING else []
+    for option in options:
+        if option in _RESERVED or (known and option not in known):
+            near = get_close_matches(option, ["fd", "pad", "base", *known], n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"expected fd, pad, base or what python-can's {interface} takes"
+            raise TransportError(f"link {uri!r}: no option is called {option!r}, {hint}")
+
+
+def _check_interface(uri: str, channel: str, flexible: bool) -> None:
+    """Refuse a network interface that is down or too narrow; of one that is absent, opening it says so."""
+    there = _NETWORK / channel
+    with suppress(OSError, ValueError):
+        if flexible and int((there / "mtu").read_text()) < 72:
+            raise TransportError(
+                f"link {uri!r}: {channel} carries classic frames only; ip link set {channel} mtu 72, or append ?fd=0"
+            )
+        if not int((there / "flags").read_text(), 16) & 1:
+            raise TransportError(f"link {uri!r}: {channel} is down: ip link set {channel} up")
 
 
 def _claim(uri: str, interface: str, *where: object) -> socket.socket:
@@ -342,4 +399,6 @@ def _remedy(interface: str, channel: str, error: BaseException) -> str:
         return f"; make it as root: {up}" if channel.startswith("vcan") else f"; is {channel} there? (ip link)"
     if interface == "udp_multicast":
         return "; needs a multicast route: ip link set lo multicast on; ip route add 224.0.0.0/4 dev lo"
-    return ""
+    if interface in _SWALLOWING or isinstance(error, (TypeError, ValueError)):
+        return ""
+    return f"; is the driver of {interface} installed, and its device there?"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from errno import EIO, ENETDOWN, ENOBUFS, ENODEV
 from itertools import permutations
+from pathlib import Path
 from time import monotonic
 from uuid import uuid4
 
@@ -231,3 +234,52 @@ def test_a_second_rig_is_refused_until_the_first_has_gone(channel: str, interfac
         open_link(f"{uri}?base=0x200", "rig").close()  # other identifiers: two loops share the bus
         open_link(uri, "controller").close()
     open_link(uri, "rig").close()
+
+
+def test_a_back_end_without_its_driver_is_refused_in_one_line(channel: str) -> None:
+    program = f"""
+import logging, can
+from transport import TransportError, open_link
+def broken(**_):
+    logging.getLogger("can.kvaser").warning("Kvaser canlib is unavailable.")
+    raise NameError("name 'canOpen' is not\\ndefined.")
+can.Bus = broken
+for _ in range(2):  # the claim is let go
+    try:
+        open_link("can:kvaser:{channel}", "rig")
+    except TransportError as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    one, other = done.stdout.splitlines()
+    assert "name 'canOpen' is not defined; is the driver of kvaser installed" in one and other == one
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("mtu", "flags", "remedy"), [("72", "0x1002", "vcan9 is down: ip link set vcan9 up"), ("16", "0x1003", "mtu 72")]
+)
+def test_an_interface_that_is_down_or_too_narrow_is_refused_with_the_remedy(
+    mtu: str, flags: str, remedy: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("transport.can_link._NETWORK", tmp_path)
+    (tmp_path / "vcan9").mkdir()
+    (tmp_path / "vcan9" / "mtu").write_text(mtu)
+    (tmp_path / "vcan9" / "flags").write_text(flags)
+    with pytest.raises(TransportError, match=remedy):
+        open_link("can:socketcan:vcan9", "rig")
+
+
+@pytest.mark.parametrize("options", ["", "?fd=0"], ids=["fd", "classic"])
+def test_what_a_full_queue_loses_is_counted_at_both_ends(channel: str, options: str) -> None:
+    uri = f"can:hil:{channel[:20]}{options}"
+    with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
+        for number in range(3000):
+            rig.send(sensor(number))
+        assert rig.counters.dropped > 0 and rig.counters.sent + rig.counters.dropped == 3000
+        while controller.receive(0) is not None:
+            pass
+        assert controller.counters.received <= rig.counters.sent
+        rig.send(sensor(1))
+        assert controller.receive(1) == sensor(1)
+        assert controller.counters.dropped >= rig.counters.dropped  # in frames

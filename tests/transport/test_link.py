@@ -36,6 +36,13 @@ from transport.memory import QUEUE_LIMIT
         ("can:hil:rig0?base=0x800", "base: expected a multiple of 0x100"),
         ("can:hil:rig0?fd=1&fd=0", "named twice"),
         ("can:hil:rig0?fd", "not name=value"),
+        ("can:hil:rig0?bas=0x200", "no option is called 'bas', did you mean 'base'?"),
+        ("can:hil:rig0?bogus=1", "no option is called 'bogus', expected fd, pad, base"),
+        ("can:hil:rig0?can_filters=3", "no option is called 'can_filters'"),
+        ("can:hil:rig0?channel=x", "no option is called 'channel'"),
+        ("can:hil:rig0?ignore_config=0", "no option is called 'ignore_config'"),
+        ("can:socketcan:vcan0?bitrat=1", "did you mean 'bitrate'?"),
+        ("can:virtual:x?rx_queue=1", "did you mean 'rx_queue_size'?"),
         ("can:socketcan:nosuchcan0", ""),
     ],
 )
