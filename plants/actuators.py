@@ -23,7 +23,7 @@ class Driver:
         dead_zone_v: voltage in V below which nothing moves; 0 for none.
 
     Raises:
-        ValueError: where a parameter is negative or not finite, or the saturation is 0.
+        ValueError: where a parameter is negative or not finite, the saturation is 0, or a PWM count is more than it.
 
     >>> Driver(saturation_v=1.0, pwm_step_v=0.25, dead_zone_v=0.125).drive(0.6)
     0.375
@@ -38,6 +38,8 @@ class Driver:
             require_positive("saturation_v", self.saturation_v)
         require_not_negative("pwm_step_v", self.pwm_step_v)
         require_not_negative("dead_zone_v", self.dead_zone_v)
+        if self.saturation_v is not None and self.pwm_step_v > self.saturation_v:
+            raise ValueError(f"pwm_step_v: {self.pwm_step_v:g} V is more than the supply, saturation_v = {self.saturation_v:g} V")
 
     @property
     def ideal(self) -> bool:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
+import tempfile
+import time
 import types
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-import numpy as np
 import pytest
 
 from design.controllers import LoopModel
 from hil.cli import COMMANDS
 from hil.contract import check_controller
-from plants import LinearRun, Signal, StateSpace
 from plants.check import check_plant
+from transport import open_link
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
 
@@ -29,8 +30,6 @@ def shown() -> Iterator[dict[str, Any]]:
     module = types.ModuleType("readme_plugins")
     sys.modules[module.__name__] = module
     scope = vars(module)
-    scope |= {"dataclass": dataclass, "ClassVar": ClassVar, "Signal": Signal, "StateSpace": StateSpace}
-    scope |= {"LinearRun": LinearRun, "np": np}
     exec(block, scope)
     yield scope
     del sys.modules[module.__name__]
@@ -54,3 +53,21 @@ def test_every_experiment_in_the_readme_exists() -> None:
     from hil.experiment import shipped
 
     assert set(re.findall(r"\b(dc-motor-[a-z0-9-]+[a-z0-9])\b", README)) - {"dc-motor-hinf-virtual-seed0"} <= set(shipped())
+
+
+def test_key_expressions_of_the_readme_are_those_of_the_link() -> None:
+    import zenoh
+
+    uri = f"zenoh:unixsock-stream/{tempfile.mkdtemp()}/rig"
+    heard: list[str] = []
+    config = zenoh.Config()
+    for key, value in (("mode", '"peer"'), ("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]"),
+                       ("connect/endpoints", json.dumps([uri.partition(":")[2]]))):  # fmt: skip
+        config.insert_json5(key, value)
+    with open_link(uri, "rig") as rig, zenoh.open(config) as session:
+        session.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
+        end = time.monotonic() + 10
+        while not heard and time.monotonic() < end:
+            rig.send(b"hello")
+            time.sleep(0.02)
+    assert heard and f"`{heard[0]}`" in README

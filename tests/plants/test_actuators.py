@@ -69,3 +69,8 @@ def test_a_command_that_is_no_number_stays_visible(driver):
 def test_parameters_out_of_range_are_refused_by_name(field, value):
     with pytest.raises(ValueError, match=f"^{field}: "):
         Driver(**{field: value})
+
+
+def test_a_pwm_count_above_the_supply_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^pwm_step_v: 0.2 V is more than the supply, saturation_v = 0.05 V"):
+        Driver(saturation_v=0.05, pwm_step_v=0.2)
