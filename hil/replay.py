@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.log.arrays import StructuredArray
+from hil.log.export import FRAME_TOPICS, measured_ns
 from hil.log.read import Run
 from hil.log.sinks import MemorySink
 from hil.runtime.clock import RealClock, monotonic_ns
@@ -187,14 +188,8 @@ class Playback:
 def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], None] = lambda i, n: None) -> Playback:
     """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
     schedule: list[tuple[int, str, bytes]] = []
-    timing = run.arrays["/timing/tick"]
-    wake = dict(zip(timing["tick"].tolist(), timing["lateness_us"].tolist()))
-    trip = dict(zip(timing["tick"].tolist(), np.nan_to_num(timing["round_trip_us"]).tolist()))
-    for topic, role in (("/link/sensor", "rig"), ("/link/control", "controller")):
-        frames = run.arrays[topic]
-        for t_ns, tick, data in zip(frames["t_ns"].tolist(), frames["tick"].tolist(), frames["data"]):
-            measured_us = wake.get(tick, 0.0) + (trip.get(tick, 0.0) if role == "controller" else 0.0)
-            schedule.append((t_ns + round(measured_us * 1e3), role, bytes(data)))
+    for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True):
+        schedule += [(t_ns, role, bytes(data)) for t_ns, data in zip(measured_ns(run, topic), run.arrays[topic]["data"])]
     schedule.sort(key=lambda entry: entry[0])
     if not schedule:
         raise HilError("the log has no frames to play")

@@ -16,7 +16,8 @@ import click
 def command(file: Path, output: Path, topics: tuple[str, ...]) -> None:
     """Write the log FILE as a CAN log (candump .log, Vector .blf) or as tables (.csv, .npz).
 
-    Times are session times. Tables of more than one topic become files named OUTPUT.topic.csv.
+    Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
+    OUTPUT.topic.csv.
     """
     from hil.cli.outputs import check_output
     from hil.log.export import export

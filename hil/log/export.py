@@ -7,7 +7,8 @@
 ``.npz``  one structured array per topic for ``numpy.load``; raw frames as a matrix of bytes, padded with zeros
 ========= ===================================================================================================
 
-Times of a CAN log are session times in seconds: a run begins at 0.
+Frames of a CAN log stand at the instants that were measured, counted from the moment at which the session began; a run in
+virtual time begins at 2000-01-01 UTC, since can-utils take a time below 1 s for "not begun yet". Tables have session times.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import csv
 import json
 import os
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -27,6 +29,7 @@ from hil.log.read import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD, Schema
 
 FRAME_TOPICS: Final = ("/link/sensor", "/link/control")
+VIRTUAL_BEGIN: Final = "2000-01-01T00:00:00Z"
 
 
 def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = ()) -> list[Path]:
@@ -133,6 +136,8 @@ def _can_log(run: Run, target: Path, topics: Sequence[str]) -> list[Path]:
     import can
 
     messages = _can_messages(run, [topic for topic in FRAME_TOPICS if topic in topics])
+    if not messages:
+        raise HilError(f"{target}: no frames to write; a CAN log is made of the records of {' and '.join(FRAME_TOPICS)}")
 
     def write(part: Path) -> None:
         with can.Logger(part) as writer:  # python-can picks the writer by the ending
@@ -143,7 +148,7 @@ def _can_log(run: Run, target: Path, topics: Sequence[str]) -> list[Path]:
 
 
 def _can_messages(run: Run, topics: Sequence[str]) -> list[Any]:
-    """The run's frames as they stand on a CAN bus, in the order of time; sensor frames first within a slot.
+    """The run's frames as they stood on a CAN bus, in the order of time.
 
     The framing is that of ``transport.can_link``, with the ``fd`` and ``base`` of the session's own link if that was CAN.
     """
@@ -152,15 +157,24 @@ def _can_messages(run: Run, topics: Sequence[str]) -> list[Any]:
     uri = run.metadata.get("link", "")
     fd, base = _framing(uri)
     bus: Any = _BusOfPaper()
+    begin_s = datetime.fromisoformat(run.session.get("started", VIRTUAL_BEGIN)).timestamp()
     for topic in topics:
         role: Literal["rig", "controller"] = "rig" if topic == "/link/sensor" else "controller"
         link = CanLink(uri, role, lambda: bus, base=base, fd=fd)
-        for t_ns, packet in zip(run.arrays[topic][TIME_FIELD].tolist(), run.arrays[topic]["data"], strict=True):
-            bus.t_s = t_ns / 1e9
+        for t_ns, packet in zip(measured_ns(run, topic), run.arrays[topic]["data"], strict=True):
+            bus.t_s = begin_s + t_ns / 1e9
             link.send(packet)
             if link.counters.dropped:
-                raise HilError(f"{topic} at {bus.t_s:g} s: {len(packet)} bytes do not fit on CAN; export .csv instead")
+                raise HilError(f"{topic} at {t_ns / 1e9:g} s: {len(packet)} bytes do not fit on CAN; export .csv instead")
     return sorted(bus.messages, key=lambda message: message.timestamp)
+
+
+def measured_ns(run: Run, topic: str) -> list[int]:
+    """Return the instant of every frame of a topic in session time, ns: nominal plus what was measured of that slot."""
+    frames, timing = run.arrays[topic], run.arrays["/timing/tick"]
+    late_us = timing["lateness_us"] + (np.nan_to_num(timing["round_trip_us"]) if topic == "/link/control" else 0.0)
+    measured = dict(zip(timing["tick"].tolist(), np.round(late_us * 1e3).astype(np.int64).tolist()))
+    return [t_ns + measured.get(tick, 0) for t_ns, tick in zip(frames[TIME_FIELD].tolist(), frames["tick"].tolist())]
 
 
 def _framing(uri: str) -> tuple[bool, int]:

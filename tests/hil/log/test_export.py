@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import can
@@ -65,9 +66,12 @@ def test_numpy_reads_the_arrays_back(run: Run, tmp_path: Path) -> None:
 
 
 def packets(run: Run) -> list[tuple[float, int, bytes]]:
-    sensor, control = run.arrays["/link/sensor"], run.arrays["/link/control"]
-    found = [(t / 1e9, 0x100, data) for t, data in zip(sensor["t_ns"].tolist(), sensor["data"], strict=True)]
-    found += [(t / 1e9, 0x140, data) for t, data in zip(control["t_ns"].tolist(), control["data"], strict=True)]
+    """When, as what and what: a frame stands where its slot's lateness put it, an answer a round trip later."""
+    sensor, control, timing = run.arrays["/link/sensor"], run.arrays["/link/control"], run.arrays["/timing/tick"]
+    begin, late = datetime(2000, 1, 1, tzinfo=UTC).timestamp(), dict(zip(timing["tick"], timing["lateness_us"]))
+    trip = dict(zip(timing["tick"], np.nan_to_num(timing["round_trip_us"])))
+    found = [(begin + f["t_ns"] / 1e9 + late[f["tick"]] / 1e6, 0x100, f["data"]) for f in sensor]
+    found += [(begin + f["t_ns"] / 1e9 + (late[f["tick"]] + trip[f["tick"]]) / 1e6, 0x140, f["data"]) for f in control]
     return sorted(found, key=lambda packet: packet[0])
 
 
@@ -97,8 +101,14 @@ def test_a_frame_that_no_can_bus_takes_is_named(run: Run, tmp_path: Path) -> Non
     frames = run.arrays["/link/sensor"].copy()
     frames["data"][3] = bytes(5000)
     big = replace(run, arrays={**run.arrays, "/link/sensor": frames})
-    with pytest.raises(HilError, match=r"/link/sensor at 0\.003 s: 5000 bytes do not fit on CAN"):
+    with pytest.raises(HilError, match=r"/link/sensor at 0\.003\d* s: 5000 bytes do not fit on CAN"):
         export(big, tmp_path / "run.log")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_can_log_without_frames_is_refused(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(HilError, match="no frames to write"):
+        export(run, tmp_path / "run.log", ["/plant/state"])
     assert not list(tmp_path.iterdir())
 
 
