@@ -63,11 +63,9 @@ def to_document(design: Design, *, plant: str, period_s: float, wall_s: float, v
     }
 
 
-def save_design(path: Path, document: dict[str, Any]) -> None:
-    """Write a design file in one step: a reader sees the old file or the new one, never half of it."""
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(path)
+def design_text(document: dict[str, Any]) -> str:
+    """The text of a design file."""
+    return json.dumps(document, indent=1) + "\n"
 
 
 def load_design(path: Path) -> DesignFile:

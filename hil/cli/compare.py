@@ -27,7 +27,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     from rich.progress import Progress
     from rich.table import Table
 
-    from hil.cli.outputs import check_output
+    from hil.cli.outputs import check_output, write_output
     from hil.cli.sweep import check_jobs
     from hil.cli.tables import print_table
     from hil.experiment import load_experiment
@@ -38,7 +38,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
         raise HilError(f"--runs: {runs} is below 2")
     check_jobs(jobs)
     if output is not None:
-        check_output(output)  # now, and not after minutes of work
+        check_output(output, page=True)  # now, and not after minutes of work
     if len(set(experiments)) < len(experiments):
         raise HilError("the same experiment is named twice")
     checked = {name: load_experiment(name) for name in experiments}
@@ -53,7 +53,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
             if found[name]["seed"].size < runs:
                 sys.exit(130)
     if output is not None:
-        output.write_text(compare_page(found, runs), encoding="utf-8")
+        write_output(output, compare_page(found, runs))
     first = experiments[0]
     out: dict[str, Any] = {
         name: {

@@ -39,11 +39,12 @@ if TYPE_CHECKING:
 @click.option("--method", type=click.Choice(["direct", "ccl"]), default="direct", show_default=True,
               help="ccl: the thesis's iterated linear matrix inequalities, for comparison.")  # fmt: skip
 @click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     place: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, integral: float, starts: int, seed: int,
-    method: str, path: Path | None, as_json: bool,
+    method: str, path: Path | None, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -51,16 +52,17 @@ def command(
     """
     import numpy as np
 
-    from design.design_file import save_design, to_document
+    from design.design_file import design_text, to_document
     from design.errors import DesignError
     from design.tracking import solve
+    from hil.cli.outputs import check_output, write_output
     from hil.design_problem import problem_for, site
     from hil.log.provenance import package_versions
 
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
-    if path is not None and not path.parent.is_dir():
-        raise HilError(f"--file: there is no directory {path.parent}")
+    if path is not None:
+        check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
     where = site(place, period)
     problem = problem_for(
         where, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
@@ -73,18 +75,15 @@ def command(
             design = solve(problem, progress=watch)
     except DesignError as error:
         raise HilError(f"design: {error}") from error
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         print("hil: design interrupted; nothing was written", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(getattr(interrupt, "status", 130))
     wall_s = round(time.perf_counter() - begun, 3)
     document = to_document(
         design, plant=where.plant, period_s=where.period_s, wall_s=wall_s, versions=package_versions()
     )
     if path is not None:
-        try:
-            save_design(path, document)
-        except OSError as error:
-            raise HilError(f"--file: {path}: {error.strerror}") from None
+        write_output(path, design_text(document))
         document["file"] = str(path)
     if as_json:
         print(json.dumps(document, indent=2))

@@ -1,14 +1,17 @@
-"""Places to write to, checked before the work is done whose result goes there."""
+"""Places to write to, checked before the work is done whose result goes there, and written in one step."""
 
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 from hil.errors import HilError
 
+PAGE = b"<!doctype html"  # as our pages begin
 
-def check_output(path: Path, *, fresh: bool = False) -> Path:
+
+def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy: str = "choose another -o") -> Path:
     """Return ``path`` if a file can be written there.
 
     Parameters
@@ -17,11 +20,15 @@ def check_output(path: Path, *, fresh: bool = False) -> Path:
         File to be written.
     fresh : bool
         Refuse a file that is already there.
+    page : bool
+        Refuse a file that is already there and is no page.
+    remedy : str
+        What the message about such a file advises.
 
     Raises
     ------
     HilError
-        If it is a folder, exists already (with ``fresh``), or its folder is missing or cannot be written.
+        If it is a folder or a device, exists already (see above), or its folder is missing or cannot be written.
     """
     try:
         path.lstat()
@@ -30,12 +37,51 @@ def check_output(path: Path, *, fresh: bool = False) -> Path:
         found = False
     except OSError as e:  # name too long, a file where a folder should be, ...
         raise HilError(f"{path}: cannot be written: {e.strerror}") from e
-    if path.is_dir():
+    target = _target(path)
+    if target.is_dir():
         raise HilError(f"{path}: cannot be written: is a folder")
+    if target.exists() and not target.is_file():
+        raise HilError(f"{path}: cannot be written: is no regular file")
     if found and fresh:
-        raise HilError(f"{path}: exists already; choose another -o")
-    if not path.parent.is_dir():
-        raise HilError(f"{path}: cannot be written: there is no folder {path.parent}")
-    if not os.access(path if found else path.parent, os.W_OK):
-        raise HilError(f"{path}: cannot be written: permission denied")
+        raise HilError(f"{path}: exists already; {remedy}")
+    if not target.parent.is_dir():
+        raise HilError(f"{path}: cannot be written: there is no folder {target.parent if found else path.parent}")
+    try:
+        if target.exists():
+            with open(target, "r+b") as file:  # nothing is written, but it could be
+                if page and file.read(len(PAGE)).lower() != PAGE:
+                    raise HilError(f"{path}: exists already and is no report; {remedy}")
+        with tempfile.TemporaryFile(dir=target.parent):  # root has permission everywhere, and still cannot write in /proc
+            pass
+    except OSError as e:
+        raise HilError(f"{path}: cannot be written: {(e.strerror or str(e)).lower()}") from e
     return path
+
+
+def write_output(path: Path, text: str) -> None:
+    """Write a file in one step: there is the old file or the new one, never half of it.
+
+    Raises
+    ------
+    HilError
+        If it cannot be written, or is there and is no regular file.
+    """
+    target = _target(path)
+    if target.exists() and not target.is_file():
+        raise HilError(f"{path}: cannot be written: is no regular file")
+    part = target.with_name(f".hil-{os.getpid()}.part")  # short, as the name may be as long as a name can be
+    try:
+        with open(part, "x", encoding="utf-8") as file:
+            file.write(text)
+        part.replace(target)
+    except OSError as e:
+        part.unlink(missing_ok=True)
+        raise HilError(f"{path}: cannot be written: {e.strerror}") from e
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _target(path: Path) -> Path:
+    """Where a symbolic link leads to."""
+    return Path(os.path.realpath(path))

@@ -77,8 +77,11 @@ def _verify(run: object, file: Path, as_json: bool) -> None:
 def _what_if(
     run: object, file: Path, kind: str, sets: tuple[str, ...], output: Path | None, as_json: bool
 ) -> None:
+    import io
+
     import numpy as np
 
+    from hil.cli.outputs import write_output
     from hil.experiment import parse_plugin
     from hil.replay import what_if
 
@@ -94,9 +97,11 @@ def _what_if(
             "max_abs_replayed": float(np.nanmax(np.abs(series[f"{kind}_{name}"]))),
         }
     if output is not None:
+        table = io.StringIO()
         np.savetxt(
-            output, np.column_stack(list(series.values())), delimiter=",", header=",".join(series), comments="", fmt="%.9g"
+            table, np.column_stack(list(series.values())), delimiter=",", header=",".join(series), comments="", fmt="%.9g"
         )
+        write_output(output, table.getvalue())
     if as_json:
         print(json.dumps({"controller": kind, "inputs": differences, "output": str(output) if output else None}, indent=2))
         return

@@ -18,22 +18,20 @@ def command(file: Path, output: Path | None, show: bool) -> None:
 
     An existing page is replaced; the log is never changed.
     """
-    from hil.cli.outputs import check_output
+    from hil.cli.outputs import check_output, write_output
     from hil.log.read import read_run
     from hil.report.metrics import summarise
     from hil.report.run_page import render_report
     from hil.report.theory import theory_section
 
-    target = check_output(output or file.with_suffix(".html"))
+    run = read_run(file)
+    target = output or file.with_suffix(".html")
     if target.resolve() == file.resolve():
         raise HilError(f"{target}: is the log itself; choose another -o")
-    run = read_run(file)
+    check_output(target, page=True)
     theory = theory_section(run)
     page = render_report(run, {**summarise(run), **run.summary}, sections=[theory] if theory else [])
-    try:
-        target.write_text(page, encoding="utf-8")
-    except OSError as e:
-        raise HilError(f"{target}: cannot be written: {e.strerror}") from e
+    write_output(target, page)
     click.echo(f"written: {target} ({len(page.encode()) / 1e6:.1f} MB)")
     if show:
         click.launch(str(target))

@@ -17,16 +17,16 @@ import click
 )
 def command(chapter: str, as_json: bool, output: Path | None) -> None:
     """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch7): every number, and with -o every figure on one page."""
-    from hil.cli.outputs import check_output
+    from hil.cli.outputs import check_output, write_output
     from hil.reproduce import chapters, reproduce
 
     if chapter not in chapters():
         raise click.UsageError(f"{chapter!r} is not one of {', '.join(chapters())}")
     if output is not None:
-        check_output(output)  # now, and not after the work
+        check_output(output, page=True)  # now, and not after the work
     result = reproduce(chapter, lambda text: click.echo(text, err=True))
     if output is not None:
-        output.write_text(result.page(), encoding="utf-8")
+        write_output(output, result.page())
         click.echo(f"figures: {output}", err=True)
     if as_json:
         print(json.dumps(result.to_json(), indent=2))

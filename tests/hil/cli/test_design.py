@@ -53,7 +53,7 @@ def test_experiment_gives_plant_period_and_network():
         (("vtol", "--period", "1"), "smallest radius reached"),
         (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),
         (("no-such-thing",), "no-such-thing"),
-        (("dc-motor", "-o", "/no/such/directory/x.json"), "there is no directory"),
+        (("dc-motor", "-o", "/no/such/directory/x.json"), "there is no folder"),
     ],
 )
 def test_bad_requests_are_refused_with_the_number_that_decides(arguments, message):

@@ -1,0 +1,75 @@
+"""What a command writes: refused before the work where it cannot be, and never half there."""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hil.cli.outputs import check_output, write_output
+from hil.errors import HilError
+from tests.hil.cli.conftest import Hil
+
+
+@pytest.fixture
+def full() -> Iterator[None]:
+    """No file may grow beyond 4000 bytes, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.usefixtures("full")
+def test_what_does_not_fit_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    path.write_text("old")
+    with pytest.raises(HilError, match=r"page\.html: cannot be written: File too large"):
+        write_output(path, "x" * 100_000)
+    assert path.read_text() == "old" and os.listdir(tmp_path) == ["page.html"]
+
+
+def test_a_link_is_followed_and_a_name_may_be_as_long_as_names_can_be(tmp_path: Path) -> None:
+    real, link = tmp_path / ("n" * 255), tmp_path / "link"
+    link.symlink_to(real)
+    write_output(check_output(link), "text")
+    assert link.is_symlink() and real.read_text() == "text"
+
+
+def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    with pytest.raises(HilError, match="is no regular file"):
+        check_output(path)
+    with pytest.raises(HilError, match="is no regular file"):
+        write_output(path, "text")
+    assert path.is_fifo()
+
+
+def test_a_folder_that_takes_no_file_is_told_before_the_work() -> None:
+    with pytest.raises(HilError, match="cannot be written"):
+        check_output(Path("/proc/x"))  # root may write there, says access()
+
+
+@pytest.mark.parametrize("command", [["report", "LOG"], ["reproduce", "ch2"], ["compare", "dc-motor-hinf", "--runs", "2"]])
+def test_a_page_replaces_only_a_page(cli: Hil, hil_log: Path, tmp_path: Path, command: list[str]) -> None:
+    notes = tmp_path / "notes.md"
+    notes.write_text("mine")
+    status, out, err = cli(*(hil_log if word == "LOG" else word for word in command), "-o", notes)
+    assert (status, out) == (2, "") and "exists already and is no report" in err
+    assert notes.read_text() == "mine"
+    notes.write_text("<!DOCTYPE html>\n")
+    assert check_output(notes, page=True) == notes
+
+
+def test_a_design_overwrites_only_with_force(cli: Hil, tmp_path: Path) -> None:
+    mine = tmp_path / "my.toml"
+    mine.write_text("mine")
+    arguments = ("design", "dc-motor", "--information", "constant", "--starts", "1", "-o", "my.toml")
+    status, _, err = cli(*arguments)
+    assert status == 2 and "--force" in err and mine.read_text() == "mine"
+    assert cli(*arguments, "--force")[0] == 0 and '"hilrig-design/1"' in mine.read_text()
+    assert cli(*arguments[:-1], "")[0] == 2
