@@ -44,6 +44,8 @@ class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             _probability(name, getattr(self, name))
         if self.p_gb == 0.0 == self.p_bg:
             raise ValueError("p_gb: 0, and p_bg is 0 too: the channel never changes, expected one of them positive")
+        if self.p_bg == 0.0:
+            raise ValueError("p_bg: 0, so that the channel once bad stays so for ever, expected more")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

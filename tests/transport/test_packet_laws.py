@@ -99,6 +99,10 @@ def test_a_discrete_law_has_atoms_in_units_of_its_scale() -> None:
     assert table.mean_s == pytest.approx(0.007, rel=1e-6)
 
 
+def test_a_discrete_law_far_from_zero_has_its_atoms_there() -> None:
+    assert latency({"dist": "poisson", "mu": 1e6, "scale": "1 ns"}).mean_s == pytest.approx(1e-3, rel=1e-6)
+
+
 def test_mean_latency_is_that_of_the_law() -> None:
     assert latency(GAMMA).mean_s == pytest.approx(0.006, rel=1e-4)
     assert latency("5 ms").mean_s == pytest.approx(0.005)
@@ -142,6 +146,8 @@ REFUSED: list[Case] = [
     (lambda: PacketLaw(latency=0.0, queue=0), "queue: got 0"),
     (lambda: GilbertElliott(p_gb=0.1, p_bg=-0.1), "p_bg: got -0.1"),
     (lambda: GilbertElliott(p_gb=0, p_bg=0), "p_gb: 0, and p_bg is 0 too"),
+    (lambda: GilbertElliott(p_gb=0.1, p_bg=0), "p_bg: 0, so that the channel once bad stays so for ever"),
+    (lambda: PacketLaw(latency={"dist": "zipf", "a": 1.2, "scale": "1 ms"}), "latency: has more than 100000 possible values"),
     (lambda: PacketLaw(latency=0.0).start(np.random.default_rng(0), 0.0, 0.0), "period_s: got 0"),
     (lambda: PacketLaw(latency=0.0).start(np.random.default_rng(0), 1.0, -1.0), "deadline_s: got -1"),
 ]
