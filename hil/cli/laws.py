@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+NEGLIGIBLE = 1e-6
+
 
 @click.command()
 @click.argument("experiment")
@@ -56,10 +58,12 @@ def _print(name: str, period_s: float, directions: dict[str, Any]) -> None:
             ages += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"
         note = "" if law.age_method == "exact" else " (from 50,000 simulated slots)"
         print(f"  age of the newest packet  {ages or 'nothing ever arrives'}{note}")
-        print(f"  mean age                  {law.mean_age:.4g} slots = {law.mean_age * period_s * 1e3:.4g} ms")
+        above = "above " if law.older > NEGLIGIBLE else ""
+        print(f"  mean age                  {above}{law.mean_age:.4g} slots = {law.mean_age * period_s * 1e3:.4g} ms")
         if not math.isnan(law.mean_latency_s):
             print(f"  mean latency              {law.mean_latency_s * 1e3:.4g} ms")
-        print(f"  lost                      {law.loss_probability:.4g} of the packets")
+        full = f", {law.overflow:.4g} at the full queue{note}" if law.overflow else ""
+        print(f"  lost                      {law.loss_probability:.4g} of the packets{full}")
         if not math.isnan(law.unused):
             print(f"  never used                {law.unused:.4g} of the packets")
         print()

@@ -102,6 +102,22 @@ def test_what_has_no_closed_form_is_simulated_and_says_so() -> None:
     assert trace.loss_probability == 0.5
 
 
+def test_a_queue_that_fills_loses_and_one_that_cannot_is_exact() -> None:
+    full = analyse_law(PacketLaw(latency="120 ms", queue=1), 0.05, 0.03)
+    assert (full.age_method, full.loss_probability) == ("simulated", pytest.approx(2 / 3, abs=1e-3))
+    assert full.overflow == full.loss_probability == pytest.approx(full.unused, abs=1e-3)
+    for law in (PacketLaw(latency="120 ms", queue=3), PacketLaw(latency=GAMMA, queue=50), PacketLaw(latency=0.0, queue=1)):
+        assert (analyse_law(law, 0.05, 0.03).age_method, analyse_law(law, 0.05, 0.03).overflow) == ("exact", 0.0)
+    assert analyse_law(PacketLaw(latency=0.0, duplication=0.1, queue=1), T, DEADLINE).overflow == 0.0, "copies are no loss"
+    heavy = PacketLaw(latency={"dist": "pareto", "b": 0.05, "scale": "1 s"})
+    assert analyse_law(heavy, T, DEADLINE).overflow > 0.1
+
+
+def test_what_is_later_than_any_age_counted_makes_the_mean_a_bound() -> None:
+    late = analyse_law(PacketLaw(latency="1 h", queue=1_000_000), T, DEADLINE)
+    assert (late.older, late.mean_age) == (1.0, 100_000.0)
+
+
 def test_a_foreign_law_without_analysis_is_simulated() -> None:
     class Foreign:
         kind, family, max_age = "foreign", "age", 2

@@ -52,6 +52,13 @@ def test_recorded_latencies_come_from_beside_the_experiment(tmp_path: Path) -> N
     assert "mean latency              120 ms" in result.output
 
 
+def test_a_full_queue_and_a_mean_that_is_a_bound_are_said() -> None:
+    text = laws("--set", 'links.ca.law={kind="packet", latency="120 ms", queue=1}')
+    assert "0.6667 of the packets, 0.6667 at the full queue (from 50,000 simulated slots)" in text
+    text = laws("--set", 'links.ca.law={kind="packet", latency="2 h", queue=1000000}')
+    assert "older: 1" in text and "mean age                  above 1e+05 slots" in text
+
+
 def test_a_faulty_law_is_named_by_its_path() -> None:
     with pytest.raises(HilError, match=r"links\.ca\.law\.matrix\[1\]: row sums to 0\.98, expected 1"):
         laws("--set", 'links.ca.law={kind="markov", matrix=[[0.5, 0.5], [0.5, 0.48]]}')
