@@ -29,11 +29,15 @@ Modes = NDArray[np.int64]
 
 
 class Evidence(NamedTuple):
-    """Chi-square statistic with its degrees of freedom; `possible` is False when something of probability 0 was seen."""
+    """Chi-square statistic with its degrees of freedom.
+
+    `possible` is False when something of probability 0 was seen; `scarce` is True when chance decides, but too seldom to test.
+    """
 
     statistic: float
     freedom: int
     possible: bool = True
+    scarce: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +49,7 @@ class NetworkStatistics:
         mode_counts: slots spent in every mode, (n,).
         transition_counts: how often mode j followed mode i, (n, n).
         p_value: probability of a record at least as unlike the law if the law is right; NaN for a law that cannot be
-        tested.
+        tested, and for a record too short to test it.
         lost: packets that the law lost or its queue dropped.
         duplicated: copies that arrived.
         reasons: number of records of every reason that occurred.
@@ -112,7 +116,7 @@ def law_p_value(law: Any, modes: Modes, draws: Any = None) -> float:
     Markov and iid laws are tested by the rows of their transition counts; semi-Markov laws by the hazard of leaving a
     mode at every sojourn time, and by the embedded chain; a constant or a trace agrees (1.0) or does not (0.0); packet
     laws by their channel's transitions, and with `draws` by losses and latencies too. A plug-in is tested if it has
-    `transition_matrix()`.
+    `transition_matrix()`. NaN where there is no test (see `is_testable`), or too little was drawn for one.
 
     Args:
         law: parameters of the law.
@@ -128,7 +132,14 @@ def law_p_value(law: Any, modes: Modes, draws: Any = None) -> float:
         return 0.0
     freedom = sum(evidence.freedom for evidence in found)
     statistic = sum(evidence.statistic for evidence in found)
-    return float(gammaincc(freedom / 2.0, statistic / 2.0)) if freedom else 1.0
+    if freedom == 0:  # nothing was left to chance, or too little to judge by
+        return float("nan") if any(evidence.scarce for evidence in found) else 1.0
+    return float(gammaincc(freedom / 2.0, statistic / 2.0))
+
+
+def is_testable(law: Any) -> bool:
+    """Return whether a record that is long enough can be tested against the law."""
+    return isinstance(law, ConstantAge | TraceAge | SemiMarkovAge) or hasattr(law, "transition_matrix")
 
 
 def _evidence(law: Any, modes: Modes, draws: Any) -> Iterator[Evidence]:
@@ -169,7 +180,7 @@ def _cells_evidence(observed: NDArray[np.int64], probabilities: NDArray[np.float
         else:
             pools.append([observed[i], expected[i]])
     if len(pools) < 2:
-        return Evidence(0.0, 0, possible)
+        return Evidence(0.0, 0, possible, scarce=np.count_nonzero(probabilities) > 1)
     return Evidence(float(sum((o - e) ** 2 / e for o, e in pools)), len(pools) - 1, possible)
 
 
@@ -186,6 +197,7 @@ def _sojourn_evidence(law: SemiMarkovAge, modes: Modes) -> Iterator[Evidence]:
     for i, sojourn in enumerate(law.sojourn):
         here = modes[starts] == i
         if not here.any():
+            yield Evidence(0.0, 0, scarce=True)
             continue
         longest = int(lengths[here].max())
         left = np.bincount(lengths[here & complete], minlength=longest + 1)[1:]
@@ -212,7 +224,8 @@ def _hazard_evidence(left: NDArray[np.int64], at_risk: NDArray[np.int64], hazard
         bins[-1][0] += more
         bins[-1][1] += spread
     usable = [(more, spread) for more, spread in bins if spread >= EXPECTED]
-    yield Evidence(float(sum(more**2 / spread for more, spread in usable)), len(usable), possible)
+    chance = bool(((hazard > 0.0) & (hazard < 1.0)).any())
+    yield Evidence(float(sum(more**2 / spread for more, spread in usable)), len(usable), possible, scarce=chance and not usable)
 
 
 def _packet_evidence(law: PacketLaw, draws: Any) -> Iterator[Evidence]:

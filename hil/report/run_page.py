@@ -75,7 +75,7 @@ def run_sections(run: Run, summary: Mapping[str, Any], predicted: Mapping[str, P
             title="Delays",
             intro="What the emulated network drew lies broad beneath what the receiver measured from time stamps; "
             "where they part, a packet was late, lost or not yet there.",
-            blocks=(*delay_panels(run, marks), network_table(summary["network"])),
+            blocks=(*delay_panels(run, marks), network_table(summary["network"], laws)),
         ),
         Section(title="Network against its law", columns=2, blocks=tuple(network_blocks(run, summary["network"], laws))),
         Section(title="Timing", blocks=() if lateness is None else (lateness,)),

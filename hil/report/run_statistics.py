@@ -12,6 +12,7 @@ from hil.log.read import Run
 from hil.report.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
 from hil.report.network import expected_frequencies, expected_transitions, mode_sequence
 from hil.report.numbers import text_of
+from transport.law_statistics import is_testable
 from transport.semi_markov_law import SemiMarkovAge
 from transport.sojourn import hazards
 
@@ -44,9 +45,11 @@ def network_blocks(run: Run, network: Mapping[str, Any], laws: Mapping[str, Any 
     return blocks
 
 
-def verdict(found: Mapping[str, Any]) -> Badge:
+def verdict(found: Mapping[str, Any], law: Any | None) -> Badge:
     """Return whether a direction's record agrees with its law."""
     p = found["p_value"]
+    if p is None and is_testable(law):
+        return Badge(label="no test", detail="too few slots")
     if p is None:
         return Badge(label="no test", detail=f"for a law of kind {found['law']}")
     if p < DOUBTFUL:
@@ -54,14 +57,14 @@ def verdict(found: Mapping[str, Any]) -> Badge:
     return Badge(label="agrees with its law", state="good", detail=f"p = {text_of(p, 3)}")
 
 
-def network_table(network: Mapping[str, Any]) -> Table:
+def network_table(network: Mapping[str, Any], laws: Mapping[str, Any | None]) -> Table:
     """Return one row per direction: law, verdict, and what became of the packets."""
     fates = sorted({fate for side in DIRECTIONS for fate in network[side]["fates"]} - {"lost", "duplicated"})
     rows = [
         [
             _capital(way),
             found["law"],
-            verdict(found),
+            verdict(found, laws.get(side)),
             found["lost"],
             found["late"],
             found["duplicated"],

@@ -16,7 +16,7 @@ from scipy import stats
 from transport.age_laws import ConstantAge, IidAge, MarkovAge
 from transport.draws import DELIVERED, DUPLICATED, LOST, Draw
 from transport.impairment import impair
-from transport.law_statistics import law_p_value, mode_counts, network_statistics, transition_counts
+from transport.law_statistics import is_testable, law_p_value, mode_counts, network_statistics, transition_counts
 from transport.packet_laws import GilbertElliott, PacketLaw
 from transport.semi_markov_law import SemiMarkovAge
 from transport.sojourn import DiscreteWeibull, Geometric, Table, Uniform
@@ -117,9 +117,15 @@ def test_a_constant_or_a_trace_agrees_or_does_not() -> None:
 
 
 def test_a_short_or_empty_record_says_nothing() -> None:
-    for law in (LAMBDA, BURSTY, ConstantAge(age=0), GAMMA):
-        assert law_p_value(law, np.zeros(0, int)) == 1.0
-    assert law_p_value(LAMBDA, np.array([0, 1])) == 1.0
+    for law in (LAMBDA, BURSTY, GAMMA):
+        assert np.isnan(law_p_value(law, np.zeros(0, int)))
+    for slots in range(1, 5):
+        for law in (LAMBDA, BURSTY):
+            assert np.isnan(law_p_value(law, modes(law, slots, 0)))
+    alternating = SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Uniform(low=2, high=3), Uniform(low=2, high=3)))
+    assert np.isnan(law_p_value(alternating, np.zeros(1, int)))
+    assert np.isnan(packet_p_value(GAMMA, records(GAMMA, 2, 0)))
+    assert law_p_value(ConstantAge(age=0), np.zeros(0, int)) == 1.0
 
 
 def test_a_foreign_law_is_tested_if_it_states_its_chain() -> None:
@@ -129,6 +135,7 @@ def test_a_foreign_law_is_tested_if_it_states_its_chain() -> None:
 
     assert law_p_value(Foreign(), modes(PI, 500, 3)) == law_p_value(PI, modes(PI, 500, 3))
     assert np.isnan(law_p_value(object(), modes(PI, 500, 3)))
+    assert is_testable(Foreign()) and not is_testable(object())
 
 
 def test_counts_are_those_of_a_plain_loop() -> None:

@@ -73,6 +73,13 @@ def test_predictions_and_further_sections_are_drawn_with_the_run() -> None:
     assert "predicted mean" in page and "two sigma" in page and "from the second moment" in page
 
 
+def test_law_test_of_a_few_slots_gives_no_verdict() -> None:
+    run = run_of("dc-motor-hinf", 'duration="0.3 s"')
+    assert summarise(run)["network"]["sc"]["p_value"] is None
+    page = report(run)
+    assert "too few slots" in page and "agrees with its law" not in page
+
+
 def test_run_of_one_tick_and_torn_run_are_reported() -> None:
     assert "<!doctype html>" in report(run_of("dc-motor-hinf", 'duration="50 ms"'))
     torn = run_of("dc-motor-hinf", 'duration="2 s"')
