@@ -180,7 +180,8 @@ def _summary(run: Run, sink: McapSink, outcome: dict[str, Any], wall_s: float) -
         "messages": sink.messages,
         "dropped": sink.dropped,
     }
-    summary["problems"] = {k: v for k, v in outcome.items() if v}
+    problems = {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] == "second controller"}
+    summary["problems"] = problems | {name: text for name, text in outcome.items() if text}
     return summary
 
 

@@ -326,12 +326,11 @@ def open_can(uri: str, role: Role) -> CanLink:
 
     if interface == "socketcan":
         _check_interface(uri, channel, flexible)
-    claim = _claim(uri, interface, channel, heard) if role == "rig" else None
+    claim = _claim(uri, role, interface, channel, heard)
     try:
         return CanLink(uri, role, join, base=base, fd=flexible, pad=pad == "1", claim=claim)
     except Exception as error:  # a back end without its driver raises anything, a NameError for instance
-        if claim is not None:
-            claim.close()
+        claim.close()
         said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         raise TransportError(f"link {uri!r}: {said}{_remedy(interface, channel, error)}") from error
 
@@ -364,8 +363,8 @@ def _check_interface(uri: str, channel: str, flexible: bool) -> None:
             raise TransportError(f"link {uri!r}: {channel} is down: ip link set {channel} up")
 
 
-def _claim(uri: str, interface: str, *where: object) -> socket.socket:
-    """Be the only rig there: hold a name as an abstract Unix socket.
+def _claim(uri: str, role: Role, interface: str, *where: object) -> socket.socket:
+    """Be the only one there in this role: hold a name as an abstract Unix socket.
 
     It goes with the process and, like a CAN interface, belongs to one network namespace.
     """
@@ -376,7 +375,9 @@ def _claim(uri: str, interface: str, *where: object) -> socket.socket:
         claim.bind(f"\0hilrig-{os.geteuid()}-{name}")
     except OSError as error:
         claim.close()
-        hint = "is another rig running there? Stop it, or choose another channel or base" if error.errno == EADDRINUSE else error
+        if error.errno != EADDRINUSE:
+            raise TransportError(f"link {uri!r}: {error}") from error
+        hint = f"is another {role} running there? Stop it, or choose another channel or base"
         raise TransportError(f"link {uri!r}: {hint}") from error
     return claim
 

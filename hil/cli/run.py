@@ -80,7 +80,7 @@ def command(
     if clock == "real" and not external:  # an external controller may be there already: do not let it meet this end
         from transport.link import open_link
 
-        with open_link(uri, "rig"):  # what cannot be opened is said now, before anything is started or written
+        with open_link(uri, "rig"), open_link(uri, "controller"):  # what cannot be opened is said before anything starts
             pass
     if external and sys.stderr is not None:
         print(f"waiting up to 120 s for your controller on {uri}", file=sys.stderr)

@@ -109,7 +109,8 @@ class Rig:
         self.malformed = 0
         self.refused = 0
         self._answer: ControlPacket | None = None
-        self._answer_bytes = b""
+        self._answer_bytes, self._answered = b"", -1
+        self.contradicted = False
         self._held: ControlPacket | None = None
         self._held_tick = -1
         self._measured_d: list[int] = []
@@ -167,13 +168,19 @@ class Rig:
             self.malformed += 1
             return False
         if packet.seq != self.k:
+            if packet.seq == self._answered and data != self._answer_bytes and not self.contradicted:
+                self.contradicted = True
+                self._sink.event(
+                    self.k * self._period_ns, "second controller", "somebody else answered too, and otherwise: the link has two "
+                    "controllers", tick=packet.seq, severity="error",
+                )  # fmt: skip
             if packet.seq != HELLO:
                 log, pack = self._log["/link/control"]
                 if log:
                     log(self.k * self._period_ns, pack(packet.seq, 1, data))
             return False
         if self._answer is None:
-            self._answer, self._answer_bytes = packet, data
+            self._answer, self._answer_bytes, self._answered = packet, data, packet.seq
         return True
 
     def actuate(self, t_ns: int) -> None:

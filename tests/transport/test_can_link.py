@@ -14,7 +14,7 @@ from uuid import uuid4
 import can
 import pytest
 
-from transport import TransportError, open_link
+from transport import Role, TransportError, open_link
 from transport.can_link import CanLink, open_can
 from transport.contract import control, sensor
 
@@ -226,20 +226,24 @@ def test_a_motor_packet_is_one_frame_with_bit_rate_switch(channel: str) -> None:
 
 
 @pytest.mark.parametrize("interface", ["virtual", "hil"])
-def test_a_second_rig_is_refused_until_the_first_has_gone(channel: str, interface: str) -> None:
+@pytest.mark.parametrize(("role", "other"), [("rig", "controller"), ("controller", "rig")])
+def test_a_second_one_in_its_role_is_refused_until_the_first_has_gone(
+    channel: str, interface: str, role: Role, other: Role
+) -> None:
     uri = f"can:{interface}:{channel}"
-    with open_link(uri, "rig"):
-        with pytest.raises(TransportError, match="is another rig running there"):
-            open_link(uri, "rig")
-        open_link(f"{uri}?base=0x200", "rig").close()  # other identifiers: two loops share the bus
-        open_link(uri, "controller").close()
-    open_link(uri, "rig").close()
+    with open_link(uri, role):
+        with pytest.raises(TransportError, match=f"is another {role} running there"):
+            open_link(uri, role)
+        open_link(f"{uri}?base=0x200", role).close()  # other identifiers: two loops share the bus
+        open_link(uri, other).close()
+    open_link(uri, role).close()
+
 
 
 def test_a_back_end_without_its_driver_is_refused_in_one_line(channel: str) -> None:
     program = f"""
 import logging, can
-from transport import TransportError, open_link
+from transport import Role, TransportError, open_link
 def broken(**_):
     logging.getLogger("can.kvaser").warning("Kvaser canlib is unavailable.")
     raise NameError("name 'canOpen' is not\\ndefined.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 
@@ -146,3 +147,19 @@ def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> Non
     rig.hear(answer(0))
     rig.actuate(0)
     assert rig.outcome()["refused"] == 0
+
+
+def test_a_second_controller_that_says_otherwise_is_told_once(loop: Loop) -> None:
+    sink = MemorySink(loop.channels())
+    rig = Rig(loop, 0, sink, loop.channels(), lambda frame: None, lambda: None)
+    one, other = ([encode_control(ControlPacket(k, 0, 0, 0, 1, ((u,), (u,)))) for k in range(4)] for u in (0.0, 0.5))
+    for k in range(4):
+        rig.sense(k * loop.experiment.period_ns)
+        if k:
+            rig.hear(one[k - 1])  # a copy of what was applied says nothing
+            assert rig.contradicted == (k > 1)
+            rig.hear(other[k - 1])  # what came to the same question from somebody else
+        rig.hear(one[k])
+        rig.actuate(k * loop.experiment.period_ns)
+    kinds = [json.loads(payload)["kind"] for payload in sink.payloads["/events"]]
+    assert kinds.count("second controller") == 1
