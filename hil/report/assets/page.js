@@ -37,6 +37,10 @@
     return { curves: order, table: joined.length === 1 ? joined[0] : uPlot.join(joined) };
   }
 
+  // Where there is no room for all labels, the worst get theirs; the sort is stable, so equals go from left to right.
+  const SEVERITY = ["bad", "warning", "good", "neutral"];
+  const bySeverity = (list) => [...list].sort((a, b) => SEVERITY.indexOf(a.state) - SEVERITY.indexOf(b.state));
+
   function markers(figure, withLabels) {
     return {
       hooks: {
@@ -49,10 +53,9 @@
           ctx.font = font(10.5 * dpr);
           ctx.textAlign = "left";
           ctx.textBaseline = "bottom";
-          let free = -Infinity;
-          for (const m of figure.markers) {
-            const x = Math.round(u.valToPos(m.x, "x", true)) + 0.5;
-            if (x < left || x > left + width) continue;
+          const places = bySeverity(figure.markers).map((m) => [m, Math.round(u.valToPos(m.x, "x", true)) + 0.5]);
+          const shown = places.filter(([, x]) => x >= left && x <= left + width), taken = [];
+          for (const [m, x] of [...shown].reverse()) {
             ctx.strokeStyle = css(m.state === "neutral" ? "--muted" : "--" + m.state);
             ctx.globalAlpha = 0.8;
             ctx.lineWidth = m.label ? dpr : 1.5 * dpr;
@@ -62,14 +65,15 @@
             ctx.moveTo(x, top);
             ctx.lineTo(x, top + (m.label ? height : 8 * dpr));
             ctx.stroke();
-            if (!withLabels || !m.label) continue;
+          }
+          ctx.globalAlpha = 1;
+          for (const [m, x] of shown.filter(([m]) => withLabels && m.label)) {
             const wide = ctx.measureText(m.label).width;
-            let at = Math.min(x - 2 * dpr, left + width - wide);
-            if (at < free) continue;
-            ctx.globalAlpha = 1;
+            const at = Math.min(x - 2 * dpr, left + width - wide), end = at + wide + 8 * dpr;
+            if (taken.some(([from, to]) => at < to && from < end)) continue;
+            taken.push([at, end]);
             ctx.fillStyle = css(m.state === "neutral" ? "--muted" : "--" + m.state);
             ctx.fillText(m.label, at, top - 3 * dpr);
-            free = at + wide + 8 * dpr;
           }
           ctx.restore();
         },
@@ -105,7 +109,8 @@
     };
     if (c.style.endsWith("step")) s.paths = uPlot.paths.stepped({ align: 1 });
     if (c.style.startsWith("dashed")) s.dash = [6, 4];
-    if (c.style === "points") {
+    const single = arrays[c.y ?? c.upper].length === 1;
+    if (c.style === "points" || (single && c.style !== "edge")) {
       s.paths = () => null;
       s.points = { show: true, size: 5, width: 0, fill: () => css(colour), stroke: () => css(colour) };
     }
@@ -124,6 +129,9 @@
     };
   }
 
+  // A run of one sample has an empty range of time, which no scale can show.
+  const widened = (low, high) => (low < high ? [low, high] : [low - 0.5, high + 0.5]);
+
   function span(group) {
     let low = Infinity, high = -Infinity;
     for (const figure of data.figures)
@@ -132,7 +140,7 @@
           const x = arrays[c.x];
           if (x.length) { low = Math.min(low, x[0]); high = Math.max(high, x[x.length - 1]); }
         }
-    return low < high ? [low, high] : null;
+    return low <= high ? widened(low, high) : null;
   }
 
   function build(place) {
@@ -169,7 +177,7 @@
         bind: { dblclick: () => () => { home(peers); return null; } },
       },
       scales: {
-        x: { time: false, distr: figure.xLog ? 3 : 1, range: figure.xLog ? undefined : (u, low, high) => (low == null ? [0, 1] : low === high ? [low - 0.5, high + 0.5] : [low, high]) },
+        x: { time: false, distr: figure.xLog ? 3 : 1, range: figure.xLog ? undefined : (u, low, high) => (low == null ? [0, 1] : widened(low, high)) },
         y: { distr: figure.yLog ? 3 : 1, range: figure.yRange ? () => figure.yRange : figure.yLog ? undefined : (u, low, high) => fitted(low, high, figure.integerY) },
       },
       axes: [
@@ -193,7 +201,7 @@
     if (figure.xLog) options.scales.x.range = undefined;
     const plot = new uPlot(options, table, place);
     if (peers.range) plot.setScale("x", { min: peers.range[0], max: peers.range[1] });
-    else peers.range = [table[0][0], table[0][table[0].length - 1]];
+    else peers.range = widened(table[0][0], table[0][table[0].length - 1]);
     peers.plots.push(plot);
     if (group == null) groups.set(plot, peers);
     plots.push(plot);

@@ -39,6 +39,12 @@ LEGEND = """[...document.querySelectorAll('.plot')].slice(0, 2).flatMap(
   p => [...p.querySelectorAll('.u-series:not(.quiet) .u-value')].map(v => v.textContent))"""
 RANGES = "hilPlots().map(p => [p.scales.x.min, p.scales.x.max])"
 
+LABELS = """(() => {
+  const seen = [], draw = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...at) { seen.push(text); draw.call(this, text, ...at); };
+  hilPlots()[0].redraw(false, false);
+  return new Promise(f => requestAnimationFrame(() => f(seen.filter(text => ["late", "safety", "step"].includes(text))))); })()"""
+
 
 @pytest.mark.parametrize("width", [800, 1400])
 def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path, width: int) -> None:
@@ -97,3 +103,30 @@ def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: P
         assert all(r == ranges[0] for r in ranges)
         assert page.problems == []
         assert page.requests == [file.resolve().as_uri()]
+
+
+def test_report_of_one_tick_shows_its_samples_as_points(tmp_path: Path) -> None:
+    run = run_of("dc-motor-hinf", 'duration="50 ms"')
+    file = tmp_path / "report.html"
+    file.write_text(render_report(run, summarise(run)), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert all(low == -0.5 and high == 0.5 for low, high in page.evaluate(RANGES))
+        assert page.evaluate("hilPlots().every(p => p.series.slice(1).every(s => s.points.show === true || s.points.show()))")
+        assert page.problems == []
+
+
+def test_worst_marker_gets_its_label_where_there_is_no_room_for_all(tmp_path: Path) -> None:
+    marks = (
+        Marker(x=5.2, label="late", state="warning"),
+        Marker(x=5.22, label=""),
+        Marker(x=5.25, label="safety", state="bad"),
+        Marker(x=9.0, label="step"),
+    )
+    t = np.arange(0.0, 10.0, 0.1)
+    file = tmp_path / "page.html"
+    panel = Figure(title="Angle", series=(Series(label="angle", x=t, y=t),), markers=marks)
+    file.write_text(render_page("Marks", [Section(title="Panels", blocks=(panel,))]), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert page.evaluate(LABELS) == ["safety", "step"]
