@@ -13,7 +13,7 @@ from hil.experiment import Experiment
 from hil.log.provenance import Provenance
 from hil.log.read import Run, read_run
 from hil.log.recorder import McapSink
-from hil.log.sinks import MemorySink, Put
+from hil.log.sinks import MemorySink, Put, Sink, Taps, TeeSink
 from hil.runtime.clock import monotonic_ns, wall_clock
 from hil.runtime.loop import Loop, compose
 from hil.runtime.stop_signals import StopSignals
@@ -104,7 +104,7 @@ def run_session(
     with McapSink(path, loop.channels(), provenance, now=now) as sink:
         outcome: dict[str, Any] = {}
         if clock == "virtual":
-            outcome = _run_in_virtual_time(loop, sink)
+            outcome = _run_in_virtual_time(loop, TeeSink(sink, Taps(taps)) if taps else sink)
         else:
             outcome = _run_real(loop, uri, sink, external, taps)
         sink.commit()
@@ -120,7 +120,7 @@ def run_session(
     return Session(run=run, summary=_summary(run, sink, outcome, wall_s), status=_status(run, sink, outcome))
 
 
-def _run_in_virtual_time(loop: Loop, sink: McapSink) -> dict[str, Any]:
+def _run_in_virtual_time(loop: Loop, sink: Sink) -> dict[str, Any]:
     stops: list[Callable[[], None]] = []
 
     def stop(number: int) -> None:
@@ -135,7 +135,7 @@ def _run_in_virtual_time(loop: Loop, sink: McapSink) -> dict[str, Any]:
     return out
 
 
-def _interrupted(number: int, sink: McapSink, t_ns: int) -> dict[str, Any]:
+def _interrupted(number: int, sink: Sink, t_ns: int) -> dict[str, Any]:
     name = signal.Signals(number).name
     sink.event(t_ns, "interrupted", f"stopped by {name}", severity="warning")
     return {"interrupted": name}

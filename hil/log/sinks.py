@@ -112,3 +112,31 @@ class TeeSink:
         """See ``Sink``."""
         for sink in self.sinks:
             sink.commit()
+
+
+class Taps:
+    """Hands records to functions by topic, for a live view.
+
+    Parameters
+    ----------
+    taps : mapping of str to function
+        Each gets time and payload of its topic's records.
+    """
+
+    def __init__(self, taps: Mapping[str, Put]) -> None:
+        self._taps = taps
+
+    def channel(self, topic: str) -> Put | None:
+        """See ``Sink``."""
+        return self._taps.get(topic)
+
+    def event(
+        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
+    ) -> None:
+        """See ``Sink``."""
+        put = self._taps.get(EVENTS_TOPIC)
+        if put is not None:
+            put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
+
+    def commit(self) -> None:
+        """See ``Sink``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -137,7 +138,8 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
             experiment = replace(experiment, controller=controller, kinds=kinds)
         running = controller.start(model)
     except (ValueError, DesignError) as e:
-        raise ExperimentError(experiment.name, [f"controller.{e}" if isinstance(e, ValueError) else f"controller: {e}"]) from e
+        field = isinstance(e, ValueError) and re.match(r"[\w.\[\]]+:", str(e))  # the message begins with a parameter's name
+        raise ExperimentError(experiment.name, [f"controller.{e}" if field else f"controller: {e}"]) from e
     certificate = None
     if certify:
         certificate = _certify(experiment, model, controller) if stated is None else _accept(experiment, stated)

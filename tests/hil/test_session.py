@@ -164,3 +164,13 @@ def test_help_is_light() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_live_view_sees_a_run_in_virtual_time_and_leaves_the_log_as_it_is(tmp_path: Path) -> None:
+    experiment = load_experiment("dc-motor-hinf", ["duration=2"])
+    seen: list[int] = []
+    taps = {"/plant/state": lambda t_ns, payload: seen.append(t_ns), "/events": lambda t_ns, payload: seen.append(-1)}
+    one = run_session(experiment, path=tmp_path / "a.mcap", taps=taps)
+    two = run_session(experiment, path=tmp_path / "b.mcap")
+    assert seen.count(-1) == len(one.run.events) and len(seen) == 40 + seen.count(-1)
+    assert one.summary["log"]["sha256"] == two.summary["log"]["sha256"]
