@@ -180,7 +180,7 @@ def _cells_evidence(observed: NDArray[np.int64], probabilities: NDArray[np.float
         else:
             pools.append([observed[i], expected[i]])
     if len(pools) < 2:
-        return Evidence(0.0, 0, possible, scarce=np.count_nonzero(probabilities) > 1)
+        return Evidence(0.0, 0, possible, scarce=int(np.count_nonzero(probabilities)) > 1)
     return Evidence(float(sum((o - e) ** 2 / e for o, e in pools)), len(pools) - 1, possible)
 
 
