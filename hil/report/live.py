@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from struct import Struct
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ import numpy as np
 
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, channels
 from hil.report.numbers import text_of
+from hil.report.units import PURE
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 REFRESH_HZ = 10
 RECENT = 2000
 """Slots over which lateness percentiles and delay shares are shown."""
+
+LONGEST_NAME = 20
 
 _TAU = Struct("<ii")  # `/controller/rows` ends with tau and selection, however many rows stand before
 _BLOCKS = "▁▂▃▄▅▆▇█"
@@ -57,6 +60,8 @@ class LiveView:
         self._where = "virtual time" if clock == "virtual" else f"real time · {link or experiment.links.uri}"
         plant = experiment.plant
         self._plant = plant
+        self._tracked = getattr(plant, "tracked", [signal.name for signal in plant.outputs])
+        self._name_width = min(max(10, *(len(signal.name) for signal in plant.outputs)), LONGEST_NAME)
         table = channels(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=1)
         self._dtypes = {topic: channel.schema.dtype for topic, channel in table.items()}
         self._newest: dict[str, bytes] = {}
@@ -131,8 +136,8 @@ class LiveView:
             Text(f"{done_s:.1f} of {float(e.duration):g} s", style="dim"),
         )
         lines = Table.grid(padding=(0, 2))
-        lines.add_column(style="dim", width=10)
-        lines.add_column()
+        lines.add_column(style="dim", width=self._name_width, no_wrap=True, overflow="ellipsis")
+        lines.add_column(no_wrap=True, overflow="ellipsis")
         for row in (*self._tracking(), *self._input(), *self._delays(), *self._times()):
             lines.add_row(*row)
         events = [
@@ -149,27 +154,34 @@ class LiveView:
         rows = []
         for i, signal in enumerate(self._plant.outputs):
             now, wanted = float(y[i]), float(r[i])
-            if i == 0:
-                self._errors.append(abs(now - wanted))
-            unit = "" if signal.unit in ("", "1") else f" {signal.unit}"
-            text = f"{text_of(now):>8}{unit}   reference {text_of(wanted):<6}   error {text_of(now - wanted):<9}"
-            rows.append((signal.name, f"{text}   {sparkline(list(self._errors))}" if i == 0 else text))
+            parts = [_quantity(now, signal)]
+            if signal.name in self._tracked:
+                parts += [f"error {text_of(now - wanted):<9}", f"reference {text_of(wanted):<6}"]
+                if signal.name == self._tracked[0]:
+                    self._errors.append(abs(now - wanted))
+                    parts.append(sparkline(list(self._errors)))
+            rows.append((signal.name, self._fitted(parts)))
         return rows
+
+    def _fitted(self, parts: Sequence[str]) -> str:
+        """Join as many parts as one line holds, the first always."""
+        room = self._console.width - self._name_width - 2
+        lines = ["   ".join(parts[: i + 1]).rstrip() for i in range(len(parts))]
+        return next((line for line in reversed(lines) if len(line) <= room), lines[0])
 
     def _input(self) -> list[tuple[str, str]]:
         applied = self._decoded("/actuator/applied")
         if applied is None:
             return []
-        names = [f"{text_of(float(applied[i])):>8} {s.unit}" for i, s in enumerate(self._plant.inputs)]
-        return [("input", "   ".join(names))]
+        return [("input", "   ".join(_quantity(float(applied[i]), signal) for i, signal in enumerate(self._plant.inputs)))]
 
     def _delays(self) -> list[tuple[str, str]]:
-        shown = []
+        shown: list[tuple[str, str]] = []
         for name, values in (("τ", list(self._taus)), ("d", list(self._ds))):
             if values:
                 shares = ", ".join(f"{age}: {100 * n / len(values):.0f} %" for age, n in sorted(Counter(values).items()))
-                shown.append(f"{name} = {values[-1]} ({shares})")
-        return [("delays", "   ".join(shown))] if shown else []
+                shown.append(("" if shown else "delays", f"{name} = {values[-1]} ({shares})"))
+        return shown
 
     def _times(self) -> list[tuple[str, str]]:
         if not self._lateness:
@@ -177,8 +189,9 @@ class LiveView:
         p50, p99 = np.percentile(np.array(self._lateness), (50, 99))
         tick = self._decoded("/timing/tick")
         trip = float(tick["round_trip_us"]) if tick is not None else float("nan")
-        text = f"p50 {p50:.0f} µs   p99 {p99:.0f} µs   max {self._worst:.0f} µs   round trip {text_of(trip, 3)} µs"
-        return [("lateness", text), ("missed", f"{self._late} late, {self._overruns} overruns")]
+        text = f"p50 {p50:.0f} µs   p99 {p99:.0f} µs   max {self._worst:.0f} µs"
+        missed = f"{self._late} late, {self._overruns} overruns"
+        return [("lateness", text), ("round trip", f"{text_of(trip, 3)} µs"), ("missed", missed)]
 
     def _decoded(self, topic: str) -> np.void | None:
         payload = self._newest.get(topic)
@@ -211,6 +224,11 @@ class LiveView:
 
     def _event(self, t_ns: int, payload: bytes) -> None:
         self._events.append(json.loads(payload))
+
+
+def _quantity(value: float, signal: Any) -> str:
+    unit = "" if signal.unit in PURE else f" {signal.unit}"
+    return f"{text_of(value):>8}{unit}"
 
 
 def sparkline(values: list[float]) -> str:

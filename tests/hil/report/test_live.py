@@ -2,6 +2,7 @@ import io
 
 import pytest
 from rich.console import Console
+from rich.text import Text
 
 from hil.experiment import Experiment, load_experiment
 from hil.log.sinks import MemorySink
@@ -10,8 +11,8 @@ from hil.runtime.loop import compose
 from hil.runtime.virtual import run_virtual
 
 
-def terminal() -> Console:
-    return Console(file=io.StringIO(), force_terminal=True, width=110, legacy_windows=False, _environ={"TERM": "xterm"})
+def terminal(width: int = 110) -> Console:
+    return Console(file=io.StringIO(), force_terminal=True, width=width, legacy_windows=False, _environ={"TERM": "xterm"})
 
 
 def written(console: Console) -> str:
@@ -75,3 +76,25 @@ def test_view_before_the_first_record_says_that_it_waits(recorded: tuple[Experim
     console = terminal()
     console.print(LiveView(recorded[0], "real", console=console).render())
     assert "starting" in written(console)
+
+
+def test_view_of_many_outputs_keeps_names_whole_and_one_line_each_at_sixty_columns() -> None:
+    experiment = load_experiment("vtol-fault", ['duration="0.2 s"'])
+    loop = compose(experiment)
+    sink = MemorySink(loop.channels())
+    run_virtual(loop, 0, sink)
+    pictures = {}
+    for width in (60, 110):
+        console = terminal(width)
+        view = LiveView(experiment, "real", console=console)
+        feed(view, sink)
+        view.update("/timing/tick", 0, loop.channels()["/timing/tick"].schema.pack(20.0, 140.0, 60.0, 0, 0, 0))
+        console.print(view.render())
+        pictures[width] = Text.from_ansi(written(console)).plain.splitlines()
+    assert len(pictures[60]) == len(pictures[110])
+    for lines in pictures.values():
+        for name in ("horizontal_velocity", "vertical_velocity"):
+            assert next(line for line in lines if line.startswith(f"{name} ")).count("error") == 1
+        mode = next(line for line in lines if line.startswith("detected_mode"))
+        assert mode.split() == ["detected_mode", "1"], "a measured mode has neither reference nor error"
+        assert not next(line for line in lines if line.startswith("input")).rstrip().endswith(" 1"), "a pure number has no unit"
