@@ -77,9 +77,9 @@ def block_html(block: Block, payload: Payload) -> str:
     if isinstance(block, Figure):
         return _figure(block, payload)
     if isinstance(block, Bars):
-        return _panel(block.title, _legend(block) + draw_bars(block), block.note)
+        return _panel(block.title, f'{_legend(block)}<div class="scroll">{draw_bars(block)}</div>', block.note)
     if isinstance(block, Histogram):
-        return _panel(block.title, draw_histogram(block), block.note)
+        return _panel(block.title, f'<div class="scroll">{draw_histogram(block)}</div>', block.note)
     if isinstance(block, Matrix):
         return _matrix(block)
     if isinstance(block, Table):
@@ -243,7 +243,7 @@ def _table(table: Table) -> str:
     kind = ' class="prose-last"' if len(table.columns) > 2 and not numeric[-1] and widest <= SHORT_CELL else ""
     scroll = "scroll long" if len(table.rows) > LONG_TABLE else "scroll"
     body = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-    return _panel(table.title, f'<div class="{scroll}">{body}</div>', table.note)
+    return _panel(table.title, f'<div class="{scroll}">{body}</div>', table.note, "panel wide" if table.wide else "panel")
 
 
 def _words(cell: Cell) -> str:

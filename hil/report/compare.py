@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from hil.report.figures import Block, Figure, Section, Series, Table
 from hil.report.page import render_page
+from hil.report.units import metric_units
 
 TITLES = {
-    "sse": ("squared tracking error", "rad^2 s"),
-    "sse_after_5s": ("squared tracking error after 5 s", "rad^2 s"),
-    "overshoot": ("overshoot", "share of the step"),
-    "settling_time_s": ("settling time", "s"),
-    "steady_state_error": ("steady-state error", "rad"),
-    "max_abs_u": ("largest input", "V"),
+    "sse": "squared tracking error",
+    "sse_after_5s": "squared tracking error after 5 s",
+    "overshoot": "overshoot",
+    "settling_time_s": "settling time",
+    "steady_state_error": "steady-state error",
+    "max_abs_u": "largest input",
 }
 
 
@@ -32,7 +33,7 @@ def paired(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
     return {"n": int(gap.size), "mean": mean, "low": mean - half, "high": mean + half}
 
 
-def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: int) -> str:
+def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: int, plants: Sequence[Any] = ()) -> str:
     """Return the page: empirical distribution functions per metric, one curve per experiment, and the table.
 
     Parameters
@@ -41,10 +42,14 @@ def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: i
         What :func:`hil.sweep.sweep` gives, per experiment, over the same seeds.
     runs : int
         Number of seeds.
+    plants : sequence of plants
+        Of the experiments: they state the units. A metric whose unit differs between them, or is not known, has none.
     """
     names = list(found)
+    tracked = [s.unit for plant in plants for s in plant.outputs if s.name in getattr(plant, "tracked", (s.name,))]
+    units = metric_units(tracked, [s.unit for plant in plants for s in plant.inputs])
     sections = []
-    for metric, (title, unit) in TITLES.items():
+    for metric, title in TITLES.items():
         series = []
         for i, name in enumerate(names):
             values = np.sort(found[name][metric][np.isfinite(found[name][metric])])
@@ -69,7 +74,7 @@ def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: i
                 title=f"{title}: share of runs at or below",
                 series=tuple(series),
                 x_label=title,
-                x_unit=unit,
+                x_unit=units[metric],
                 y_label="share",
                 y_range=(0.0, 1.0),
                 sync=None,

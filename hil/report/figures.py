@@ -170,7 +170,8 @@ Cell: TypeAlias = str | int | float | bool | Badge | None
 class Table:
     """Rows of cells. Numbers are set right and to six significant digits; None is a dash.
 
-    `highlight` is the index of rows to set apart (e.g. the best one). A long table scrolls in its own box.
+    `highlight` is the index of rows to set apart (e.g. the best one). A `wide` one takes the page's width, whatever stands
+    side by side in its section. A long table scrolls in its own box.
     """
 
     columns: Sequence[str]
@@ -178,6 +179,7 @@ class Table:
     title: str = ""
     note: str = ""
     highlight: frozenset[int] = frozenset()
+    wide: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from typing import Any
 from hil.log.events import plain
 from hil.log.read import Run
 from hil.report.figures import Badge, Block, Cell, Section, Table, Text, Tile
-from hil.report.metrics import experiment_of, period_of, signal_names
+from hil.report.metrics import experiment_of, period_of, signal_names, tracked_names
 from hil.report.numbers import text_of
 from hil.report.page import render_page
 from hil.report.run_panels import (
@@ -19,10 +19,12 @@ from hil.report.run_panels import (
     lateness_panel,
     markers,
     output_panels,
+    reference_steps,
     state_panels,
     unit_of,
 )
 from hil.report.run_statistics import network_blocks, network_table, timing_blocks
+from hil.report.units import metric_units, with_unit
 
 MOST_EVENTS = 300
 STACKED = 2
@@ -80,7 +82,7 @@ def run_sections(run: Run, summary: Mapping[str, Any], predicted: Mapping[str, P
         Section(title="Network against its law", columns=2, blocks=tuple(network_blocks(run, summary["network"], laws))),
         Section(title="Timing", blocks=() if lateness is None else (lateness,)),
         Section(title="Distribution of times", columns=2, blocks=tuple(timing_blocks(run, summary["timing"]))),
-        Section(title="Summary", columns=len(tables), blocks=tuple(tables)),
+        Section(title="Summary", columns=sum(not table.wide for table in tables), blocks=tuple(tables)),
         Section(title="Events", blocks=tuple(_events(run))),
     ]
     return [section for section in found if section.blocks]
@@ -120,26 +122,36 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
 
 
 def _tiles(run: Run, metrics: Mapping[str, Any]) -> list[Tile]:
-    outputs, inputs = signal_names(run, "/plant/measurement"), signal_names(run, "/actuator/applied")
-    unit = unit_of(run, "/plant/measurement", outputs[0]) if len(outputs) == 1 else ""
-    volts = unit_of(run, "/actuator/applied", inputs[0]) if len(inputs) == 1 else ""
-    squared = f"{unit}² s" if unit else ""
+    units = _metric_units(run)
     overshoot = metrics["overshoot"]
     settling = metrics["settling_time_s"]
+    stepped = bool(reference_steps(run))
+    of_step = "of the step" if stepped else "no step"
+    error = _rounded(metrics["steady_state_error"])
     return [
-        Tile(label="Squared error", value=metrics["sse"], unit=squared, note="whole run, × T"),
-        Tile(label="Squared error after 5 s", value=metrics["sse_after_5s"], unit=squared),
-        Tile(label="Overshoot", value=None if overshoot is None else 100.0 * overshoot, unit="%", note="of the step"),
+        Tile(label="Squared error", value=metrics["sse"], unit=units["sse"], note="whole run, × T"),
+        Tile(label="Squared error after 5 s", value=metrics["sse_after_5s"], unit=units["sse"]),
+        Tile(label="Overshoot", value=None if overshoot is None else 100.0 * overshoot, unit="%", note=of_step),
         Tile(
             label="Settling time",
             value=settling,
             unit="s",
-            note="to 2 %" if settling is not None else "not settled to 2 %",
-            state="neutral" if settling is not None else "warning",
+            note="no step" if not stepped else "not settled to 2 %" if settling is None else "to 2 %",
+            state="warning" if stepped and settling is None else "neutral",
         ),
-        Tile(label="Steady-state error", value=_rounded(metrics["steady_state_error"]), unit=unit, note="last tenth"),
-        Tile(label="Largest input", value=metrics["max_abs_u"], unit=volts),
+        Tile(label="Steady-state error", value=error, unit=units["steady_state_error"], note="last tenth"),
+        Tile(label="Largest input", value=metrics["max_abs_u"], unit=units["max_abs_u"]),
     ]
+
+
+def _metric_units(run: Run, mixed: str | None = None) -> dict[str, str]:
+    outputs = [unit_of(run, "/plant/measurement", name) for name in tracked_names(run, experiment_of(run))]
+    inputs = [unit_of(run, "/actuator/applied", name) for name in signal_names(run, "/actuator/applied")]
+    return metric_units(outputs, inputs, mixed)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _rounded(value: float | None) -> float | str | None:
@@ -164,30 +176,36 @@ def _facts(run: Run, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(name, value) for name, value in found if value]
 
 
-def _summary_tables(run: Run, summary: Mapping[str, Any]) -> list[Block]:
+def _summary_tables(run: Run, summary: Mapping[str, Any]) -> list[Table]:
     metrics = summary["metrics"]
     names = {
         "sse": "squared error, summed, × T",
         "sse_after_5s": "… from 5 s on",
-        "overshoot": "overshoot, share of the step",
-        "settling_time_s": "settling time to 2 % (s)",
+        "overshoot": "overshoot",
+        "settling_time_s": "settling time to 2 %",
         "steady_state_error": "steady-state error, last tenth",
         "max_abs_u": "largest input",
     }
     outputs: Mapping[str, Mapping[str, Any]] = metrics.get("outputs", {})
-    rows: list[list[Cell]] = [[text, metrics[key], *(o.get(key) for o in outputs.values())] for key, text in names.items()]
-    blocks: list[Block] = [
+    columns = [with_unit(_words(name), unit_of(run, "/plant/measurement", name)) for name in outputs]
+    units = _metric_units(run, mixed="unit")
+    several = units["steady_state_error"] == "unit"
+    rows: list[list[Cell]] = [
+        [with_unit(text, units[key]), metrics[key], *(o.get(key) for o in outputs.values())] for key, text in names.items()
+    ]
+    tables = [
         Table(
             title="Tracking",
-            columns=["metric", "all outputs" if outputs else "value", *outputs],
+            columns=["metric", "all outputs" if outputs else "value", *columns],
             rows=rows,
+            wide=bool(outputs),
             note="Before the first step the error counts against the value stepped to, as in Table 7.2. Overshoot and "
-            "settling time are judged up to the first disturbance.",
+            "settling time are judged up to the first disturbance." + (" The unit is that of the column." if several else ""),
         )
     ]
     certificate = summary.get("certificate")
     if certificate:
-        blocks.append(
+        tables.append(
             Table(
                 title="Certificate, from the gains that ran",
                 columns=["quantity", "value"],
@@ -196,22 +214,26 @@ def _summary_tables(run: Run, summary: Mapping[str, Any]) -> list[Block]:
         )
     log = summary.get("log")
     if log:
-        blocks.append(Table(title="Log", columns=["what", "value"], rows=[[k, _cell(v)] for k, v in log.items()]))
-    return blocks
+        tables.append(Table(title="Log", columns=["what", "value"], rows=[[k, _cell(v)] for k, v in log.items()]))
+    return tables
 
 
 def _events(run: Run) -> list[Block]:
     rows: list[list[Cell]] = []
-    for event in run.events[:MOST_EVENTS]:
+    for event in sorted(run.events, key=_when)[:MOST_EVENTS]:
         severity = str(event.get("severity", "info"))
         state = {"warning": "warning", "error": "bad"}.get(severity, "neutral")
         badge = Badge(label=severity, state=state)  # type: ignore[arg-type]
-        rows.append([float(event.get("t_s", 0.0)), badge, str(event.get("kind", "")), str(event.get("message", ""))])
+        rows.append([_when(event), badge, str(event.get("kind", "")), str(event.get("message", ""))])
     if not rows:
         return []
     more = len(run.events) - len(rows)
     note = f"{more} more are in the log." if more > 0 else ""
     return [Table(columns=["t (s)", "severity", "kind", "message"], rows=rows, note=note)]
+
+
+def _when(event: Mapping[str, Any]) -> float:
+    return float(event.get("t_s", 0.0))
 
 
 def _about(run: Run) -> list[Section]:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from hil.log.read import Run
 from hil.log.records import TIME_FIELD
-from hil.report.figures import Band, Figure, Marker, Series, State
-from hil.report.metrics import matrix, signal_names
+from hil.report.figures import Band, Figure, LineStyle, Marker, Series, State
+from hil.report.metrics import experiment_of, matrix, signal_names, tracked_names
 
 MOST_MARKERS = 500
 DENSE = 1500
@@ -44,7 +44,7 @@ def unit_of(run: Run, topic: str, name: str) -> str:
 
 def markers(run: Run) -> tuple[Marker, ...]:
     """Return what happened when: reference steps, disturbances, events, late packets."""
-    found = [Marker(x=t, label="reference step") for t in _changes(run, "/reference")]
+    found = [Marker(x=t, label="reference step") for t in reference_steps(run)]
     applied = run.arrays["/actuator/applied"]
     disturbances = [n for n in applied.dtype.names or () if n.startswith("w_")]
     if disturbances and len(applied):
@@ -63,25 +63,31 @@ def markers(run: Run) -> tuple[Marker, ...]:
     return tuple(sorted(found, key=lambda m: (m.label == "", m.x))[:MOST_MARKERS])
 
 
-def _changes(run: Run, topic: str) -> list[float]:
-    array = run.arrays[topic]
-    values = matrix(array, signal_names(run, topic))
+def reference_steps(run: Run) -> list[float]:
+    """Return the times at which the reference changed, s."""
+    array = run.arrays["/reference"]
+    values = matrix(array, signal_names(run, "/reference"))
     changed = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1)) + 1
     return [float(t) for t in seconds(array)[changed]]
 
 
 def output_panels(run: Run, marks: tuple[Marker, ...], predicted: Mapping[str, Prediction]) -> list[Figure]:
-    """Return one panel per output: what was measured, what was asked for, and the true state where they differ."""
+    """Return one panel per output: what was measured, the true state where it differs, and what was asked for.
+
+    An output that does not follow the reference (a measured mode) has none, and holds its value between samples.
+    """
     measurement, reference = run.arrays["/plant/measurement"], run.arrays["/reference"]
     state = run.arrays.get("/plant/state")
+    tracked = tracked_names(run, experiment_of(run))
     panels: list[Figure] = []
     for name in signal_names(run, "/plant/measurement"):
         theory = predicted.get(name, Prediction())
-        series = [Series(label=_words(name), x=seconds(measurement), y=measurement[name], colour=0)]
+        style: LineStyle = "line" if name in tracked else "step"
+        series = [Series(label=_words(name), x=seconds(measurement), y=measurement[name], style=style, colour=0)]
         if state is not None and name in (state.dtype.names or ()) and not _equal(state, measurement, name):
             series = [
-                Series(label=f"{_words(name)}, measured", x=seconds(measurement), y=measurement[name], colour=0, halo=True),
-                Series(label=f"{_words(name)}, true", x=seconds(state), y=state[name], colour=0),
+                replace(series[0], label=f"{_words(name)}, measured", halo=True),
+                Series(label=f"{_words(name)}, true", x=seconds(state), y=state[name], style=style, colour=0),
             ]
         asked = Series(label="reference", x=seconds(reference), y=reference[name], style="dashed-step", colour=7)
         panels.append(
@@ -89,7 +95,7 @@ def output_panels(run: Run, marks: tuple[Marker, ...], predicted: Mapping[str, P
                 title=_title(name),
                 y_label=_words(name),
                 y_unit=unit_of(run, "/plant/measurement", name),
-                series=(asked, *theory.series, *series),
+                series=(*([asked] if name in tracked else []), *theory.series, *series),
                 bands=theory.bands,
                 markers=marks,
                 height_px=300 if len(panels) == 0 else 220,

@@ -11,7 +11,9 @@ from hil.errors import HilError
 from hil.log.read import Run
 from hil.report.figures import Band, Block, Figure, Section, Series, Table
 from hil.report.metrics import experiment_of, matrix, signal_names
+from hil.report.run_panels import unit_of
 from hil.report.tracking import target_of
+from hil.report.units import metric_units, with_unit
 from hil.runtime.loop import Loop, compose, delay_chain, gains_over
 
 RUNS = 100
@@ -61,9 +63,11 @@ def theory_section(run: Run) -> Section | None:
                 ),
                 bands=tuple(bands),
                 y_label="error",
+                y_unit=unit_of(run, "/plant/measurement", name),
                 height_px=280,
             )
         )
+    squared = metric_units([unit_of(run, "/plant/measurement", name) for name in names], [])["sse"]
     sums: list[list[Any]] = []
     rows = zip(("whole run", "from 5 s on"), predicted.sum_mean, predicted.sum_sd, _starts(loop, ticks))
     for label, mean_sum, sd_sum, start in rows:
@@ -71,7 +75,7 @@ def theory_section(run: Run) -> Section | None:
         sums.append([label, float(mean_sum), float(sd_sum), float((error**2).sum() * loop.model.period_s)])
     blocks.append(
         Table(
-            columns=("squared tracking error", "predicted mean", "predicted sd", "this run"),
+            columns=(with_unit("squared tracking error", squared), "predicted mean", "predicted sd", "this run"),
             rows=sums,
             note="Squared error against the value stepped to, summed over the samples, times T, as in Table 7.2.",
         )

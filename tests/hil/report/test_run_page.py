@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from hil.cli import main
+from hil.experiment import load_experiment
 from hil.log.read import Run
+from hil.report.compare import compare_page
 from hil.report.figures import Band, Section, Series, Text
 from hil.report.metrics import summarise
 from hil.report.run_page import render_report
-from hil.report.run_panels import Prediction, markers
+from hil.report.run_panels import Prediction, markers, output_panels
+from hil.sweep import COLUMNS
 from tests.hil.report.runs import run_of
 
 
@@ -78,6 +81,47 @@ def test_law_test_of_a_few_slots_gives_no_verdict() -> None:
     assert summarise(run)["network"]["sc"]["p_value"] is None
     page = report(run)
     assert "too few slots" in page and "agrees with its law" not in page
+
+
+def test_run_without_a_step_is_not_blamed_for_not_settling() -> None:
+    page = report(run_of("smjls-robust", 'duration="1 s"'))
+    assert "no step" in page and "not settled" not in page and 'class="tile warning"' not in page
+    assert "not settled" in report(run_of("dc-motor-hinf", 'duration="2 s"'))
+
+
+def test_measured_mode_is_held_and_has_no_reference() -> None:
+    panels = {p.title: p for p in output_panels(run_of("vtol-fault", 'duration="1 s"'), (), {})}
+    assert [s.style for s in panels["Detected mode"].series] == ["step"]
+    assert [s.label for s in panels["Pitch rate"].series] == ["reference", "pitch rate"]
+
+
+@pytest.mark.parametrize(
+    ("name", "units"),
+    [
+        ("dc-motor-hinf", ("× T (rad² s)", "last tenth (rad)", "largest input (V)")),
+        ("vtol-hinf", ("× T (kn² s)", "last tenth (kn)", "largest input<")),
+        ("vtol-fault", ("× T (unit² s)", "last tenth (unit)", "horizontal velocity (kn)", "pitch rate (deg/s)")),
+    ],
+)
+def test_summary_states_units(name: str, units: tuple[str, ...]) -> None:
+    page = report(run_of(name, 'duration="0.5 s"'))
+    assert all(unit in page for unit in units)
+
+
+def test_events_stand_in_the_order_of_time() -> None:
+    run = run_of("dc-motor-hinf", 'duration="1 s"')
+    event = {"tick": 1, "severity": "info", "data": {}, "kind": "note"}
+    run.events[:] = [{**event, "t_s": 0.7, "message": "the second"}, {**event, "t_s": 0.2, "message": "the first"}]
+    page = report(run)
+    assert page.index("the first") < page.index("the second")
+
+
+def test_page_of_a_comparison_takes_its_units_from_the_plants() -> None:
+    found = {name: {m: np.arange(3.0) for m in COLUMNS} for name in ("a", "b")}
+    vtol, motor = (load_experiment(name).plant for name in ("vtol-hinf", "dc-motor-hinf"))
+    page = compare_page(found, 3, [vtol, vtol])
+    assert "squared tracking error (kn\\u00b2 s)" in page and "(rad" not in page and '"largest input"' in page
+    assert "(rad\\u00b2 s)" in compare_page(found, 3, [motor]) and "error (kn" not in compare_page(found, 3, [vtol, motor])
 
 
 def test_run_of_one_tick_and_torn_run_are_reported() -> None:

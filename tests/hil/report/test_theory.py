@@ -22,6 +22,7 @@ def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
     assert section is not None
     figure, table = section.blocks
     assert isinstance(figure, Figure) and isinstance(table, Table)
+    assert figure.y_unit == "rad" and table.columns[0] == "squared tracking error (rad² s)"
     assert table.rows[0][1] == pytest.approx(mean, abs=0.03)  # 10,000 runs gave the known mean, to 0.005 + rounding
     assert table.rows[0][2] == pytest.approx(sd, rel=0.05)
     theory, emulated = figure.bands
