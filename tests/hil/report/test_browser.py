@@ -130,3 +130,19 @@ def test_worst_marker_gets_its_label_where_there_is_no_room_for_all(tmp_path: Pa
     with chromium.Page(width=1400, height=900) as page:
         page.open(file)
         assert page.evaluate(LABELS) == ["safety", "step"]
+
+
+def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_desk(tmp_path: Path) -> None:
+    run = run_of("vtol-fault", 'duration="1 s"')
+    message = "an input that stayed at its limit for several samples " * 3
+    run.events.append({"tick": 1, "t_s": 0.001, "kind": "saturated", "severity": "warning", "message": message, "data": {}})
+    file = tmp_path / "report.html"
+    file.write_text(render_report(run, summarise(run)), encoding="utf-8")
+    with chromium.Page(width=390, height=900) as page:
+        page.open(file)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert page.evaluate("Math.min(...[...document.querySelectorAll('svg')].map(s => 11 * s.clientWidth / 560))") > 9.0
+        assert page.evaluate("document.querySelector('.prose-last td:last-child').clientWidth") >= 200
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert page.evaluate("(s => s.scrollWidth <= s.clientWidth)(document.querySelector('.wide .scroll'))")
