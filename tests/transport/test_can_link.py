@@ -15,7 +15,8 @@ import can
 import pytest
 
 from transport import Role, TransportError, open_link
-from transport.can_link import CanLink, open_can
+from transport.can_link import CanLink
+from transport.can_open import open_can
 from transport.contract import control, sensor
 
 Node = can.BusABC
@@ -266,7 +267,7 @@ for _ in range(2):  # the claim is let go
 def test_an_interface_that_is_down_or_too_narrow_is_refused_with_the_remedy(
     mtu: str, flags: str, remedy: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("transport.can_link._NETWORK", tmp_path)
+    monkeypatch.setattr("transport.can_open._NETWORK", tmp_path)
     (tmp_path / "vcan9").mkdir()
     (tmp_path / "vcan9" / "mtu").write_text(mtu)
     (tmp_path / "vcan9" / "flags").write_text(flags)

@@ -13,7 +13,8 @@ import pytest
 from cantools.database.can import Database
 
 from transport import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, dbc_path, encode_control, encode_sensor
-from transport.can_link import BASE, FRAGMENTS, identifiers, open_can
+from transport.can_link import BASE, FRAGMENTS, identifiers
+from transport.can_open import open_can
 from transport.link import Role
 
 SENSORS = [
