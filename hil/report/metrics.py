@@ -106,6 +106,8 @@ def run_timing(run: Run) -> dict[str, Any]:
     found = timing_metrics(*columns, period_s=period_of(run))
     if found["first_late_tick"] is not None and ticks is not None:
         found["first_late_tick"] = int(ticks["tick"][found["first_late_tick"]])
+    if run.metadata.get("clock") == "real" and (ticks is None or not len(ticks)):
+        found |= {"valid": False, "why": ["no slot was timed"]}
     said = [e["data"]["scheduler"] for e in run.events if "scheduler" in e.get("data", {})]
     found["scheduler"] = str(said[0]) if said else ("virtual time" if run.metadata.get("clock") == "virtual" else None)
     return found

@@ -6,7 +6,7 @@ import pytest
 from hil.experiment import load_experiment
 from hil.log.read import Run
 from hil.log.sinks import MemorySink
-from hil.report.metrics import run_metrics, summarise
+from hil.report.metrics import run_metrics, run_timing, summarise
 from hil.report.network import network_metrics
 from hil.report.timing import timing_metrics
 from hil.runtime.loop import compose
@@ -94,3 +94,8 @@ def test_timing_verdict_names_every_reason() -> None:
     bad = timing_metrics(quiet + 200.0, quiet, some, some, period_s=1e-3)
     assert not bad["valid"] and len(bad["why"]) == 3 and bad["first_late_tick"] == 0
     assert bad["lateness_us"]["max"] == 230.0
+
+
+@pytest.mark.parametrize(("clock", "valid"), [("real", False), ("virtual", True)])
+def test_a_session_without_a_slot_has_no_valid_timing(clock: str, valid: bool) -> None:
+    assert run_timing(Run(arrays={}, schemas={}, metadata={"clock": clock}, resolved={"period": 0.05}))["valid"] is valid
