@@ -99,9 +99,11 @@ def _deaf_children() -> Iterator[None]:
 def _client(ladder: Ladder) -> Any:
     try:
         connect: Any = import_module("distributed").Client
+        resolve: Any = import_module("distributed.comm").resolve_address
     except ImportError as error:
         raise DesignError("backend dask: the package dask[distributed] is not installed") from error
     try:
+        resolve(ladder.scheduler)  # first: a client of what is no address takes many seconds to close
         return connect(ladder.scheduler, timeout=ladder.connect_timeout_s, set_as_default=False)
     except (OSError, ValueError) as error:
         raise DesignError(f"scheduler: no dask scheduler answers at {ladder.scheduler} ({error})") from error

@@ -41,12 +41,12 @@ class Sweep(NamedTuple):
     """What a sweep has found.
 
     values: ``seed``, ``stopped`` and every metric, one entry per run in the order of the seeds.
-    interrupted: Ctrl-C came; the values are those of the runs that were done.
+    interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; the values are those of the runs that were done.
     interval, reached: with a stopping rule, its interval (None before the first look) and whether it is narrow enough.
     """
 
     values: dict[str, NDArray[np.float64]]
-    interrupted: bool
+    interrupted: int
     interval: Interval | None = None
     reached: bool = False
 
@@ -59,8 +59,12 @@ def sweep(
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[str, NDArray[np.float64]]:
     """Run an experiment for every seed on this machine; as `run_sweep`, but only its values."""
-    ladder = Ladder(backend="serial") if jobs == 1 else Ladder(backend="loky", jobs=jobs)
-    return run_sweep(experiment, seeds, ladder=ladder, progress=progress).values
+    return run_sweep(experiment, seeds, ladder=here(jobs), progress=progress).values
+
+
+def here(jobs: int) -> Ladder:
+    """So many processes on this machine, -1 for one per core."""
+    return Ladder(backend="serial") if jobs == 1 else Ladder(backend="loky", jobs=jobs)
 
 
 def run_sweep(
@@ -93,7 +97,7 @@ def run_sweep(
         which is what its error rate needs; runs in which the metric is undefined do not count for it.
     """
     done = {seed: store.rows[seed] for seed in seeds if seed in store.rows} if store else {}
-    look, interval, reached, interrupted = 0, None, False, False
+    look, interval, reached, interrupted = 0, None, False, 0
     wanted: Sequence[int] = seeds
     loop = compose(experiment)
     try:
@@ -113,8 +117,8 @@ def run_sweep(
                 interval = until[1].interval(found[np.isfinite(found)], look)
                 reached = interval.half_width <= until[1].half_width
                 interval = interval._replace(level=until[1].level)
-    except KeyboardInterrupt:
-        interrupted = True  # what is done is worth having
+    except KeyboardInterrupt as e:
+        interrupted = getattr(e, "status", 130)  # what is done is worth having
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]
     values = {name: np.array([row[name] for row in rows]) for name in ("seed", *COLUMNS)}

@@ -41,10 +41,10 @@ class SweepStore:
         self.path = path
         self.rows: dict[int, dict[str, float]] = {}
         head = {"format": FORMAT, "experiment": experiment.name, "digest": _digest(experiment), "metrics": list(metrics)}
-        if path.exists() and not path.is_file():  # a device has no end
-            raise HilError(f"--resume: {path} is no file")
         try:
-            self._file = open(path, "a+b")  # noqa: SIM115
+            if path.exists() and not path.is_file():  # a device has no end
+                raise HilError(f"--resume: {path} is no file")
+            self._file = open(path, "a+b", buffering=0)  # noqa: SIM115 (what does not fit is told by write)
         except OSError as e:
             raise HilError(f"--resume: {path}: {e.strerror}") from e
         try:
@@ -95,8 +95,12 @@ class SweepStore:
                 )
 
     def _write(self, line: dict[str, Any]) -> None:
-        self._file.write(json.dumps(line).encode() + b"\n")
-        self._file.flush()
+        left = json.dumps(line).encode() + b"\n"
+        try:
+            while left:  # the last bytes of a disk take a part of it, and no error
+                left = left[self._file.write(left) :]
+        except OSError as e:
+            raise HilError(f"--resume: {self.path}: cannot be written: {e.strerror}") from e
 
     def add(self, rows: Sequence[dict[str, float]]) -> None:
         """Append finished runs and hand them to the operating system."""

@@ -32,7 +32,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     from hil.cli.tables import print_table
     from hil.experiment import load_experiment
     from hil.report.compare import compare_page, paired
-    from hil.sweep import METRICS, statistics, sweep
+    from hil.sweep import METRICS, here, run_sweep, statistics
 
     if runs < 2:
         raise HilError(f"--runs: {runs} is below 2")
@@ -47,11 +47,16 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     with Progress(console=err, disable=not err.is_terminal) as bar:
         for name, experiment in checked.items():
             task = bar.add_task(name, total=runs)
-            found[name] = sweep(
-                experiment, range(runs), jobs=jobs, progress=lambda done, task=task: bar.update(task, completed=done)  # type: ignore[misc]
+            ran = run_sweep(
+                experiment,
+                range(runs),
+                ladder=here(jobs),
+                progress=lambda done, task=task: bar.update(task, completed=done),  # type: ignore[misc]
             )
-            if found[name]["seed"].size < runs:
-                sys.exit(130)
+            if ran.interrupted:
+                print("hil: interrupted", file=sys.stderr)
+                sys.exit(ran.interrupted)
+            found[name] = ran.values
     if output is not None:
         write_output(output, compare_page(found, runs))
     first = experiments[0]

@@ -50,14 +50,14 @@ def command(
     """Run EXPERIMENT in virtual time for many seeds; print mean, spread and percentiles of its metrics.
 
     The numbers do not depend on the number of processes and machines. Ctrl-C prints what was done so far and exits with
-    130; with --resume the same command goes on from there. If --runs did not suffice for --until, the status is 1.
+    130 (SIGTERM: 143); with --resume the same command goes on from there. If --runs did not suffice for --until, the status is 1.
     """
     from rich.console import Console
     from rich.progress import Progress, TimeRemainingColumn
 
     from design.run_ladder import Ladder
     from hil.experiment import load_experiment
-    from hil.sweep import COLUMNS, METRICS, run_sweep, statistics
+    from hil.sweep import COLUMNS, METRICS, here, run_sweep, statistics
     from hil.sweep_store import SweepStore
 
     if runs < 1:
@@ -71,10 +71,7 @@ def command(
         raise HilError("--scheduler: --backend dask needs the address of its scheduler, and nothing else does")
     rule = stop_rule(until, level, METRICS) if until is not None else None
     checked = load_experiment(experiment, sets)
-    if backend == "dask":
-        ladder = Ladder(backend="dask", scheduler=scheduler)
-    else:
-        ladder = Ladder() if jobs == 1 else Ladder(backend="loky", jobs=jobs)
+    ladder = Ladder(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     begun = time.perf_counter()
     err = Console(stderr=True)
     with ExitStack() as stack:
@@ -114,7 +111,7 @@ def command(
     if found.interrupted:
         if resume is not None:
             print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(found.interrupted)
     if rule is not None and not found.reached:
         sys.exit(1)
 

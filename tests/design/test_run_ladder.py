@@ -113,6 +113,13 @@ def test_a_scheduler_that_is_not_there_is_said() -> None:
         list(spread(abs, [1], ladder))
 
 
+@pytest.mark.parametrize("address", ["garbage", "foo://x:1", "tcp://", ""])
+def test_what_is_no_address_of_a_scheduler_makes_no_client(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail("a client was made, and takes seconds to close"))
+    with pytest.raises(DesignError, match=f"^scheduler: no dask scheduler answers at {address} "):
+        list(spread(abs, [1], Ladder(backend="dask", scheduler=address)))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

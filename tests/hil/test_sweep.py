@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +59,19 @@ def test_a_resumed_sweep_has_the_numbers_of_one_that_was_never_interrupted(
     assert len((tmp_path / "s").read_text().splitlines()) == 41
 
 
+def test_a_full_disk_is_said_and_costs_only_the_rows_that_did_not_fit(tmp_path: Path, experiment: Experiment) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+            with pytest.raises(HilError, match="s: cannot be written: File too large"):
+                run_sweep(experiment, range(20), ladder=ONE_CORE, store=store)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        assert 0 < len(store.rows) < 20
+
+
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path, experiment: Experiment, plain: dict[str, Any]) -> None:
     def interrupt(done: int) -> None:
         if done >= 5:
@@ -71,7 +86,10 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, experiment: Experiment, plain
         same(run_sweep(experiment, range(40), ladder=ONE_CORE, store=store).values, plain)
 
 
-def test_ctrl_c_on_the_command_line_prints_and_exits_with_130(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("number", "status", "send"), [(signal.SIGINT, 130, os.killpg), (signal.SIGTERM, 143, os.kill)])
+def test_a_signal_on_the_command_line_prints_and_exits_with_its_status(
+    tmp_path: Path, number: int, status: int, send: Callable[[int, int], None]
+) -> None:
     kept = tmp_path / "kept"
     words = ["sweep", "dc-motor-hinf", "--runs", "100000", "--jobs", "2", "--resume", str(kept), "--json"]
     process = subprocess.Popen(
@@ -80,9 +98,9 @@ def test_ctrl_c_on_the_command_line_prints_and_exits_with_130(tmp_path: Path) ->
     deadline = time.monotonic() + 60
     while process.poll() is None and time.monotonic() < deadline and not (kept.exists() and kept.read_bytes().count(b"\n") > 10):
         time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGINT)  # what a terminal sends: to the workers too
+    send(process.pid, number)  # a terminal sends Ctrl-C to the workers too
     out, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
+    assert process.returncode == status, err
     found = json.loads(out)
     assert 10 <= found["runs"] < 100000
     assert found["runs"] == kept.read_bytes().count(b"\n") - 1
