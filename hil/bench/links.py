@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -35,6 +36,7 @@ PRIORITY: Final = 60
 SLICE_S: Final = 0.5
 PATIENCE_NS: Final = 50_000_000  # then a round trip is lost
 MEETING_NS: Final = 10_000_000_000
+GRACE_S: Final = 0.4
 
 Row = dict[str, Any]
 
@@ -149,9 +151,11 @@ class _Pair:
         return trips
 
     def close(self) -> None:
-        for child, grace_s in zip(self._children, (0.0, 2.0)):  # the driving one ends by itself, and tidies up
+        for child in self._children:
+            child.terminate()
+        for child in self._children:
             try:
-                child.communicate(timeout=grace_s)
+                child.communicate(timeout=GRACE_S)  # they tidy up their links
             except subprocess.TimeoutExpired:
                 child.kill()
                 child.communicate()
@@ -244,6 +248,7 @@ def _trip(link: Link, questions: list[bytes], seq: int) -> int:
 def main() -> None:
     """Be one of the processes of a pair."""
     die_with_parent(os.getppid())
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     try:
         if sys.argv[1] == "echo":
             echo(sys.argv[2])

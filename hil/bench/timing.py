@@ -76,6 +76,10 @@ def bench_timing(
             reference = start_cyclictest(experiment.timing.priority, 1000, duration_s, output)
             try:
                 session = run_session(experiment, clock="real", link=uri, path=Path(folder) / f"{i}.mcap")
+                if session.status > 128:  # a signal, which the session took to close its log
+                    raise SystemExit(session.status)
+                if session.status == 1:
+                    raise HilError(f"{uri}: the session failed: {'; '.join(map(str, session.summary['problems'].values()))}")
                 reference.wait(duration_s + 10)
             finally:
                 if reference.poll() is None:

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+SECONDS = (0.001, 86_400)
+
 
 @click.group()
 def command() -> None:
@@ -17,11 +19,11 @@ def _status(text: str) -> None:
     click.echo(text, err=True)
 
 
-def _positive(option: str, value: float) -> None:
+def _check(option: str, value: float, low: float, high: float) -> None:
     from hil.errors import HilError
 
-    if not 0 < value < float("inf"):
-        raise HilError(f"{option}: {value:g}; expected a positive number")
+    if not low <= value <= high:
+        raise HilError(f"{option}: {value:g}; expected a number from {low:g} to {high:g}")
 
 
 def _table(title: str, rows: list[dict[str, Any]]) -> None:
@@ -47,8 +49,7 @@ def timing(duration: float, links: tuple[str, ...], as_json: bool) -> None:
     """The rig at 1 kHz beside cyclictest at the same priority."""
     from hil.bench.timing import LINKS, bench_timing
 
-    _positive("--duration", duration)
-
+    _check("--duration", duration, *SECONDS)
     rows = bench_timing(duration_s=duration, links=links or LINKS, progress=_status)
     if as_json:
         print(json.dumps(rows, indent=2))
@@ -82,9 +83,8 @@ def links(rate: float, duration: float, as_json: bool) -> None:
     """Round trips of all links side by side, with C over UDP as the floor."""
     from hil.bench.links import bench_links
 
-    _positive("--rate", rate)
-    _positive("--duration", duration)
-
+    _check("--rate", rate, 1, 100_000)
+    _check("--duration", duration, *SECONDS)
     rows = bench_links(rate_hz=rate, duration_s=duration)
     if as_json:
         print(json.dumps(rows, indent=2))
