@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import stat
 import tomllib
 import typing
 from importlib import resources
@@ -55,19 +56,24 @@ def load_experiment(
     if not name:
         raise HilError("no experiment is named; `hil list` shows the shipped ones")
     path = shipped().get(name, Path(source))
-    if not path.exists():
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
         near = difflib.get_close_matches(name, shipped(), n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        raise HilError(f"no experiment {name!r}: neither a file nor a shipped name; {hint}`hil list` shows the shipped ones")
-    if path.is_dir():
-        raise HilError(f"{name}: is a folder, not an experiment file")
+        hint += "`hil list` shows the shipped ones"
+        raise HilError(f"no experiment {name!r}: neither a file nor a shipped name; {hint}") from None
+    except OSError as e:  # such as a name that is too long
+        raise HilError(f"{name}: cannot be read: {e.strerror}") from e
+    if not stat.S_ISREG(mode):  # a device has no end
+        raise HilError(f"{name}: is {'a folder' if stat.S_ISDIR(mode) else 'no regular file'}, not an experiment file")
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise HilError(f"{name}: {size} bytes; an experiment file has at most {MAX_BYTES}")
-        data = path.read_bytes()
+        with open(path, "rb") as file:
+            data = file.read(MAX_BYTES + 1)
     except OSError as e:
         raise HilError(f"{name}: cannot be read: {e.strerror}") from e
+    if len(data) > MAX_BYTES:
+        raise HilError(f"{name}: more than {MAX_BYTES} bytes, which is the most an experiment file may have")
     try:
         text = data.decode()
     except UnicodeDecodeError as e:

@@ -17,6 +17,6 @@ def command(file: Path, output: Path | None) -> None:
     """
     from hil.log.recover import recover
 
-    target = output or file.with_name(f"{file.name.removesuffix('.mcap')}.recovered.mcap")
+    target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")
     print(recover(file, target).text)
     print(f"written: {target}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -114,9 +115,12 @@ def read_mcap(path: Path) -> bytes:
     Raises
     ------
     HilError
-        If it cannot be read, is empty, or begins otherwise.
+        If it cannot be read, is no regular file (a device has no end), is empty, or begins otherwise.
     """
     try:
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise HilError(f"{path}: is no regular file")
         data = path.read_bytes()
     except (OSError, ValueError) as error:
         raise HilError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error

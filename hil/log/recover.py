@@ -135,6 +135,8 @@ def _rebuild(records: list[Record], writer: Writer, report: Recovery) -> None:
         except DamagedRecord as error:
             damaged = record.opcode == Opcode.CHUNK
             report.losses.append(str(error))
+    if not copy.ours:
+        report.losses.append("the metadata record 'hilrig', without which hil cannot read the new file; other MCAP tools can")
     if report.lost_messages:
         report.losses.append(f"{report.lost_messages} messages stood in damaged chunks")
     writer.add_metadata("recovery", {
@@ -151,6 +153,7 @@ class _Copy:
         self._writer = writer
         self._report = report
         self._channels: dict[int, int] = {}
+        self.ours = False  # whether there is a metadata record of hilrig
 
     def definitions(self, records: list[Record]) -> None:
         """Register every schema and channel first, wherever one of its copies can be read."""
@@ -193,6 +196,7 @@ class _Copy:
             metadata = parse(Metadata.read, record)
             writer.add_metadata(metadata.name, metadata.metadata)
             report.metadata += 1
+            self.ours |= metadata.name == "hilrig"
         elif record.opcode == Opcode.ATTACHMENT:
             found = parse_attachment(record)
             writer.add_attachment(found.create_time, found.log_time, found.name, found.media_type, found.data)

@@ -26,10 +26,15 @@ def test_what_is_no_log_is_refused(cli: Hil, tmp_path: Path, command: str) -> No
         "folder": "Is a directory",
         "empty.mcap": "is empty",
         "junk.mcap": "is no MCAP file",
+        ".": "Is a directory",
+        "/": "Is a directory",
+        "/dev/zero": "is no regular file",
     }.items():
         status, out, err = cli(command, name, *COMMANDS[command])
         assert (status, out) == (2, "") and says in err
     assert not [*tmp_path.glob("out*")]
+    for name in (".", "/"):  # without -o, too
+        assert command == "export" or cli(command, name)[0] == 2
 
 
 @pytest.mark.parametrize("command", ["report", "replay", "export"])
@@ -45,6 +50,13 @@ def test_what_is_recovered_can_be_replayed_and_is_not_overwritten(cli: Hil, hil_
     assert status == 0 and "written: torn.recovered.mcap" in out and "lost:" in out
     assert cli("replay", "torn.recovered.mcap")[0] == 0
     assert cli("recover", "torn.mcap")[0] == 2
+
+
+def test_recover_says_when_hil_cannot_read_what_it_kept(cli: Hil, hil_log: Path, tmp_path: Path) -> None:
+    data = hil_log.read_bytes()
+    (tmp_path / "torn.mcap").write_bytes(data[: data.index(b"hilrig", 40) + 8])
+    status, out, _ = cli("recover", "torn.mcap")
+    assert status == 0 and "lost: the metadata record 'hilrig', without which hil cannot read" in out
 
 
 @pytest.mark.parametrize(("target", "says"), [("x.foo", "names no format"), ("no/x.log", "cannot be written")])

@@ -52,6 +52,8 @@ def test_safety_ends_the_local_gain_with_status_3(cli: Hil) -> None:
         (["nosuch"], "no experiment 'nosuch'"),
         ([""], "no experiment is named"),
         (["."], "is a folder"),
+        (["n" * 300], "File name too long"),
+        (["/dev/zero"], "is no regular file"),
         (["dc-motor-hinf", "--duration", "nan"], "duration: nan s"),
         (["dc-motor-hinf", "--duration", "inf"], "duration: inf ticks"),
         (["dc-motor-hinf", "--duration", "-1"], "duration: -1 s is shorter"),
