@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import signal
@@ -45,6 +46,11 @@ def _terminate(number: int, _frame: object) -> None:
     raise Terminated(number)
 
 
+def _close_stdout() -> None:
+    """Let what is left in its buffer go nowhere, for where it went to takes no more."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 class LazyGroup(click.Group):
     """Knows the names and one line each; imports a command only when it is called."""
 
@@ -60,10 +66,22 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an interrupt is one line and status 130 or 143, not click's "Aborted!" and 1."""
         try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt as e:
+            try:
+                return super().invoke(ctx)
+            finally:
+                if sys.stdout is not None:  # `hil ... >&-`
+                    sys.stdout.flush()  # here, where its faults can be told
+        except (KeyboardInterrupt, RuntimeError) as e:
+            at: BaseException | None = e  # Python 3.11 makes a RuntimeError of what comes while a class is made
+            while at is not None and not isinstance(at, KeyboardInterrupt):
+                at = at.__cause__
+            if at is None:
+                raise
             print("\nhil: interrupted", file=sys.stderr)
-            sys.exit(e.status if isinstance(e, Terminated) else 130)
+            sys.exit(at.status if isinstance(at, Terminated) else 130)
+        except BrokenPipeError:  # `hil list | head`; click would make it a failure
+            _close_stdout()
+            sys.exit(141)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -97,9 +115,15 @@ def main(args: list[str] | None = None) -> Any:
         signal.signal(number, _terminate)
     try:
         return cli.main(args, prog_name="hil", standalone_mode=True)
-    except BrokenPipeError:  # `hil list | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        _close_stdout()
         sys.exit(141)
+    except OSError as e:
+        if e.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        _close_stdout()
+        print(f"hil: {e.filename or 'output'}: cannot be written: {e.strerror}", file=sys.stderr)
+        sys.exit(2)
     except Exception as e:
         if not isinstance(e, HilError) and not any(c.__name__ in ROOTS for c in type(e).__mro__):
             raise

@@ -19,8 +19,10 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     from hil.experiment import load_experiment
     from hil.runtime.controller_process import serve
     from hil.runtime.loop import compose
+    from transport.link import find_link
 
     loop = compose(load_experiment(experiment, sets))
     uri = loop.experiment.links.uri if link is None else link
+    find_link(uri)  # what cannot be a link is said first
     print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)
     serve(loop, uri)

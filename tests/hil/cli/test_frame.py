@@ -60,13 +60,16 @@ def test_doctor_gives_a_remedy_for_all_that_is_missing(cli: Hil) -> None:
         (["bench", "timing", "--duration", "-1"], "--duration: -1"),
         (["bench", "links", "--duration", "nan"], "--duration: nan"),
         (["bench", "links", "--rate", "0"], "--rate: 0"),
+        (["bench", "links", "--rate", "1e300"], "--rate: 1e+300; expected a number from 1 to 100000"),
+        (["bench", "links", "--rate", "1e-300"], "--rate: 1e-300"),
+        (["bench", "timing", "--duration", "1e9"], "--duration: 1e+09"),
         (["reproduce", "ch1"], "is not one of ch2"),
         (["reproduce", "ch2", "-o", "no/x.html"], "no folder no"),
     ],
 )
 def test_bad_input_is_one_message_and_status_2(cli: Hil, arguments: list[str], says: str) -> None:
     status, out, err = cli(*arguments)
-    assert (status, out) == (2, "") and says in err
+    assert (status, out) == (2, "") and says in err and "Ctrl-C" not in err
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -79,3 +82,20 @@ def test_an_interrupted_command_says_so_in_one_line(tmp_path: Path, number: int,
         rest = process.communicate(timeout=20)[1]
     assert process.returncode == status
     assert rest.split() == ["hil:", "interrupted"]
+
+
+def test_a_reader_that_leaves_is_no_failure() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with open(write, "w") as closed:
+        done = subprocess.run([sys.executable, "-m", "hil", "list"], stdout=closed, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_ctrl_c_while_a_class_is_made_is_an_interrupt(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+    def load(_name: str) -> None:
+        raise RuntimeError("Error calling __set_name__") from KeyboardInterrupt()
+
+    monkeypatch.setattr("hil.cli.importlib.import_module", load)
+    status, _, err = cli("list")
+    assert status == 130 and err.split() == ["hil:", "interrupted"]
