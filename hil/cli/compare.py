@@ -58,7 +58,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
                 sys.exit(ran.interrupted)
             found[name] = ran.values
     if output is not None:
-        write_output(output, compare_page(found, runs))
+        write_output(output, compare_page(found, runs, [experiment.plant for experiment in checked.values()]))
     first = experiments[0]
     out: dict[str, Any] = {
         name: {
