@@ -189,7 +189,6 @@ def pump(
     *,
     taps: Mapping[str, Put] | None = None,
     stop: Callable[[], bool] = lambda: False,
-    rest: Callable[[], None] = lambda: None,
     report: PumpReport | None = None,
     poll_s: float = 0.02,
 ) -> PumpReport:
@@ -208,8 +207,6 @@ def pump(
         is taken off and reported.
     stop : callable
         Asked whenever the pipe is empty; true ends the pump though somebody still holds the writing end.
-    rest : callable
-        Called after every read; one that sleeps keeps the reader from waking up with every tick of the writer.
     report : PumpReport
         Filled in as records come, for who watches; a new one by default.
     poll_s : float
@@ -235,7 +232,6 @@ def pump(
             if torn is None:
                 break
             data = torn
-            rest()
         else:
             sink.commit()
             if stop():

@@ -135,7 +135,7 @@ def run_real(
     thread = threading.Thread(
         target=pump,
         args=(read_fd, sink, loop.channels()),
-        kwargs={"taps": taps, "stop": stop_pump.is_set, "rest": lambda: pause(POLL_S), "report": outcome.pump},
+        kwargs={"taps": taps, "stop": stop_pump.is_set, "report": outcome.pump},
         name="log",
     )
     with StopSignals() as signals:

@@ -235,16 +235,3 @@ def test_the_pump_can_be_stopped_though_the_pipe_stays_open(ends: Ends) -> None:
     count = record(sink, 10)
     report = pump(ends[0], MemorySink(TABLE), TABLE, stop=lambda: True)
     assert report == PumpReport(records=count)
-
-
-def test_the_pump_rests_after_every_read(ends: Ends) -> None:
-    sink = PipeSink(ends[1], TABLE)
-    rests: list[int] = []
-
-    def rest() -> None:
-        rests.append(record(sink, 10) if len(rests) < 3 else 0)
-
-    count = record(sink, 10)
-    report = pump(ends[0], MemorySink(TABLE), TABLE, stop=lambda: True, rest=rest)
-    assert len(rests) == 4  # what came during a rest is taken by the next read
-    assert report.records == count + sum(rests)
