@@ -17,6 +17,7 @@ from hil.log.sinks import Put, Sink
 from hil.runtime import controller_process, rig_process
 from hil.runtime.clock import monotonic_ns, pause
 from hil.runtime.loop import Loop
+from hil.runtime.realtime import go_ahead_of_others
 from hil.runtime.stop_signals import StopSignals
 
 POLL_S = 0.02
@@ -132,12 +133,12 @@ def run_real(
     parent = os.getpid()
     children: list[Child] = []
     stop_pump = threading.Event()
-    thread = threading.Thread(
-        target=pump,
-        args=(read_fd, sink, loop.channels()),
-        kwargs={"taps": taps, "stop": stop_pump.is_set, "report": outcome.pump},
-        name="log",
-    )
+
+    def keep_log() -> None:
+        go_ahead_of_others()
+        pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set, report=outcome.pump)
+
+    thread = threading.Thread(target=keep_log, name="log")
     with StopSignals() as signals:
         try:
             job = rig_process.Job(

@@ -7,6 +7,7 @@ import gc
 import os
 import signal
 import sys
+from contextlib import suppress
 
 MCL_CURRENT, MCL_FUTURE, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 2, 1, 29
 
@@ -53,6 +54,16 @@ def go_real_time(priority: int, cpu: int | None, awake: bool = False) -> str:
     gc.disable()
     got.append("gc frozen")
     return ", ".join(got)
+
+
+def go_ahead_of_others() -> None:
+    """Give the calling thread the lowest real-time priority, where allowed.
+
+    For the reader of a loop's pipe: while it is in a read it holds the pipe's lock, and whoever takes its CPU away then makes the
+    loop wait that long.
+    """
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
 
 
 def die_with_parent(parent: int) -> None:
