@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,11 @@ import numpy as np
 
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.report.timing import percentiles
+from hil.report.timing import Array, percentiles, timing_metrics
 from hil.session import run_session
 
 LINKS = ("can:hil:bench", "zenoh:tcp/127.0.0.1:7447", "can:udp_multicast:239.74.163.2")
+PERIOD_US = 1000
 
 
 def start_cyclictest(priority: int, period_us: int, duration_s: float, output: Path) -> subprocess.Popen[bytes]:
@@ -39,8 +41,8 @@ def start_cyclictest(priority: int, period_us: int, duration_s: float, output: P
     return subprocess.Popen(args, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
-def read_cyclictest(output: Path, period_us: int) -> dict[str, Any]:
-    """Return p50, p99, p99_9 and max of the wake-up lateness in us, the number of ticks, and how many of them were missed.
+def read_cyclictest(output: Path, period_us: int) -> tuple[Array, int]:
+    """Return the wake-up lateness of every tick in us, (n,), and how many of them were missed.
 
     After a stall cyclictest leaves out the ticks that have gone by, the rig runs them all. They are put in here with the
     lateness that they would have had (the correction for coordinated omission), so that both are judged over every tick.
@@ -48,11 +50,72 @@ def read_cyclictest(output: Path, period_us: int) -> dict[str, Any]:
     histogram = json.loads(output.read_text())["thread"]["0"]["histogram"]
     late = [int(us) for us, times in histogram.items() for _ in range(times)]
     missed = [us - n * period_us for us in late for n in range(1, us // period_us + 1)]
-    return {**percentiles(np.array(late + missed)), "ticks": len(late) + len(missed), "missed": len(missed)}
+    return np.array(late + missed), len(missed)
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """One session with cyclictest beside it."""
+
+    ticks: Array  # the records of /timing/tick
+    cyclictest_us: Array
+    missed: int
+    summary: dict[str, Any]
+
+
+def _turn(uri: str, duration_s: float, folder: Path) -> _Turn:
+    experiment = load_experiment("dc-motor-1khz", [f"duration={duration_s}"])
+    output, log = folder / "cyclictest.json", folder / "run.mcap"
+    reference = start_cyclictest(experiment.timing.priority, PERIOD_US, duration_s, output)
+    try:
+        session = run_session(experiment, clock="real", link=uri, path=log)
+        if session.status > 128:  # a signal, which the session took to close its log
+            raise SystemExit(session.status)
+        if session.status == 1:
+            raise HilError(f"{uri}: the session failed: {'; '.join(map(str, session.summary['problems'].values()))}")
+        reference.wait(duration_s + 10)
+    finally:
+        if reference.poll() is None:
+            reference.kill()
+            reference.wait()
+    if not output.exists():
+        raise HilError(f"cyclictest gave no result: {(reference.stderr.read() if reference.stderr else b'').decode()!r}")
+    cyclictest_us, missed = read_cyclictest(output, PERIOD_US)
+    log.unlink()
+    output.unlink()
+    return _Turn(session.run.arrays["/timing/tick"], cyclictest_us, missed, session.summary)
+
+
+def _row(uri: str, turns: Sequence[_Turn]) -> dict[str, Any]:
+    ticks = np.concatenate([turn.ticks for turn in turns])
+    columns = [ticks[name] for name in ("lateness_us", "round_trip_us", "late", "overrun")]
+    timing = timing_metrics(*columns, period_s=PERIOD_US / 1e6)
+    beside_us = np.concatenate([turn.cyclictest_us for turn in turns])
+    lateness, beside = timing["lateness_us"], percentiles(beside_us)
+    return {
+        "link": uri,
+        "ticks": len(ticks),
+        "turns": len(turns),
+        "lateness_us": lateness,
+        "cyclictest_us": beside,
+        "ratio": {q: (lateness[q] or 0.0) / max(beside[q] or 0.0, 1.0) for q in lateness},
+        "round_trip_us": timing["round_trip_us"],
+        "overruns": timing["overruns"],
+        "overrun_share": timing["overruns"] / len(ticks),
+        "cyclictest_missed_share": sum(turn.missed for turn in turns) / len(beside_us),
+        "late": timing["late"],
+        "dropped_records": sum(turn.summary["log"]["dropped"] for turn in turns),
+        "valid": timing["valid"],
+        "scheduler": turns[0].summary["timing"]["scheduler"],
+    }
 
 
 def bench_timing(
-    *, duration_s: float = 20.0, links: Sequence[str] = LINKS, progress: Callable[[str], None] = lambda text: None
+    *,
+    duration_s: float = 20.0,
+    turns: int = 4,
+    links: Sequence[str] = LINKS,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> list[dict[str, Any]]:
     """Run ``dc-motor-1khz`` over each link with cyclictest beside it; return one row per link.
 
@@ -61,49 +124,22 @@ def bench_timing(
     Parameters
     ----------
     duration_s : float
-        Length of each run, s.
+        Time over each link, s.
+    turns : int
+        Sessions into which that time is cut; the links take turns, so that what else the machine does hits all of them alike.
     links : sequence of str
         URIs.
     progress : callable
         Told what is running.
     """
-    rows = []
+    taken: dict[str, list[_Turn]] = {uri: [] for uri in links}
+    session_s = duration_s / turns
     with tempfile.TemporaryDirectory(prefix="hil-bench-") as folder:
-        for i, uri in enumerate(links):
-            progress(f"1 kHz for {duration_s:g} s over {uri}, cyclictest beside it")
-            experiment = load_experiment("dc-motor-1khz", [f"duration={duration_s}"])
-            output = Path(folder) / f"cyclictest-{i}.json"
-            reference = start_cyclictest(experiment.timing.priority, 1000, duration_s, output)
-            try:
-                session = run_session(experiment, clock="real", link=uri, path=Path(folder) / f"{i}.mcap")
-                if session.status > 128:  # a signal, which the session took to close its log
-                    raise SystemExit(session.status)
-                if session.status == 1:
-                    raise HilError(f"{uri}: the session failed: {'; '.join(map(str, session.summary['problems'].values()))}")
-                reference.wait(duration_s + 10)
-            finally:
-                if reference.poll() is None:
-                    reference.kill()
-                    reference.wait()
-            if not output.exists():
-                raise HilError(f"cyclictest gave no result: {(reference.stderr.read() if reference.stderr else b'').decode()!r}")
-            timing, ticks, beside = session.summary["timing"], session.summary["ticks"], read_cyclictest(output, 1000)
-            lateness = timing["lateness_us"]
-            rows.append({
-                "link": uri,
-                "ticks": ticks,
-                "lateness_us": lateness,
-                "cyclictest_us": beside,
-                "ratio": {q: lateness[q] / max(beside[q], 1.0) for q in lateness},
-                "round_trip_us": timing["round_trip_us"],
-                "overruns": timing["overruns"],
-                "overrun_share": timing["overruns"] / ticks,
-                "cyclictest_missed_share": beside.pop("missed") / beside.pop("ticks"),
-                "late": sum(session.summary["network"][side]["late"] for side in ("ca",)),
-                "dropped_records": session.summary["log"]["dropped"],
-                "valid": timing["valid"],
-                "scheduler": timing["scheduler"],
-            })  # fmt: skip
+        for turn in range(turns):
+            for uri in taken:
+                progress(f"turn {turn + 1} of {turns}: 1 kHz for {session_s:g} s over {uri}, cyclictest beside it")
+                taken[uri].append(_turn(uri, session_s, Path(folder)))
+    rows = [_row(uri, of_link) for uri, of_link in taken.items()]
     for row in rows:
         row["round_trip_ratio"] = row["round_trip_us"]["p50"] / rows[-1]["round_trip_us"]["p50"]
     return rows

@@ -15,19 +15,18 @@ def test_ticks_that_cyclictest_left_out_count_with_the_lateness_they_would_have_
     output = tmp_path / "cyclictest.json"
     # A stall of 2.5 ms at 1 kHz: two ticks have gone by, 1.5 and 0.5 ms late.
     output.write_text(json.dumps({"thread": {"0": {"histogram": {"20": 6, "2500": 1}}}}))
-    found = read_cyclictest(output, 1000)
-    assert (found["ticks"], found["missed"]) == (9, 2)
-    assert (found["p50"], found["max"]) == (20.0, 2500.0)
-    assert 1500 < found["p99"] < 2500
+    late_us, missed = read_cyclictest(output, 1000)
+    assert sorted(late_us) == [20] * 6 + [500, 1500, 2500]
+    assert missed == 2
 
 
 @pytest.mark.cyclictest
 @pytest.mark.realtime
 def test_rig_and_cyclictest_are_measured_in_one_run() -> None:
-    (row,) = bench_timing(duration_s=1.5, links=[f"can:hil:bench{os.getpid()}"])
+    (row,) = bench_timing(duration_s=2.4, turns=2, links=[f"can:hil:bench{os.getpid()}"])
     for of in ("lateness_us", "cyclictest_us"):
         assert 0 < row[of]["p50"] <= row[of]["max"]
     assert row["ratio"]["p50"] == row["lateness_us"]["p50"] / max(row["cyclictest_us"]["p50"], 1.0)
     assert row["round_trip_ratio"] == 1.0  # the last link is what the others are compared with
-    assert row["ticks"] > 100 and row["dropped_records"] == 0
+    assert row["ticks"] == 2400 and row["dropped_records"] == 0
     assert 0 <= row["cyclictest_missed_share"] < 1
