@@ -92,10 +92,10 @@ class Running:
 def test_first_slot_at_1_khz_finds_a_warm_link(tmp_path: Path, which: int) -> None:
     experiment = load_experiment("dc-motor-1khz", ["duration=0.02"])
     first = []
-    for i in range(5):  # a stall of the machine may strike one of them
+    for i in range(5):
         run = run_session(experiment, clock="real", link=links()[which], path=tmp_path / f"{i}.mcap").run
         first.append(run.arrays["/timing/tick"]["late"][0])
-    assert 0 in first, "the answer to the first question never came in time"
+    assert sum(first) <= 3, "the first answer comes too late"  # a stall of the machine strikes one or the other
 
 
 @pytest.fixture
