@@ -45,9 +45,8 @@ def with_gamma(program: LmiProgram, scaled_gamma: float) -> LmiProgram:
 def smallest_gamma(build: Callable[[float], LmiProgram], what: str, guess: float = 1.0) -> Attenuation:
     """Minimise gamma over ``build(scale)``; ``what`` names the request in the error.
 
-    Raises
-    ------
-    Infeasible: nothing could be verified; the message says whether dual matrices prove that nothing is there.
+    Raises:
+        Infeasible: nothing could be verified; the message says whether dual matrices prove that nothing is there.
     """
     scale, gamma = 1.0 / guess, math.inf
     for _ in range(6):

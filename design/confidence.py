@@ -90,10 +90,12 @@ def _sample(values: npt.ArrayLike, level: float) -> FloatArray:
 class StopRule:
     """Stop when the interval of a mean or deviation is narrow enough; see the module's docstring for the error rate.
 
-    Parameters
-    ----------
-    half_width: wanted half width, in the units of the values. statistic: ``mean`` or ``sd``.
-    level: probability that the interval at the stop holds the truth, at least. first_look: n_1. growth: n_{k+1} / n_k.
+    Args:
+        half_width: wanted half width, in the units of the values.
+        statistic: ``mean`` or ``sd``.
+        level: probability that the interval at the stop holds the truth, at least.
+        first_look: n_1.
+        growth: n_{k+1} / n_k.
     """
 
     half_width: float
@@ -135,9 +137,8 @@ class Stopped(NamedTuple):
 def sample_until(draw: Callable[[int, int], npt.ArrayLike], rule: StopRule, max_runs: int) -> Stopped:
     """Sample until the rule is met or ``max_runs`` are done.
 
-    Parameters
-    ----------
-    draw: called with (first run, number of runs), returns their values, e.g. ``settling_times`` with ``first`` and ``runs``.
+    Args:
+        draw: called with (first run, number of runs), returns their values, e.g. ``settling_times`` with ``first`` and ``runs``.
 
     The runs are numbered, so the values are those of one call for all of them.
     """

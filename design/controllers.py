@@ -46,14 +46,10 @@ def row_count(selection: Selection | str, d_max: int) -> int:
 class LoopModel:
     """What a controller may know of its loop.
 
-    Parameters
-    ----------
-    A, B, C : ndarray, shapes (n, n), (n, m), (p, n)
-        Nominal plant, zero-order hold at ``period_s``.
-    period_s : float
-        Sample period T, s.
-    tau_max, d_max : int
-        Largest sensor-to-controller and controller-to-actuator delays, samples.
+    Args:
+        A, B, C: shapes (n, n), (n, m), (p, n). Nominal plant, zero-order hold at ``period_s``.
+        period_s: sample period T, s.
+        tau_max, d_max: largest sensor-to-controller and controller-to-actuator delays, samples.
     """
 
     A: NDArray[np.float64]
@@ -90,10 +86,8 @@ def feedforward(model: LoopModel) -> NDArray[np.float64]:
 
     With p < m the minimum-norm solution :math:`N^T(NN^T)^{-1}` is taken, as printed.
 
-    Raises
-    ------
-    ValueError
-        If N is rank deficient: no steady state tracks every reference.
+    Raises:
+        ValueError: if N is rank deficient: no steady state tracks every reference.
     """
     n, m = model.B.shape
     p = model.C.shape[0]
@@ -146,14 +140,11 @@ def _scalar_table(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:
 class SendAll:
     """*Send all, apply one* static output feedback with any table of gains (7.9)-(7.13).
 
-    Parameters
-    ----------
-    gains : nested tuple [tau][row][m][p]
-        One gain matrix (m x p, input unit per output unit) for every measured tau and every row.
-    selection : str
-        Which row the actuator applies; see the module's table.
-    integral : bool
-        The gains have p more columns, for the integral of the measured error (Remark 7.7).
+    Args:
+        gains: nested tuple [tau][row][m][p]. One gain matrix (m x p, input unit per output unit) for every measured tau and every
+            row.
+        selection: which row the actuator applies; see the module's table.
+        integral: the gains have p more columns, for the integral of the measured error (Remark 7.7).
     """
 
     kind: ClassVar[str] = "send-all"
@@ -230,10 +221,8 @@ class PublishedH2:
 class Local:
     """One gain for every delay: a design that ignores the network (thesis, Section 7.4.3: K = -0.4515).
 
-    Parameters
-    ----------
-    gain : nested tuple [m][p]
-        Output feedback gain, input unit per output unit.
+    Args:
+        gain: nested tuple [m][p]. Output feedback gain, input unit per output unit.
     """
 
     gain: tuple[tuple[float, ...], ...] = ((-0.4515,),)
@@ -254,10 +243,8 @@ class Local:
 class Constant:
     """The same input in every slot and for every row: for tests and for open-loop experiments.
 
-    Parameters
-    ----------
-    value : tuple of float, length m
-        Input, in the plant's input unit.
+    Args:
+        value: tuple of float, length m. Input, in the plant's input unit.
     """
 
     value: tuple[float, ...] = (0.0,)

@@ -138,17 +138,14 @@ def analyse_delayed(
 ) -> JumpCertificate:
     """The smallest gamma that is certified for given gains, or the verdict at a given gamma.
 
-    Parameters
-    ----------
-    nodes: sections (``pwc``) or nodes (``pwl``) of P per mode; by default the section starts of the gains.
+    Args:
+        nodes: sections (``pwc``) or nodes (``pwl``) of P per mode; by default the section starts of the gains.
 
-    Returns
-    -------
-    The certificate; ``refused`` or ``undecided`` with the reason where no matrices could be verified.
+    Returns:
+        The certificate; ``refused`` or ``undecided`` with the reason where no matrices could be verified.
 
-    Raises
-    ------
-    ValueError: shapes that do not fit, rates without finite bounds.
+    Raises:
+        ValueError: shapes that do not fit, rates without finite bounds.
     """
     expected, got = (system.modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
     if got != expected or process.modes != system.modes:
@@ -258,18 +255,17 @@ def delayed_hinf(
 ) -> JumpCertificate:
     """State feedback K(i, m) with the smallest certified gamma under a gain bound, or at a given gamma.
 
-    Parameters
-    ----------
-    gain_bound: largest spectral norm of any gain; required, the infimum of gamma is 0 without one.
-    sections: section starts per mode; by default one section. method: ``pwc``, or ``printed`` (then ``sound = False``).
+    Args:
+        gain_bound: largest spectral norm of any gain; required, the infimum of gamma is 0 without one.
+        sections: section starts per mode; by default one section.
+        method: ``pwc``, or ``printed`` (then ``sound = False``).
 
-    Returns
-    -------
-    The certificate of the gains (``.gain``), found again from the gains alone by ``analyse_delayed``.
+    Returns:
+        The certificate of the gains (``.gain``), found again from the gains alone by ``analyse_delayed``.
 
-    Raises
-    ------
-    ValueError: data that do not fit. Infeasible: no such gains exist (proved) or none could be verified.
+    Raises:
+        ValueError: data that do not fit.
+        Infeasible: no such gains exist (proved) or none could be verified.
     """
     if not np.isfinite(gain_bound) or gain_bound <= 0:
         raise ValueError(f"gain_bound: {gain_bound!r} is not a finite positive norm")

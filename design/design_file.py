@@ -21,7 +21,9 @@ class DesignFile:
     """What a loop needs of a design file.
 
     Args:
-        selection: row rule. gains: (tau labels, rows, m, py). integral: the last p columns belong to the integral of
+        selection: row rule.
+        gains: (tau labels, rows, m, py).
+        integral: the last p columns belong to the integral of
         the measured error. samples: samples per sensor packet. period_s: sample period, s. plant: its name.
         document: everything that stands in the file.
     """
@@ -39,7 +41,10 @@ def to_document(design: Design, *, plant: str, period_s: float, wall_s: float, v
     """The JSON form of a design.
 
     Args:
-        plant: name of the plant. period_s: sample period, s. wall_s: time that solving took, s. versions: of packages.
+        plant: name of the plant.
+        period_s: sample period, s.
+        wall_s: time that solving took, s.
+        versions: of packages.
     """
     problem, certificate = design.problem, design.certificate
     return {

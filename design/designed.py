@@ -18,27 +18,17 @@ from design.controllers import LoopModel, SendAll, nested
 class Designed:
     """A tracking design of Chapter 7, for the loop that it will run in.
 
-    Parameters
-    ----------
-    objective : str
-        ``h2`` (7.26), ``hinf`` (7.31) or ``mixed`` (7.33).
-    information : str
-        What the gain may depend on: ``constant``, ``tau``, ``previous``, ``generated`` (printed), ``applied``, ``both``,
-        ``total``.
-    hinf_bound : float, optional
-        Mixed only: bound of the H-infinity norm.
-    gain_bound : float, optional
-        Bound on every entry of every gain.
-    input_weight : float
-        R of z = [Q x; R u1], Q = C.
-    output : str
-        ``stacked`` or ``sum`` (as printed).
-    integral : float
-        Weight of the integrated error; above 0 the controller integrates (Remark 7.7).
-    design_seed : int
-        Seed of the multistart.
-    file : str
-        A design saved by ``hil design -o``; then nothing is solved. Relative to the experiment's file.
+    Args:
+        objective: ``h2`` (7.26), ``hinf`` (7.31) or ``mixed`` (7.33).
+        information: what the gain may depend on: ``constant``, ``tau``, ``previous``, ``generated`` (printed), ``applied``,
+            ``both``, ``total``.
+        hinf_bound: mixed only: bound of the H-infinity norm.
+        gain_bound: bound on every entry of every gain.
+        input_weight: R of z = [Q x; R u1], Q = C.
+        output: ``stacked`` or ``sum`` (as printed).
+        integral: weight of the integrated error; above 0 the controller integrates (Remark 7.7).
+        design_seed: seed of the multistart.
+        file: a design saved by ``hil design -o``; then nothing is solved. Relative to the experiment's file.
     """
 
     objective: Literal["h2", "hinf", "mixed"] = "h2"
@@ -54,19 +44,13 @@ class Designed:
     def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[SendAll, None]:
         """Return the gains for a loop; their certificate is computed like any other's, when the loop is composed.
 
-        Parameters
-        ----------
-        model : LoopModel
-            The plant and the largest delays.
-        sc, ca : DelayChain or None
-            The chains of both directions; None where a law has none.
-        folder : str
-            Where relative file names begin.
+        Args:
+            model: the plant and the largest delays.
+            sc, ca: the chains of both directions; None where a law has none.
+            folder: where relative file names begin.
 
-        Raises
-        ------
-        ValueError
-            The message starts with the field.
+        Raises:
+            ValueError: the message starts with the field.
         """
         if self.file:
             from design.design_file import load_design

@@ -26,10 +26,12 @@ from design.lmi import Array, Inequality
 class ExactProof:
     """The outcome of an exact check.
 
-    Parameters
-    ----------
-    proved: all inequalities hold. inequalities: how many were checked. failed: name of the first that does not hold.
-    smallest_pivot: smallest pivot of LDL' over all of them. bits: rounding of the matrices, multiples of 2^-bits.
+    Args:
+        proved: all inequalities hold.
+        inequalities: how many were checked.
+        failed: name of the first that does not hold.
+        smallest_pivot: smallest pivot of LDL' over all of them.
+        bits: rounding of the matrices, multiples of 2^-bits.
     """
 
     proved: bool
@@ -104,9 +106,8 @@ def prove_inequalities(inequalities: Iterable[Inequality], matrices: Mapping[str
 def prove(certificate: JumpCertificate, bits: int = 24) -> ExactProof:
     """Prove a certificate exactly, its matrices rounded to multiples of 2^-bits.
 
-    Raises
-    ------
-    ValueError: the certificate has no inequalities (method ``exact``).
+    Raises:
+        ValueError: the certificate has no inequalities (method ``exact``).
     """
     if certificate.rebuild is None:
         raise ValueError(f"certificate: method {certificate.method!r} has no inequalities to prove")

@@ -195,21 +195,22 @@ def fault_tolerant_feedback(
 ) -> JumpCertificate:
     """Gains K(what is measured, section of r's clock) with the smallest certified gamma under a gain bound.
 
-    Parameters
-    ----------
-    gain_bound: largest spectral norm of any gain. measured: ("r",), () or ("eta", "r"), see the module.
-    sections: sections of r's clock per detection mode, by default one. eta_nodes: sections of eta's clock for P.
-    gamma: stop as soon as this level is certified. performance: a SIQC (4.6) to meet instead of gamma.
-    rounds: largest number of alternations; they end when gamma falls by less than 1e-3 per round.
-    method: ``pwc``, or ``printed`` for (4.26), (4.27): K_ik whatever is measured, ``sound = False``.
+    Args:
+        gain_bound: largest spectral norm of any gain.
+        measured: ("r",), () or ("eta", "r"), see the module.
+        sections: sections of r's clock per detection mode, by default one.
+        eta_nodes: sections of eta's clock for P.
+        gamma: stop as soon as this level is certified.
+        performance: a SIQC (4.6) to meet instead of gamma.
+        rounds: largest number of alternations; they end when gamma falls by less than 1e-3 per round.
+        method: ``pwc``, or ``printed`` for (4.26), (4.27): K_ik whatever is measured, ``sound = False``.
 
-    Returns
-    -------
-    The certificate of the gains (``.gain``), found again from the gains alone.
+    Returns:
+        The certificate of the gains (``.gain``), found again from the gains alone.
 
-    Raises
-    ------
-    ValueError: data that do not fit. Infeasible: no start could be found, or ``gamma`` was not reached; the message says how far.
+    Raises:
+        ValueError: data that do not fit.
+        Infeasible: no start could be found, or ``gamma`` was not reached; the message says how far.
     """
     check_loop(system, process)
     if not np.isfinite(gain_bound) or gain_bound <= 0:

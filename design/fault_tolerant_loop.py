@@ -41,9 +41,10 @@ FloatArray = npt.NDArray[np.float64]
 class Siqc:
     """Stochastic integral quadratic constraint (4.6): E int [y; w]' [G11 G12; G12' G22] [y; w] < 0 for x(0) = 0, w != 0.
 
-    Parameters
-    ----------
-    g11: positive definite, shape (p, p). g12: shape (p, q). g22: negative definite, shape (q, q).
+    Args:
+        g11: positive definite, shape (p, p).
+        g12: shape (p, q).
+        g22: negative definite, shape (q, q).
     """
 
     g11: FloatArray
@@ -218,19 +219,17 @@ def analyse_fault_tolerant(
 ) -> JumpCertificate:
     """The smallest certified gamma of given gains (or the verdict at a given gamma, or on a SIQC).
 
-    Parameters
-    ----------
-    gain: K by what is measured: ("r",), ("eta", "r") with index eta * N_r + r, or () for one blind gain; sections on r's clock.
-    eta_nodes, r_nodes: sections of both clocks for P; by default one for eta, and for r those of the gains.
-    method: ``pwc``, or ``printed`` for (4.26), (4.27) as they stand (then ``sound = False``).
+    Args:
+        gain: K by what is measured: ("r",), ("eta", "r") with index eta * N_r + r, or () for one blind gain; sections on r's
+            clock.
+        eta_nodes, r_nodes: sections of both clocks for P; by default one for eta, and for r those of the gains.
+        method: ``pwc``, or ``printed`` for (4.26), (4.27) as they stand (then ``sound = False``).
 
-    Returns
-    -------
-    The certificate. Gains without sections whose second moments grow at constant rates within the bounds are ``refused``.
+    Returns:
+        The certificate. Gains without sections whose second moments grow at constant rates within the bounds are ``refused``.
 
-    Raises
-    ------
-    ValueError: data that do not fit.
+    Raises:
+        ValueError: data that do not fit.
     """
     check_loop(system, process, gain)
     eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes

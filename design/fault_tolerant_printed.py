@@ -118,13 +118,11 @@ def printed_section(
 ) -> JumpCertificate:
     """Condition (4.27) of section m (from 0; (4.26) with one section): smallest gamma, or the verdict at one.
 
-    Parameters
-    ----------
-    gains: K_ik of this section, shape (N_eta, N_r, m, n), or None to leave them free within ``gain_bound``.
+    Args:
+        gains: K_ik of this section, shape (N_eta, N_r, m, n), or None to leave them free within ``gain_bound``.
 
-    Returns
-    -------
-    A certificate with ``sound = False``, whatever it says.
+    Returns:
+        A certificate with ``sound = False``, whatever it says.
     """
     check_loop(system, process)
     edges = [[*row, math.inf] for row in eta_sections], [[*row, math.inf] for row in r_sections]

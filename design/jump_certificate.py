@@ -27,16 +27,20 @@ Verdict = Literal["certified", "refused", "undecided"]
 class JumpCertificate:
     """The verdict on a closed loop and its proof.
 
-    Parameters
-    ----------
-    method: exact, pwl, pwc or printed. sound: whether ``certified`` implies stability (False for every printed form).
-    verdict: certified, refused or undecided; reason: why, in one sentence.
-    margin: -(largest eigenvalue) of the strict inequalities at the matrices, which are normalised to P >= I (or X >= I).
-    decay_rate: E|x|^2 falls at least like e^(-decay_rate t) (1/s); exact for ``exact``. gamma: L2 gain bound.
-    spectral_radius: of the per-jump second-moment operator (``exact`` only).
-    matrices: the solution by name. rebuild: the inequalities, in floats or in fractions (``design.exact_proof``).
-    gain: the gains that were analysed. assumptions: what the verdict rests on. solver: who found the matrices.
-    scale: factor on z in the inequalities, for conditioning; ``gamma`` is that of the z given.
+    Args:
+        method: exact, pwl, pwc or printed.
+        sound: whether ``certified`` implies stability (False for every printed form).
+        verdict: certified, refused or undecided; reason: why, in one sentence.
+        margin: -(largest eigenvalue) of the strict inequalities at the matrices, which are normalised to P >= I (or X >= I).
+        decay_rate: E|x|^2 falls at least like e^(-decay_rate t) (1/s); exact for ``exact``.
+        gamma: L2 gain bound.
+        spectral_radius: of the per-jump second-moment operator (``exact`` only).
+        matrices: the solution by name.
+        rebuild: the inequalities, in floats or in fractions (``design.exact_proof``).
+        gain: the gains that were analysed.
+        assumptions: what the verdict rests on.
+        solver: who found the matrices.
+        scale: factor on z in the inequalities, for conditioning; ``gamma`` is that of the z given.
     """
 
     method: Method

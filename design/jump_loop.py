@@ -34,13 +34,14 @@ PARAMETER_PAGE = 4
 class JumpLoop:
     """System, gain and process of one closed loop, with its start.
 
-    Parameters
-    ----------
-    system: N modes, n states. gain: scheduled by the mode and the clock that the controller sees (``hold``).
-    process: jumps of the mode; a ``FaultDetection`` drives the plant by eta and the gain by r and its clock, or by
-        eta * N_r + r and r's clock if ``gain.measured`` is ``("eta", "r")``.
-    start: x(0), shape (n,). mode, detection: modes at 0; all clocks start at 0.
-    uncertain: draw the system's uncertainty per run, constant in time; otherwise it is left out.
+    Args:
+        system: N modes, n states.
+        gain: scheduled by the mode and the clock that the controller sees (``hold``).
+        process: jumps of the mode; a ``FaultDetection`` drives the plant by eta and the gain by r and its clock, or by
+            eta * N_r + r and r's clock if ``gain.measured`` is ``("eta", "r")``.
+        start: x(0), shape (n,).
+        mode, detection: modes at 0; all clocks start at 0.
+        uncertain: draw the system's uncertainty per run, constant in time; otherwise it is left out.
     """
 
     system: JumpSystem

@@ -23,10 +23,9 @@ from design.rates import FloatArray, check_positive
 class BathtubRate:
     """Infant mortality, useful life, wear: infant e^(-h/infant_time_s) + useful + wear clip(h - start, 0, span).
 
-    Parameters
-    ----------
-    infant, useful: rates (1/s); infant_time_s: time constant of the infant part (s).
-    wear: slope (1/s^2) of the wear part, which starts at wear_start_s and has saturated wear_span_s later.
+    Args:
+        infant, useful: rates (1/s); infant_time_s: time constant of the infant part (s).
+        wear: slope (1/s^2) of the wear part, which starts at wear_start_s and has saturated wear_span_s later.
     """
 
     infant: float

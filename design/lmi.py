@@ -104,15 +104,15 @@ class Inequality:
 class LmiSolution:
     """What came back: the matrices by name, the verified eigenvalues, what the dual matrices prove.
 
-    Parameters
-    ----------
-    matrices: solution by variable name.
-    margin: -(largest eigenvalue) over all strict inequalities at these matrices; slack: over the others.
-    objective: value of the minimised scalar, or minus the margin that was maximised.
-    excluded: where a margin was maximised, the dual matrices prove that no solution with entries up to this size has a
-        positive one (0: they prove nothing).
-    reach: the size up to which solutions count; by default 1e3, or ten times the largest entry returned.
-    solver: who found it. status: what the solver said (for the reader only).
+    Args:
+        matrices: solution by variable name.
+        margin: -(largest eigenvalue) over all strict inequalities at these matrices; slack: over the others.
+        objective: value of the minimised scalar, or minus the margin that was maximised.
+        excluded: where a margin was maximised, the dual matrices prove that no solution with entries up to this size has a
+            positive one (0: they prove nothing).
+        reach: the size up to which solutions count; by default 1e3, or ten times the largest entry returned.
+        solver: who found it.
+        status: what the solver said (for the reader only).
     """
 
     matrices: dict[str, FloatArray]

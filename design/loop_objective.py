@@ -16,7 +16,9 @@ class LoopObjective:
     """H2 and H-infinity norm over a gain space; counts evaluations, and starts each fold from the last one.
 
     Args:
-        structure: the loop. space: its free gains. alpha: (N,) initial mode distribution.
+        structure: the loop.
+        space: its free gains.
+        alpha: (N,) initial mode distribution.
     """
 
     def __init__(self, structure: LoopStructure, space: GainSpace, alpha: Array) -> None:

@@ -129,15 +129,15 @@ def simulate_mjls(
 ) -> MarkovBatch:
     """Simulate many runs of a jump-linear system, the same numbers for every split.
 
-    Parameters
-    ----------
-    start: x(0), shape (n,), or per initial mode (N, n). initial: distribution of theta_0, uniform if not given.
-    noise: w is white with covariance I; otherwise w = 0.
-    runs, first, seed: which runs. steps: K.
+    Args:
+        start: x(0), shape (n,), or per initial mode (N, n).
+        initial: distribution of theta_0, uniform if not given.
+        noise: w is white with covariance I; otherwise w = 0.
+        runs, first, seed: which runs.
+        steps: K.
 
-    Raises
-    ------
-    ValueError: an argument that cannot be (the message starts with its name).
+    Raises:
+        ValueError: an argument that cannot be (the message starts with its name).
     """
     if steps < 1:
         raise ValueError(f"steps: {steps}, expected at least 1")

@@ -66,9 +66,9 @@ def worst_growth(
 def mean_square_abscissa(loops: FloatArray, rates: FloatArray) -> float:
     """Growth rate of E|x|^2 of a Markov jump system dx = A_i x (1/s): the abscissa of blkdiag(A_i (+) A_i) + (Lambda' (x) I).
 
-    Parameters
-    ----------
-    loops: shape (N, n, n). rates: jump rates, shape (N, N); the diagonal is ignored.
+    Args:
+        loops: shape (N, n, n).
+        rates: jump rates, shape (N, N); the diagonal is ignored.
     """
     modes, n = loops.shape[:2]
     eye = np.eye(n)

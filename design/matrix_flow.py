@@ -51,9 +51,10 @@ def norm_bound(m: FloatArray) -> FloatArray:
 class MatrixFlow:
     """The flows x -> exp(M_w s) x of a stack of matrices.
 
-    Parameters
-    ----------
-    matrices: shape (n, n, W) (1/s). dt_s: step of the time grid (s). longest_s: no flow lasts longer (s).
+    Args:
+        matrices: shape (n, n, W) (1/s).
+        dt_s: step of the time grid (s).
+        longest_s: no flow lasts longer (s).
     """
 
     def __init__(self, matrices: FloatArray, *, dt_s: float, longest_s: float) -> None:
@@ -103,14 +104,14 @@ class MatrixFlow:
     def grid(self, which: IntArray, x: FloatArray, points: IntArray) -> Iterator[tuple[IntArray, FloatArray]]:
         """States at 0, dt, 2 dt, ... for segments of different lengths.
 
-        Parameters
-        ----------
-        which: matrices, shape (S,). x: states at the first point, shape (n, S). points: how many are wanted, (S,).
+        Args:
+            which: matrices, shape (S,).
+            x: states at the first point, shape (n, S).
+            points: how many are wanted, (S,).
 
-        Yields
-        ------
-        Indices of some segments, shape (s,), and their states, shape (n, L, s), where L is the power of two at or above
-        the length of each; what lies beyond a segment's own length is to be ignored. Every segment comes once.
+        Yields:
+            Indices of some segments, shape (s,), and their states, shape (n, L, s), where L is the power of two at or above
+            the length of each; what lies beyond a segment's own length is to be ignored. Every segment comes once.
         """
         levels = _levels(points)
         for level in range(int(levels.max(initial=-1)) + 1):

@@ -23,7 +23,9 @@ class MJLS:
     """A jump-linear system with mode-dependent matrices.
 
     Args:
-        A: (N, n, n). B: (N, n, q) or (n, q). C: (N, l, n) or (l, n).
+        A: (N, n, n).
+        B: (N, n, q) or (n, q).
+        C: (N, l, n) or (l, n).
         transition: (N, N) row-stochastic.
         D: (N, l, q) or (l, q); default zero.
 

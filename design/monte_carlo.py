@@ -127,18 +127,16 @@ def settling_times(
 
     The states are exact at every grid point. Segments that provably stay inside the band are not evaluated.
 
-    Parameters
-    ----------
-    runs: how many, numbered from ``first``. duration_s: length of a run (s), a multiple of the grid's dt_s (s).
-    progress: told how many runs are done.
+    Args:
+        runs: how many, numbered from ``first``.
+        duration_s: length of a run (s), a multiple of the grid's dt_s (s).
+        progress: told how many runs are done.
 
-    Returns
-    -------
-    T_s (s), shape (runs,); ``inf`` where the last grid point is outside the band.
+    Returns:
+        T_s (s), shape (runs,); ``inf`` where the last grid point is outside the band.
 
-    Raises
-    ------
-    ValueError: an argument that cannot be (the message starts with its name).
+    Raises:
+        ValueError: an argument that cannot be (the message starts with its name).
     """
     if not band > 0:
         raise ValueError(f"band: {band!r} is not positive")

@@ -25,7 +25,8 @@ def performance_output(
     Args:
         C: (p, n) output matrix, the default of Q.
         m: number of inputs; order: number of closed-loop states.
-        Q: (l, n) weight of x, default C. R: weight of u1(k-1): (l', m), a vector (one row), or a number (times the
+        Q: (l, n) weight of x, default C.
+        R: weight of u1(k-1): (l', m), a vector (one row), or a number (times the
             identity); default the row 0.01 .. 0.01 of Section 7.4.
         output: "stacked" or "sum".
         input_at: first of the m states that R weighs, u1(k-1) of (7.16) or the applied input.

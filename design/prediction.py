@@ -81,7 +81,8 @@ def predict_tracking(
         sums_from: start ticks of the sums.
 
     Raises:
-        ValueError: wrong shapes. DesignError: a reference that no input holds.
+        ValueError: wrong shapes.
+        DesignError: a reference that no input holds.
     """
     from threadpoolctl import threadpool_limits
 

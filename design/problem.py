@@ -30,10 +30,12 @@ class TrackingProblem:
         sc, ca: S-C and C-A delay chains, or Lambda and Pi.
         objective: "h2", "hinf", or "mixed": smallest H2 norm with the H-infinity norm at most `hinf_bound`.
         information: what the gain may depend on, see `design.gain_space`.
-        Q, R: weights of z; defaults C and the row 0.01 .. 0.01. output: "stacked" or "sum".
+        Q, R: weights of z; defaults C and the row 0.01 .. 0.01.
+        output: "stacked" or "sum".
         hinf_bound: bound of a mixed design; default 1.05 times the smallest H-infinity norm.
         gain_bound: bound on every |entry| of every gain; default none.
-        samples: samples per sensor packet, 1 or 2. integral: weight of the integrated error in z, 0 for no integral.
+        samples: samples per sensor packet, 1 or 2.
+        integral: weight of the integrated error in z, 0 for no integral.
         initial: (modes,) distribution of the mode at the H2 impulse; default uniform.
         seed, starts: of the multistart; `starts` 0 takes the objective's default.
         method: "direct", or "ccl" for the thesis's iterated linear matrix inequalities.

@@ -56,10 +56,9 @@ class PiecewiseLinearRate:
 
     A node may be repeated to make a step; the rate is then continuous from the right.
 
-    Parameters
-    ----------
-    times_s: node positions, first one 0, not decreasing (s), shape (R,).
-    values: rate at the nodes (1/s), shape (R,).
+    Args:
+        times_s: node positions, first one 0, not decreasing (s), shape (R,).
+        values: rate at the nodes (1/s), shape (R,).
 
     >>> ramp = PiecewiseLinearRate(times_s=(0.0, 1.0, 2.0), values=(0.0, 2.0, 2.0))
     >>> ramp([0.5, 3.0]).tolist(), ramp.integral([1.0, 3.0]).tolist(), ramp.bounds(0.5, 1.5)
@@ -211,15 +210,13 @@ class WeibullRate:
 class UserRate:
     """A user's vectorised function of h with the bounds it promises, constant after ``horizon_s``.
 
-    Parameters
-    ----------
-    function: lambda(h) (1/s) for an array h (s), smooth between ``breaks``.
-    lower, upper: promised bounds (1/s); checked at 513 points per smooth piece, used as they are in every inequality.
-    horizon_s: after it the rate keeps its value (s).
+    Args:
+        function: lambda(h) (1/s) for an array h (s), smooth between ``breaks``.
+        lower, upper: promised bounds (1/s); checked at 513 points per smooth piece, used as they are in every inequality.
+        horizon_s: after it the rate keeps its value (s).
 
-    Raises
-    ------
-    ValueError: the function is not finite, negative, or crosses its bounds (with the sojourn time where it does).
+    Raises:
+        ValueError: the function is not finite, negative, or crosses its bounds (with the sojourn time where it does).
     """
 
     function: Callable[[FloatArray], npt.ArrayLike]

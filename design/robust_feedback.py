@@ -250,20 +250,21 @@ def robust_feedback(
 ) -> JumpCertificate:
     """Gains K(i, h) that make the loop mean-square stable for every admissible uncertainty and rate (Corollary 2.2, sound).
 
-    Parameters
-    ----------
-    gain_bound: largest spectral norm of any gain. sections: number of equal-probability sections, or a partition.
-    method: ``pwl``, ``pwc`` or ``printed``. schedule, points: how K(h) of ``pwl`` is handed over: ``points`` per section,
-        linear between them or held.
-    decay: demanded decay rate of E|x|^2 (1/s). condition: largest condition number of X that is searched.
+    Args:
+        gain_bound: largest spectral norm of any gain.
+        sections: number of equal-probability sections, or a partition.
+        method: ``pwl``, ``pwc`` or ``printed``.
+        schedule, points: how K(h) of ``pwl`` is handed over: ``points`` per section,
+            linear between them or held.
+        decay: demanded decay rate of E|x|^2 (1/s).
+        condition: largest condition number of X that is searched.
 
-    Returns
-    -------
-    The certificate of the gains (``.gain``), found again from the gains alone; for ``printed`` with ``sound = False``.
+    Returns:
+        The certificate of the gains (``.gain``), found again from the gains alone; for ``printed`` with ``sound = False``.
 
-    Raises
-    ------
-    ValueError: data that do not fit. Infeasible: no such gains exist (proved) or none could be certified; the message says.
+    Raises:
+        ValueError: data that do not fit.
+        Infeasible: no such gains exist (proved) or none could be certified; the message says.
     """
     request = FeedbackRequest(
         process=process, gain_bound=gain_bound, sections=sections, method=method, schedule=schedule, points=points,

@@ -27,12 +27,11 @@ Job = TypeVar("Job")
 class Ladder:
     """Where the runs are computed.
 
-    Parameters
-    ----------
-    backend: ``serial`` (this process), ``loky`` (processes on this machine), ``threading``, ``dask`` (many machines).
-    jobs: processes or threads; -1 for one per core. A dask cluster uses what it has.
-    scheduler: address of the dask scheduler, e.g. ``tcp://10.0.0.1:8786``; its workers need this package.
-    connect_timeout_s: how long to wait for it.
+    Args:
+        backend: ``serial`` (this process), ``loky`` (processes on this machine), ``threading``, ``dask`` (many machines).
+        jobs: processes or threads; -1 for one per core. A dask cluster uses what it has.
+        scheduler: address of the dask scheduler, e.g. ``tcp://10.0.0.1:8786``; its workers need this package.
+        connect_timeout_s: how long to wait for it.
     """
 
     backend: Backend = "serial"
@@ -57,9 +56,8 @@ def spread(task: Callable[[Job], Result], jobs: Sequence[Job], ladder: Ladder) -
 
     Closing the iterator (or Ctrl-C) cancels what has not begun.
 
-    Raises
-    ------
-    DesignError: the dask scheduler does not answer.
+    Raises:
+        DesignError: the dask scheduler does not answer.
     """
     if ladder.backend == "serial" or not jobs:
         yield from map(task, jobs)

@@ -45,9 +45,10 @@ def uniforms(seed: int, first: int, runs: int, *, blocks: int, purpose: int, pag
 class DrawTable:
     """The draws 0, 1, 2, ... of a batch of runs, fetched page by page as they are asked for.
 
-    Parameters
-    ----------
-    seed, first, runs: which streams. purpose: one of the above. blocks: size of a page, fixed for a purpose.
+    Args:
+        seed, first, runs: which streams.
+        purpose: one of the above.
+        blocks: size of a page, fixed for a purpose.
     """
 
     def __init__(self, seed: int, first: int, runs: int, *, purpose: int, blocks: int) -> None:

@@ -26,14 +26,11 @@ if TYPE_CHECKING:
 class Scheduled:
     """Gains over mode and sojourn time.
 
-    Parameters
-    ----------
-    gain : nested tuple [mode][section][m][n]
-        Input unit per state unit.
-    starts_s : nested tuple [mode][section]
-        Sojourn time at which each section begins (``hold``) or at which each node lies (``linear``), s; the first is 0.
-    schedule : str
-        ``hold`` or ``linear``.
+    Args:
+        gain: nested tuple [mode][section][m][n]. Input unit per state unit.
+        starts_s: nested tuple [mode][section]. Sojourn time at which each section begins (``hold``) or at which each node lies
+            (``linear``), s; the first is 0.
+        schedule: ``hold`` or ``linear``.
     """
 
     kind: ClassVar[str] = "scheduled"
@@ -86,14 +83,10 @@ Example = Literal["ch2", "ch3", "ch4"]
 class RobustScheduled:
     """Our gains for the examples of Chapters 2 to 4, solved when the experiment is composed, with their certificate.
 
-    Parameters
-    ----------
-    example : str
-        ``ch2`` robust feedback, ``ch3`` H-infinity under time-varying delays, ``ch4`` fault-tolerant, seeing r only.
-    gain_bound : float
-        Largest spectral norm of any gain; without one the best gamma is 0 and the gains have no bound.
-    decay : float
-        ``ch2`` only: demanded decay rate of E|x|^2, 1/s.
+    Args:
+        example: ``ch2`` robust feedback, ``ch3`` H-infinity under time-varying delays, ``ch4`` fault-tolerant, seeing r only.
+        gain_bound: largest spectral norm of any gain; without one the best gamma is 0 and the gains have no bound.
+        decay: ``ch2`` only: demanded decay rate of E|x|^2, 1/s.
     """
 
     example: Example
@@ -130,11 +123,9 @@ class RobustScheduled:
 class PublishedScheduled:
     """The printed gains of Chapters 2 to 4, as an experiment can name them, with what can be certified of them.
 
-    Parameters
-    ----------
-    gains : str
-        ``ch2`` (2.27), ``ch2-reference`` (those of [1, 2]), ``ch3``, ``ch4`` ((4.30), seen modes only) or
-        ``ch4-partitioned`` (4.31).
+    Args:
+        gains: ``ch2`` (2.27), ``ch2-reference`` (those of [1, 2]), ``ch3``, ``ch4`` ((4.30), seen modes only) or
+            ``ch4-partitioned`` (4.31).
     """
 
     gains: Literal["ch2", "ch2-reference", "ch3", "ch4", "ch4-partitioned"]

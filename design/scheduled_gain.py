@@ -24,13 +24,12 @@ Schedule = Literal["hold", "linear"]
 class ScheduledGain:
     """Gains over mode and sojourn time.
 
-    Parameters
-    ----------
-    gain: K, shape (modes, sections, inputs m, states n).
-    starts_s: where each section (``hold``) or node (``linear``) lies on the sojourn clock (s), shape (modes, sections);
-        the first is 0. After the last one the gain stays as it is.
-    schedule: ``hold`` or ``linear``.
-    measured: what the mode index means, e.g. ``("r",)``, or ``("eta", "r")`` for the index eta * N_r + r.
+    Args:
+        gain: K, shape (modes, sections, inputs m, states n).
+        starts_s: where each section (``hold``) or node (``linear``) lies on the sojourn clock (s), shape (modes, sections);
+            the first is 0. After the last one the gain stays as it is.
+        schedule: ``hold`` or ``linear``.
+        measured: what the mode index means, e.g. ``("r",)``, or ``("eta", "r")`` for the index eta * N_r + r.
 
     >>> gain = ScheduledGain(gain=np.array([[[[1.0]], [[3.0]]]]), starts_s=np.array([[0.0, 2.0]]), schedule="linear")
     >>> gain.at(0, 1.0).tolist(), gain.norm

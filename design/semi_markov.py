@@ -49,9 +49,8 @@ def _sum_piecewise_linear(rates: Sequence[PiecewiseLinearRate]) -> PiecewiseLine
 class SemiMarkov:
     """A semi-Markov process with N modes (counted from 0) whose every jump restarts the sojourn clock.
 
-    Parameters
-    ----------
-    rates: N rows of N entries, rates[i][j] is lambda_ij; ``None`` where no jump leads and on the diagonal.
+    Args:
+        rates: N rows of N entries, rates[i][j] is lambda_ij; ``None`` where no jump leads and on the diagonal.
 
     >>> from design.rates import clip_rate
     >>> process = SemiMarkov(rates=((None, clip_rate(0.1, 4.6)), (clip_rate(0.1, 4.6), None)))
@@ -180,14 +179,14 @@ class SemiMarkov:
     ) -> tuple[FloatArray, IntArray]:
         """The clock reading h > age (s) of the next jump and its target, exactly, for arrays of runs.
 
-        Parameters
-        ----------
-        mode: present modes, shape (R,). age: present clock readings (s), shape (R,) or scalar.
-        exponential: draws of Exp(1), shape (R,). uniform: draws of U[0, 1), shape (R,).
+        Args:
+            mode: present modes, shape (R,).
+            age: present clock readings (s), shape (R,) or scalar.
+            exponential: draws of Exp(1), shape (R,).
+            uniform: draws of U[0, 1), shape (R,).
 
-        Returns
-        -------
-        h (s), ``inf`` where no jump comes any more (the target is then the present mode), and the target modes.
+        Returns:
+            h (s), ``inf`` where no jump comes any more (the target is then the present mode), and the target modes.
         """
         mode, exponential = np.asarray(mode, dtype=np.intp), np.asarray(exponential, dtype=float)
         age_, uniform_ = np.asarray(age, dtype=float), np.asarray(uniform, dtype=float)
@@ -216,11 +215,10 @@ class SemiMarkov:
 class FaultDetection:
     """Failure process eta and detection process r of Chapter 4, with one clock each.
 
-    Parameters
-    ----------
-    failure: lambda_ij(h_eta), N_eta modes.
-    detection: for every failure mode i the process pi^(i)_kl(h_r), all with the same number N_r of modes.
-    failure_restarts_detection_clock: whether a jump of eta sets h_r to 0 too. No default: the thesis does not say.
+    Args:
+        failure: lambda_ij(h_eta), N_eta modes.
+        detection: for every failure mode i the process pi^(i)_kl(h_r), all with the same number N_r of modes.
+        failure_restarts_detection_clock: whether a jump of eta sets h_r to 0 too. No default: the thesis does not say.
     """
 
     failure: SemiMarkov

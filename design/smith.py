@@ -19,10 +19,8 @@ class Smith:
     A model of the plant, driven by the nominal rows, gives the undelayed output; the delayed measurement corrects its
     bias. Row d of the packet is the control for the d-step-ahead prediction, so the row is chosen by d at application.
 
-    Parameters
-    ----------
-    gain : nested tuple [m][p]
-        Local output feedback gain. The default is cautious: 3 % overshoot on the motor.
+    Args:
+        gain: nested tuple [m][p]. Local output feedback gain. The default is cautious: 3 % overshoot on the motor.
     """
 
     gain: tuple[tuple[float, ...], ...] = ((-0.03,),)

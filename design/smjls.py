@@ -41,9 +41,10 @@ def _array(path: str, value: npt.ArrayLike, ndim: int, shape: Mapping[int, int])
 class NormBounded:
     """dA_i = E_i delta FA_i, dB_i = E_i delta FB_i with delta'delta <= I, free in time (2.16).
 
-    Parameters
-    ----------
-    e: shape (N, n, q). fa: shape (N, q', n). fb: shape (N, q', m); delta is q x q'.
+    Args:
+        e: shape (N, n, q).
+        fa: shape (N, q', n).
+        fb: shape (N, q', m); delta is q x q'.
     """
 
     e: FloatArray
@@ -66,9 +67,9 @@ class NormBounded:
 class VertexUncertainty:
     """(dA_i, dB_i) anywhere in the convex hull of V pairs, free in time.
 
-    Parameters
-    ----------
-    da: shape (V, N, n, n). db: shape (V, N, n, m).
+    Args:
+        da: shape (V, N, n, n).
+        db: shape (V, N, n, m).
     """
 
     da: FloatArray
@@ -91,15 +92,15 @@ Uncertainty = NormBounded | VertexUncertainty
 class JumpSystem:
     """Matrices of a jump linear system with N modes, n states, m inputs.
 
-    Parameters
-    ----------
-    a: shape (N, n, n). b: shape (N, n, m).
-    c: z = C_i x, shape (N, p, n), optional. e: disturbance, shape (N, n, q), optional.
-    uncertainty: of A and B, optional.
+    Args:
+        a: shape (N, n, n).
+        b: shape (N, n, m).
+        c: z = C_i x, shape (N, p, n), optional.
+        e: disturbance, shape (N, n, q), optional.
+        uncertainty: of A and B, optional.
 
-    Raises
-    ------
-    ValueError: a matrix has the wrong shape or an entry that is not finite (the message starts with the field).
+    Raises:
+        ValueError: a matrix has the wrong shape or an entry that is not finite (the message starts with the field).
     """
 
     a: FloatArray
@@ -156,10 +157,13 @@ class JumpSystem:
 class DelayedJumpSystem:
     """A jump linear system with a state delay tau_i(t) <= delay_max_s, d tau_i/dt <= slope_i < 1 (3.1)-(3.2).
 
-    Parameters
-    ----------
-    a, ad: shape (N, n, n). b: shape (N, n, m). e: disturbance, shape (N, n, q). c: z = C_i x, shape (N, p, n).
-    delay_max_s: largest delay (s). delay_slopes: bound on the growth of the delay per mode, shape (N,).
+    Args:
+        a, ad: shape (N, n, n).
+        b: shape (N, n, m).
+        e: disturbance, shape (N, n, q).
+        c: z = C_i x, shape (N, p, n).
+        delay_max_s: largest delay (s).
+        delay_slopes: bound on the growth of the delay per mode, shape (N,).
     """
 
     a: FloatArray

@@ -157,21 +157,22 @@ def analyse(
 ) -> JumpCertificate:
     """Certify or refuse mean-square stability of the loop u = K(i, h) x, with decay rate at least ``decay``.
 
-    Parameters
-    ----------
-    system: matrices and uncertainty. gain: K(i, h), or None for u = 0. process: the rates.
-    method: see the module. nodes: Lyapunov nodes (``pwl``) or sections (``pwc``, ``printed``) per mode; by default the section
-        starts of the gains, for ``pwl`` with the kinks of the rates, each gap cut into ``parts``.
-    decay: demanded decay rate of E|x|^2 (1/s). condition: largest condition number of P that is searched.
-    second_opinion: ask a second solver where the first proves neither yes nor no (seconds).
+    Args:
+        system: matrices and uncertainty.
+        gain: K(i, h), or None for u = 0.
+        process: the rates.
+        method: see the module.
+        nodes: Lyapunov nodes (``pwl``) or sections (``pwc``, ``printed``) per mode; by default the section
+            starts of the gains, for ``pwl`` with the kinks of the rates, each gap cut into ``parts``.
+        decay: demanded decay rate of E|x|^2 (1/s).
+        condition: largest condition number of P that is searched.
+        second_opinion: ask a second solver where the first proves neither yes nor no (seconds).
 
-    Returns
-    -------
-    The certificate; its ``decay_rate`` is the largest that the returned matrices prove.
+    Returns:
+        The certificate; its ``decay_rate`` is the largest that the returned matrices prove.
 
-    Raises
-    ------
-    ValueError: shapes that do not fit, nodes that split a section, rates without finite bounds.
+    Raises:
+        ValueError: shapes that do not fit, nodes that split a section, rates without finite bounds.
     """
     gain = _checked_gain(system, gain, process)
     if not np.isfinite(decay) or decay < 0:

@@ -36,10 +36,10 @@ def as_float(value: npt.ArrayLike) -> Array:
 class Cell:
     """One cell of one mode.
 
-    Parameters
-    ----------
-    mode, index: where it belongs. start, stop: its ends (s); ``stop`` is ``inf`` in the last one.
-    rates: the vertices of the rates out of the mode, each of length N (1/s).
+    Args:
+        mode, index: where it belongs.
+        start, stop: its ends (s); ``stop`` is ``inf`` in the last one.
+        rates: the vertices of the rates out of the mode, each of length N (1/s).
     """
 
     mode: int
@@ -60,9 +60,8 @@ def cells(process: SemiMarkov, nodes: Partition, *, segment: bool = False) -> li
     ``segment`` takes only the two corners "all low" and "all high", as Theorem 2.2 is printed: that covers a segment of
     the box when a mode has two targets or more.
 
-    Raises
-    ------
-    ValueError: the nodes are not increasing from 0, or a rate has no finite bound on a cell.
+    Raises:
+        ValueError: the nodes are not increasing from 0, or a rate has no finite bound on a cell.
     """
     check_partition(process, nodes)
     out = []

@@ -156,9 +156,9 @@ def _settled_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarko
 def second_moment_radius(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov) -> float:
     """Spectral radius of the per-jump operator: below 1 if and only if the loop is mean-square stable.
 
-    Raises
-    ------
-    ValueError: the system is uncertain. DesignError: rates that die out without settling, an integral that does not settle.
+    Raises:
+        ValueError: the system is uncertain.
+        DesignError: rates that die out without settling, an integral that does not settle.
     """
     return _settled_moments(system, gain, process)[1]
 

@@ -57,7 +57,9 @@ def uncertainty_margin(
 
     Args:
         structure, gains: the loop.
-        M: (n, a). N1: (b, n). N2: (b, m).
+        M: (n, a).
+        N1: (b, n).
+        N2: (b, m).
     """
     c = _channel(structure, gains, M, N1, N2)
     norm = hinf_norm(MJLS(A=c.A, B=c.M, C=c.of_state, transition=c.transition))

@@ -13,12 +13,9 @@ class HilError(Exception):
 class ExperimentError(HilError):
     """An experiment that cannot be run, with every fault that was found.
 
-    Parameters
-    ----------
-    source : str
-        File or name of the experiment.
-    faults : list of str
-        One line each, ``path.of.the.field: what is wrong``.
+    Args:
+        source: file or name of the experiment.
+        faults: one line each, ``path.of.the.field: what is wrong``.
     """
 
     def __init__(self, source: str, faults: list[str]) -> None:

@@ -33,19 +33,13 @@ def load_experiment(
 ) -> Experiment:
     """Read and check an experiment.
 
-    Parameters
-    ----------
-    source : str or Path
-        Name of a shipped experiment, or path of a TOML file.
-    sets : sequence of str
-        Changes ``path=value``, value in TOML notation (a bare word is taken as a string).
-    seed, duration : optional
-        Short for ``seed=...`` and ``duration="..."``, after the other changes.
+    Args:
+        source: name of a shipped experiment, or path of a TOML file.
+        sets: changes ``path=value``, value in TOML notation (a bare word is taken as a string).
+        seed, duration: short for ``seed=...`` and ``duration="..."``, after the other changes.
 
-    Raises
-    ------
-    ExperimentError
-        With every fault found, each with the path of its field.
+    Raises:
+        ExperimentError: with every fault found, each with the path of its field.
     """
     changes = [*sets]
     if seed is not None:

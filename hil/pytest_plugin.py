@@ -109,17 +109,13 @@ class Rig:
     ) -> Session:
         """Run an experiment and return its session: ``.summary``, ``.run`` (numpy arrays per topic), ``.status``.
 
-        Parameters
-        ----------
-        experiment : str or Path
-            Shipped name or TOML file.
-        set, seed, duration, clock, link
-            As the options of ``hil run``; clock and link default to ``--hil-clock`` and ``--hil-link``.
+        Args:
+            experiment: shipped name or TOML file.
+            set, seed, duration, clock, link: as the options of ``hil run``; clock and link default to ``--hil-clock`` and
+                ``--hil-link``.
 
-        Raises
-        ------
-        hil.errors.HilError
-            If the experiment cannot be run.
+        Raises:
+            hil.errors.HilError: if the experiment cannot be run.
         """
         from hil.experiment import load_experiment
         from hil.session import run_session

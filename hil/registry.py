@@ -29,10 +29,8 @@ def names(group: Group) -> list[str]:
 def load(group: Group, name: str) -> type:
     """Return the parameter class of one plug-in.
 
-    Raises
-    ------
-    HilError
-        If no such plug-in is installed (the message names the nearest), or its module cannot be imported.
+    Raises:
+        HilError: if no such plug-in is installed (the message names the nearest), or its module cannot be imported.
     """
     found = _found(group)
     if name not in found:

@@ -29,12 +29,9 @@ from transport.packets import ControlPacket, decode
 class Verdict:
     """Outcome of a verification.
 
-    Parameters
-    ----------
-    answers, states : int
-        Control packets and plant states that were compared and found identical.
-    difference : str or None
-        The first differing sample, None if all are identical.
+    Args:
+        answers, states: control packets and plant states that were compared and found identical.
+        difference: the first differing sample, None if all are identical.
     """
 
     answers: int
@@ -67,10 +64,8 @@ def verify(run: Run, source: str = "log") -> Verdict:
 
     What is not compared: times measured (``/timing/tick``), late packets, events, and the packets of a foreign controller.
 
-    Raises
-    ------
-    HilError
-        If the log has no slots.
+    Raises:
+        HilError: if the log has no slots.
     """
     experiment = experiment_of(run, source)
     loop = compose(experiment, certify=False)
@@ -140,11 +135,9 @@ def _words(data: bytes | None) -> str:
 def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[str, NDArray[np.float64]]:
     """Ask what another controller would have commanded on the recorded arrivals (the plant does not react).
 
-    Returns
-    -------
-    dict
-        ``t_s``, and per input ``recorded_<name>`` (as applied) and ``<kind>_<name>`` (the row with the recorded d and
-        selection history, NaN where nothing was applied).
+    Returns:
+        ``t_s``, and per input ``recorded_<name>`` (as applied) and ``<kind>_<name>`` (the row with the recorded d and selection
+        history, NaN where nothing was applied).
     """
     experiment = experiment_of(run, source)
     other = compose(

@@ -28,14 +28,10 @@ ClockName = Literal["virtual", "real"]
 class Session:
     """What a finished run leaves behind.
 
-    Parameters
-    ----------
-    run : Run
-        The log, read back.
-    summary : dict
-        What ``hil run --json`` prints.
-    status : int
-        Exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety, 130 or 143 interrupted.
+    Args:
+        run: the log, read back.
+        summary: what ``hil run --json`` prints.
+        status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety, 130 or 143 interrupted.
     """
 
     run: Run
@@ -61,25 +57,16 @@ def run_session(
 ) -> Session:
     """Run an experiment, log it, and sum it up.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The checked description.
-    clock : str
-        ``virtual`` (one process, reproducible) or ``real`` (separate processes over ``link``).
-    link : str, optional
-        URI of the real link; the experiment's own by default.
-    path : Path
-        The log to write.
-    external : bool
-        Somebody else's controller answers on the link.
-    taps : mapping
-        Topic to a function that gets its records as they come, for a live view.
+    Args:
+        experiment: the checked description.
+        clock: ``virtual`` (one process, reproducible) or ``real`` (separate processes over ``link``).
+        link: URI of the real link; the experiment's own by default.
+        path: the log to write.
+        external: somebody else's controller answers on the link.
+        taps: topic to a function that gets its records as they come, for a live view.
 
-    Raises
-    ------
-    HilError
-        If the experiment cannot be composed, the log cannot be written, or the session could not start.
+    Raises:
+        HilError: if the experiment cannot be composed, the log cannot be written, or the session could not start.
     """
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
     loop = compose(experiment)

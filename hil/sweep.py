@@ -80,21 +80,14 @@ def run_sweep(
 
     Every run has its own seed, so the numbers are the same for every number of jobs and machines and every split.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        What to run, in virtual time.
-    seeds : sequence of int
-        One run each; with ``until`` the most that may be run.
-    ladder : Ladder
-        Where: this process, the cores of this machine, or a dask cluster.
-    progress : callable
-        Told how many runs have been done.
-    store : SweepStore, optional
-        Where finished runs are kept, and taken from instead of being run again.
-    until : (metric, StopRule), optional
-        Stop as soon as the interval of the metric is narrow enough. It is looked at only at the rule's numbers of runs,
-        which is what its error rate needs; runs in which the metric is undefined do not count for it.
+    Args:
+        experiment: what to run, in virtual time.
+        seeds: one run each; with ``until`` the most that may be run.
+        ladder: Where: this process, the cores of this machine, or a dask cluster.
+        progress: told how many runs have been done.
+        store: where finished runs are kept, and taken from instead of being run again.
+        until: (metric, StopRule). Stop as soon as the interval of the metric is narrow enough. It is looked at only at the rule's
+            numbers of runs, which is what its error rate needs; runs in which the metric is undefined do not count for it.
     """
     done = {seed: store.rows[seed] for seed in seeds if seed in store.rows} if store else {}
     look, interval, reached, interrupted = 0, None, False, 0

@@ -22,19 +22,13 @@ class SweepStore:
     The first line says which experiment the rows belong to; a file of another one is refused. A last line that was torn
     by a crash is cut off. The file is locked, so that two sweeps cannot mix their rows.
 
-    Parameters
-    ----------
-    path : Path
-        The file; made if it is not there.
-    experiment : Experiment
-        What the rows belong to; its own seed does not matter.
-    metrics : sequence of str
-        Columns of a row, besides ``seed``.
+    Args:
+        path: the file; made if it is not there.
+        experiment: what the rows belong to; its own seed does not matter.
+        metrics: columns of a row, besides ``seed``.
 
-    Raises
-    ------
-    HilError
-        If the file belongs to something else, is in use, or cannot be written.
+    Raises:
+        HilError: if the file belongs to something else, is in use, or cannot be written.
     """
 
     def __init__(self, path: Path, experiment: Experiment, metrics: Sequence[str]) -> None:

@@ -107,10 +107,8 @@ def _iterated(problem: TrackingProblem, direct_s: float, programmes: int) -> dic
 def bench_scheduled(*, progress: Callable[[str], None] = lambda text: None) -> list[dict[str, Any]]:
     """The syntheses of Chapters 2 to 4: what each reached, what it must reach, and how long it took.
 
-    Parameters
-    ----------
-    progress : callable
-        Told what is running.
+    Args:
+        progress: told what is running.
     """
     from design.jump_bench import LIMIT_S, bench_cases
 

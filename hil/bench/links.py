@@ -50,22 +50,15 @@ def bench_links(
 ) -> list[Row]:
     """Measure round trips, 20 bytes there and 48 back, over every link and over plain UDP in C, all in one run.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Round trips per second.
-    duration_s : float
-        Length for each link, s.
-    links : sequence of str
-        URIs; ``{port}``, ``{pid}`` and ``{folder}`` are filled in.
-    progress : callable
-        Told what is running.
+    Args:
+        rate_hz: round trips per second.
+        duration_s: length for each link, s.
+        links: URIs; ``{port}``, ``{pid}`` and ``{folder}`` are filled in.
+        progress: told what is running.
 
-    Returns
-    -------
-    list of dict
-        One row per link, the floor first: `link`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio of the p50), `lost`
-        and `note`, which says what was missing where there are no numbers.
+    Returns:
+        One row per link, the floor first: `link`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio of the p50), `lost` and
+        `note`, which says what was missing where there are no numbers.
     """
     number = max(round(SLICE_S * rate_hz), 1)
     slices = max(round(duration_s * rate_hz / number), 1)

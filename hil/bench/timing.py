@@ -26,10 +26,8 @@ PERIOD_US = 1000
 def start_cyclictest(priority: int, period_us: int, duration_s: float, output: Path) -> subprocess.Popen[bytes]:
     """Start cyclictest with a 1 us histogram, written as JSON.
 
-    Raises
-    ------
-    HilError
-        If it is not installed.
+    Raises:
+        HilError: if it is not installed.
     """
     program = shutil.which("cyclictest")
     if program is None:
@@ -121,16 +119,12 @@ def bench_timing(
 
     `ratio` is the rig's lateness over cyclictest's, `round_trip_ratio` the median round trip over that of the last link.
 
-    Parameters
-    ----------
-    duration_s : float
-        Time over each link, s.
-    turns : int
-        Sessions into which that time is cut; the links take turns, so that what else the machine does hits all of them alike.
-    links : sequence of str
-        URIs.
-    progress : callable
-        Told what is running.
+    Args:
+        duration_s: time over each link, s.
+        turns: sessions into which that time is cut; the links take turns, so that what else the machine does hits all of them
+            alike.
+        links: URIs.
+        progress: told what is running.
     """
     taken: dict[str, list[_Turn]] = {uri: [] for uri in links}
     session_s = duration_s / turns

@@ -14,21 +14,14 @@ PAGE = b"<!doctype html"  # as our pages begin
 def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy: str = "choose another -o") -> Path:
     """Return ``path`` if a file can be written there.
 
-    Parameters
-    ----------
-    path : Path
-        File to be written.
-    fresh : bool
-        Refuse a file that is already there.
-    page : bool
-        Refuse a file that is already there and is no page.
-    remedy : str
-        What the message about such a file advises.
+    Args:
+        path: file to be written.
+        fresh: refuse a file that is already there.
+        page: refuse a file that is already there and is no page.
+        remedy: what the message about such a file advises.
 
-    Raises
-    ------
-    HilError
-        If it is a folder or a device, exists already (see above), or its folder is missing or cannot be written.
+    Raises:
+        HilError: if it is a folder or a device, exists already (see above), or its folder is missing or cannot be written.
     """
     try:
         path.lstat()
@@ -61,10 +54,8 @@ def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy:
 def write_output(path: Path, text: str) -> None:
     """Write a file in one step: there is the old file or the new one, never half of it.
 
-    Raises
-    ------
-    HilError
-        If it cannot be written, or is there and is no regular file.
+    Raises:
+        HilError: if it cannot be written, or is there and is no regular file.
     """
     target = _target(path)
     if target.exists() and not target.is_file():

@@ -16,10 +16,8 @@ from hil.errors import HilError
 def reserve(output: Path | None, stem: str, force: bool) -> Path:
     """Make the log's file, empty, so that no other run takes its name; by default the first free one below ``runs/``.
 
-    Raises
-    ------
-    HilError
-        If it exists already (without ``force``) or cannot be created.
+    Raises:
+        HilError: if it exists already (without ``force``) or cannot be created.
     """
     path = output or Path("runs") / f"{stem}.mcap"
     try:

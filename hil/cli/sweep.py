@@ -125,10 +125,8 @@ def check_jobs(jobs: int) -> None:
 def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, StopRule]:
     """The metric and the rule that ``METRIC=HALFWIDTH`` or ``sd:METRIC=HALFWIDTH`` asks for.
 
-    Raises
-    ------
-    HilError
-        If it is not of this form.
+    Raises:
+        HilError: if it is not of this form.
     """
     from design.confidence import StopRule
 

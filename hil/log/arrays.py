@@ -31,28 +31,18 @@ def assemble(
 ) -> StructuredArray:
     """One array of equal records.
 
-    Parameters
-    ----------
-    schema : Schema
-        Layout of the payloads.
-    records : sequence of bytes
-        Each holds one payload at its end.
-    payload_at : int
-        Where the payload begins in a record.
-    time_at : int, optional
-        Where the time (i64, little endian) stands in a record; else ``times`` are taken.
-    times : sequence of int
-        Nominal session times in ns.
+    Args:
+        schema: layout of the payloads.
+        records: each holds one payload at its end.
+        payload_at: where the payload begins in a record.
+        time_at: where the time (i64, little endian) stands in a record; else ``times`` are taken.
+        times: nominal session times in ns.
 
-    Returns
-    -------
-    structured ndarray, shape (len(records),)
-        See ``run_dtype``.
+    Returns:
+        shape (len(records),). See ``run_dtype``.
 
-    Raises
-    ------
-    HilError
-        If a record is of another length than its schema says, or is no little-endian CDR.
+    Raises:
+        HilError: if a record is of another length than its schema says, or is no little-endian CDR.
     """
     out = np.empty(len(records), run_dtype(schema))
     if not len(records):

@@ -21,15 +21,10 @@ _MAX_DEPTH = 20
 def plain(value: object, depth: int = 0) -> Any:
     """Value made of dict, list, str, int, finite float, bool and None only.
 
-    Parameters
-    ----------
-    value : object
-        Mappings, sequences, sets, dataclasses, numpy arrays and scalars are taken apart.
-    depth : int
-        Level of nesting so far; beyond 20 the rest becomes text.
+    Args:
+        value: mappings, sequences, sets, dataclasses, numpy arrays and scalars are taken apart.
+        depth: level of nesting so far; beyond 20 the rest becomes text.
 
-    Examples
-    --------
     >>> plain({"u": (1, float("nan")), "K": np.eye(1)})
     {'u': [1, 'nan'], 'K': [[1.0]]}
     """
@@ -73,21 +68,13 @@ def encode_event(
 ) -> bytes:
     """Payload of one ``/events`` record; see ``records.EVENT_SCHEMA``.
 
-    Parameters
-    ----------
-    t_ns : int
-        Nominal session time in ns.
-    kind, message : str
-        A short name to filter by, and one sentence for people.
-    tick : int
-        Slot in which it happened, -1 outside of slots.
-    severity : str
-        One of ``records.SEVERITIES``; others are kept as they are, an event is never lost for its form.
-    data : mapping
-        Values that belong to it.
+    Args:
+        t_ns: nominal session time in ns.
+        kind, message: a short name to filter by, and one sentence for people.
+        tick: slot in which it happened, -1 outside of slots.
+        severity: one of ``records.SEVERITIES``; others are kept as they are, an event is never lost for its form.
+        data: values that belong to it.
 
-    Examples
-    --------
     >>> encode_event(0, "stop", "done", data={})
     b'{"data":{},"kind":"stop","message":"done","severity":"info","t_s":0.0,"tick":-1}'
     """

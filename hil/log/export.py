@@ -35,24 +35,16 @@ VIRTUAL_BEGIN: Final = "2000-01-01T00:00:00Z"
 def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = ()) -> list[Path]:
     """Write a run in the format that the target's ending names; existing files are replaced when all went well.
 
-    Parameters
-    ----------
-    run : Run
-        What to write.
-    target : path
-        ``.log``, ``.blf``, ``.csv`` or ``.npz``. Tables of more than one topic make files ``name.topic.csv``.
-    topics : sequence of str
-        Only these; all by default. CAN logs hold ``/link/sensor`` and ``/link/control``.
+    Args:
+        run: what to write.
+        target: ``.log``, ``.blf``, ``.csv`` or ``.npz``. Tables of more than one topic make files ``name.topic.csv``.
+        topics: only these; all by default. CAN logs hold ``/link/sensor`` and ``/link/control``.
 
-    Returns
-    -------
-    list of Path
+    Returns:
         The files written.
 
-    Raises
-    ------
-    HilError
-        If the ending or a topic is unknown, a frame cannot be a CAN frame, or a file cannot be written.
+    Raises:
+        HilError: if the ending or a topic is unknown, a frame cannot be a CAN frame, or a file cannot be written.
     """
     target = Path(target)
     writers = {".log": _can_log, ".blf": _can_log, ".csv": _tables, ".npz": _npz}

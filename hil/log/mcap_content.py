@@ -21,18 +21,12 @@ MESSAGE_PAYLOAD_AT: Final = 31
 class Content:
     """Records by kind; a message stays whole, framing included (time at byte 15, payload from byte 31).
 
-    Parameters
-    ----------
-    schemas, channels : dict
-        By number.
-    messages : dict of int to list of bytes
-        By number of the channel, in the order of the file.
-    metadata : dict of str to dict
-        By name; a later record of one name replaces an earlier one.
-    attachments : dict of str to Attachment
-        By name.
-    chunks : int
-        Chunks that were unpacked.
+    Args:
+        schemas, channels: by number.
+        messages: by number of the channel, in the order of the file.
+        metadata: by name; a later record of one name replaces an earlier one.
+        attachments: by name.
+        chunks: chunks that were unpacked.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -45,10 +39,8 @@ class Content:
     def take(self, record: Record) -> None:
         """Take one record of the file; indexes and statistics are passed over.
 
-        Raises
-        ------
-        DamagedRecord
-            If the record cannot be read; no message of it was taken then.
+        Raises:
+            DamagedRecord: if the record cannot be read; no message of it was taken then.
         """
         if record.opcode == Opcode.CHUNK:
             self._take_chunk(unpack_chunk(record), record)

@@ -51,10 +51,8 @@ class TornFile(HilError):
 def walk(data: bytes | memoryview, start: int = 0) -> Iterator[Record]:
     """Records of ``data`` from ``start`` on, until its end.
 
-    Raises
-    ------
-    TornFile
-        If a record is announced longer than what is left.
+    Raises:
+        TornFile: if a record is announced longer than what is left.
     """
     view = memoryview(data)
     end = len(view)
@@ -73,10 +71,8 @@ def walk(data: bytes | memoryview, start: int = 0) -> Iterator[Record]:
 def parse_attachment(record: Record) -> Attachment:
     """Parse an attachment, and check it against its CRC, which mcap's own reader leaves out.
 
-    Raises
-    ------
-    DamagedRecord
-        If it cannot be had whole.
+    Raises:
+        DamagedRecord: if it cannot be had whole.
     """
     attachment: Attachment = parse(Attachment.read, record)
     crc = int.from_bytes(record.body[-4:], "little")
@@ -88,10 +84,8 @@ def parse_attachment(record: Record) -> Attachment:
 def chunk_records(record: Record) -> list[McapRecord]:
     """Schemas, channels and messages of a chunk, in its order.
 
-    Raises
-    ------
-    DamagedRecord
-        If one of them cannot be read.
+    Raises:
+        DamagedRecord: if one of them cannot be read.
     """
     content = unpack_chunk(record)
     plain = Chunk(
@@ -104,10 +98,8 @@ def chunk_records(record: Record) -> list[McapRecord]:
 def parse(read: Callable[[ReadDataStream], R], record: Record) -> R:
     """Parse a record by one of mcap's own readers.
 
-    Raises
-    ------
-    DamagedRecord
-        Whatever goes wrong, with the record's offset.
+    Raises:
+        DamagedRecord: whatever goes wrong, with the record's offset.
     """
     return _guarded(lambda: read(ReadDataStream(BytesIO(record.body))), record)
 
@@ -115,10 +107,8 @@ def parse(read: Callable[[ReadDataStream], R], record: Record) -> R:
 def unpack_chunk(record: Record) -> bytes:
     """Content of a chunk, uncompressed and checked against its CRC.
 
-    Raises
-    ------
-    DamagedRecord
-        If it cannot be had whole.
+    Raises:
+        DamagedRecord: if it cannot be had whole.
     """
     chunk = parse(Chunk.read, record)
     where = f"chunk at byte {record.offset}"

@@ -34,12 +34,9 @@ _READ_BYTES: Final = 1 << 18
 class PipeSink:
     """Writing end, in the loop's process: one ``write`` per tick, never waiting, never raising.
 
-    Parameters
-    ----------
-    fd : int
-        Writing end of a pipe; it is made non-blocking and belongs to the sink from now on.
-    channels : mapping of str to Channel
-        The session's table (``records.channels``), the same as in the reading process.
+    Args:
+        fd: writing end of a pipe; it is made non-blocking and belongs to the sink from now on.
+        channels: the session's table (``records.channels``), the same as in the reading process.
     """
 
     def __init__(self, fd: int, channels: Mapping[str, Channel]) -> None:
@@ -155,22 +152,14 @@ class PipeSink:
 class PumpReport:
     """What came through the pipe.
 
-    Parameters
-    ----------
-    records : int
-        Records handed to the sink.
-    dropped : int
-        Records that the writer could not write, as far as it could still say so.
-    malformed : int
-        Frames of no known channel, or of a wrong length.
-    torn_bytes : int
-        Bytes of the last, incomplete frame of a writer that was killed.
-    complete : bool
-        Whether the writer ended in good order.
-    faults : list of str
-        Taps that raised and were taken off.
-    last_ns : int
-        Session time of the last record.
+    Args:
+        records: records handed to the sink.
+        dropped: records that the writer could not write, as far as it could still say so.
+        malformed: frames of no known channel, or of a wrong length.
+        torn_bytes: bytes of the last, incomplete frame of a writer that was killed.
+        complete: whether the writer ended in good order.
+        faults: taps that raised and were taken off.
+        last_ns: session time of the last record.
     """
 
     records: int = 0
@@ -194,27 +183,17 @@ def pump(
 ) -> PumpReport:
     """Carry records from the pipe to a sink until the writer is gone, however it went.
 
-    Parameters
-    ----------
-    fd : int
-        Reading end of the pipe; stays open.
-    sink : Sink
-        Gets the records; committed after every read and at least every ``poll_s``.
-    channels : mapping of str to Channel
-        The session's table.
-    taps : mapping of str to function, optional
-        Topic to a function that also gets time and payload of that topic's records, for a live view. One that raises
-        is taken off and reported.
-    stop : callable
-        Asked whenever the pipe is empty; true ends the pump though somebody still holds the writing end.
-    report : PumpReport
-        Filled in as records come, for who watches; a new one by default.
-    poll_s : float
-        Longest wait in s.
+    Args:
+        fd: reading end of the pipe; stays open.
+        sink: gets the records; committed after every read and at least every ``poll_s``.
+        channels: the session's table.
+        taps: topic to a function that also gets time and payload of that topic's records, for a live view. One that raises is
+            taken off and reported.
+        stop: asked whenever the pipe is empty; true ends the pump though somebody still holds the writing end.
+        report: filled in as records come, for who watches; a new one by default.
+        poll_s: longest wait in s.
 
-    Returns
-    -------
-    PumpReport
+    Returns:
         What came, and what was lost.
     """
     report = report or PumpReport()

@@ -28,29 +28,18 @@ def package_versions() -> dict[str, str]:
 class Provenance:
     """Everything that stands in a log before its first record.
 
-    Parameters
-    ----------
-    experiment : str
-        Name of the experiment.
-    experiment_text : str
-        The experiment file as the user wrote it (attachment ``experiment.toml``).
-    resolved : mapping
-        The experiment after defaults and overrides (attachment ``resolved.json``).
-    certificate : mapping, optional
-        The design's certificate (attachment ``certificate.json``).
-    seed : int
-        Root of all random streams.
-    clock : str
-        ``virtual`` or ``real``.
-    link : str
-        URI of the link.
-    versions : mapping
-        Package name to version.
-    codes : mapping
-        Names behind the small integers of the records, for instance ``{"reason": REASONS}``.
-    session : mapping
-        What only a session in real time may say: start, host, scheduler. Leave empty in virtual time, or two runs of
-        one experiment are no longer the same file.
+    Args:
+        experiment: name of the experiment.
+        experiment_text: the experiment file as the user wrote it (attachment ``experiment.toml``).
+        resolved: the experiment after defaults and overrides (attachment ``resolved.json``).
+        certificate: the design's certificate (attachment ``certificate.json``).
+        seed: root of all random streams.
+        clock: ``virtual`` or ``real``.
+        link: URI of the link.
+        versions: package name to version.
+        codes: names behind the small integers of the records, for instance ``{"reason": REASONS}``.
+        session: what only a session in real time may say: start, host, scheduler. Leave empty in virtual time, or two runs of one
+            experiment are no longer the same file.
     """
 
     experiment: str

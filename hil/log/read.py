@@ -25,27 +25,17 @@ from hil.log.sinks import MemorySink
 class Run:
     """What a log tells.
 
-    Parameters
-    ----------
-    arrays : dict of str to structured ndarray
-        Topic to records in the order of the log; field ``t_ns`` (nominal session time) first, then the fields of the
-        topic's schema. Raw frames have the field ``data`` of bytes objects. A topic without records has length 0.
-    schemas : dict of str to Schema
-        Topic to schema, with the units.
-    events : list of dict
-        Records of ``/events``; see ``records.EVENT_SCHEMA``.
-    metadata : dict
-        ``experiment``, ``seed``, ``clock``, ``link``, ``format`` (all text) and what else the record ``hilrig`` holds.
-    versions, session : dict
-        Packages of the session, and what a session in real time said of itself.
-    codes : dict of str to list of str
-        Names behind the records' small integers.
-    experiment_text : str
-        The experiment file.
-    resolved, certificate : dict
-        The experiment after defaults and overrides; the design's certificate, empty if there is none.
-    summary : dict
-        The summary that closed the log, empty if it was never closed.
+    Args:
+        arrays: topic to records in the order of the log; field ``t_ns`` (nominal session time) first, then the fields of the
+            topic's schema. Raw frames have the field ``data`` of bytes objects. A topic without records has length 0.
+        schemas: topic to schema, with the units.
+        events: records of ``/events``; see ``records.EVENT_SCHEMA``.
+        metadata: ``experiment``, ``seed``, ``clock``, ``link``, ``format`` (all text) and what else the record ``hilrig`` holds.
+        versions, session: packages of the session, and what a session in real time said of itself.
+        codes: names behind the records' small integers.
+        experiment_text: the experiment file.
+        resolved, certificate: the experiment after defaults and overrides; the design's certificate, empty if there is none.
+        summary: the summary that closed the log, empty if it was never closed.
     """
 
     arrays: dict[str, StructuredArray]
@@ -73,18 +63,13 @@ class Run:
 def read_run(path: str | os.PathLike[str], *, whole: bool = True) -> Run:
     """Read a log.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    whole : bool
-        Refuse a log that is torn or damaged. Otherwise read what is there: after a full disk, say.
+    Args:
+        path: the file.
+        whole: refuse a log that is torn or damaged. Otherwise read what is there: after a full disk, say.
 
-    Raises
-    ------
-    HilError
-        If the file cannot be read, is no MCAP file, is no log of ours, is torn or damaged; the message names the file
-        and the offset in it, and the remedy where there is one.
+    Raises:
+        HilError: if the file cannot be read, is no MCAP file, is no log of ours, is torn or damaged; the message names the file
+            and the offset in it, and the remedy where there is one.
     """
     path = Path(path)
     data = read_mcap(path)
@@ -112,10 +97,8 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True) -> Run:
 def read_mcap(path: Path) -> bytes:
     """Bytes of a file that begins as MCAP does.
 
-    Raises
-    ------
-    HilError
-        If it cannot be read, is no regular file (a device has no end), is empty, or begins otherwise.
+    Raises:
+        HilError: if it cannot be read, is no regular file (a device has no end), is empty, or begins otherwise.
     """
     try:
         mode = path.stat().st_mode

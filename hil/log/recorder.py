@@ -30,21 +30,14 @@ class McapSink:
     Provenance goes first and is flushed at once. Without ``now`` a chunk ends after a fixed number of bytes, so that
     the same records give the same file; with it also after 50 ms, because a killed process loses its open chunk.
 
-    Parameters
-    ----------
-    path : path
-        File to write; an existing one is replaced.
-    channels : mapping of str to Channel
-        The session's table (``records.channels``).
-    provenance : Provenance
-        What stands before the first record.
-    now : callable, optional
-        Monotonic seconds of a clock, in real time only.
+    Args:
+        path: file to write; an existing one is replaced.
+        channels: the session's table (``records.channels``).
+        provenance: what stands before the first record.
+        now: monotonic seconds of a clock, in real time only.
 
-    Raises
-    ------
-    HilError
-        If the file cannot be created or the first bytes cannot be written; no file is left behind then.
+    Raises:
+        HilError: if the file cannot be created or the first bytes cannot be written; no file is left behind then.
     """
 
     def __init__(
@@ -163,10 +156,8 @@ class McapSink:
     def sha256(self) -> str:
         """SHA-256 of the closed file in hexadecimal.
 
-        Raises
-        ------
-        HilError
-            If the file is gone or cannot be read.
+        Raises:
+            HilError: if the file is gone or cannot be read.
         """
         try:
             with open(self.path, "rb") as file:

@@ -72,16 +72,11 @@ class SignalLike(Protocol):
 class Field:
     """One field of a record.
 
-    Parameters
-    ----------
-    type : str
-        ``float64``, ``int64``, ``int32``, ``uint8`` or, as the last field only, ``uint8[]``.
-    name : str
-        ROS 2 field name: lower case letters, digits and single underscores.
-    unit : str
-        Unit without a comma, ``1`` for none.
-    doc : str
-        One line for the reader of the schema.
+    Args:
+        type: ``float64``, ``int64``, ``int32``, ``uint8`` or, as the last field only, ``uint8[]``.
+        name: ROS 2 field name: lower case letters, digits and single underscores.
+        unit: unit without a comma, ``1`` for none.
+        doc: one line for the reader of the schema.
     """
 
     type: str
@@ -107,15 +102,10 @@ class Field:
 class Schema:
     """A record's layout, and the two ways through it: ``pack`` to bytes, ``dtype`` back to numbers.
 
-    Parameters
-    ----------
-    name : str
-        ``package/msg/Name``.
-    fields : tuple of Field
-        Ordered float64, int64, int32, uint8, uint8[].
+    Args:
+        name: ``package/msg/Name``.
+        fields: ordered float64, int64, int32, uint8, uint8[].
 
-    Examples
-    --------
     >>> s = Schema(name="hil/msg/Demo", fields=(Field(type="float64", name="angle", unit="rad"),
     ...                                         Field(type="uint8", name="late")))
     >>> s.pack(1.0, 1).hex()
@@ -189,14 +179,10 @@ def _raw_packer(pack: Callable[..., bytes]) -> Callable[..., bytes]:
 class Channel:
     """A topic of the log.
 
-    Parameters
-    ----------
-    id : int
-        Number of the channel in the file and in the pipe, from 1.
-    topic : str
-        Name of the channel.
-    schema : Schema
-        Layout of its records.
+    Args:
+        id: number of the channel in the file and in the pipe, from 1.
+        topic: name of the channel.
+        schema: layout of its records.
     """
 
     id: int
@@ -209,13 +195,9 @@ def field_name(name: str) -> str:
 
     Runs of other characters than letters and digits become one underscore, capitals become small.
 
-    Raises
-    ------
-    HilError
-        If nothing usable remains, if it would begin with a digit, or if it is ``t_ns``.
+    Raises:
+        HilError: if nothing usable remains, if it would begin with a digit, or if it is ``t_ns``.
 
-    Examples
-    --------
     >>> field_name("Motor speed (left)")
     'motor_speed_left'
     """
@@ -233,22 +215,15 @@ def channels(
 ) -> dict[str, Channel]:
     """Every signal topic of a session, in the order of their numbers (``/events`` stands apart, in JSON).
 
-    Parameters
-    ----------
-    states, inputs, outputs : sequence of signals
-        The plant's signals, n, m and p of them, each with ``name`` and ``unit``.
-    n_rows : int
-        Rows of the longest control packet that the selection rule can demand.
+    Args:
+        states, inputs, outputs: the plant's signals, n, m and p of them, each with ``name`` and ``unit``.
+        n_rows: rows of the longest control packet that the selection rule can demand.
 
-    Returns
-    -------
-    dict of str to Channel
+    Returns:
         Topic to channel.
 
-    Raises
-    ------
-    HilError
-        If a signal's name cannot be a field, or two signals of one topic would share a field.
+    Raises:
+        HilError: if a signal's name cannot be a field, or two signals of one topic would share a field.
     """
     x, u, y = _floats(states), _floats(inputs), _floats(outputs)
     w = tuple(Field(type="float64", name=f"w_{f.name}", unit=f.unit, doc="input disturbance") for f in u)

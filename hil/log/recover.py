@@ -20,20 +20,13 @@ from hil.log.read import read_mcap, without_magic
 class Recovery:
     """What was saved and what was not.
 
-    Parameters
-    ----------
-    messages, chunks, attachments, metadata : int
-        What was kept.
-    last_ns : int
-        Log time of the last message that was kept, -1 if there is none.
-    closed : bool
-        Whether the file had been closed in good order.
-    lost_messages : int
-        Messages of damaged chunks, as far as the file's own index can tell.
-    lost_bytes : int
-        Bytes behind the tear.
-    losses : list of str
-        One line for each.
+    Args:
+        messages, chunks, attachments, metadata: what was kept.
+        last_ns: log time of the last message that was kept, -1 if there is none.
+        closed: whether the file had been closed in good order.
+        lost_messages: messages of damaged chunks, as far as the file's own index can tell.
+        lost_bytes: bytes behind the tear.
+        losses: one line for each.
     """
 
     messages: int = 0
@@ -63,22 +56,15 @@ class Recovery:
 def recover(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> Recovery:
     """Write a whole, indexed file with everything of ``source`` that can be read; ``source`` stays as it is.
 
-    Parameters
-    ----------
-    source : path
-        A torn or damaged MCAP file.
-    target : path
-        The file to write; it must not exist.
+    Args:
+        source: a torn or damaged MCAP file.
+        target: the file to write; it must not exist.
 
-    Returns
-    -------
-    Recovery
+    Returns:
         What was kept and what was lost.
 
-    Raises
-    ------
-    HilError
-        If ``source`` is no MCAP file, nothing in it can be read, or ``target`` exists or cannot be written.
+    Raises:
+        HilError: if ``source`` is no MCAP file, nothing in it can be read, or ``target`` exists or cannot be written.
     """
     source, target = Path(source), Path(target)
     data = read_mcap(source)

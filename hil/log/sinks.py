@@ -34,12 +34,9 @@ class Sink(Protocol):
 class MemorySink:
     """Keeps records in memory, for sweeps, tests and summaries.
 
-    Parameters
-    ----------
-    channels : mapping of str to Channel
-        The session's table (``records.channels``).
-    topics : collection of str, optional
-        Topics to keep, all if None; ``/events`` is one of them.
+    Args:
+        channels: the session's table (``records.channels``).
+        topics: topics to keep, all if None; ``/events`` is one of them.
     """
 
     def __init__(self, channels: Mapping[str, Channel], topics: Collection[str] | None = None) -> None:
@@ -80,10 +77,8 @@ class MemorySink:
 class TeeSink:
     """Gives every record to several sinks, for instance to a file and to the summary.
 
-    Parameters
-    ----------
-    *sinks : Sink
-        Each gets what it wants.
+    Args:
+        *sinks: each gets what it wants.
     """
 
     def __init__(self, *sinks: Sink) -> None:
@@ -117,10 +112,8 @@ class TeeSink:
 class Taps:
     """Hands records to functions by topic, for a live view.
 
-    Parameters
-    ----------
-    taps : mapping of str to function
-        Each gets time and payload of its topic's records.
+    Args:
+        taps: each gets time and payload of its topic's records.
     """
 
     def __init__(self, taps: Mapping[str, Put]) -> None:

@@ -72,7 +72,8 @@ class Payload:
 def block_html(block: Block, payload: Payload) -> str:
     """Return the HTML of one block.
 
-    Raises: TypeError for anything that is not one of the block dataclasses of `hil.report.figures`.
+    Raises:
+        TypeError: for anything that is not one of the block dataclasses of `hil.report.figures`.
     """
     if isinstance(block, Figure):
         return _figure(block, payload)

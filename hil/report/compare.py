@@ -36,14 +36,10 @@ def paired(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
 def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: int, plants: Sequence[Any] = ()) -> str:
     """Return the page: empirical distribution functions per metric, one curve per experiment, and the table.
 
-    Parameters
-    ----------
-    found : mapping of experiment to metrics
-        What :func:`hil.sweep.sweep` gives, per experiment, over the same seeds.
-    runs : int
-        Number of seeds.
-    plants : sequence of plants
-        Of the experiments: they state the units. A metric whose unit differs between them, or is not known, has none.
+    Args:
+        found: mapping of experiment to metrics. What :func:`hil.sweep.sweep` gives, per experiment, over the same seeds.
+        runs: number of seeds.
+        plants: of the experiments: they state the units. A metric whose unit differs between them, or is not known, has none.
     """
     names = list(found)
     tracked = [s.unit for plant in plants for s in plant.outputs if s.name in getattr(plant, "tracked", (s.name,))]

@@ -17,8 +17,13 @@ def bucket_extremes(x: Float, y: Float, buckets: int) -> Index:
     In every interval the first, the last, the smallest and the largest sample stay, so a spike one sample long
     survives; a NaN (a gap) stays as well.
 
-    Parameters: `x` shape (n,), not decreasing; `y` shape (n,); `buckets` >= 1.
-    Returns: increasing indices, at most about 5 per bucket; all of them where that is no saving.
+    Args:
+        x: shape (n,), not decreasing.
+        y: shape (n,).
+        buckets: at least 1.
+
+    Returns:
+        Increasing indices, at most about 5 per bucket; all of them where that is no saving.
 
     >>> y = np.zeros(1000); y[437] = 1.0
     >>> 437 in bucket_extremes(np.arange(1000.0), y, 10)

@@ -35,10 +35,12 @@ TIME = "time"
 class Series:
     """One curve y(x).
 
-    Parameters: `x`, `y` arrays of shape (n,), x not decreasing, NaN in y leaves a gap; `style` is "line", "dashed",
-    "step" (holds its value until the next x), "dashed-step" or "points"; `colour` is an index into the page's palette of eight
-    (None: by position in the figure); `faint` draws thin and pale, for the many runs behind a mean; `halo` draws broad
-    and pale, to lie beneath a curve that ought to coincide.
+    Args:
+        x, y: shape (n,), x not decreasing, NaN in y leaves a gap.
+        style: "line", "dashed", "step" (holds its value until the next x), "dashed-step" or "points".
+        colour: index into the page's palette of eight (None: by position in the figure).
+        faint: thin and pale, for the many runs behind a mean.
+        halo: broad and pale, to lie beneath a curve that ought to coincide.
     """
 
     label: str

@@ -41,7 +41,7 @@ _STYLES = {"warning": "yellow", "error": "bold red"}
 class LiveView:
     """Draws a running session on standard error; does nothing at all when that is no terminal.
 
-    Parameters:
+    Args:
         experiment: what runs.
         clock: "virtual" or "real".
         link: URI of the link; the experiment's own by default.

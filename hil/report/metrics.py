@@ -25,7 +25,8 @@ def summarise(run: Run) -> dict[str, Any]:
     `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or None); certificate (mean
     square radius and verdict, or None).
 
-    Parameters: `run`, a log that was read, or a run kept in memory with `metadata` and `resolved`.
+    Args:
+        run: a log that was read, or a run kept in memory with `metadata` and `resolved`.
     """
     experiment = experiment_of(run)
     period_s = period_of(run)
@@ -59,7 +60,7 @@ def summarise(run: Run) -> dict[str, Any]:
 def run_metrics(run: Run, experiment: Experiment | None = None) -> dict[str, Any]:
     """Return the tracking metrics of a run; see `tracking_metrics`.
 
-    Parameters:
+    Args:
         run: needs the topics `/plant/measurement`, `/reference` and `/actuator/applied`.
         experiment: what ran; None to take period and disturbances from `run.resolved`.
     """

@@ -25,15 +25,16 @@ def network_metrics(
 ) -> dict[str, Any]:
     """Return the network part of a summary, for one direction.
 
-    Parameters:
+    Args:
         draws: records of `/network/sc` or `/network/ca`; None if they were not kept.
         law: the network law's parameters, None if they cannot be made again here (its plug-in is gone).
         kind: its plug-in name.
         late: packets that missed the slot's deadline (they count as lost on the way to the actuator).
         reasons: names of the codes in `draws["reason"]`.
 
-    Returns: law (its kind), mode_counts, transition_counts (row: from), p_value (None where the law has no test or the
-        record is too short), lost (by the loss law or a full queue), late, duplicated, fates (reason: count).
+    Returns:
+        law (its kind), mode_counts, transition_counts (row: from), p_value (None where the law has no test or the record is
+        too short), lost (by the loss law or a full queue), late, duplicated, fates (reason: count).
     """
     found: dict[str, Any] = {"law": kind, "mode_counts": [], "transition_counts": [], "p_value": None}
     fates: dict[str, int] = {}

@@ -29,7 +29,7 @@ def render_page(
 ) -> str:
     """Return one self-contained HTML page.
 
-    Parameters:
+    Args:
         title: heading and window title.
         sections: what the page shows, in order; each becomes an entry of the navigation line.
         kicker: small line above the title, e.g. "hilrig · run report".
@@ -39,8 +39,12 @@ def render_page(
         facts: (name, value) pairs in the head, e.g. ("seed", "0").
         footer: a closing line, e.g. the version that wrote the page.
 
-    Returns: HTML text; all strings given are shown literally.
-    Raises: ValueError if a series' x and y differ in shape; TypeError for an unknown block.
+    Returns:
+        HTML text; all strings given are shown literally.
+
+    Raises:
+        ValueError: if a series' x and y differ in shape.
+        TypeError: for an unknown block.
     """
     payload = Payload()
     body = "".join(_section(i, section, payload) for i, section in enumerate(sections))

@@ -40,7 +40,7 @@ def render_report(
 ) -> str:
     """Return the report of a run as one self-contained HTML page.
 
-    Parameters:
+    Args:
         run: the log.
         summary: what `hil.report.metrics.summarise` says of it (with or without the parts `log` and `problems`).
         predicted: curves and bands of a theory, by output, drawn behind the run.

@@ -23,7 +23,9 @@ _BOOKKEEPING = ("started", "outcome", "stop", "stopped")
 class Prediction:
     """What a theory says of one output over time, drawn behind the run.
 
-    Parameters: `series` (for instance the mean) and `bands` (for instance two standard deviations) over session time.
+    Args:
+        series: over session time, for instance the mean.
+        bands: over session time, for instance two standard deviations.
     """
 
     series: tuple[Series, ...] = ()

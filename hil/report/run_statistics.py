@@ -28,7 +28,9 @@ DIRECTIONS: Mapping[str, tuple[str, str]] = {"sc": ("sensor to controller", "τ"
 def network_blocks(run: Run, network: Mapping[str, Any], laws: Mapping[str, Any | None]) -> list[Block]:
     """Return frequencies and transitions of both directions, beside what their laws state.
 
-    Parameters: `network` is the part of that name of the run's summary; `laws` the parameters of each direction's law.
+    Args:
+        network: the part of that name of the run's summary.
+        laws: the parameters of each direction's law.
     """
     blocks: list[Block] = []
     for side, (way, symbol) in DIRECTIONS.items():

@@ -25,14 +25,15 @@ def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overru
     A run is valid when at most 0.1 % of its slots overran, at most 0.1 % had no answer in time, and the p99 of the
     lateness is at most a tenth of the period. A virtual run (no ticks timed) is valid: its times are exact.
 
-    Parameters:
+    Args:
         lateness_us: wake-up after the nominal time in us, (n,).
         round_trip_us: sensor frame out to control frame in, in us, (n,), NaN where none came.
         late, overrun: 0 or 1 (or counts) per slot, (n,).
         period_s: sample period in s.
 
-    Returns: valid, why (the reasons against it), lateness_us and round_trip_us (p50, p99, p99_9, max; None without
-        samples), late, overruns, first_late_tick (index of the first slot that was late, None if none was).
+    Returns:
+        valid, why (the reasons against it), lateness_us and round_trip_us (p50, p99, p99_9, max; None without samples), late,
+        overruns, first_late_tick (index of the first slot that was late, None if none was).
 
     >>> timing_metrics(np.array([10.0, 12.0]), np.array([80.0, np.nan]), np.array([0, 1]), np.zeros(2), period_s=1e-3)["why"]
     ['1 of 2 slots had no answer in time']

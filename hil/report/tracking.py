@@ -33,7 +33,7 @@ def tracking_metrics(
     A reference without a change is its own target. Overshoot and settling time belong to the first step: the window
     runs from it to the next change of the reference, to `disturbed_at_s` or to the end, whichever comes first.
 
-    Parameters:
+    Args:
         t: session time of the samples in s, (n,).
         y, r: outputs and reference, (n,) or (n, p).
         u: applied input, (n_u,) or (n_u, m); only its largest absolute value is used.

@@ -22,10 +22,12 @@ STATES: dict[Verdict, State] = {"reproduced": "good", "not reproduced": "warning
 class Row:
     """One number or claim of a chapter.
 
-    Parameters
-    ----------
-    item: where it stands and what it is. printed: as printed ("-" where the text gives none). computed: what came out.
-    verdict: ``reproduced``, ``not reproduced`` or ``claim false``. basis: the assumption that was needed, or the witness.
+    Args:
+        item: where it stands and what it is.
+        printed: as printed ("-" where the text gives none).
+        computed: what came out.
+        verdict: ``reproduced``, ``not reproduced`` or ``claim false``.
+        basis: the assumption that was needed, or the witness.
     """
 
     item: str

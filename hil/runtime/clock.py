@@ -50,10 +50,8 @@ _libc = ctypes.CDLL(None, use_errno=True)
 class RealClock:
     """Waits on absolute ``CLOCK_MONOTONIC`` deadlines; session time 0 is ``start_ns`` on that clock.
 
-    Parameters
-    ----------
-    start_ns : int
-        ``CLOCK_MONOTONIC`` instant of session time 0, ns.
+    Args:
+        start_ns: ``CLOCK_MONOTONIC`` instant of session time 0, ns.
     """
 
     def __init__(self, start_ns: int) -> None:

@@ -13,18 +13,12 @@ HELLO = 0xFFFFFFFF  # seq of the rig's question "is anybody there", answered bef
 class ControlNode:
     """Measures tau from time stamps and answers the frame that closes a slot.
 
-    Parameters
-    ----------
-    controller : RunningController
-        The control law.
-    reference : callable
-        Slot k -> reference, one value per output.
-    period_ns : int
-        Sample period, ns.
-    rows, inputs : int
-        Shape of the answer while no sample has arrived yet.
-    restart : callable, optional
-        Gives a fresh control law when a rig asks "is anybody there" again: the next session, whose time begins at 0.
+    Args:
+        controller: the control law.
+        reference: slot k -> reference, one value per output.
+        period_ns: sample period, ns.
+        rows, inputs: shape of the answer while no sample has arrived yet.
+        restart: gives a fresh control law when a rig asks "is anybody there" again: the next session, whose time begins at 0.
     """
 
     def __init__(

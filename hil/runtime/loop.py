@@ -26,22 +26,14 @@ from transport.semi_markov_law import SemiMarkovAge, augmented_chain
 class Loop:
     """What is needed to run: plain data, cheap to pickle.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The checked description.
-    model : LoopModel
-        What the controller knows of the plant, and the bounds of both delays.
-    controller : object
-        Controller parameters, with any design already solved.
-    sc_law, ca_law : object
-        The network laws, distributions tabulated: no process that keeps time computes them.
-    rows : int
-        Rows in one send-all packet.
-    selection : str
-        How the actuator picks one of them.
-    certificate : dict or None
-        JSON form of the certificate of the closed loop, None if this kind of loop has none.
+    Args:
+        experiment: the checked description.
+        model: what the controller knows of the plant, and the bounds of both delays.
+        controller: controller parameters, with any design already solved.
+        sc_law, ca_law: the network laws, distributions tabulated: no process that keeps time computes them.
+        rows: rows in one send-all packet.
+        selection: how the actuator picks one of them.
+        certificate: JSON form of the certificate of the closed loop, None if this kind of loop has none.
     """
 
     experiment: Experiment
@@ -104,10 +96,9 @@ def _schedule(
 def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
     """Make the loop of an experiment: check what belongs together, solve the design, certify the closed loop.
 
-    Raises
-    ------
-    ExperimentError
-        If sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is not set.
+    Raises:
+        ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is
+            not set.
     """
     # Small matrices: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
     with threadpool_limits(1, user_api="blas"):

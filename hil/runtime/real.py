@@ -106,27 +106,17 @@ def run_real(
 ) -> RealOutcome:
     """Run a loop in real time; return when it has ended and nothing of it is left.
 
-    Parameters
-    ----------
-    loop : Loop
-        The composed experiment.
-    seed : int
-        Seed of the run.
-    uri : str
-        The link between rig and controller.
-    sink : Sink
-        Takes every record, in this process.
-    external : bool
-        Do not start a controller: somebody else's program answers on the link.
-    hello_timeout_s : float, optional
-        How long the rig waits for a first answer, s.
-    taps : mapping
-        See :func:`hil.log.pipe.pump`.
+    Args:
+        loop: the composed experiment.
+        seed: seed of the run.
+        uri: the link between rig and controller.
+        sink: takes every record, in this process.
+        external: do not start a controller: somebody else's program answers on the link.
+        hello_timeout_s: how long the rig waits for a first answer, s.
+        taps: see :func:`hil.log.pipe.pump`.
 
-    Raises
-    ------
-    HilError
-        If rig or controller ended before the run began, or no controller answered.
+    Raises:
+        HilError: if rig or controller ended before the run began, or no controller answered.
     """
     outcome = RealOutcome()
     read_fd, write_fd = os.pipe()

@@ -15,14 +15,10 @@ MCL_CURRENT, MCL_FUTURE, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 2, 1, 29
 def go_real_time(priority: int, cpu: int | None, awake: bool = False) -> str:
     """Ask for SCHED_FIFO, locked memory, one CPU and a still garbage collector; return one line that says what was given.
 
-    Parameters
-    ----------
-    priority : int
-        SCHED_FIFO priority, 1 to 98.
-    cpu : int or None
-        Index into the CPUs that this process may use, counted from the last; None does not pin.
-    awake : bool
-        Keep idle CPUs from sleeping until this process ends.
+    Args:
+        priority: SCHED_FIFO priority, 1 to 98.
+        cpu: index into the CPUs that this process may use, counted from the last; None does not pin.
+        awake: keep idle CPUs from sleeping until this process ends.
     """
     got = []
     libc = ctypes.CDLL(None, use_errno=True)

@@ -26,16 +26,11 @@ OK, HOLD, NONE_YET, SAFE = range(4)  # the codes of /actuator/applied.status
 def row_index(selection: str, d: int, g: int, measured_d: Sequence[int], d_max: int) -> int:
     """Return which row the actuator applies (see :mod:`design.controllers`).
 
-    Parameters
-    ----------
-    selection : str
-        The rule that the packet names.
-    d, g : int
-        Age of the packet now, and the slot in which it was generated.
-    measured_d : sequence of int
-        What the actuator measured in slots 0, 1, ...; -1 where there was no packet.
-    d_max : int
-        Largest age that the rows cover.
+    Args:
+        selection: the rule that the packet names.
+        d, g: age of the packet now, and the slot in which it was generated.
+        measured_d: what the actuator measured in slots 0, 1, ...; -1 where there was no packet.
+        d_max: largest age that the rows cover.
 
     >>> [row_index(s, 1, 2, [0, 1, 0, 1], 1) for s in ("constant", "generated", "applied", "previous", "both")]
     [0, 0, 1, 1, 1]
@@ -52,20 +47,13 @@ def row_index(selection: str, d: int, g: int, measured_d: Sequence[int], d_max: 
 class Rig:
     """Plant, sensor, actuator, network laws and safety of one loop.
 
-    Parameters
-    ----------
-    loop : Loop
-        The composed experiment.
-    seed : int
-        Seed of the run.
-    sink : Sink
-        Where records go.
-    channels : mapping of topic to Channel
-        The table of what is logged.
-    send : callable
-        Puts one frame on the link.
-    stop : callable
-        Ends the run (after a trip of the safety, once ``after_trip`` has passed).
+    Args:
+        loop: the composed experiment.
+        seed: seed of the run.
+        sink: where records go.
+        channels: the table of what is logged.
+        send: puts one frame on the link.
+        stop: ends the run (after a trip of the safety, once ``after_trip`` has passed).
     """
 
     def __init__(

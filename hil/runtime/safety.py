@@ -11,14 +11,10 @@ class Safety:
 
     Once tripped it stays tripped: the rig applies zero input until the end of the run.
 
-    Parameters
-    ----------
-    input_limits : sequence of float or None, length m
-        Largest absolute command per input.
-    state_limits : sequence of (index, name, bound)
-        Largest absolute value of plant states.
-    watchdog_ticks : int
-        Slots in a row without a usable command that trip the watchdog.
+    Args:
+        input_limits: sequence of float or None, length m. Largest absolute command per input.
+        state_limits: (index, name, bound) each. Largest absolute value of plant states.
+        watchdog_ticks: slots in a row without a usable command that trip the watchdog.
     """
 
     def __init__(

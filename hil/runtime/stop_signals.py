@@ -10,10 +10,8 @@ from collections.abc import Callable
 class StopSignals:
     """While it is open, the first of these signals is kept and told, instead of ending the process where it stands.
 
-    Parameters
-    ----------
-    told : callable
-        Called in the signal handler, with the signal's number.
+    Args:
+        told: called in the signal handler, with the signal's number.
 
     >>> with StopSignals() as signals:
     ...     signal.raise_signal(signal.SIGTERM)

@@ -10,12 +10,9 @@ import numpy as np
 def rng_for(seed: int, name: str) -> np.random.Generator:
     """Return the generator of one named stream of a run.
 
-    Parameters
-    ----------
-    seed : int
-        The experiment's seed.
-    name : str
-        Name of the stream, such as ``"link.sc"``.
+    Args:
+        seed: the experiment's seed.
+        name: name of the stream, such as ``"link.sc"``.
 
     >>> a, b = rng_for(0, "link.sc"), rng_for(0, "link.ca")
     >>> bool(a.random() == rng_for(0, "link.sc").random()), bool(a.random() == b.random())

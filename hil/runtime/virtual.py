@@ -18,16 +18,11 @@ def run_virtual(
 ) -> Rig:
     """Run a loop from slot 0 to its end, or until safety ends it; return the rig with its counters.
 
-    Parameters
-    ----------
-    loop : Loop
-        The composed experiment.
-    seed : int
-        Seed of the run (the loop's own seed is not read).
-    sink : Sink
-        Takes the records.
-    stoppable : callable
-        Given, before the first slot, a function that ends the run; a signal handler may call it.
+    Args:
+        loop: the composed experiment.
+        seed: seed of the run (the loop's own seed is not read).
+        sink: takes the records.
+        stoppable: given, before the first slot, a function that ends the run; a signal handler may call it.
     """
     e = loop.experiment
     kernel = Kernel(VirtualClock())

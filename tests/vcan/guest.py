@@ -39,13 +39,9 @@ def frame(chunk: bytes) -> bytes:
 def first_process(*, work: Path, writable: Sequence[str], modules: Sequence[Path], python: str, stdin: bool) -> str:
     """The guest's PID 1: a private layer over this machine's files, vcan0, the command, its status, power off.
 
-    Parameters
-    ----------
-    work : the runner's work directory; receives ``status``.
-    writable : directories of this machine which the command may really write.
-    modules : kernel modules to load, dependencies first (none for the small kernel).
-    python : interpreter that feeds stdin.
-    stdin : whether the third terminal carries the command's stdin.
+    Args:
+        work: the runner's work directory; receives ``status``.
+        stdin: whether the third terminal carries the command's stdin.
     """
     quote = shlex.quote
     return f"""#!/bin/sh
