@@ -24,7 +24,7 @@ import numpy as np
 from design.attenuation import Attenuation, at_gamma, smallest_gamma
 from design.errors import Infeasible
 from design.jump_certificate import JumpCertificate, Method, Verdict
-from design.lmi import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
+from design.lmi import Array, Inequality, LmiProgram, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part, transpose
 from design.partitions import Partition
 from design.scheduled_gain import ScheduledGain
 from design.semi_markov import SemiMarkov
@@ -200,7 +200,7 @@ def synthesis_program(
             program.symmetric(x, n)
             program.matrix(u, m, n)
             program.require(f"{x} >= s I", lambda v, s: s * np.eye(n) - v, x, "s", strict=False)
-            program.require(f"gain bound at {x}", partial(_gain_limit, bound=gain_bound), x, u, "s", strict=False)
+            program.require(f"gain bound at {x}", partial(gain_limit, bound=gain_bound), x, u, "s", strict=False)
     for cell in cells(process, sections):
         i, here = cell.mode, cell.index
         for rates in cell.rates:
@@ -213,10 +213,6 @@ def synthesis_program(
         if not cell.last:
             program.require("coupling", lambda a, b: b - a, f"X[{i},{here + 1}]", f"X[{i},{here}]", strict=False)
     return program
-
-
-def _gain_limit(x: Array, u: Array, s: Array, bound: float) -> Array:
-    return -symmetric_blocks([[bound * bound * s * np.eye(u.shape[-2])], [transpose(u), x]])
 
 
 def _synthesis_block(
@@ -239,8 +235,7 @@ def _synthesis_block(
         [e.T, None, None, -g2 * np.eye(e.shape[1])],
         [scale * (c @ x), None, None, None, -np.eye(c.shape[0])],
     ]
-    for rate, after in zip(rates, landing):
-        rows.append([math.sqrt(rate) * x, *([None] * (len(rows) - 1)), -after])
+    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
     return symmetric_blocks(rows)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from design.attenuation import at_gamma, smallest_gamma
 from design.errors import Infeasible
 from design.jump_certificate import JumpCertificate, Verdict
-from design.lmi import Array, LmiProgram, symmetric_blocks, symmetric_part, transpose
+from design.lmi import Array, LmiProgram, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.partitions import Partition
 from design.scheduled_gain import ScheduledGain
 from design.semi_markov import SemiMarkov
@@ -69,7 +69,7 @@ def _program(
         if gains is None:
             program.matrix(f"U[{i}]", m, n)
             program.require(f"X[{i}] >= s I", lambda x, s: s * np.eye(n) - x, f"X[{i}]", "s", strict=False)
-            program.require("gain bound", partial(_limit, bound=gain_bound), f"X[{i}]", f"U[{i}]", "s", strict=False)
+            program.require("gain bound", partial(gain_limit, bound=gain_bound), f"X[{i}]", f"U[{i}]", "s", strict=False)
     for i in range(system.modes):
         for total, pairs, held in _corners(system, *bounds, i, reading):
             targets = [j for j in range(system.modes) if bounds[1][i, j] > 0]
@@ -80,10 +80,6 @@ def _program(
             )
             program.require(f"({reading}) mode {i}", function, *on)
     return program
-
-
-def _limit(x: Array, u: Array, s: Array, bound: float) -> Array:
-    return -symmetric_blocks([[bound * bound * s * np.eye(u.shape[-2])], [transpose(u), x]])
 
 
 def _block(
@@ -106,9 +102,8 @@ def _block(
         [held[0] / math.sqrt(held[1]) * x, None, -q],
         [e.T @ x, None, None, -g2 * np.eye(e.shape[1])],
     ]
-    for (rate, divisor), after in zip(pairs, landing):
-        if rate > 0:
-            rows.append([rate / math.sqrt(max(divisor, 1e-12)) * x, *([None] * (len(rows) - 1)), -after])
+    jumps = [(rate / math.sqrt(max(divisor, 1e-12)), after) for (rate, divisor), after in zip(pairs, landing) if rate > 0]
+    add_schur_rows(rows, (weight * x for weight, _ in jumps), (after for _, after in jumps))
     return symmetric_blocks(rows)
 
 

@@ -30,7 +30,7 @@ from design.fault_tolerant_loop import (
     r_sections,
 )
 from design.jump_certificate import JumpCertificate, Method
-from design.lmi import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
+from design.lmi import Array, LmiProgram, LmiSolution, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part, transpose
 from design.partitions import Partition
 from design.scheduled_gain import ScheduledGain
 from design.semi_markov import FaultDetection
@@ -67,7 +67,7 @@ def _start_program(
             program.symmetric(x, n)
             program.matrix(r, m, n)
             program.require(f"{x} >= s I", lambda v, s: s * np.eye(n) - v, x, "s", strict=False)
-            program.require(f"gain bound at {x}", partial(_gain_limit, bound=gain_bound), x, r, "s", strict=False)
+            program.require(f"gain bound at {x}", partial(gain_limit, bound=gain_bound), x, r, "s", strict=False)
             if not cell.last_b:
                 program.require("coupling", lambda p, q: q - p, f"X[{mode},{b + 1}]", x, strict=False)
         after = 0 if process.failure_restarts_detection_clock else b
@@ -90,10 +90,6 @@ def _start_program(
             on = (x, r, *(() if performance else ("g2",)), *(name for _, name in jumps))
             program.require(f"{x} at {failure}, {detection}", function, *on)
     return program
-
-
-def _gain_limit(x: Array, r: Array, s: Array, bound: float) -> Array:
-    return -symmetric_blocks([[bound * bound * s * np.eye(r.shape[-2])], [transpose(r), x]])
 
 
 def _start_block(
@@ -120,8 +116,7 @@ def _start_block(
         [cross @ (c @ x) + e.T, corner],
         [output, None, -np.linalg.inv(weight)],
     ]
-    for rate, after in zip(rates, landing):
-        rows.append([math.sqrt(rate) * x, *([None] * (len(rows) - 1)), -after])
+    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
     return symmetric_blocks(rows)
 
 

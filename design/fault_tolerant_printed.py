@@ -19,7 +19,7 @@ from design.attenuation import at_gamma, smallest_gamma
 from design.errors import Infeasible
 from design.fault_tolerant_loop import check_loop
 from design.jump_certificate import JumpCertificate, Verdict
-from design.lmi import Array, LmiProgram, symmetric_blocks, symmetric_part, transpose
+from design.lmi import Array, LmiProgram, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.partitions import Partition
 from design.scheduled_gain import ScheduledGain
 from design.semi_markov import FaultDetection
@@ -66,7 +66,7 @@ def _program(
         if gains is None:
             program.matrix(r, inputs, n)
             program.require(f"{x} >= s I", lambda v, s: s * np.eye(n) - v, x, "s", strict=False)
-            program.require("gain bound", partial(_limit, bound=gain_bound), x, r, "s", strict=False)
+            program.require("gain bound", partial(gain_limit, bound=gain_bound), x, r, "s", strict=False)
     for i, k in itertools.product(range(system.modes), range(detections)):
         for total, jumps in _corners(process, i, k, (edges[0][i], edges[1][k]), m, vertices):
             known = None if gains is None else gains[i, k]
@@ -76,10 +76,6 @@ def _program(
             own = (f"X[{i},{k}]", *(() if gains is not None else (f"R[{i},{k}]",)))
             program.require(f"modes {i}, {k}", function, *own, "g2", *(f"X[{j},{l}]" for _, (j, l) in jumps))
     return program
-
-
-def _limit(x: Array, r: Array, s: Array, bound: float) -> Array:
-    return -symmetric_blocks([[bound * bound * s * np.eye(r.shape[-2])], [transpose(r), x]])
 
 
 def _block(
@@ -99,8 +95,7 @@ def _block(
         [e.T, -g2 * np.eye(e.shape[1])],
         [scale * (c @ x), None, -np.eye(c.shape[0])],
     ]
-    for rate, after in zip(rates, landing):
-        rows.append([math.sqrt(rate) * x, *([None] * (len(rows) - 1)), -after])
+    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
     return symmetric_blocks(rows)
 
 

@@ -56,6 +56,17 @@ def symmetric_blocks(rows: Sequence[Sequence[Array | None]]) -> Array:
     return out
 
 
+def add_schur_rows(rows: list[list[Array | None]], tops: Iterable[Array], corners: Iterable[Array]) -> None:
+    """Add sum_k T_k' Y_k^-1 T_k to the first block of ``rows`` (see `symmetric_blocks`) by a new row [T_k, 0, -Y_k] for each."""
+    for top, corner in zip(tops, corners):
+        rows.append([top, *([None] * (len(rows) - 1)), -corner])
+
+
+def gain_limit(x: Array, u: Array, s: Array | float = 1.0, *, bound: float) -> Array:
+    """The matrix that is negative semidefinite only if the gain U X^-1 has at most the norm ``bound``, given X >= s I."""
+    return -symmetric_blocks([[bound * bound * s * np.eye(u.shape[-2])], [transpose(u), x]])
+
+
 def largest_eigenvalue(matrix: FloatArray) -> float:
     """The largest eigenvalue of the symmetric part of a matrix (or of a stack of them)."""
     return float(np.linalg.eigvalsh(0.5 * (matrix + transpose(matrix)))[..., -1].max())

@@ -28,7 +28,7 @@ import numpy as np
 
 from design.errors import Infeasible
 from design.jump_certificate import JumpCertificate, Method
-from design.lmi import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
+from design.lmi import Array, LmiProgram, LmiSolution, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.partitions import Partition, equal_probability
 from design.scheduled_gain import Schedule, ScheduledGain
 from design.semi_markov import SemiMarkov
@@ -62,7 +62,7 @@ def feedback_program(
             program.matrix(y, m, n)
             program.require(f"{x} >= I", lambda v: np.eye(n) - v, x, strict=False)
             program.require(f"{x} bounded", lambda v: v - condition * np.eye(n), x, strict=False)
-            limit = partial(_gain_limit, bound=gain_bound)
+            limit = partial(gain_limit, bound=gain_bound)
             program.require(f"gain bound at {x}", limit, x, y, strict=False)
             for scale in scales:
                 program.matrix(f"{scale}[{i},{r}]", 1, 1)
@@ -77,7 +77,7 @@ def feedback_program(
             for end in (0, 1) if pwl else (0,):
                 on = [f"X[{i},{here}]"] + ([f"X[{i},{here + 1}]"] if pwl else [])
                 on += [f"{kind}[{i},{here + end}]" for kind in ("Y", *scales)]
-                for vertex in _vertices(system):
+                for vertex in system.vertices:
                     function = partial(
                         _decrease, system=system, cell=cell, vertex=vertex, end=end, ends=1 + pwl, scales=len(scales),
                         rates=[rates[j] for j in targets], decay=decay,
@@ -87,15 +87,6 @@ def feedback_program(
             later, own = f"X[{i},{here + 1}]", f"X[{i},{here}]"
             program.require(f"{later} >= {own}", lambda a, b: b - a, later, own, strict=False)
     return program
-
-
-def _gain_limit(x: Array, y: Array, bound: float) -> Array:
-    return -symmetric_blocks([[bound * bound * np.eye(y.shape[-2])], [transpose(y), x]])
-
-
-def _vertices(system: JumpSystem) -> list[int | None]:
-    doubt = system.uncertainty
-    return list(range(doubt.da.shape[0])) if isinstance(doubt, VertexUncertainty) else [None]
 
 
 def _decrease(
@@ -125,10 +116,8 @@ def _decrease(
         doubt = cast(NormBounded, doubt)
         rows[0][0] = value + sum(eps) * (doubt.e[i] @ doubt.e[i].T)
         blocks = [doubt.fa[i] @ x + doubt.fb[i] @ y] if scales == 1 else [doubt.fa[i] @ x, doubt.fb[i] @ y]
-        for scale, block in zip(eps, blocks):
-            rows.append([block, *([None] * (len(rows) - 1)), -scale * np.eye(block.shape[-2])])
-    for rate, after in zip(rates, landing):
-        rows.append([math.sqrt(rate) * x, *([None] * (len(rows) - 1)), -after])
+        add_schur_rows(rows, blocks, (scale * np.eye(block.shape[-2]) for scale, block in zip(eps, blocks)))
+    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
     return symmetric_blocks(rows)
 
 

@@ -88,8 +88,31 @@ class VertexUncertainty:
 Uncertainty = NormBounded | VertexUncertainty
 
 
+class _Sized:
+    """The sizes of a system, read off its matrices."""
+
+    __slots__ = ()
+    a: FloatArray
+    b: FloatArray
+
+    @property
+    def modes(self) -> int:
+        """Number of modes N."""
+        return int(self.a.shape[0])
+
+    @property
+    def states(self) -> int:
+        """Number of states n."""
+        return int(self.a.shape[1])
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs m."""
+        return int(self.b.shape[2])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JumpSystem:
+class JumpSystem(_Sized):
     """Matrices of a jump linear system with N modes, n states, m inputs.
 
     Args:
@@ -127,19 +150,10 @@ class JumpSystem:
             _array("uncertainty.db", doubt.db, 4, {3: self.b.shape[2]})
 
     @property
-    def modes(self) -> int:
-        """Number of modes N."""
-        return int(self.a.shape[0])
-
-    @property
-    def states(self) -> int:
-        """Number of states n."""
-        return int(self.a.shape[1])
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs m."""
-        return int(self.b.shape[2])
+    def vertices(self) -> list[int | None]:
+        """The vertices of its uncertainty; one None where it is not given by vertices."""
+        doubt = self.uncertainty
+        return list(range(doubt.da.shape[0])) if isinstance(doubt, VertexUncertainty) else [None]
 
     def scaled(self, scale: float) -> JumpSystem:
         """The same nominal system with its uncertainty ``scale`` times as large."""
@@ -154,7 +168,7 @@ class JumpSystem:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DelayedJumpSystem:
+class DelayedJumpSystem(_Sized):
     """A jump linear system with a state delay tau_i(t) <= delay_max_s, d tau_i/dt <= slope_i < 1 (3.1)-(3.2).
 
     Args:
@@ -189,18 +203,3 @@ class DelayedJumpSystem:
         if not np.isfinite(self.delay_max_s) or self.delay_max_s < 0:
             raise ValueError(f"delay_max_s: {self.delay_max_s!r} is not a finite non-negative time")
         object.__setattr__(self, "delay_slopes", slopes)
-
-    @property
-    def modes(self) -> int:
-        """Number of modes N."""
-        return int(self.a.shape[0])
-
-    @property
-    def states(self) -> int:
-        """Number of states n."""
-        return int(self.a.shape[1])
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs m."""
-        return int(self.b.shape[2])

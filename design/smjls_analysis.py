@@ -62,7 +62,7 @@ def stability_inequalities(
             lands = here if method == "printed" else 0
             landing = [f"P[{j},{min(lands, len(nodes[j]) - 1)}]" for j in targets]
             for pairs in checks:
-                for vertex in _vertices(system):
+                for vertex in system.vertices:
                     function = partial(
                         _decrease, system=system, cell=cell, vertex=vertex, ends=len(ends), pairs=pairs,
                         rates=[lift(rates[j]) for j in targets], decay=decay, lift=lift,
@@ -82,11 +82,6 @@ def gain_matrices(gain: ScheduledGain, lift: Lift = as_float) -> dict[str, Array
     """The stored gains under the names that the inequalities use."""
     modes, sections = gain.gain.shape[:2]
     return {f"K[{i},{s}]": lift(gain.gain[i, s]) for i in range(modes) for s in range(sections)}
-
-
-def _vertices(system: JumpSystem) -> list[int | None]:
-    doubt = system.uncertainty
-    return list(range(doubt.da.shape[0])) if isinstance(doubt, VertexUncertainty) else [None]
 
 
 def _decrease(
