@@ -193,7 +193,11 @@ def _published(values: Sequence[Sequence[float]], model: LoopModel) -> NDArray[n
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedHinf:
-    """The thesis's H-infinity gains (7.36) for the DC motor, with the printed selection rule (7.13) by default."""
+    """The thesis's H-infinity gains (7.36) for the DC motor, with the printed selection rule (7.13) by default.
+
+    Args:
+        selection: which row the actuator applies; see the module's table.
+    """
 
     selection: Literal["generated", "applied"] = "generated"
 
@@ -206,7 +210,11 @@ class PublishedHinf:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedH2:
-    """The thesis's H2 gains (7.37) for the DC motor, with the printed selection rule (7.13) by default."""
+    """The thesis's H2 gains (7.37) for the DC motor, with the printed selection rule (7.13) by default.
+
+    Args:
+        selection: which row the actuator applies; see the module's table.
+    """
 
     selection: Literal["generated", "applied"] = "generated"
 

@@ -23,8 +23,10 @@ class DesignFile:
     Args:
         selection: row rule.
         gains: (tau labels, rows, m, py).
-        integral: the last p columns belong to the integral of
-        the measured error. samples: samples per sensor packet. period_s: sample period, s. plant: its name.
+        integral: the last p columns belong to the integral of the measured error.
+        samples: samples per sensor packet.
+        period_s: sample period, s.
+        plant: its name.
         document: everything that stands in the file.
     """
 

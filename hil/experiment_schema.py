@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import msgspec
+from docstring_parser import ParseError
+from docstring_parser.google import parse
 
 from hil import registry
-from hil.experiment_tables import HIDDEN, UNITS, Direction, Experiment, Links, Seconds
+from hil.experiment_tables import HIDDEN, UNITS, Direction, Experiment, Seconds
 
 PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
 
@@ -19,9 +22,14 @@ def experiment_schema() -> dict[str, Any]:
     _, definitions = msgspec.json.schema_components(
         [Experiment, *classes.values()], schema_hook=_hook, ref_template="#/$defs/{name}"
     )
-    for definition in definitions.values():  # an unknown key is a fault everywhere
+    for definition in definitions.values():
         if definition.get("type") == "object" and "properties" in definition:
-            definition["additionalProperties"] = False
+            definition["additionalProperties"] = False  # an unknown key is a fault everywhere
+            _explain(definition)
+    for cls in classes.values():
+        for field in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
+            if not field.init:  # nothing that a file could set
+                del definitions[cls.__name__]["properties"][field.name]
 
     def variants(group: str) -> dict[str, Any]:
         out = []
@@ -33,20 +41,31 @@ def experiment_schema() -> dict[str, Any]:
             out.append(own)
         return {"oneOf": out}
 
-    experiment = definitions["Experiment"]
+    experiment = definitions.pop("Experiment")
     for hidden in HIDDEN:
         del experiment["properties"][hidden]
-    experiment["properties"]["plant"] = variants("hil.plants")
-    experiment["properties"]["controller"] = variants("hil.controllers")
-    definitions[Direction.__name__]["properties"]["law"] = variants("hil.laws")
+    experiment["properties"]["plant"] |= variants("hil.plants")
+    experiment["properties"]["controller"] |= variants("hil.controllers")
+    definitions[Direction.__name__]["properties"]["law"] |= variants("hil.laws")
     definitions[Direction.__name__]["required"] = ["law"]
-    definitions[Links.__name__]["properties"]["uri"]["description"] = "memory:, can:INTERFACE:CHANNEL, zenoh:ENDPOINT"
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "hilrig-experiment",
         **experiment,
         "$defs": definitions,
     }
+
+
+def _explain(definition: dict[str, Any]) -> None:
+    """Give every key what the docstring of its class says of it, so that an editor can show it."""
+    try:
+        doc = parse(definition.get("description", ""))
+    except ParseError:  # somebody else's plug-in, in a style of its own
+        return
+    definition["description"] = "\n\n".join(filter(None, (doc.short_description, doc.long_description)))
+    for param in doc.params:
+        for name in param.arg_name.split(", "):
+            definition["properties"].get(name, {})["description"] = " ".join((param.description or "").split())
 
 
 def _hook(kind: type) -> dict[str, Any]:

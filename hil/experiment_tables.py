@@ -56,7 +56,12 @@ def _not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterat
 
 
 class Step(Table, frozen=True, kw_only=True):
-    """From ``at`` on, the reference is ``value`` (one entry per output)."""
+    """A step of the reference.
+
+    Args:
+        at: when it begins.
+        value: reference from then on, one entry per output, in the output's unit.
+    """
 
     at: Seconds
     value: tuple[float, ...]
@@ -67,7 +72,13 @@ class Step(Table, frozen=True, kw_only=True):
 
 
 class Pulse(Table, frozen=True, kw_only=True):
-    """A disturbance added to the plant's input from ``at`` on, for ``samples`` sample periods."""
+    """A disturbance added to the plant's input.
+
+    Args:
+        at: when it begins.
+        samples: how many sample periods it lasts.
+        value: what is added, one entry per input, in the input's unit.
+    """
 
     at: Seconds
     samples: int
@@ -83,7 +94,9 @@ class Pulse(Table, frozen=True, kw_only=True):
 class Direction(Table, frozen=True, kw_only=True):
     """One direction of the emulated network.
 
-    ``max_age`` is the largest delay in samples that the controller's rows cover; by default the law's own bound.
+    Args:
+        law: delays, losses and disorder; ``hil laws`` shows what it does.
+        max_age: largest delay in samples that the controller's rows cover; by default the law's own bound.
     """
 
     law: Any
@@ -96,7 +109,13 @@ class Direction(Table, frozen=True, kw_only=True):
 
 
 class Links(Table, frozen=True, kw_only=True):
-    """The real link, and the network that is emulated on both sides of the rig."""
+    """The real link, and the network that is emulated on both sides of the rig.
+
+    Args:
+        uri: the link in real time: memory:, can:INTERFACE:CHANNEL or zenoh:ENDPOINT.
+        sc: from the sensor to the controller.
+        ca: from the controller to the actuator.
+    """
 
     uri: str
     sc: Direction
@@ -113,8 +132,11 @@ class Links(Table, frozen=True, kw_only=True):
 class Limits(Table, frozen=True, kw_only=True):
     """What the rig allows, whatever the controller does; a violation latches the safe state (zero input).
 
-    ``input`` and ``state`` are absolute bounds per input and per named state; ``watchdog_ticks`` slots without a usable
-    command trip the watchdog; ``after_trip`` is how long the rig goes on in the safe state before the run ends.
+    Args:
+        watchdog_ticks: so many slots in a row without a usable command trip the watchdog.
+        input: largest absolute command per input, in the input's unit.
+        state: largest absolute value of named states, in the state's unit.
+        after_trip: how long the rig goes on in the safe state before the run ends.
     """
 
     watchdog_ticks: int = 3
@@ -136,13 +158,16 @@ class Limits(Table, frozen=True, kw_only=True):
 
 
 class Timing(Table, frozen=True, kw_only=True):
-    """Real time only: ``deadline`` is the share of the period within which the controller's answer must be here.
+    """How rig and controller run in real time; virtual time reads the deadline only.
 
-    ``affinity``: ``free`` leaves the choice of a CPU to the scheduler, which on a virtual machine evades a CPU that the host
-    has taken away; ``pinned`` gives rig and controller one CPU each, counted from the last.
-
-    ``idle``: ``doze`` leaves idle CPUs to the kernel; ``awake`` keeps all of them from sleeping (/dev/cpu_dma_latency), which
-    takes tens of microseconds off every wake-up, and on a crowded virtual machine brings more stalls by the host.
+    Args:
+        deadline: share of the period within which the controller's answer must be here.
+        priority: SCHED_FIFO priority of the rig, 1 to 98; the controller runs one below.
+        affinity: ``free`` leaves the choice of a CPU to the scheduler, which on a virtual machine evades a CPU that the host has
+            taken away; ``pinned`` gives rig and controller one CPU each, counted from the last.
+        idle: ``doze`` leaves idle CPUs to the kernel; ``awake`` keeps all of them from sleeping (/dev/cpu_dma_latency), which
+            takes tens of microseconds off every wake-up.
+        overrun: what follows a stall: the slots that were missed run back to back, none is skipped.
     """
 
     deadline: float = 0.6
@@ -160,7 +185,26 @@ class Timing(Table, frozen=True, kw_only=True):
 
 
 class Experiment(Table, frozen=True, kw_only=True):
-    """One experiment: plant, controller, links with their network laws, schedule, limits and seed."""
+    """One experiment: plant, controller, links with their network laws, schedule, limits and seed.
+
+    Args:
+        name: name of the experiment, and of its logs.
+        description: one line for ``hil list``.
+        period: sample period T.
+        duration: length of a run.
+        seed: root of all random streams.
+        allow_uncertified: run although no certificate of mean-square stability could be computed.
+        plant: what is emulated.
+        controller: what commands it.
+        reference: steps of the reference; 0 before the first.
+        disturbance: pulses that are added to the plant's input.
+        links: the real link, and the network that is emulated on both sides of the rig.
+        limits: what the rig allows, whatever the controller does.
+        timing: how rig and controller run in real time.
+        kinds: name of the plug-in behind each table.
+        text: the file as it was written.
+        folder: where the file stands, for the files that it names.
+    """
 
     name: str
     description: str = ""
@@ -175,9 +219,9 @@ class Experiment(Table, frozen=True, kw_only=True):
     links: Links
     limits: Limits = Limits()
     timing: Timing = Timing()
-    kinds: dict[str, str] = msgspec.field(default_factory=dict)  # table -> name of its plug-in
-    text: str = ""  # the file as it was written
-    folder: str = "."  # where it stands, for the files that it names
+    kinds: dict[str, str] = msgspec.field(default_factory=dict)
+    text: str = ""
+    folder: str = "."
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:

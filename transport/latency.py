@@ -151,9 +151,8 @@ def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None, pat
 
     Args:
         spec: a duration (constant); `{dist, ...}`: name and parameters of a scipy.stats law, `loc` and `scale`
-        durations;
-            `{table = [[level, duration], ...]}`: quantiles; `{trace = [duration or "lost", ...]}` or `{file =
-            "x.csv"}` with the column `latency_s` (or the first one), both with `past_end = "repeat" | "refuse"`.
+            durations; `{table = [[level, duration], ...]}`: quantiles; `{trace = [duration or "lost", ...]}` or `{file
+            = "x.csv"}` with the column `latency_s` (or the first one), both with `past_end = "repeat" | "refuse"`.
         directory: where a relative file name starts.
         path: field path that starts every message.
 

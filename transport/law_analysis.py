@@ -39,7 +39,7 @@ class LawAnalysis:
         loss_probability: share of packets that are lost, at the full queue too.
         overflow: share of packets that are lost at the full queue, from such a run; 0 where it cannot fill.
         unused: share of packets that are never the newest at the receiver, those that are lost included; NaN when not
-        known.
+            known.
         mean_latency_s: packet laws: mean latency, seconds; NaN for age laws.
     """
 

@@ -49,7 +49,7 @@ class NetworkStatistics:
         mode_counts: slots spent in every mode, (n,).
         transition_counts: how often mode j followed mode i, (n, n).
         p_value: probability of a record at least as unlike the law if the law is right; NaN for a law that cannot be
-        tested, and for a record too short to test it.
+            tested, and for a record too short to test it.
         lost: packets that the law lost or its queue dropped.
         duplicated: copies that arrived.
         reasons: number of records of every reason that occurred.
@@ -69,9 +69,8 @@ def network_statistics(law: Any, draws: Any) -> NetworkStatistics:
 
     Args:
         law: parameters of the law.
-        draws: the records of the whole run from slot 0: a list of `Draw`, or a structured array with its fields
-        `tick`, `mode`,
-            `latency_s` and `reason`.
+        draws: the records of the whole run from slot 0: a list of `Draw`, or a structured array with its fields `tick`,
+            `mode`, `latency_s` and `reason`.
     """
     table = _columns(draws)
     drawn = table["mode"] >= 0

@@ -58,7 +58,7 @@ class PacketLaw:
 
     Args:
         latency: see `transport.latency.latency`: a duration, a scipy.stats law, a table of quantiles, or a recorded
-        trace.
+            trace.
         loss: probability of losing a packet, or a Gilbert-Elliott channel.
         duplication: probability that a packet that is not lost is followed by a copy with a latency of its own.
         reordering: whether a packet may overtake an earlier one; otherwise it waits (first in, first out).

@@ -24,7 +24,7 @@ def checked_row(path: str, row: object, size: int | None = None) -> Row:
 
     Raises:
         ValueError: no sequence of numbers, wrong size, an entry that is no probability, a sum other than 1 (tolerance
-        1e-9).
+            1e-9).
 
     >>> checked_row("matrix[2]", [0.5, 0.48])
     Traceback (most recent call last):

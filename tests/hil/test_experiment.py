@@ -204,6 +204,19 @@ def test_schema_accepts_the_names_of_every_table() -> None:
     json.dumps(schema)
 
 
+def test_schema_explains_every_key() -> None:
+    schema = experiment_schema()
+    tables = [schema, *schema["$defs"].values()]
+    keys = [(table["title"], name, key) for table in tables for name, key in table.get("properties", {}).items()]
+    assert len(keys) > 100
+    tags = [name for _, name, key in keys if len(key.get("enum", ())) == 1]
+    assert [(title, name) for title, name, key in keys if not key.get("description") and name not in tags] == []
+
+
+def test_schema_has_no_key_that_a_file_may_not_set() -> None:
+    assert "selection" not in experiment_schema()["$defs"]["Local"]["properties"]
+
+
 def test_shipped_schema_that_the_experiments_name_is_the_one_that_hil_prints() -> None:
     path = shipped()["dc-motor-hinf"].with_name("experiment.schema.json")
     assert "#:schema ./experiment.schema.json" in GOOD

@@ -1,0 +1,44 @@
+"""Docstrings can be read by a machine: `hil schema` takes what it says of a key from them."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from docstring_parser.google import parse
+
+import design
+import hil
+import plants
+import transport
+
+FILES = [path for package in (design, hil, plants, transport) for path in sorted(Path(package.__path__[0]).rglob("*.py"))]
+Documented = ast.FunctionDef | ast.ClassDef
+
+
+def documented(path: Path) -> Iterator[tuple[Documented, str]]:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node)):
+            yield node, text
+
+
+def parameters(node: Documented) -> set[str]:
+    """Everything that the docstring's Args and Attributes may name."""
+    if isinstance(node, ast.ClassDef):
+        fields = {s.target.id for s in node.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)}
+        methods = [s for s in node.body if isinstance(s, ast.FunctionDef)]
+        own = {t.attr for m in methods for t in ast.walk(m) if isinstance(t, ast.Attribute) and ast.unparse(t.value) == "self"}
+        given = {name for m in methods if m.name == "__init__" for name in parameters(m)}
+        return fields | own | given | {m.name for m in methods}
+    a = node.args
+    return {each.arg for each in (*a.posonlyargs, *a.args, *a.kwonlyargs, *filter(None, (a.vararg, a.kwarg)))}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_docstrings_have_the_form_and_name_what_is_there(path: Path) -> None:
+    for node, text in documented(path):
+        named = {name.strip(" *") for param in parse(text).params for name in param.arg_name.split(",")}
+        if not (isinstance(node, ast.ClassDef) and node.bases):  # a base may have it
+            assert named <= parameters(node), f"{path}: {node.name} has no {sorted(named - parameters(node))}"
