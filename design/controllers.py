@@ -102,17 +102,47 @@ def nested(K: NDArray[np.float64]) -> Gains:
     return tuple(tuple(tuple(tuple(map(float, row)) for row in mat) for mat in rows) for rows in K)
 
 
+class TauTable:
+    """Which gain belongs to a measured tau, and to the slots that it has lasted.
+
+    Args:
+        sojourns: how many gains every tau has, for 1, 2, ... slots at this tau; the last one stands for all longer ones. A tau
+            without gains, as of a packet that comes late, has those of the next larger one, beyond the end those of the last.
+    """
+
+    def __init__(self, sojourns: Sequence[int]) -> None:
+        first = [sum(sojourns[:tau]) for tau in range(len(sojourns))]
+        own = [tau for tau, count in enumerate(sojourns) if count]
+        taken = [next((other for other in own if other >= tau), own[-1]) for tau in range(len(sojourns))]
+        self._range = [(first[tau], first[tau] + sojourns[tau] - 1) for tau in taken]
+        self._tau = self._at = -1
+
+    def index(self, tau: int) -> int:
+        """Return the index of the gain; called once a slot, in order."""
+        first, last = self._range[min(tau, len(self._range) - 1)]
+        self._at = min(self._at + 1, last) if tau == self._tau else first
+        self._tau = tau
+        return self._at
+
+
 class _GainRows:
-    """u = u* + K[tau, row] Y; a tau beyond the table uses its last entry.
+    """u = u* + K[tau, row] Y, see `TauTable`.
 
     Y is the measured error y - r and, with ``integral``, below it the sum of the errors of all earlier slots.
     """
 
-    def __init__(self, K: NDArray[np.float64], selection: Selection, model: LoopModel, integral: bool = False) -> None:
+    def __init__(
+        self,
+        K: NDArray[np.float64],
+        selection: Selection,
+        model: LoopModel,
+        integral: bool = False,
+        sojourns: Sequence[int] = (),
+    ) -> None:
         self.selection = selection
         self._sum = [0.0] * model.C.shape[0] if integral else []
         self._gains = nested(K)
-        self._last = len(self._gains) - 1
+        self._index = TauTable(sojourns or (1,) * len(K)).index
         self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
         # One input, one output: the same sums without loops in loops, as a sweep runs this a million times.
         scalar = K.shape[2:] == (1, 1)
@@ -121,14 +151,14 @@ class _GainRows:
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
         if self._scalars is not None:
             error, held = y[0] - r[0], self._omega[0][0] * r[0]
-            return tuple([(held + g * error,) for g in self._scalars[min(tau, self._last)]])
+            return tuple([(held + g * error,) for g in self._scalars[self._index(tau)]])
         e = [a - b for a, b in zip(y, r)]
         known = e + self._sum
         self._sum = [s + x for s, x in zip(self._sum, e)]
         star = [sum(o * b for o, b in zip(row, r)) for row in self._omega]
         return tuple(
             tuple(s + sum(g * x for g, x in zip(gains, known)) for s, gains in zip(star, mat))
-            for mat in self._gains[min(tau, self._last)]
+            for mat in self._gains[self._index(tau)]
         )
 
 
@@ -145,6 +175,8 @@ class SendAll:
             row.
         selection: which row the actuator applies; see the module's table.
         integral: the gains have p more columns, for the integral of the measured error (Remark 7.7).
+        sojourns: how many tables belong to every tau, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
+            semi-Markov delays; by default one each, whatever it has lasted.
     """
 
     kind: ClassVar[str] = "send-all"
@@ -152,6 +184,7 @@ class SendAll:
     gains: Gains
     selection: Selection = "applied"
     integral: bool = False
+    sojourns: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         try:
@@ -160,6 +193,8 @@ class SendAll:
             shape = ()
         if len(shape) != 4:
             raise ValueError("gains: expected [tau][row][m][p] with equal lengths")
+        if self.sojourns and (min(self.sojourns) < 0 or sum(self.sojourns) != shape[0]):
+            raise ValueError(f"sojourns: {list(self.sojourns)}, expected counts whose sum is the number of tables, {shape[0]}")
 
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         K = np.asarray(self.gains, dtype=float)
@@ -171,12 +206,12 @@ class SendAll:
                 f"gains: shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "
                 f"for selection {self.selection!r} with d up to {model.d_max}"
             )
-        if K.shape[0] < model.tau_max + 1:
-            raise ValueError(f"gains: {K.shape[0]} tables, but tau reaches {model.tau_max}")
+        if len(self.sojourns or K) < model.tau_max + 1:
+            raise ValueError(f"gains: {len(self.sojourns or K)} tables, but tau reaches {model.tau_max}")
         return K
 
     def start(self, model: LoopModel) -> RunningController:
-        return _GainRows(self.table(model), self.selection, model, self.integral)
+        return _GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
 
 
 def _published(values: Sequence[Sequence[float]], model: LoopModel) -> NDArray[np.float64]:

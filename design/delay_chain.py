@@ -115,6 +115,12 @@ class DelayChain:
         return delays
 
     @property
+    def sojourns(self) -> tuple[int, ...]:
+        """How many labels every delay 0, 1, ... has."""
+        carried = self.label_delay
+        return tuple(np.bincount(carried[carried >= 0]).tolist())
+
+    @property
     def stationary(self) -> Array:
         """(N,) stationary distribution (of the recurrent part; the chain should have one recurrent class)."""
         system = np.vstack([self.matrix.T - np.eye(self.modes), np.ones(self.modes)])

@@ -25,6 +25,7 @@ class DesignFile:
         gains: (tau labels, rows, m, py).
         integral: the last p columns belong to the integral of the measured error.
         samples: samples per sensor packet.
+        sojourns: how many tables belong to every tau; () for one each.
         period_s: sample period, s.
         plant: its name.
         document: everything that stands in the file.
@@ -34,6 +35,7 @@ class DesignFile:
     gains: Array
     integral: bool
     samples: int
+    sojourns: tuple[int, ...]
     period_s: float
     plant: str
     document: dict[str, Any]
@@ -106,7 +108,22 @@ def load_design(path: Path) -> DesignFile:
         gains=gains,
         integral=bool(known.get("integral", 0)),
         samples=int(known.get("samples", 1)),
+        sojourns=_sojourns(path, known.get("sc")),
         period_s=float(period),
         plant=str(document.get("plant", "")),
         document=document,
     )
+
+
+def _sojourns(path: Path, chain: Any) -> tuple[int, ...]:
+    """How many labels every delay of the problem's chain has; () where the delays are the labels."""
+    try:
+        pairs = sorted(set(zip(chain["labels"], chain["delays"], strict=True))) if chain is not None else []
+        if all(label == delay for label, delay in pairs):
+            return ()
+        labels, delays = zip(*pairs)
+        if labels == tuple(range(len(labels))) and list(delays) == sorted(delays):
+            return tuple(np.bincount(delays).tolist())
+    except (KeyError, TypeError, ValueError):
+        pass
+    raise ValueError(f"design: {path}: problem.sc: expected delays and labels, the labels 0, 1, ... in the order of the delays")

@@ -28,6 +28,7 @@ class Designed:
         output: ``stacked`` or ``sum`` (as printed).
         integral: weight of the integrated error; above 0 the controller integrates (Remark 7.7).
         design_seed: seed of the multistart.
+        sojourns: over semi-Markov delays: how many lengths of stay at the measured delay the gain tells apart, in slots; 1: none.
         file: a design saved by ``hil design -o``; then nothing is solved. Relative to the experiment's file.
     """
 
@@ -39,7 +40,12 @@ class Designed:
     output: Literal["stacked", "sum"] = "stacked"
     integral: float = 0.0
     design_seed: int = 0
+    sojourns: int = 1
     file: str = ""
+
+    def __post_init__(self) -> None:
+        if self.sojourns < 1:
+            raise ValueError(f"sojourns: {self.sojourns}, expected at least 1")
 
     def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[SendAll, None]:
         """Return the gains for a loop; their certificate is computed like any other's, when the loop is composed.
@@ -58,7 +64,9 @@ class Designed:
             read = load_design(Path(folder) / self.file)
             if read.samples != 1:
                 raise ValueError(f"file: {self.file}: its gains take {read.samples} samples per packet, the rig sends one")
-            return SendAll(gains=nested(read.gains), selection=read.selection, integral=read.integral), None  # type: ignore[arg-type]
+            return SendAll(
+                gains=nested(read.gains), selection=read.selection, integral=read.integral, sojourns=read.sojourns  # type: ignore[arg-type]
+            ), None
         if sc is None or ca is None:
             raise ValueError("kind: a design needs age laws with a chain on both links, not packet laws or traces")
         from design.cache import solve_cached
@@ -71,4 +79,5 @@ class Designed:
         )  # fmt: skip
         design = solve_cached(problem)
         gains = nested(np.asarray(design.gains))
-        return SendAll(gains=gains, selection=design.selection, integral=self.integral > 0), None  # type: ignore[arg-type]
+        sojourns = sc.sojourns if self.sojourns > 1 else ()
+        return SendAll(gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns), None  # type: ignore[arg-type]

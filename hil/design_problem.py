@@ -37,7 +37,7 @@ class Site(NamedTuple):
     ca: DelayChain
 
 
-def site(name: str, period_s: float | None = None) -> Site:
+def site(name: str, period_s: float | None = None, sojourns: int = 1) -> Site:
     """Plant and network of a plant plug-in (network (7.34)) or of an experiment.
 
     The name "vtol" without a period means the discrete model that Section 7.4.1 prints; an experiment always means the
@@ -50,6 +50,8 @@ def site(name: str, period_s: float | None = None) -> Site:
 
     of_experiment = name not in names("hil.plants")
     if not of_experiment:
+        if sojourns > 1:
+            raise HilError(f"--sojourns: over the Markov network of {name} the length of a stay says nothing; name an experiment")
         plant = load("hil.plants", name)()
         period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
@@ -60,7 +62,10 @@ def site(name: str, period_s: float | None = None) -> Site:
         experiment = load_experiment(name)
         plant = experiment.plant
         period = period_s if period_s is not None else float(experiment.period)
-        sc_found, ca_found = delay_chain(experiment.links.sc.law), delay_chain(experiment.links.ca.law)
+        try:
+            sc_found, ca_found = delay_chain(experiment.links.sc.law, sojourns), delay_chain(experiment.links.ca.law)
+        except ValueError as error:
+            raise HilError(f"{name}: {error}") from None
         if sc_found is None or ca_found is None:
             raise HilError(f"{name}: its network laws are no finite chains of delays, so there is nothing to design for")
         sc, ca = sc_found, ca_found

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
               help="z = [Q x; R u], or Q x + R u as printed, whose terms may cancel.")  # fmt: skip
 @click.option("--period", type=float, help="Sample period in s [the thesis's, or the experiment's].")
 @click.option("--samples", type=click.IntRange(1, 2), default=1, show_default=True, help="Samples per sensor packet.")
+@click.option("--sojourns", type=click.IntRange(1), default=1, show_default=True,
+              help="Lengths of stay at the measured tau that a gain tells apart, over semi-Markov delays.")  # fmt: skip
 @click.option("--integral", type=float, default=0.0, help="Weight of the integrated error in z; > 0 adds integral action.")
 @click.option("--starts", type=click.IntRange(0), default=0, help="Starts of the multistart [by objective].")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
@@ -43,8 +45,8 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     place: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
-    input_weight: float | None, z: str, period: float | None, samples: int, integral: float, starts: int, seed: int,
-    method: str, path: Path | None, force: bool, as_json: bool,
+    input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
+    seed: int, method: str, path: Path | None, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -63,7 +65,7 @@ def command(
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
-    where = site(place, period)
+    where = site(place, period, sojourns)
     problem = problem_for(
         where, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
         R=None if input_weight is None else np.full(where.B.shape[1], input_weight), output=z, samples=samples,
@@ -119,16 +121,20 @@ class _Watch:
 
 def _show(design: Design, document: dict[str, Any]) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console, c, problem = Console(), design.certificate, design.problem
-    table = Table(title=f"gains K[tau][row], row by {design.selection!r}")
+    table = Table(title=escape(f"gains K[tau][row], row by {design.selection!r}"))
     table.add_column("tau", justify="right")
     rows = design.gains.shape[1]
     for row in range(rows):
         table.add_column(f"row {row}", justify="right")
-    for tau, gains in enumerate(design.gains):
-        table.add_row(str(tau), *("  ".join(f"{v:.5g}" for v in gains[row].ravel()) for row in range(rows)))
+    sc, _ = problem.chains
+    stays = [(tau, at) for tau, count in enumerate(sc.sojourns) for at in range(1, count + 1)]
+    for (tau, at), gains in zip(stays, design.gains):
+        name = f"{tau}, slot {at}{'+' if at == sc.sojourns[tau] else ''}" if len(stays) > len(sc.sojourns) else f"{tau}"
+        table.add_row(name, *("  ".join(f"{v:.5g}" for v in gains[row].ravel()) for row in range(rows)))
     console.print(table)
     bounds = document["lower_bounds"]
     lines = [

@@ -14,7 +14,7 @@ from hil.report.metrics import experiment_of, matrix, signal_names
 from hil.report.run_panels import unit_of
 from hil.report.tracking import target_of
 from hil.report.units import metric_units, with_unit
-from hil.runtime.loop import Loop, compose, delay_chain, gains_over
+from hil.runtime.loop import Loop, compose, delay_chains, gains_over
 
 RUNS = 100
 TICKS = 120_000  # of emulation that a page may cost: some 3 s
@@ -34,7 +34,7 @@ def theory_section(run: Run) -> Section | None:
         loop = compose(experiment, certify=False)
     except HilError:
         return None
-    chains = [delay_chain(side.law) for side in (loop.experiment.links.sc, loop.experiment.links.ca)]
+    chains = delay_chains(loop.experiment)
     if not isinstance(loop.controller, StaticGains) or None in chains:
         return None
     names = signal_names(run, "/plant/measurement")
@@ -101,7 +101,7 @@ def _initial(law: Any, chain: Any) -> np.ndarray[Any, Any]:
     return np.asarray(own if len(own) == chain.modes else chain.stationary)
 
 
-def _predict(loop: Loop, chains: list[Any], r: np.ndarray[Any, Any]) -> Any | None:
+def _predict(loop: Loop, chains: tuple[Any, Any], r: np.ndarray[Any, Any]) -> Any | None:
     from design.errors import DesignError
     from design.prediction import predict_tracking
 

@@ -124,16 +124,17 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
     stated: dict[str, Any] | None = None
     try:
         if hasattr(controller, "solve"):  # a design problem: what runs is its solution
-            controller, stated = controller.solve(model, delay_chain(links.sc.law), delay_chain(links.ca.law), experiment.folder)
+            controller, stated = controller.solve(model, *delay_chains(experiment), experiment.folder)
             kinds = {**experiment.kinds, "controller": controller.kind}
             experiment = replace(experiment, controller=controller, kinds=kinds)
         running = controller.start(model)
+        chains = delay_chains(experiment)
     except (ValueError, DesignError) as e:
         field = isinstance(e, ValueError) and re.match(r"[\w.\[\]]+:", str(e))  # the message begins with a parameter's name
         raise ExperimentError(experiment.name, [f"controller.{e}" if field else f"controller: {e}"]) from e
     certificate = None
     if certify:
-        certificate = _certify(experiment, model, controller) if stated is None else _accept(experiment, stated)
+        certificate = _certify(experiment, model, chains) if stated is None else _accept(experiment, stated)
     return Loop(
         experiment=experiment,
         model=model,
@@ -183,7 +184,7 @@ def _faults(e: Experiment) -> list[str]:
 
 def gains_over(controller: StaticGains, model: LoopModel, sc: Any, ca: Any) -> NDArray[np.float64]:
     """Return K[tau, row, m, p] for the delays that two chains reach; a table may cover more (``max_age``)."""
-    K = controller.table(model)[: sc.max_delay + 1]
+    K = controller.table(model)[: int(sc.label.max()) + 1]
     return K[:, : ca.max_delay + 1] if controller.selection in ("generated", "applied", "previous") else K
 
 
@@ -197,21 +198,52 @@ def _accept(e: Experiment, stated: dict[str, Any]) -> dict[str, Any]:
     return stated
 
 
-def delay_chain(law: Any) -> Any | None:
-    """Return the delay chain of a network law, None where it has none (packet laws, traces)."""
+def delay_chains(e: Experiment) -> tuple[Any | None, Any | None]:
+    """Return the delay chains of both directions, with the labels that the controller tells apart.
+
+    Raises:
+        ValueError: the controller asks for more than it can measure over this law.
+    """
+    return delay_chain(e.links.sc.law, getattr(e.controller, "sojourns", ())), delay_chain(e.links.ca.law)
+
+
+def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
+    """Return the delay chain of a network law, None where it has none (packet laws, traces).
+
+    Args:
+        law: the network law.
+        sojourns: semi-Markov laws: so many lengths of stay get labels of their own, in all or per delay 0, 1, ...
+
+    Raises:
+        ValueError: lengths of stay that nobody can measure, or that say nothing over this law.
+    """
     from design.delay_chain import DelayChain
 
+    most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
+    if most > 1 and not isinstance(law, SemiMarkovAge):
+        raise ValueError("sojourns: for a semi-Markov law only; over any other the delay says all that its length of stay could")
     if isinstance(law, SemiMarkovAge):
         augmented = augmented_chain(law)
-        return DelayChain(transition=augmented.matrix, delays=np.asarray(law.mode_ages)[augmented.modes])
+        delays = np.asarray(law.mode_ages)[augmented.modes]
+        if most == 1:
+            return DelayChain(transition=augmented.matrix, delays=delays)
+        if len(set(law.mode_ages)) < len(law.mode_ages):
+            raise ValueError(f"sojourns: modes share a delay (ages {list(law.mode_ages)}), whose length of stay is not theirs")
+        longest = [int(augmented.slots[delays == d].max(initial=0)) for d in range(int(delays.max()) + 1)]
+        counts = [min(n, most) for n in longest] if isinstance(sojourns, int) else list(sojourns)
+        if len(counts) < len(longest) or any(n > 0 and not count for n, count in zip(longest, counts)):
+            raise ValueError(f"sojourns: {counts}, but the delay reaches {len(longest) - 1}")
+        first = np.concatenate([[0], np.cumsum(counts)])[delays]
+        labels = first + np.minimum(augmented.slots, np.asarray(counts)[delays]) - 1
+        return DelayChain(transition=augmented.matrix, delays=delays, labels=labels)
     if isinstance(law, ConstantAge | IidAge | MarkovAge):
         return DelayChain(transition=law.transition_matrix(), delays=np.asarray(law.mode_ages))
     return None
 
 
-def _certify(e: Experiment, model: LoopModel, controller: Any) -> dict[str, Any] | None:
+def _certify(e: Experiment, model: LoopModel, chains: tuple[Any | None, Any | None]) -> dict[str, Any] | None:
     """Return the certificate of the closed loop, or refuse the run."""
-    sc, ca = delay_chain(e.links.sc.law), delay_chain(e.links.ca.law)
+    controller, (sc, ca) = e.controller, chains
     if not isinstance(controller, StaticGains) or sc is None or ca is None:
         if not e.allow_uncertified:
             what = "this kind of network law" if isinstance(controller, StaticGains) else "this kind of controller"

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from hil.experiment import load_experiment
-from hil.runtime.loop import compose, delay_chain
+from hil.runtime.loop import compose, delay_chains
 from hil.session import simulate
 
 QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the prediction knows nothing of it
@@ -14,9 +14,9 @@ QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the p
 def predicted_of(loop, ticks):
     from design.prediction import predict_tracking
 
-    links, reference, disturbance = loop.experiment.links, loop.reference(), loop.disturbance()
+    reference, disturbance = loop.reference(), loop.disturbance()
     return predict_tracking(
-        loop.model.A, loop.model.B, loop.model.C, delay_chain(links.sc.law), delay_chain(links.ca.law),
+        loop.model.A, loop.model.B, loop.model.C, *delay_chains(loop.experiment),
         loop.controller.table(loop.model), loop.controller.selection, np.array([reference(k) for k in range(ticks)]),
         period_s=loop.model.period_s, disturbance=np.array([disturbance(k) for k in range(ticks)]),
     )  # fmt: skip
@@ -43,8 +43,9 @@ def assert_in_bands(squares, predicted, ticks):
     assert np.all(np.abs(deviation.mean(axis=0) - predicted.square_sd**2) <= band)
 
 
-def test_two_hundred_runs_lie_in_the_bands():
-    loop = compose(load_experiment("dc-motor-hinf", ("duration=8 s",)))
+@pytest.mark.parametrize("name", ["dc-motor-hinf", "dc-motor-bursty-ours"])
+def test_two_hundred_runs_lie_in_the_bands(name):
+    loop = compose(load_experiment(name, ("duration=8 s",)))
     assert_in_bands(squared_errors(loop, range(200)), predicted_of(loop, 160), 160)
 
 

@@ -51,6 +51,8 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--objective", "mixed", "--hinf-bound", "15"), "smallest H-infinity norm found is 16.27"),
         (("dc-motor", "--period", "-0.1"), "--period: -0.1"),
         (("vtol", "--period", "1"), "smallest radius reached"),
+        (("dc-motor", "--sojourns", "2"), "Markov network of dc-motor"),
+        (("dc-motor-hinf", "--sojourns", "2"), "sojourns: for a semi-Markov law only"),
         (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),
         (("no-such-thing",), "no-such-thing"),
         (("dc-motor", "-o", "/no/such/directory/x.json"), "there is no folder"),

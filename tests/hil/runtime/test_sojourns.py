@@ -1,0 +1,96 @@
+"""Gains that know for how long the measured delay has lasted: the controller's count is the chain's mode."""
+
+from __future__ import annotations
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from design.controllers import SendAll, TauTable
+from design.design_file import load_design
+from hil.errors import ExperimentError
+from hil.experiment import load_experiment, shipped
+from hil.runtime.loop import compose, delay_chain, delay_chains
+from hil.session import simulate
+from transport.age_laws import MarkovAge
+from transport.semi_markov_law import SemiMarkovAge, augmented_chain
+from transport.sojourn import Table, Uniform
+
+BURSTY = SemiMarkovAge(
+    matrix=((0.0, 1.0, 0.0), (0.8, 0.0, 0.2), (0.5, 0.5, 0.0)),
+    sojourn=(Uniform(low=5, high=15), Table(probabilities=(0.5, 0.2, 0.3)), Table(probabilities=(0.7, 0.3))),
+    initial="uniform",
+)
+
+
+def test_table_counts_the_slots_of_every_stay() -> None:
+    table = TauTable((3, 0, 2))
+    assert [table.index(tau) for tau in (0, 0, 0, 0, 2, 2, 2, 0, 0)] == [0, 1, 2, 2, 3, 4, 4, 0, 1]
+    assert [table.index(tau) for tau in (1, 1, 9, 9, 9)] == [3, 4, 3, 4, 4]  # delays without gains of their own
+
+
+@pytest.mark.parametrize("sojourns", [2, 4, 40, (3, 1, 2)])
+def test_count_of_the_controller_is_the_label_of_the_chain(sojourns: int | tuple[int, ...]) -> None:
+    chain, augmented = delay_chain(BURSTY, sojourns), augmented_chain(BURSTY)
+    assert chain is not None
+    label_of = {(int(m), int(s)): int(label) for m, s, label in zip(augmented.modes, augmented.slots, chain.label, strict=True)}
+    table, law, stay = TauTable(chain.sojourns), BURSTY.start(np.random.default_rng(5)), 0
+    last, seen = -1, set()
+    for mode, tau in itertools.islice(iter(law.draw, None), 5000):
+        stay = stay + 1 if mode == last else 1
+        last = mode
+        index = table.index(tau)
+        assert index == label_of[mode, stay]
+        seen.add(index)
+    assert seen == set(chain.label.tolist())
+
+
+def test_log_shows_the_gain_of_the_slot() -> None:
+    loop = compose(load_experiment("dc-motor-bursty-ours"))
+    run = simulate(loop, 3)
+    rows, y, r = (run.arrays[topic] for topic in ("/controller/rows", "/plant/measurement", "/reference"))
+    gains, stay = np.array(loop.controller.gains)[..., 0, 0], 0
+    for k in range(60, 200):
+        tau = rows["tau"][k]
+        stay = next(n for n in itertools.count(1) if rows["tau"][k - n] != tau)
+        at = sum(loop.controller.sojourns[:tau]) + min(stay, loop.controller.sojourns[tau]) - 1
+        expected = gains[at] * (y["angle"][k - tau] - r["angle"][k])
+        found = [rows[name][k] for name in rows.dtype.names if name.startswith("row")]
+        np.testing.assert_allclose(found, expected, rtol=2e-6, atol=1e-7)  # float32 on the wire
+
+
+def test_shipped_design_is_for_the_law_that_it_runs_over() -> None:
+    loop = compose(load_experiment("dc-motor-bursty-ours"))
+    sc, _ = delay_chains(loop.experiment)
+    document = load_design(shipped()["dc-motor-bursty-ours"].parent / "designs" / "dc-motor-bursty-h2.json").document
+    assert loop.controller.sojourns == sc.sojourns == (3, 3, 2)
+    np.testing.assert_allclose(document["problem"]["sc"]["transition"], sc.matrix, atol=1e-15)
+    assert document["problem"]["sc"]["labels"] == sc.label.tolist()
+    assert loop.certificate is not None
+    assert loop.certificate["h2_norm"] == pytest.approx(document["norms"]["h2"], rel=1e-9)
+    assert json.loads(json.dumps(loop.certificate))["stable"]
+
+
+@pytest.mark.parametrize(
+    ("name", "sets", "message"),
+    [
+        ("dc-motor-ours-h2", ["controller.sojourns=3"], "controller.sojourns: for a semi-Markov law only"),
+        ("dc-motor-ours-h2", ["controller.sojourns=0"], "sojourns: 0, expected at least 1"),
+        ("dc-motor-bursty-ours", ["links.sc.law.ages=[0, 1, 1]", "links.sc.max_age=2"], "sojourns: modes share a delay"),
+        ("dc-motor-bursty-ours", ["links.sc.law.ages=[0, 1, 3]", "links.sc.law.allow_gaps=true"], "tables, but tau reaches 3"),
+    ],
+)
+def test_what_nobody_can_count_is_refused(name: str, sets: list[str], message: str) -> None:
+    with pytest.raises(ExperimentError, match=message):
+        compose(load_experiment(name, sets))
+
+
+def test_counts_must_cover_the_tables_and_the_law() -> None:
+    one = ((0.0,),)
+    with pytest.raises(ValueError, match=r"sojourns: \[2, 2\], expected counts whose sum is the number of tables, 3"):
+        SendAll(gains=((one,), (one,), (one,)), sojourns=(2, 2))
+    with pytest.raises(ValueError, match="but the delay reaches 2"):
+        delay_chain(BURSTY, (2, 2))
+    assert delay_chain(MarkovAge(matrix=((0.5, 0.5), (0.7, 0.3))), (1, 1)) is not None
