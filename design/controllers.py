@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import cycle
 from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -66,7 +67,10 @@ class RunningController(Protocol):
     selection: Selection
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
-        """Return one row of m inputs per row index, for the sample y(k - tau) and the reference r."""
+        """Return one row of m inputs per row index, for the sample y(k - tau) and the reference r.
+
+        Where the parameters say ``samples = 2``, y holds y(k - tau), then y(k - tau - 1).
+        """
         ...
 
 
@@ -128,7 +132,8 @@ class TauTable:
 class _GainRows:
     """u = u* + K[tau, row] Y, see `TauTable`.
 
-    Y is the measured error y - r and, with ``integral``, below it the sum of the errors of all earlier slots.
+    Y is the error y - r of every sample in the packet, newest first, and with ``integral`` below these the sum of the newest
+    errors of all earlier slots.
     """
 
     def __init__(
@@ -152,7 +157,7 @@ class _GainRows:
         if self._scalars is not None:
             error, held = y[0] - r[0], self._omega[0][0] * r[0]
             return tuple([(held + g * error,) for g in self._scalars[self._index(tau)]])
-        e = [a - b for a, b in zip(y, r)]
+        e = [a - b for a, b in zip(y, cycle(r))]
         known = e + self._sum
         self._sum = [s + x for s, x in zip(self._sum, e)]
         star = [sum(o * b for o, b in zip(row, r)) for row in self._omega]
@@ -177,6 +182,7 @@ class SendAll:
         integral: the gains have p more columns, for the integral of the measured error (Remark 7.7).
         sojourns: how many tables belong to every tau, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
             semi-Markov delays; by default one each, whatever it has lasted.
+        samples: samples per packet, 1 or 2: the gains have p columns for y(k - tau), then p for y(k - tau - 1).
     """
 
     kind: ClassVar[str] = "send-all"
@@ -185,6 +191,7 @@ class SendAll:
     selection: Selection = "applied"
     integral: bool = False
     sojourns: tuple[int, ...] = ()
+    samples: Literal[1, 2] = 1
 
     def __post_init__(self) -> None:
         try:
@@ -200,7 +207,7 @@ class SendAll:
         K = np.asarray(self.gains, dtype=float)
         m, p = model.B.shape[1], model.C.shape[0]
         rows = row_count(self.selection, model.d_max)
-        width = 2 * p if self.integral else p
+        width = p * (self.samples + self.integral)
         if K.shape[1:] != (rows, m, width):
             raise ValueError(
                 f"gains: shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "

@@ -103,11 +103,14 @@ def load_design(path: Path) -> DesignFile:
     if not isinstance(period, int | float) or not period > 0:
         raise ValueError(f"design: {path}: period_s: {period!r}, expected a number > 0")
     known = problem if isinstance(problem, dict) else {}
+    samples = known.get("samples", 1)
+    if samples not in (1, 2):
+        raise ValueError(f"design: {path}: problem.samples: {samples!r}, expected 1 or 2")
     return DesignFile(
         selection=selection,
         gains=gains,
         integral=bool(known.get("integral", 0)),
-        samples=int(known.get("samples", 1)),
+        samples=samples,
         sojourns=_sojourns(path, known.get("sc")),
         period_s=float(period),
         plant=str(document.get("plant", "")),

@@ -27,6 +27,7 @@ class Designed:
         input_weight: R of z = [Q x; R u1], Q = C.
         output: ``stacked`` or ``sum`` (as printed).
         integral: weight of the integrated error; above 0 the controller integrates (Remark 7.7).
+        samples: samples per packet, 1 or 2: the newest, or also the one before.
         design_seed: seed of the multistart.
         sojourns: over semi-Markov delays: how many lengths of stay at the measured delay the gain tells apart, in slots; 1: none.
         file: a design saved by ``hil design -o``; then nothing is solved. Relative to the experiment's file.
@@ -39,6 +40,7 @@ class Designed:
     input_weight: float = 0.01
     output: Literal["stacked", "sum"] = "stacked"
     integral: float = 0.0
+    samples: Literal[1, 2] = 1
     design_seed: int = 0
     sojourns: int = 1
     file: str = ""
@@ -62,11 +64,10 @@ class Designed:
             from design.design_file import load_design
 
             read = load_design(Path(folder) / self.file)
-            if read.samples != 1:
-                raise ValueError(f"file: {self.file}: its gains take {read.samples} samples per packet, the rig sends one")
             return SendAll(
-                gains=nested(read.gains), selection=read.selection, integral=read.integral, sojourns=read.sojourns  # type: ignore[arg-type]
-            ), None
+                gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
+                sojourns=read.sojourns, samples=read.samples,  # type: ignore[arg-type]
+            ), None  # fmt: skip
         if sc is None or ca is None:
             raise ValueError("kind: a design needs age laws with a chain on both links, not packet laws or traces")
         from design.cache import solve_cached
@@ -75,9 +76,11 @@ class Designed:
         problem = TrackingProblem(
             A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, objective=self.objective, information=self.information,
             R=self.input_weight, output=self.output, hinf_bound=self.hinf_bound, gain_bound=self.gain_bound,
-            integral=self.integral, seed=self.design_seed,
+            integral=self.integral, samples=self.samples, seed=self.design_seed,
         )  # fmt: skip
         design = solve_cached(problem)
         gains = nested(np.asarray(design.gains))
         sojourns = sc.sojourns if self.sojourns > 1 else ()
-        return SendAll(gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns), None  # type: ignore[arg-type]
+        return SendAll(
+            gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
+        ), None  # fmt: skip

@@ -18,6 +18,7 @@ from transport.impairment import impair
 def check_controller(controller: Any, model: LoopModel) -> None:
     """Check a controller: right number of rows and inputs, finite, reproducible from a fresh start."""
     m, p = model.B.shape[1], model.C.shape[0]
+    seen = p * getattr(controller, "samples", 1)
     assert pickle.loads(pickle.dumps(controller)) == controller, "parameters must survive pickling"
 
     def answers() -> list[Any]:
@@ -25,7 +26,8 @@ def check_controller(controller: Any, model: LoopModel) -> None:
         running = controller.start(model)
         out = []
         for k in range(60):
-            rows = running.rows(k, int(rng.integers(0, model.tau_max + 1)), tuple(map(float, rng.normal(size=(p,)))), (1.0,) * p)
+            y = tuple(map(float, rng.normal(size=(seen,))))
+            rows = running.rows(k, int(rng.integers(0, model.tau_max + 1)), y, (1.0,) * p)
             expected = row_count(running.selection, model.d_max)
             assert len(rows) == expected, f"{len(rows)} rows, expected {expected} for {running.selection!r}"
             assert all(len(row) == m for row in rows), f"a row has not {m} inputs"

@@ -48,8 +48,7 @@ def experiment_of(run: Run, source: str) -> Experiment:
 
 def _answers(loop: Loop, run: Run) -> dict[int, bytes]:
     """Feed the recorded sensor frames to the loop's controller; return its answer per slot."""
-    e = loop.experiment
-    node = ControlNode(loop.start_controller(), loop.reference(), e.period_ns, loop.rows, len(e.plant.inputs))
+    node = ControlNode(loop)
     out = {}
     frames = run.arrays["/link/sensor"]
     for tick, data in zip(frames["tick"].tolist(), frames["data"]):
@@ -81,7 +80,7 @@ def verify(run: Run, source: str = "log") -> Verdict:
     again = MemorySink(loop.channels())
     frames: list[bytes] = []
     rig = Rig(loop, int(run.metadata["seed"]), again, loop.channels(), frames.append, lambda: None)
-    node = ControlNode(loop.start_controller(), loop.reference(), experiment.period_ns, loop.rows, len(experiment.plant.inputs))
+    node = ControlNode(loop)
     differences: list[tuple[int, str]] = []
     for k in range(slots):
         rig.sense(k * experiment.period_ns)
@@ -143,6 +142,8 @@ def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[s
     other = compose(
         _with_controller(experiment, controller, kind), certify=False
     )
+    if other.samples != (carried := getattr(experiment.controller, "samples", 1)):
+        raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")
     answers = {tick: decode(data) for tick, data in _answers(other, run).items()}
     applied = run.arrays["/actuator/applied"]
     names = [f[2:] for f in applied.dtype.names or () if f.startswith("w_")]

@@ -110,6 +110,7 @@ def _predict(loop: Loop, chains: tuple[Any, Any], r: np.ndarray[Any, Any]) -> An
     common: dict[str, Any] = {
         "period_s": model.period_s,
         "disturbance": np.array([at(k) for k in range(len(r))]),
+        "samples": loop.samples,
         "integral": bool(getattr(controller, "integral", False)),
         "initial": tuple(map(_initial, (loop.sc_law, loop.ca_law), chains)),
     }

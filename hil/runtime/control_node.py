@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
-from design.controllers import RunningController
+from hil.runtime.loop import Loop
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
 
 HELLO = 0xFFFFFFFF  # seq of the rig's question "is anybody there", answered before slot 0 and never counted
@@ -13,29 +11,21 @@ HELLO = 0xFFFFFFFF  # seq of the rig's question "is anybody there", answered bef
 class ControlNode:
     """Measures tau from time stamps and answers the frame that closes a slot.
 
+    When a rig asks "is anybody there" again, the next session begins, whose time begins at 0, with a fresh control law.
+
     Args:
-        controller: the control law.
-        reference: slot k -> reference, one value per output.
-        period_ns: sample period, ns.
-        rows, inputs: shape of the answer while no sample has arrived yet.
-        restart: gives a fresh control law when a rig asks "is anybody there" again: the next session, whose time begins at 0.
+        loop: the composed experiment.
     """
 
-    def __init__(
-        self,
-        controller: RunningController,
-        reference: Callable[[int], Sequence[float]],
-        period_ns: int,
-        rows: int,
-        inputs: int,
-        restart: Callable[[], RunningController] | None = None,
-    ) -> None:
-        self._controller = controller
-        self._restart = restart
-        self._reference = reference
-        self._period_ns = period_ns
-        self._selection = SELECTIONS.index(controller.selection)
-        self._zeros = ((0.0,) * inputs,) * rows
+    def __init__(self, loop: Loop) -> None:
+        e = loop.experiment
+        self._start = loop.start_controller
+        self._controller = self._start()
+        self._reference = loop.reference()
+        self._period_ns = e.period_ns
+        self._selection = SELECTIONS.index(loop.selection)
+        self._zeros = ((0.0,) * len(e.plant.inputs),) * loop.rows
+        self._width = len(e.plant.outputs) * loop.samples
         self._sample_ns = -1
         self._y: tuple[float, ...] = ()
         self.malformed = 0
@@ -49,8 +39,10 @@ class ControlNode:
         seq, flags, sample_ns, y = packet
         if seq == HELLO and self._sample_ns >= 0:
             self._sample_ns, self._y = -1, ()
-            if self._restart is not None:
-                self._controller = self._restart()
+            self._controller = self._start()
+        if not flags & EMPTY and len(y) != self._width:  # a rig with another plant
+            self.malformed += 1
+            return None
         if not flags & EMPTY and sample_ns >= self._sample_ns:  # an older sample than the newest is of no use
             self._sample_ns, self._y = sample_ns, y
         if flags & MORE:

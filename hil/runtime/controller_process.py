@@ -44,10 +44,7 @@ def stop_on_sigterm() -> None:
 
 def serve(loop: Loop, uri: str) -> None:
     """Answer sensor frames on a link until stopped."""
-    e = loop.experiment
-    node = ControlNode(
-        loop.start_controller(), loop.reference(), e.period_ns, loop.rows, len(e.plant.inputs), loop.start_controller
-    )
+    node = ControlNode(loop)
     with open_link(uri, "controller") as link:
         while True:
             data = link.receive(IDLE_S)

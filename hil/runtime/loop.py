@@ -19,6 +19,7 @@ from hil.experiment import Experiment
 from hil.log.records import Channel, channels
 from transport.age_laws import ConstantAge, IidAge, MarkovAge
 from transport.network_laws import load_files, prepare, slots_served
+from transport.packets import MAX_OUTPUTS
 from transport.semi_markov_law import SemiMarkovAge, augmented_chain
 
 
@@ -33,6 +34,7 @@ class Loop:
         sc_law, ca_law: the network laws, distributions tabulated: no process that keeps time computes them.
         rows: rows in one send-all packet.
         selection: how the actuator picks one of them.
+        samples: samples in one sensor packet: the newest, and so many less one before it.
         certificate: JSON form of the certificate of the closed loop, None if this kind of loop has none.
     """
 
@@ -43,6 +45,7 @@ class Loop:
     ca_law: Any
     rows: int
     selection: str
+    samples: int
     certificate: dict[str, Any] | None
 
     def start_controller(self) -> RunningController:
@@ -129,6 +132,9 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
             experiment = replace(experiment, controller=controller, kinds=kinds)
         running = controller.start(model)
         chains = delay_chains(experiment)
+        samples = int(getattr(controller, "samples", 1))
+        if not 1 <= samples * len(plant.outputs) <= MAX_OUTPUTS:
+            raise ValueError(f"samples: {samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
     except (ValueError, DesignError) as e:
         field = isinstance(e, ValueError) and re.match(r"[\w.\[\]]+:", str(e))  # the message begins with a parameter's name
         raise ExperimentError(experiment.name, [f"controller.{e}" if field else f"controller: {e}"]) from e
@@ -143,6 +149,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         ca_law=prepare(links.ca.law),
         rows=row_count(running.selection, model.d_max),
         selection=running.selection,
+        samples=samples,
         certificate=certificate,
     )
 
@@ -255,8 +262,9 @@ def _certify(e: Experiment, model: LoopModel, chains: tuple[Any | None, Any | No
 
     K = gains_over(controller, model, sc, ca)
     certificate = certify_loop(
-        model.A, model.B, model.C, sc, ca, K, controller.selection, integral=float(getattr(controller, "integral", False))
-    )
+        model.A, model.B, model.C, sc, ca, K, controller.selection,
+        samples=getattr(controller, "samples", 1), integral=float(getattr(controller, "integral", False)),
+    )  # fmt: skip
     if not certificate.stable and not e.allow_uncertified:
         raise ExperimentError(
             e.name,

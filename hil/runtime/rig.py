@@ -71,6 +71,8 @@ class Rig:
         self._period_ns = e.period_ns
         self._d_max = loop.model.d_max
         self._inputs = len(e.plant.inputs)
+        self._samples = loop.samples
+        self._sample: tuple[float, ...] = ()
         self._zero = (0.0,) * self._inputs
         self._plant = e.plant.start(rng_for(seed, "plant"))
         self._sc = impair(loop.sc_law, rng_for(seed, "link.sc"), float(e.period), deadline_s)
@@ -117,8 +119,10 @@ class Rig:
         if k:
             plant.advance(self._period_ns, self._u, self._w)
         y = plant.measure()
+        # What a packet carries: this measurement, and those of the slots before as far as the controller takes them.
+        self._sample = (y + self._sample)[: len(y) * self._samples] if k else y * self._samples
         self._answer = None
-        self._sc.offer(k, y)
+        self._sc.offer(k, self._sample)
         draws, arrivals = self._sc.collect(k)
         frames = self._frames(k, arrivals)
         for frame in frames:

@@ -29,7 +29,7 @@ def run_virtual(
     stoppable(kernel.stop)
     frames: deque[bytes] = deque()
     rig = Rig(loop, seed, sink, loop.channels(), frames.append, kernel.stop)
-    node = ControlNode(loop.start_controller(), loop.reference(), e.period_ns, loop.rows, len(e.plant.inputs))
+    node = ControlNode(loop)
 
     def exchange(t_ns: int) -> None:
         while frames:

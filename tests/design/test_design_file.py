@@ -42,6 +42,7 @@ def test_written_design_is_read_back(design, tmp_path):
         (lambda d: d.update(gains=[1.0]), r"gains: shape \(1,\)"),
         (lambda d: d["gains"][0][0][0].__setitem__(0, float("nan")), "gains: shape .* finite"),
         (lambda d: d.update(period_s=-1), "period_s: -1"),
+        (lambda d: d["problem"].update(samples=3), "problem.samples: 3"),
         (lambda d: d["problem"].update(sc={"delays": [0, 1, 2]}), "problem.sc: expected delays and labels"),
         (lambda d: d["problem"]["sc"].update(labels=[0, 2, 1]), "problem.sc: expected delays and labels"),
         (lambda d: d.clear(), "no design file"),

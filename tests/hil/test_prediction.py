@@ -18,7 +18,7 @@ def predicted_of(loop, ticks):
     return predict_tracking(
         loop.model.A, loop.model.B, loop.model.C, *delay_chains(loop.experiment),
         loop.controller.table(loop.model), loop.controller.selection, np.array([reference(k) for k in range(ticks)]),
-        period_s=loop.model.period_s, disturbance=np.array([disturbance(k) for k in range(ticks)]),
+        period_s=loop.model.period_s, samples=loop.samples, disturbance=np.array([disturbance(k) for k in range(ticks)]),
     )  # fmt: skip
 
 
@@ -43,10 +43,14 @@ def assert_in_bands(squares, predicted, ticks):
     assert np.all(np.abs(deviation.mean(axis=0) - predicted.square_sd**2) <= band)
 
 
-@pytest.mark.parametrize("name", ["dc-motor-hinf", "dc-motor-bursty-ours"])
-def test_two_hundred_runs_lie_in_the_bands(name):
-    loop = compose(load_experiment(name, ("duration=8 s",)))
-    assert_in_bands(squared_errors(loop, range(200)), predicted_of(loop, 160), 160)
+# With two samples the error dies out so fast that later only runs too rare for two hundred carry its moments.
+CASES = [("dc-motor-hinf", 160), ("dc-motor-bursty-ours", 160), ("dc-motor-ours-two-samples", 36)]
+
+
+@pytest.mark.parametrize("name, ticks", CASES)
+def test_two_hundred_runs_lie_in_the_bands(name, ticks):
+    loop = compose(load_experiment(name, (f"duration={0.05 * ticks} s",)))
+    assert_in_bands(squared_errors(loop, range(200)), predicted_of(loop, ticks), ticks)
 
 
 @pytest.mark.slow

@@ -90,6 +90,12 @@ def test_a_gap_in_the_log_is_a_difference(tmp_path: Path) -> None:
         verify(run)
 
 
+def test_what_if_refuses_a_controller_that_takes_other_packets(tmp_path: Path) -> None:
+    run = run_session(load_experiment("dc-motor-ours-two-samples", ["duration=2"]), path=tmp_path / "a.mcap").run
+    with pytest.raises(HilError, match="its sensor packets carry 2 samples, hinf takes 1"):
+        what_if(run, load_experiment("dc-motor-hinf").controller, "hinf")
+
+
 def test_what_if_with_the_same_controller_is_what_was(tmp_path: Path) -> None:
     experiment = load_experiment("dc-motor-h2", ["duration=10"])
     run = run_session(experiment, path=tmp_path / "a.mcap").run

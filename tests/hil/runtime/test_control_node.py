@@ -13,9 +13,7 @@ PERIOD_NS = 50_000_000
 
 
 def node(kind: str) -> ControlNode:
-    loop = compose(load_experiment(kind))
-    start = loop.start_controller
-    return ControlNode(start(), loop.reference(), PERIOD_NS, loop.rows, 1, start)
+    return ControlNode(compose(load_experiment(kind)))
 
 
 def session(of: ControlNode, slots: int) -> list[bytes | None]:
@@ -39,3 +37,12 @@ def test_a_sample_from_the_future_is_counted_and_not_answered() -> None:
     assert ours.malformed == 1
     answer = ours.hear(encode_sensor(SensorPacket(20, 0, 20 * PERIOD_NS, (0.2,))))
     assert answer is not None and isinstance(decode(answer), ControlPacket)
+
+
+def test_a_packet_of_another_width_is_counted_and_not_used() -> None:
+    ours, two = node("dc-motor-hinf"), node("dc-motor-ours-two-samples")
+    session(ours, 3)
+    assert ours.hear(encode_sensor(SensorPacket(3, 0, 3 * PERIOD_NS, (0.1, 0.2)))) is None
+    assert two.hear(encode_sensor(SensorPacket(0, 0, 0, (0.1,)))) is None
+    assert (ours.malformed, two.malformed) == (1, 1)
+    assert two.hear(encode_sensor(SensorPacket(0, 0, 0, (0.1, 0.1)))) is not None

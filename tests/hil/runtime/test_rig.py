@@ -24,13 +24,13 @@ def loop() -> Loop:
     return compose(load_experiment("dc-motor-hinf"))
 
 
-@pytest.mark.parametrize("name", ["dc-motor-hinf", "dc-motor-h2"])
+@pytest.mark.parametrize("name", ["dc-motor-hinf", "dc-motor-h2", "dc-motor-ours-two-samples"])
 def test_loop_follows_the_recursion_of_the_thesis_on_the_drawn_delays(name: str) -> None:
     """(7.8)-(7.13) written once more in deviation coordinates, on the modes that the rig drew."""
     loop = compose(load_experiment(name))
     run = simulate(loop, 5)
     A, B, C = loop.model.A, loop.model.B, loop.model.C
-    K = loop.controller.table(loop.model)[:, :, 0, 0]
+    K = loop.controller.table(loop.model)[:, :, 0, :]
     draws = {}
     for side in ("sc", "ca"):
         d = run.arrays[f"/network/{side}"]
@@ -43,9 +43,10 @@ def test_loop_follows_the_recursion_of_the_thesis_on_the_drawn_delays(name: str)
         assert states["angle"][k] == pytest.approx(x[0], abs=2e-5)  # float32 on the wire
         ys.append((C @ x)[0])
         tau, d = draws["sc"][k], draws["ca"][k]
-        packets.append(K[tau] * (ys[k - tau] - r[k]) if k >= tau else np.zeros(2))
+        errors = np.array([ys[max(k - tau - i, 0)] - r[k] for i in range(loop.samples)])
+        packets.append(K[tau] @ errors if k >= tau else np.zeros(2))
         g = k - d
-        u = packets[g][draws["ca"][g]] if g >= 0 else 0.0
+        u = packets[g][d if loop.selection == "applied" else draws["ca"][g]] if g >= 0 else 0.0
         x = A @ x + B[:, 0] * (u + w[k])
 
 
