@@ -61,8 +61,8 @@ class _Turn:
     summary: dict[str, Any]
 
 
-def _turn(uri: str, duration_s: float, folder: Path) -> _Turn:
-    experiment = load_experiment("dc-motor-1khz", [f"duration={duration_s}"])
+def _turn(uri: str, duration_s: float, folder: Path, sets: Sequence[str]) -> _Turn:
+    experiment = load_experiment("dc-motor-1khz", [*sets, f"duration={duration_s}", f"period={PERIOD_US / 1e6}"])
     output, log = folder / "cyclictest.json", folder / "run.mcap"
     reference = start_cyclictest(experiment.timing.priority, PERIOD_US, duration_s, output)
     try:
@@ -113,6 +113,7 @@ def bench_timing(
     duration_s: float = 20.0,
     turns: int = 4,
     links: Sequence[str] = LINKS,
+    sets: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[dict[str, Any]]:
     """Run ``dc-motor-1khz`` over each link with cyclictest beside it; return one row per link.
@@ -124,6 +125,7 @@ def bench_timing(
         turns: sessions into which that time is cut; the links take turns, so that what else the machine does hits all of them
             alike.
         links: URIs.
+        sets: changes ``path=value`` of the experiment, for instance ``timing.affinity=pinned``.
         progress: told what is running.
     """
     taken: dict[str, list[_Turn]] = {uri: [] for uri in links}
@@ -132,7 +134,7 @@ def bench_timing(
         for turn in range(turns):
             for uri in taken:
                 progress(f"turn {turn + 1} of {turns}: 1 kHz for {session_s:g} s over {uri}, cyclictest beside it")
-                taken[uri].append(_turn(uri, session_s, Path(folder)))
+                taken[uri].append(_turn(uri, session_s, Path(folder), sets))
     rows = [_row(uri, of_link) for uri, of_link in taken.items()]
     for row in rows:
         row["round_trip_ratio"] = row["round_trip_us"]["p50"] / rows[-1]["round_trip_us"]["p50"]

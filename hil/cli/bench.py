@@ -45,14 +45,15 @@ def _table(title: str, rows: list[dict[str, Any]]) -> None:
 @click.option("--duration", type=float, default=20.0, show_default=True, help="Seconds for each link.")
 @click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Sessions that share these.")
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
+@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change dc-motor-1khz, e.g. timing.affinity=pinned.")
 @click.option("--json", "as_json", is_flag=True)
-def timing(duration: float, turns: int, links: tuple[str, ...], as_json: bool) -> None:
+def timing(duration: float, turns: int, links: tuple[str, ...], sets: tuple[str, ...], as_json: bool) -> None:
     """The rig at 1 kHz beside cyclictest at the same priority."""
     from hil.bench.timing import LINKS, bench_timing
 
     _check("--duration", duration, *SECONDS)
     _check("--duration over --turns", duration / turns, *SECONDS)
-    rows = bench_timing(duration_s=duration, turns=turns, links=links or LINKS, progress=_status)
+    rows = bench_timing(duration_s=duration, turns=turns, links=links or LINKS, sets=sets, progress=_status)
     if as_json:
         print(json.dumps(rows, indent=2))
         return
