@@ -44,7 +44,7 @@ def assert_in_bands(squares, predicted, ticks):
 
 
 # With two samples the error dies out so fast that later only runs too rare for two hundred carry its moments.
-CASES = [("dc-motor-hinf", 160), ("dc-motor-bursty-ours", 160), ("dc-motor-ours-two-samples", 36)]
+CASES = [("dc-motor-hinf", 160), ("dc-motor-ours-bursty", 160), ("dc-motor-ours-two-samples", 36)]
 
 
 @pytest.mark.parametrize("name, ticks", CASES)

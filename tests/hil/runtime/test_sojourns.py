@@ -48,7 +48,7 @@ def test_count_of_the_controller_is_the_label_of_the_chain(sojourns: int | tuple
 
 
 def test_log_shows_the_gain_of_the_slot() -> None:
-    loop = compose(load_experiment("dc-motor-bursty-ours"))
+    loop = compose(load_experiment("dc-motor-ours-bursty"))
     run = simulate(loop, 3)
     rows, y, r = (run.arrays[topic] for topic in ("/controller/rows", "/plant/measurement", "/reference"))
     gains, stay = np.array(loop.controller.gains)[..., 0, 0], 0
@@ -62,9 +62,9 @@ def test_log_shows_the_gain_of_the_slot() -> None:
 
 
 def test_shipped_design_is_for_the_law_that_it_runs_over() -> None:
-    loop = compose(load_experiment("dc-motor-bursty-ours"))
+    loop = compose(load_experiment("dc-motor-ours-bursty"))
     sc, _ = delay_chains(loop.experiment)
-    document = load_design(shipped()["dc-motor-bursty-ours"].parent / "designs" / "dc-motor-bursty-h2.json").document
+    document = load_design(shipped()["dc-motor-ours-bursty"].parent / "designs" / "dc-motor-bursty-h2-sojourns.json").document
     assert loop.controller.sojourns == sc.sojourns == (3, 3, 2)
     np.testing.assert_allclose(document["problem"]["sc"]["transition"], sc.matrix, atol=1e-15)
     assert document["problem"]["sc"]["labels"] == sc.label.tolist()
@@ -78,8 +78,8 @@ def test_shipped_design_is_for_the_law_that_it_runs_over() -> None:
     [
         ("dc-motor-ours-h2", ["controller.sojourns=3"], "controller.sojourns: for a semi-Markov law only"),
         ("dc-motor-ours-h2", ["controller.sojourns=0"], "sojourns: 0, expected at least 1"),
-        ("dc-motor-bursty-ours", ["links.sc.law.ages=[0, 1, 1]", "links.sc.max_age=2"], "sojourns: modes share a delay"),
-        ("dc-motor-bursty-ours", ["links.sc.law.ages=[0, 1, 3]", "links.sc.law.allow_gaps=true"], "tables, but tau reaches 3"),
+        ("dc-motor-ours-bursty", ["links.sc.law.ages=[0, 1, 1]", "links.sc.max_age=2"], "sojourns: modes share a delay"),
+        ("dc-motor-ours-bursty", ["links.sc.law.ages=[0, 1, 3]", "links.sc.law.allow_gaps=true"], "tables, but tau reaches 3"),
     ],
 )
 def test_what_nobody_can_count_is_refused(name: str, sets: list[str], message: str) -> None:
