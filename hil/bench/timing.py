@@ -62,7 +62,7 @@ class _Turn:
 
 
 def _turn(uri: str, duration_s: float, folder: Path, sets: Sequence[str]) -> _Turn:
-    experiment = load_experiment("dc-motor-1khz", [*sets, f"duration={duration_s}", f"period={PERIOD_US / 1e6}"])
+    experiment = load_experiment("dc-motor-1khz", [*sets, f"duration={duration_s}"])
     output, log = folder / "cyclictest.json", folder / "run.mcap"
     reference = start_cyclictest(experiment.timing.priority, PERIOD_US, duration_s, output)
     try:
@@ -127,7 +127,13 @@ def bench_timing(
         links: URIs.
         sets: changes ``path=value`` of the experiment, for instance ``timing.affinity=pinned``.
         progress: told what is running.
+
+    Raises:
+        HilError: cyclictest is not installed, a session failed, or ``sets`` touches what the bench fixes.
     """
+    fixed = {change.partition("=")[0].strip() for change in sets} & {"period", "duration"}
+    if fixed:
+        raise HilError(f"--set {min(fixed)}: this bench runs at 1 kHz, for as long as --duration says")
     taken: dict[str, list[_Turn]] = {uri: [] for uri in links}
     session_s = duration_s / turns
     with tempfile.TemporaryDirectory(prefix="hil-bench-") as folder:

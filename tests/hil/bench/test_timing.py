@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from hil.bench.timing import bench_timing, read_cyclictest
+from hil.errors import HilError
 
 
 def test_ticks_that_cyclictest_left_out_count_with_the_lateness_they_would_have_had(tmp_path: Path) -> None:
@@ -18,6 +19,12 @@ def test_ticks_that_cyclictest_left_out_count_with_the_lateness_they_would_have_
     late_us, missed = read_cyclictest(output, 1000)
     assert sorted(late_us) == [20] * 6 + [500, 1500, 2500]
     assert missed == 2
+
+
+@pytest.mark.parametrize("change", ["period=0.002", "duration = 3"])
+def test_what_the_bench_fixes_is_not_set(change: str) -> None:
+    with pytest.raises(HilError, match="this bench runs at 1 kHz, for as long as --duration says"):
+        bench_timing(sets=["timing.affinity=pinned", change])
 
 
 @pytest.mark.cyclictest
