@@ -116,7 +116,9 @@ class DelayChain:
 
     @property
     def sojourns(self) -> tuple[int, ...]:
-        """How many labels every delay 0, 1, ... has."""
+        """How many labels every delay 0, 1, ... has: one each, where the delays are the labels."""
+        if np.array_equal(self.label, self.delay):
+            return (1,) * (self.max_delay + 1)
         carried = self.label_delay
         return tuple(np.bincount(carried[carried >= 0]).tolist())
 

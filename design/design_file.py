@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from design.closed_loop import SELECTIONS
-from design.delay_chain import Array
+from design.delay_chain import Array, DelayChain
 from design.tracking import Design
 
 FORMAT = "hilrig-design/1"
@@ -118,15 +118,16 @@ def load_design(path: Path) -> DesignFile:
     )
 
 
-def _sojourns(path: Path, chain: Any) -> tuple[int, ...]:
-    """How many labels every delay of the problem's chain has; () where the delays are the labels."""
+def _sojourns(path: Path, problem: Any) -> tuple[int, ...]:
+    """How many tables belong to every tau, from the problem's chain; () where that is one each."""
+    if problem is None:
+        return ()
     try:
-        pairs = sorted(set(zip(chain["labels"], chain["delays"], strict=True))) if chain is not None else []
-        if all(label == delay for label, delay in pairs):
-            return ()
-        labels, delays = zip(*pairs)
-        if labels == tuple(range(len(labels))) and list(delays) == sorted(delays):
-            return tuple(np.bincount(delays).tolist())
-    except (KeyError, TypeError, ValueError):
-        pass
-    raise ValueError(f"design: {path}: problem.sc: expected delays and labels, the labels 0, 1, ... in the order of the delays")
+        chain = DelayChain(**problem)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"design: {path}: problem.sc: expected delays and labels: {error}") from None
+    if np.array_equal(chain.label, chain.delay):
+        return ()
+    if (np.diff(chain.label_delay, prepend=0) < 0).any():
+        raise ValueError(f"design: {path}: problem.sc: expected delays and labels, these 0, 1, ... in the order of the delays")
+    return chain.sojourns

@@ -132,7 +132,7 @@ def _show(design: Design, document: dict[str, Any]) -> None:
         table.add_column(f"row {row}", justify="right")
     sc, _ = problem.chains
     stays = [(tau, at) for tau, count in enumerate(sc.sojourns) for at in range(1, count + 1)]
-    for (tau, at), gains in zip(stays, design.gains):
+    for (tau, at), gains in zip(stays, design.gains, strict=True):
         name = f"{tau}, slot {at}{'+' if at == sc.sojourns[tau] else ''}" if len(stays) > len(sc.sojourns) else f"{tau}"
         table.add_row(name, *("  ".join(f"{v:.5g}" for v in gains[row].ravel()) for row in range(rows)))
     console.print(table)
