@@ -85,6 +85,11 @@ class StaticGains(Protocol):
         ...
 
 
+def packet_samples(controller: object) -> int:
+    """Return how many samples one sensor packet carries for this controller: its field ``samples``, 1 without one."""
+    return int(getattr(controller, "samples", 1))
+
+
 def feedforward(model: LoopModel) -> NDArray[np.float64]:
     r"""Return :math:`\Omega_{22}` (m x p), so that :math:`\tilde u^* = \Omega_{22} \bar r` (thesis (7.6)-(7.7)).
 
@@ -106,8 +111,8 @@ def nested(K: NDArray[np.float64]) -> Gains:
     return tuple(tuple(tuple(tuple(map(float, row)) for row in mat) for mat in rows) for rows in K)
 
 
-class TauTable:
-    """Which gain belongs to a measured tau, and to the slots that it has lasted.
+class GainIndex:
+    """Counts for how long the measured tau has lasted, and says which gain belongs to both.
 
     Args:
         sojourns: how many gains every tau has, for 1, 2, ... slots at this tau; the last one stands for all longer ones. A tau
@@ -119,18 +124,18 @@ class TauTable:
         own = [tau for tau, count in enumerate(sojourns) if count]
         taken = [next((other for other in own if other >= tau), own[-1]) for tau in range(len(sojourns))]
         self._range = [(first[tau], first[tau] + sojourns[tau] - 1) for tau in taken]
-        self._tau = self._at = -1
+        self._tau = self._index = -1
 
-    def index(self, tau: int) -> int:
+    def at(self, tau: int) -> int:
         """Return the index of the gain; called once a slot, in order."""
         first, last = self._range[min(tau, len(self._range) - 1)]
-        self._at = min(self._at + 1, last) if tau == self._tau else first
+        self._index = min(self._index + 1, last) if tau == self._tau else first
         self._tau = tau
-        return self._at
+        return self._index
 
 
 class _GainRows:
-    """u = u* + K[tau, row] Y, see `TauTable`.
+    """u = u* + K[tau, row] Y, see `GainIndex`.
 
     Y is the error y - r of every sample in the packet, newest first, and with ``integral`` below these the sum of the newest
     errors of all earlier slots.
@@ -147,7 +152,7 @@ class _GainRows:
         self.selection = selection
         self._sum = [0.0] * model.C.shape[0] if integral else []
         self._gains = nested(K)
-        self._index = TauTable(sojourns or (1,) * len(K)).index
+        self._gain_at = GainIndex(sojourns or (1,) * len(K)).at
         self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
         # One input, one output: the same sums without loops in loops, as a sweep runs this a million times.
         scalar = K.shape[2:] == (1, 1)
@@ -156,14 +161,14 @@ class _GainRows:
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
         if self._scalars is not None:
             error, held = y[0] - r[0], self._omega[0][0] * r[0]
-            return tuple([(held + g * error,) for g in self._scalars[self._index(tau)]])
+            return tuple([(held + g * error,) for g in self._scalars[self._gain_at(tau)]])
         e = [a - b for a, b in zip(y, cycle(r))]
         known = e + self._sum
         self._sum = [s + x for s, x in zip(self._sum, e)]
         star = [sum(o * b for o, b in zip(row, r)) for row in self._omega]
         return tuple(
             tuple(s + sum(g * x for g, x in zip(gains, known)) for s, gains in zip(star, mat))
-            for mat in self._gains[self._index(tau)]
+            for mat in self._gains[self._gain_at(tau)]
         )
 
 

@@ -11,14 +11,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from design.controllers import LoopModel, row_count
+from design.controllers import LoopModel, packet_samples, row_count
 from transport.impairment import impair
 
 
 def check_controller(controller: Any, model: LoopModel) -> None:
     """Check a controller: right number of rows and inputs, finite, reproducible from a fresh start."""
     m, p = model.B.shape[1], model.C.shape[0]
-    seen = p * getattr(controller, "samples", 1)
+    seen = p * packet_samples(controller)
     assert pickle.loads(pickle.dumps(controller)) == controller, "parameters must survive pickling"
 
     def answers() -> list[Any]:

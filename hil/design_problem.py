@@ -56,8 +56,8 @@ def site(name: str, period_s: float | None = None, sojourns: int = 1) -> Site:
         period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:
+        from hil.delay_chains import delay_chain
         from hil.experiment import load_experiment
-        from hil.runtime.loop import delay_chain
 
         experiment = load_experiment(name)
         plant = experiment.plant

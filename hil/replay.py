@@ -11,6 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from design.controllers import packet_samples
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.log.arrays import StructuredArray
@@ -142,7 +143,7 @@ def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[s
     other = compose(
         _with_controller(experiment, controller, kind), certify=False
     )
-    if other.samples != (carried := getattr(experiment.controller, "samples", 1)):
+    if other.samples != (carried := packet_samples(experiment.controller)):
         raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")
     answers = {tick: decode(data) for tick, data in _answers(other, run).items()}
     applied = run.arrays["/actuator/applied"]

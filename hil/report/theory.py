@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from design.controllers import StaticGains
+from hil.delay_chains import delay_chains, gains_over
 from hil.errors import HilError
 from hil.log.read import Run
 from hil.report.figures import Band, Block, Figure, Section, Series, Table
@@ -14,7 +15,7 @@ from hil.report.metrics import experiment_of, matrix, signal_names
 from hil.report.run_panels import unit_of
 from hil.report.tracking import target_of
 from hil.report.units import metric_units, with_unit
-from hil.runtime.loop import Loop, compose, delay_chains, gains_over
+from hil.runtime.loop import Loop, compose
 
 RUNS = 100
 TICKS = 120_000  # of emulation that a page may cost: some 3 s

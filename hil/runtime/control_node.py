@@ -40,11 +40,12 @@ class ControlNode:
         if seq == HELLO and self._sample_ns >= 0:
             self._sample_ns, self._y = -1, ()
             self._controller = self._start()
-        if not flags & EMPTY and len(y) != self._width:  # a rig with another plant
-            self.malformed += 1
-            return None
-        if not flags & EMPTY and sample_ns >= self._sample_ns:  # an older sample than the newest is of no use
-            self._sample_ns, self._y = sample_ns, y
+        if not flags & EMPTY:
+            if len(y) != self._width:  # a rig with another plant
+                self.malformed += 1
+                return None
+            if sample_ns >= self._sample_ns:  # an older sample than the newest is of no use
+                self._sample_ns, self._y = sample_ns, y
         if flags & MORE:
             return None
         t_ns = seq * self._period_ns if seq != HELLO else 0

@@ -9,18 +9,16 @@ from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from design.controllers import LoopModel, RunningController, StaticGains, row_count
+from design.controllers import LoopModel, RunningController, StaticGains, packet_samples, row_count
 from design.errors import DesignError
+from hil.delay_chains import delay_chains, gains_over
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.log.records import Channel, channels
-from transport.age_laws import ConstantAge, IidAge, MarkovAge
 from transport.network_laws import load_files, prepare, slots_served
 from transport.packets import MAX_OUTPUTS
-from transport.semi_markov_law import SemiMarkovAge, augmented_chain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +130,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
             experiment = replace(experiment, controller=controller, kinds=kinds)
         running = controller.start(model)
         chains = delay_chains(experiment)
-        samples = int(getattr(controller, "samples", 1))
+        samples = packet_samples(controller)
         if not 1 <= samples * len(plant.outputs) <= MAX_OUTPUTS:
             raise ValueError(f"samples: {samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
     except (ValueError, DesignError) as e:
@@ -189,12 +187,6 @@ def _faults(e: Experiment) -> list[str]:
     return faults
 
 
-def gains_over(controller: StaticGains, model: LoopModel, sc: Any, ca: Any) -> NDArray[np.float64]:
-    """Return K[tau, row, m, p] for the delays that two chains reach; a table may cover more (``max_age``)."""
-    K = controller.table(model)[: int(sc.label.max()) + 1]
-    return K[:, : ca.max_delay + 1] if controller.selection in ("generated", "applied", "previous") else K
-
-
 def _accept(e: Experiment, stated: dict[str, Any]) -> dict[str, Any]:
     """Return the certificate that came with a design, or refuse the run."""
     if not stated["stable"] and not e.allow_uncertified:
@@ -203,49 +195,6 @@ def _accept(e: Experiment, stated: dict[str, Any]) -> dict[str, Any]:
             e.name, [f"controller: no certificate of stability: {reason}; set allow_uncertified = true to run it all the same"]
         )
     return stated
-
-
-def delay_chains(e: Experiment) -> tuple[Any | None, Any | None]:
-    """Return the delay chains of both directions, with the labels that the controller tells apart.
-
-    Raises:
-        ValueError: the controller asks for more than it can measure over this law.
-    """
-    return delay_chain(e.links.sc.law, getattr(e.controller, "sojourns", ())), delay_chain(e.links.ca.law)
-
-
-def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
-    """Return the delay chain of a network law, None where it has none (packet laws, traces).
-
-    Args:
-        law: the network law.
-        sojourns: semi-Markov laws: so many lengths of stay get labels of their own, in all or per delay 0, 1, ...
-
-    Raises:
-        ValueError: lengths of stay that nobody can measure, or that say nothing over this law.
-    """
-    from design.delay_chain import DelayChain
-
-    most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
-    if most > 1 and not isinstance(law, SemiMarkovAge):
-        raise ValueError("sojourns: for a semi-Markov law only; over any other the delay says all that its length of stay could")
-    if isinstance(law, SemiMarkovAge):
-        augmented = augmented_chain(law)
-        delays = np.asarray(law.mode_ages)[augmented.modes]
-        if most == 1:
-            return DelayChain(transition=augmented.matrix, delays=delays)
-        if len(set(law.mode_ages)) < len(law.mode_ages):
-            raise ValueError(f"sojourns: modes share a delay (ages {list(law.mode_ages)}), whose length of stay is not theirs")
-        longest = [int(augmented.slots[delays == d].max(initial=0)) for d in range(int(delays.max()) + 1)]
-        counts = [min(n, most) for n in longest] if isinstance(sojourns, int) else list(sojourns)
-        if len(counts) < len(longest) or any(n > 0 and not count for n, count in zip(longest, counts)):
-            raise ValueError(f"sojourns: {counts}, but the delay reaches {len(longest) - 1}")
-        first = np.concatenate([[0], np.cumsum(counts)])[delays]
-        labels = first + np.minimum(augmented.slots, np.asarray(counts)[delays]) - 1
-        return DelayChain(transition=augmented.matrix, delays=delays, labels=labels)
-    if isinstance(law, ConstantAge | IidAge | MarkovAge):
-        return DelayChain(transition=law.transition_matrix(), delays=np.asarray(law.mode_ages))
-    return None
 
 
 def _certify(e: Experiment, model: LoopModel, chains: tuple[Any | None, Any | None]) -> dict[str, Any] | None:
@@ -263,7 +212,7 @@ def _certify(e: Experiment, model: LoopModel, chains: tuple[Any | None, Any | No
     K = gains_over(controller, model, sc, ca)
     certificate = certify_loop(
         model.A, model.B, model.C, sc, ca, K, controller.selection,
-        samples=getattr(controller, "samples", 1), integral=float(getattr(controller, "integral", False)),
+        samples=packet_samples(controller), integral=float(getattr(controller, "integral", False)),
     )  # fmt: skip
     if not certificate.stable and not e.allow_uncertified:
         raise ExperimentError(

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from hil.delay_chains import delay_chains
 from hil.experiment import load_experiment
-from hil.runtime.loop import compose, delay_chains
+from hil.runtime.loop import compose
 from hil.session import simulate
 
 QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the prediction knows nothing of it

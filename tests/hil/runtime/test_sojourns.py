@@ -8,11 +8,12 @@ import json
 import numpy as np
 import pytest
 
-from design.controllers import SendAll, TauTable
+from design.controllers import GainIndex, SendAll
 from design.design_file import load_design
+from hil.delay_chains import delay_chain, delay_chains
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
-from hil.runtime.loop import compose, delay_chain, delay_chains
+from hil.runtime.loop import compose
 from hil.session import simulate
 from transport.age_laws import MarkovAge
 from transport.semi_markov_law import SemiMarkovAge, augmented_chain
@@ -26,9 +27,9 @@ BURSTY = SemiMarkovAge(
 
 
 def test_table_counts_the_slots_of_every_stay() -> None:
-    table = TauTable((3, 0, 2))
-    assert [table.index(tau) for tau in (0, 0, 0, 0, 2, 2, 2, 0, 0)] == [0, 1, 2, 2, 3, 4, 4, 0, 1]
-    assert [table.index(tau) for tau in (1, 1, 9, 9, 9)] == [3, 4, 3, 4, 4]  # delays without gains of their own
+    table = GainIndex((3, 0, 2))
+    assert [table.at(tau) for tau in (0, 0, 0, 0, 2, 2, 2, 0, 0)] == [0, 1, 2, 2, 3, 4, 4, 0, 1]
+    assert [table.at(tau) for tau in (1, 1, 9, 9, 9)] == [3, 4, 3, 4, 4]  # delays without gains of their own
 
 
 @pytest.mark.parametrize("sojourns", [2, 4, 40, (3, 1, 2)])
@@ -36,15 +37,23 @@ def test_count_of_the_controller_is_the_label_of_the_chain(sojourns: int | tuple
     chain, augmented = delay_chain(BURSTY, sojourns), augmented_chain(BURSTY)
     assert chain is not None
     label_of = {(int(m), int(s)): int(label) for m, s, label in zip(augmented.modes, augmented.slots, chain.label, strict=True)}
-    table, law, stay = TauTable(chain.sojourns), BURSTY.start(np.random.default_rng(5)), 0
+    table, law, stay = GainIndex(chain.sojourns), BURSTY.start(np.random.default_rng(5)), 0
     last, seen = -1, set()
     for mode, tau in itertools.islice(iter(law.draw, None), 5000):
         stay = stay + 1 if mode == last else 1
         last = mode
-        index = table.index(tau)
+        index = table.at(tau)
         assert index == label_of[mode, stay]
         seen.add(index)
     assert seen == set(chain.label.tolist())
+
+
+def test_a_delay_that_never_comes_has_the_table_that_its_label_gives_it() -> None:
+    gap = SemiMarkovAge(matrix=BURSTY.matrix, sojourn=BURSTY.sojourn, ages=(0, 1, 3), allow_gaps=True)
+    by_delay, by_stay = delay_chain(gap), delay_chain(gap, 2)
+    assert by_delay is not None and by_stay is not None
+    assert by_delay.sojourns == (1, 1, 1, 1)  # labels are delays, so 2 has a table of its own that nobody uses
+    assert by_stay.sojourns == (2, 2, 0, 2)
 
 
 def test_log_shows_the_gain_of_the_slot() -> None:
