@@ -165,7 +165,7 @@ class Checker:
             message, _, where = str(e).partition(" - at `$")
             if message.startswith("Invalid enum value"):
                 words = [w for part in (hint, *args) if typing.get_origin(part) is typing.Literal for w in typing.get_args(part)]
-                message += f", expected one of {', '.join(words)}" if words else ""
+                message += f", expected one of {', '.join(map(str, words))}" if words else ""
             sub = where.rstrip("`")
             own = FIELD.match(message) is not None  # one of our classes said it, and named its field
             self.faults.append(_join(at, message) if own else f"{at}{sub}: {message[0].lower()}{message[1:]}")

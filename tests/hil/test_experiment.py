@@ -72,6 +72,8 @@ FAULTS: list[tuple[str, str, str]] = [
      "links.sc.law.matrix[0][2]"),
     ("initial law that nobody has", law('{ kind = "markov", matrix = [[0.5, 0.5], [0.7, 0.3]], initial = "foo" }'),
      "links.sc.law.initial: invalid enum value 'foo', expected one of stationary, uniform"),
+    ("three samples per packet", changed('kind = "hinf"', 'kind = "designed"\nsamples = 3'),
+     "controller.samples: invalid enum value 3, expected one of 1, 2"),
     ("affinity that nobody has", GOOD + '\n[timing]\naffinity = "cpu0"\n', "expected one of free, pinned"),
     ("law that nobody has", law('{ kind = "poisson" }'), "links.sc.law.kind: no law plug-in"),
     ("negative age", law('{ kind = "constant", age = -1 }'), "links.sc.law.age"),
