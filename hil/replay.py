@@ -12,17 +12,17 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import packet_samples
+from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
-from hil.log.arrays import StructuredArray
-from hil.log.export import FRAME_TOPICS, measured_ns
-from hil.log.read import Run
-from hil.log.sinks import MemorySink
-from hil.runtime.clock import RealClock, monotonic_ns
-from hil.runtime.control_node import ControlNode
-from hil.runtime.loop import Loop, compose
-from hil.runtime.rig import OK, Rig, row_index
-from transport.link import open_link
+from hil.log.read.arrays import StructuredArray
+from hil.log.read.export import FRAME_TOPICS, measured_ns
+from hil.log.read.run import Run
+from hil.log.write.sinks import MemorySink
+from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.rig import OK, Rig, row_index
+from hil.runtime.time.clock import RealClock, monotonic_ns
+from transport.links.link import open_link
 from transport.packets import ControlPacket, decode
 
 

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.log.provenance import Provenance
-from hil.log.read import Run, read_run
-from hil.log.recorder import McapSink
-from hil.log.sinks import MemorySink, Put, Sink, Taps, TeeSink
-from hil.runtime.clock import monotonic_ns, wall_clock
-from hil.runtime.loop import Loop, compose
-from hil.runtime.stop_signals import StopSignals
+from hil.log.read.run import Run, read_run
+from hil.log.write.mcap_sink import McapSink
+from hil.log.write.provenance import Provenance
+from hil.log.write.sinks import MemorySink, Put, Sink, Taps, TeeSink
+from hil.runtime.real.stop_signals import StopSignals
+from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
-from transport.draws import REASONS
+from transport.medium.draws import REASONS
 from transport.packets import SELECTIONS
 
 ClockName = Literal["virtual", "real"]
@@ -131,7 +131,7 @@ def _interrupted(number: int, sink: Sink, t_ns: int) -> dict[str, Any]:
 def _run_real(
     loop: Loop, uri: str, sink: McapSink, external: bool, taps: Mapping[str, Put] | None
 ) -> dict[str, Any]:
-    from hil.runtime.real import run_real
+    from hil.runtime.real.supervisor import run_real
 
     try:
         real = run_real(loop, loop.experiment.seed, uri, sink, external=external, taps=taps)
@@ -157,7 +157,7 @@ def _run_real(
 
 
 def _summary(run: Run, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
-    from hil.report.metrics import summarise
+    from hil.measure.summary import summarise
 
     summary: dict[str, Any] = summarise(run)
     summary["wall_s"] = round(wall_s, 3)

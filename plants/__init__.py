@@ -5,15 +5,15 @@ linear model that a designer sees (``model()``), and starts a running plant (``s
 nanoseconds under a held input, and measures.
 """
 
-from plants.actuators import Driver
-from plants.check import check_plant
 from plants.dc_motor import DCMotor, DCMotorRun, LoadTorque
 from plants.errors import PlantError
-from plants.friction import Friction, RubbingAxis
-from plants.linear import DiscreteStateSpace, LinearRun, Signal, StateSpace
 from plants.omni import Omni
-from plants.semi_markov import JumpProcess, TransitionRates
-from plants.sensors import Encoder
+from plants.parts.actuators import Driver
+from plants.parts.check import check_plant
+from plants.parts.friction import Friction, RubbingAxis
+from plants.parts.linear import DiscreteStateSpace, LinearRun, Signal, StateSpace
+from plants.parts.semi_markov import JumpProcess, TransitionRates
+from plants.parts.sensors import Encoder
 from plants.switched_example import SwitchedExample, SwitchedExampleRun
 from plants.vtol import VTOL, vtol_matrices
 from plants.vtol_delayed import DelayedVTOL, DelayedVTOLRun

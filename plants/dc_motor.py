@@ -9,13 +9,13 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from plants.actuators import Driver
 from plants.errors import PlantError
-from plants.exponential import zero_order_hold
-from plants.friction import Friction, RubbingAxis
-from plants.linear import NS_PER_S, Signal, StateSpace
-from plants.sensors import Encoder
-from plants.validation import require_finite, require_not_negative, require_positive
+from plants.parts.actuators import Driver
+from plants.parts.exponential import zero_order_hold
+from plants.parts.friction import Friction, RubbingAxis
+from plants.parts.linear import NS_PER_S, Signal, StateSpace
+from plants.parts.sensors import Encoder
+from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _NEVER_NS = 1 << 62
 

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from plants.linear import LinearRun, Signal, StateSpace
-from plants.validation import require_finite, require_not_negative, require_positive
+from plants.parts.linear import LinearRun, Signal, StateSpace
+from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,11 +8,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from plants.events import Source, pass_time
-from plants.exponential import Rows
-from plants.linear import NS_PER_S, Flow, Signal, StateSpace
-from plants.semi_markov import NEVER_NS, JumpProcess, TransitionRates, check_clip, check_mode
-from plants.validation import (
+from plants.parts.events import Source, pass_time
+from plants.parts.exponential import Rows
+from plants.parts.linear import NS_PER_S, Flow, Signal, StateSpace
+from plants.parts.semi_markov import NEVER_NS, JumpProcess, TransitionRates, check_clip, check_mode
+from plants.parts.validation import (
     require_choice,
     require_not_negative,
     require_vector,

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from plants.exponential import Rows
-from plants.linear import LinearRun, Signal, StateSpace
-from plants.validation import require_vector
+from plants.parts.exponential import Rows
+from plants.parts.linear import LinearRun, Signal, StateSpace
+from plants.parts.validation import require_vector
 
 VTOL_STATES = (
     Signal("horizontal_velocity", "kn"),

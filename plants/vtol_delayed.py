@@ -10,11 +10,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from plants.events import HeldNoise, Source, pass_time
-from plants.exponential import Rows, drift, zero_order_hold
-from plants.linear import NS_PER_S, Signal, StateSpace
-from plants.semi_markov import JumpProcess, TransitionRates, check_mode
-from plants.validation import (
+from plants.parts.events import HeldNoise, Source, pass_time
+from plants.parts.exponential import Rows, drift, zero_order_hold
+from plants.parts.linear import NS_PER_S, Signal, StateSpace
+from plants.parts.semi_markov import JumpProcess, TransitionRates, check_mode
+from plants.parts.validation import (
     require_finite,
     require_not_negative,
     require_positive,

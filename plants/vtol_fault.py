@@ -8,11 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from plants.events import HeldNoise, Source, pass_time
-from plants.exponential import Rows
-from plants.linear import NS_PER_S, Flow, Signal, StateSpace
-from plants.semi_markov import JumpProcess, TransitionRates, check_mode
-from plants.validation import require_finite, require_not_negative, require_vector, require_whole_nanoseconds
+from plants.parts.events import HeldNoise, Source, pass_time
+from plants.parts.exponential import Rows
+from plants.parts.linear import NS_PER_S, Flow, Signal, StateSpace
+from plants.parts.semi_markov import JumpProcess, TransitionRates, check_mode
+from plants.parts.validation import require_finite, require_not_negative, require_vector, require_whole_nanoseconds
 from plants.vtol import VTOL_INPUTS, VTOL_STATES, vtol_matrices
 
 

@@ -10,8 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from transport.link import Link, LinkCounters, Role, TransportError, open_link
-from transport.memory import MemoryLink, memory_pair
+from transport.links.link import Link, LinkCounters, Role, TransportError, open_link
+from transport.links.memory import MemoryLink, memory_pair
 from transport.packets import (
     EMPTY,
     MORE,
@@ -24,27 +24,27 @@ from transport.packets import (
 )
 
 if TYPE_CHECKING:
-    from transport.age_laws import ConstantAge, IidAge, MarkovAge
-    from transport.contract import check_link
-    from transport.draws import REASONS, Draw
-    from transport.impairment import Impairment, impair
-    from transport.packet_laws import GilbertElliott, PacketLaw
-    from transport.semi_markov_law import SemiMarkovAge
-    from transport.trace_law import TraceAge
+    from transport.laws.age import ConstantAge, IidAge, MarkovAge
+    from transport.laws.packet import GilbertElliott, PacketLaw
+    from transport.laws.semi_markov import SemiMarkovAge
+    from transport.laws.trace import TraceAge
+    from transport.links.contract import check_link
+    from transport.medium.draws import REASONS, Draw
+    from transport.medium.independent import Impairment, impair
 
 _LAZY: Final = {
-    "REASONS": "draws",
-    "ConstantAge": "age_laws",
-    "Draw": "draws",
-    "GilbertElliott": "packet_laws",
-    "IidAge": "age_laws",
-    "Impairment": "impairment",
-    "MarkovAge": "age_laws",
-    "PacketLaw": "packet_laws",
-    "SemiMarkovAge": "semi_markov_law",
-    "TraceAge": "trace_law",
-    "check_link": "contract",
-    "impair": "impairment",
+    "REASONS": "medium.draws",
+    "ConstantAge": "laws.age",
+    "Draw": "medium.draws",
+    "GilbertElliott": "laws.packet",
+    "IidAge": "laws.age",
+    "Impairment": "medium.independent",
+    "MarkovAge": "laws.age",
+    "PacketLaw": "laws.packet",
+    "SemiMarkovAge": "laws.semi_markov",
+    "TraceAge": "laws.trace",
+    "check_link": "links.contract",
+    "impair": "medium.independent",
 }
 
 __all__ = [

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from design.errors import DesignError
 
 if TYPE_CHECKING:
-    from design.tracking import TrackingProblem
+    from design.tracking.synthesis import TrackingProblem
 
 CCL_PROGRAMMES = 40
 """Semidefinite programmes that the iterated route gets; it is far from its end by then, and its time is told."""
@@ -54,8 +54,8 @@ def bench_design(
         goals: designs to solve.
         programmes: budget of the iterated route, in semidefinite programmes; 0 leaves it out.
     """
-    from design.tracking import solve
-    from hil.design_problem import problem_for, site
+    from design.tracking.synthesis import solve
+    from hil.compose.design_problem import problem_for, site
 
     rows = []
     for goal in goals:
@@ -93,7 +93,7 @@ def _iterated(problem: TrackingProblem, direct_s: float, programmes: int) -> dic
     empty: dict[str, Any] = {"ccl_norm": None, "ccl_s": None, "ccl_ratio": None}
     if not programmes or problem.objective == "mixed":
         return empty
-    from design.ccl import solve_ccl
+    from design.as_printed.cone_complementarity import solve_ccl
 
     begun = time.perf_counter()
     try:
@@ -110,7 +110,7 @@ def bench_scheduled(*, progress: Callable[[str], None] = lambda text: None) -> l
     Args:
         progress: told what is running.
     """
-    from design.jump_bench import LIMIT_S, bench_cases
+    from hil.bench.semi_markov import LIMIT_S, bench_cases
 
     rows = []
     for case in bench_cases():

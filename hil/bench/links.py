@@ -19,8 +19,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Final
 
-from hil.runtime.clock import RealClock, monotonic_ns
-from hil.runtime.realtime import die_with_parent, go_real_time
+from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport import ControlPacket, Link, SensorPacket, TransportError, encode_control, encode_sensor, open_link
 
 LINKS: Final = (

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from design.closed_loop import loop_structure
-from design.jump_loop import JumpLoop
-from design.markov_batch import simulate_mjls
-from design.monte_carlo import CHUNK, mean_states, settling_times
-from design.published import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_system
-from design.rates import WeibullRate
-from design.run_ladder import Ladder
-from design.semi_markov import SemiMarkov
+from design.as_printed.examples import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_system
+from design.monte_carlo.jump_loop import JumpLoop
+from design.monte_carlo.markov_batch import simulate_mjls
+from design.monte_carlo.parallel import Ladder
+from design.monte_carlo.studies import CHUNK, mean_states, settling_times
+from design.networked_loop.closed_loop import loop_structure
+from design.processes.rates import WeibullRate
+from design.processes.semi_markov import SemiMarkov
 
 FloatArray = NDArray[np.float64]
 Stretch = tuple[float, float, FloatArray]

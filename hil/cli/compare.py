@@ -32,7 +32,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     from hil.cli.tables import print_table
     from hil.experiment import load_experiment
     from hil.report.compare import compare_page, paired
-    from hil.sweep import METRICS, here, run_sweep, statistics
+    from hil.sweeps.seeds import METRICS, here, run_sweep, statistics
 
     if runs < 2:
         raise HilError(f"--runs: {runs} is below 2")

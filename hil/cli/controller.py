@@ -16,10 +16,10 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
 
     The rig is started elsewhere with `hil run EXPERIMENT --clock real --external --link URI`.
     """
+    from hil.compose.loop import compose
     from hil.experiment import load_experiment
-    from hil.runtime.controller_process import serve
-    from hil.runtime.loop import compose
-    from transport.link import find_link
+    from hil.runtime.real.controller_process import serve
+    from transport.links.link import find_link
 
     loop = compose(load_experiment(experiment, sets))
     uri = loop.experiment.links.uri if link is None else link

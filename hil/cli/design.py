@@ -13,7 +13,7 @@ import click
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from design.tracking import Design
+    from design.tracking.synthesis import Design
 
 
 @click.command()
@@ -54,12 +54,12 @@ def command(
     """
     import numpy as np
 
-    from design.design_file import design_text, to_document
     from design.errors import DesignError
-    from design.tracking import solve
+    from design.tracking.design_file import design_text, to_document
+    from design.tracking.synthesis import solve
     from hil.cli.outputs import check_output, write_output
-    from hil.design_problem import problem_for, site
-    from hil.log.provenance import package_versions
+    from hil.compose.design_problem import problem_for, site
+    from hil.log.write.provenance import package_versions
 
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")

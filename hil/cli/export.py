@@ -20,8 +20,8 @@ def command(file: Path, output: Path, topics: tuple[str, ...]) -> None:
     OUTPUT.topic.csv.
     """
     from hil.cli.outputs import check_output
-    from hil.log.export import export
-    from hil.log.read import read_run
+    from hil.log.read.export import export
+    from hil.log.read.run import read_run
 
     check_output(output, fresh=True)
     for path in export(read_run(file), output, topics):

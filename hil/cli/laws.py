@@ -19,7 +19,7 @@ NEGLIGIBLE = 1e-6
 def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of both directions of EXPERIMENT's network."""
     from hil.experiment import load_experiment
-    from transport.law_analysis import analyse_law
+    from transport.laws.analysis import analyse_law
 
     checked = load_experiment(experiment, sets)
     period_s = float(checked.period)

@@ -13,7 +13,7 @@ def command(as_json: bool) -> None:
     """List the shipped experiments and the installed plug-ins."""
     import tomllib
 
-    from hil import registry
+    from hil.experiment import plugins as registry
     from hil.experiment import shipped
 
     experiments = {

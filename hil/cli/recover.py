@@ -15,7 +15,7 @@ def command(file: Path, output: Path | None) -> None:
 
     FILE itself is never changed, and no file is ever overwritten.
     """
-    from hil.log.recover import recover
+    from hil.log.read.recover import recover
 
     target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")
     print(recover(file, target).text)

@@ -37,7 +37,7 @@ def command(
     Exit status: 0; 1 if --verify finds a difference; 2 bad input.
     """
     from hil.cli.outputs import check_output
-    from hil.log.read import read_run
+    from hil.log.read.run import read_run
 
     ways = {"--verify": do_verify, "--controller": controller is not None, "--onto": onto is not None}
     chosen = [name for name, given in ways.items() if given]

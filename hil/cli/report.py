@@ -19,10 +19,10 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     An existing page is replaced; the log is never changed.
     """
     from hil.cli.outputs import check_output, write_output
-    from hil.log.read import read_run
-    from hil.report.metrics import summarise
-    from hil.report.run_page import render_report
-    from hil.report.theory import theory_section
+    from hil.log.read.run import read_run
+    from hil.measure.summary import summarise
+    from hil.report.run.prediction import theory_section
+    from hil.report.run.run_page import render_report
 
     run = read_run(file)
     target = output or file.with_suffix(".html")

@@ -76,7 +76,7 @@ def command(
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
     uri = checked.links.uri if link is None else link
     if clock == "real" and not external:  # an external controller may be there already: do not let it meet this end
-        from transport.link import open_link
+        from transport.links.link import open_link
 
         with open_link(uri, "rig"), open_link(uri, "controller"):  # what cannot be opened is said before anything starts
             pass
@@ -90,7 +90,7 @@ def command(
         if as_json or quiet or sys.stderr is None or not sys.stderr.isatty():
             session = run_session(checked, clock=clock, link=uri, path=path, external=external)  # type: ignore[arg-type]
         else:
-            from hil.report.live import LiveView
+            from hil.cli.live_view import LiveView
 
             with LiveView(checked, clock, link=uri) as view:
                 session = run_session(

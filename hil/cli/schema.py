@@ -10,6 +10,6 @@ import click
 @click.command()
 def command() -> None:
     """Print the JSON Schema of experiment files (for editors: put its path in the file's `#:schema` line)."""
-    from hil.experiment_schema import experiment_schema
+    from hil.experiment.schema import experiment_schema
 
     print(json.dumps(experiment_schema(), indent=2))

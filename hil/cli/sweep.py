@@ -17,7 +17,7 @@ from hil.errors import HilError
 MOST_JOBS = 512
 
 if TYPE_CHECKING:
-    from design.confidence import StopRule
+    from design.monte_carlo.confidence import StopRule
 
 
 @click.command()
@@ -55,10 +55,10 @@ def command(
     from rich.console import Console
     from rich.progress import Progress, TimeRemainingColumn
 
-    from design.run_ladder import Ladder
+    from design.monte_carlo.parallel import Ladder
     from hil.experiment import load_experiment
-    from hil.sweep import COLUMNS, METRICS, here, run_sweep, statistics
-    from hil.sweep_store import SweepStore
+    from hil.sweeps.seeds import COLUMNS, METRICS, here, run_sweep, statistics
+    from hil.sweeps.store import SweepStore
 
     if runs < 1:
         raise HilError(f"--runs: {runs} is below 1")
@@ -128,7 +128,7 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
     Raises:
         HilError: if it is not of this form.
     """
-    from design.confidence import StopRule
+    from design.monte_carlo.confidence import StopRule
 
     name, _, width = text.partition("=")
     statistic, _, metric = name.rpartition(":")

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.report.figures import Block, Figure, Section, Series, Table
-from hil.report.page import render_page
-from hil.report.units import metric_units
+from hil.measure.units import metric_units
+from hil.report.html.figures import Block, Figure, Section, Series, Table
+from hil.report.html.page import render_page
 
 TITLES = {
     "sse": "squared tracking error",
@@ -37,7 +37,7 @@ def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: i
     """Return the page: empirical distribution functions per metric, one curve per experiment, and the table.
 
     Args:
-        found: mapping of experiment to metrics. What :func:`hil.sweep.sweep` gives, per experiment, over the same seeds.
+        found: mapping of experiment to metrics. What :func:`hil.sweeps.seeds.sweep` gives, per experiment, over the same seeds.
         runs: number of seeds.
         plants: of the experiments: they state the units. A metric whose unit differs between them, or is not known, has none.
     """

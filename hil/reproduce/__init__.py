@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Literal
 
-from hil.report.figures import Bars, Figure, Histogram, Section, State, Table, Text
+from hil.report.html.figures import Bars, Figure, Histogram, Section, State, Table, Text
 
 Verdict = Literal["reproduced", "not reproduced", "claim false"]
 Progress = Callable[[str], None]
@@ -66,8 +66,8 @@ class Reproduction:
 
     def page(self) -> str:
         """One self-contained HTML page: the table, then every figure."""
-        from hil.report.figures import Badge, Tile
-        from hil.report.page import render_page
+        from hil.report.html.figures import Badge, Tile
+        from hil.report.html.page import render_page
 
         cells = [
             (r.item, r.printed, r.computed, Badge(label=r.verdict, state=STATES[r.verdict]), r.basis) for r in self.rows
@@ -86,12 +86,14 @@ class Reproduction:
 
 def chapters() -> tuple[str, ...]:
     """Names of the chapters that can be reproduced, e.g. ``("ch2", "ch3")``."""
-    return tuple(sorted(info.name for info in pkgutil.iter_modules(__path__) if info.name.startswith("ch")))
+    rooms = (info.name for info in pkgutil.iter_modules(__path__))
+    return tuple(sorted(f"ch{room.removeprefix('chapter')}" for room in rooms if room.startswith("chapter")))
 
 
 def reproduce(chapter: str, progress: Progress = lambda text: None) -> Reproduction:
     """Compute a chapter. Raises KeyError if it is not one of ``chapters()``."""
     if chapter not in chapters():
         raise KeyError(chapter)
-    result: Reproduction = importlib.import_module(f"hil.reproduce.{chapter}").reproduce(progress)
+    room = importlib.import_module(f"hil.reproduce.chapter{chapter.removeprefix('ch')}.numbers")
+    result: Reproduction = room.reproduce(progress)
     return result

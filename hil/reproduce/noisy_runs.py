@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from design.markov_growth import gain_mode
-from design.matrix_exponential import exponential
-from design.scheduled_gain import ScheduledGain
-from design.semi_markov import FaultDetection, JumpPath, SemiMarkov, sample_fault_detection, sample_path
-from design.smjls import DelayedJumpSystem, JumpSystem
+from design.controllers.scheduled_gain import ScheduledGain
+from design.processes.semi_markov import FaultDetection, JumpPath, SemiMarkov, sample_fault_detection, sample_path
+from design.semi_markov_loop.growth import gain_mode
+from design.semi_markov_loop.matrix_exponential import exponential
+from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from hil.log.sinks import Sink
-from hil.runtime.clock import VirtualClock
-from hil.runtime.control_node import ControlNode
-from hil.runtime.kernel import Kernel, Phase
-from hil.runtime.loop import Loop
-from hil.runtime.rig import Rig
+from hil.compose.loop import Loop
+from hil.log.write.sinks import Sink
+from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.rig import Rig
+from hil.runtime.time.clock import VirtualClock
+from hil.runtime.time.kernel import Kernel, Phase
 
 
 def run_virtual(

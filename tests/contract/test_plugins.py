@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from hil import registry
-from hil.contract import check_controller, check_law
+from hil.compose.loop import compose
 from hil.experiment import load_experiment, parse_plugin, shipped
-from hil.runtime.loop import compose
-from plants.check import check_plant
-from transport.network_laws import prepare
+from hil.experiment import plugins as registry
+from hil.experiment.plugin_checks import check_controller, check_law
+from plants.parts.check import check_plant
+from transport.laws.protocols import prepare
 
 LAWS: dict[str, list[str]] = {
     "constant": ["age=2"],

@@ -16,8 +16,8 @@ import pytest
 
 from design.controllers import LoopModel
 from hil.cli import COMMANDS
-from hil.contract import check_controller
-from plants.check import check_plant
+from hil.experiment.plugin_checks import check_controller
+from plants.parts.check import check_plant
 from transport import open_link
 
 README = (Path(__file__).parents[2] / "README.md").read_text()

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from hil.delay_chains import delay_chains
+from hil.compose.delay_chains import delay_chains
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.runtime.loop import compose
 from hil.session import simulate
 
 QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the prediction knows nothing of it
 
 
 def predicted_of(loop, ticks):
-    from design.prediction import predict_tracking
+    from design.networked_loop.prediction import predict_tracking
 
     reference, disturbance = loop.reference(), loop.disturbance()
     return predict_tracking(

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.replay import verify
-from hil.runtime.loop import compose
 from hil.session import run_session, simulate
 
 

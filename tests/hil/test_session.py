@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.read import read_run
+from hil.log.read.run import read_run
 from hil.replay import verify, what_if
-from hil.runtime.loop import compose
 from hil.session import run_session, simulate
-from hil.sweep import statistics, sweep
+from hil.sweeps.seeds import statistics, sweep
 
 
 def hil(*args: str, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
@@ -149,8 +149,8 @@ def test_adding_a_disturbance_does_not_shift_the_delays() -> None:
 
 def test_rig_and_controller_processes_import_nothing_heavy(tmp_path: Path) -> None:
     code = (
-        "import sys, pickle; import hil.runtime.rig_process, hil.runtime.controller_process;"
-        "from hil.experiment import load_experiment; from hil.runtime.loop import compose;"
+        "import sys, pickle; import hil.runtime.real.rig_process, hil.runtime.real.controller_process;"
+        "from hil.experiment import load_experiment; from hil.compose.loop import compose;"
         "heavy = {'control', 'cvxpy', 'matplotlib', 'scipy.signal', 'scipy.stats'} & set(sys.modules);"
         "assert not heavy, heavy;"
         "loop = compose(load_experiment('dc-motor-hinf')); loop.start_controller();"

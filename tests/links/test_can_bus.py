@@ -21,8 +21,8 @@ import can
 import pytest
 
 from transport import SensorPacket, dbc_path, encode_sensor, open_link
-from transport.can_bus import HilBus
-from transport.unix_mesh import QUEUE_LIMIT
+from transport.links.can_bus import HilBus
+from transport.links.unix_mesh import QUEUE_LIMIT
 
 BIN = Path(sys.executable).parent
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from transport import Link, memory_pair, open_link
-from transport.contract import CHECKS, Pair, check_clause
+from transport.links.contract import CHECKS, Pair, check_clause
 
 
 def has_multicast() -> bool:

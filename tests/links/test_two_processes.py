@@ -14,7 +14,7 @@ from time import monotonic
 import pytest
 
 from transport import Link, open_link
-from transport.contract import SEND_LIMIT_S, control, sensor
+from transport.links.contract import SEND_LIMIT_S, control, sensor
 
 CONTROLLER = """
 import sys

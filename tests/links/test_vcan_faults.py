@@ -10,7 +10,7 @@ import can
 import pytest
 
 from transport import Link, open_link
-from transport.contract import SEND_LIMIT_S, control, expect, sensor
+from transport.links.contract import SEND_LIMIT_S, control, expect, sensor
 
 pytestmark = pytest.mark.vcan
 

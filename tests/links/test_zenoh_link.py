@@ -17,7 +17,7 @@ from time import monotonic
 import pytest
 
 from transport import Link, TransportError, open_link
-from transport.contract import SEND_LIMIT_S, control, expect, meet, sensor
+from transport.links.contract import SEND_LIMIT_S, control, expect, meet, sensor
 
 ECHO = """
 import sys

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from plants.semi_markov import TransitionRates
+from plants.parts.semi_markov import TransitionRates
 from plants.vtol import vtol_matrices
 from plants.vtol_delayed import DelayedVTOL
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from plants.semi_markov import TransitionRates
+from plants.parts.semi_markov import TransitionRates
 from plants.vtol_fault import FaultyVTOL
 
 times = st.integers(0, 1_000_000_000)

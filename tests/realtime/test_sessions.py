@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.log.read import read_run
+from hil.log.read.run import read_run
 from hil.replay import verify
-from hil.runtime.loop import compose
 from hil.session import run_session, simulate
 
 pytestmark = pytest.mark.realtime
@@ -231,10 +231,10 @@ def test_full_disk_costs_the_log_and_not_the_run(tmp_path: Path) -> None:
 )
 def test_a_session_that_does_not_begin_says_why_at_once(spoil: str, external: bool, message: str) -> None:
     code = (
-        "import hil.runtime.real as real\n"
+        "import hil.runtime.real.supervisor as real\n"
         "from hil.errors import HilError\n"
-        "from hil.experiment import load_experiment; from hil.runtime.loop import compose\n"
-        "from hil.log.sinks import MemorySink\n"
+        "from hil.experiment import load_experiment; from hil.compose.loop import compose\n"
+        "from hil.log.write.sinks import MemorySink\n"
         "class Spoilt: hello_timeout_s = 1\n"
         f"{spoil}\n"
         "loop = compose(load_experiment('dc-motor-hinf'))\n"

@@ -13,9 +13,9 @@ import pytest
 from cantools.database.can import Database
 
 from transport import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, dbc_path, encode_control, encode_sensor
-from transport.can_link import BASE, FRAGMENTS, identifiers
-from transport.can_open import open_can
-from transport.link import Role
+from transport.links.can_link import BASE, FRAGMENTS, identifiers
+from transport.links.can_open import open_can
+from transport.links.link import Role
 
 SENSORS = [
     SensorPacket(seq=0xDEADBEEF, flags=MORE, sample_ns=-5, y=(3.25,)),

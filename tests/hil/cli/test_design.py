@@ -31,7 +31,7 @@ def test_table_shows_gains_and_certificate():
 
 
 def test_file_is_a_design_that_loads(tmp_path):
-    from design.design_file import load_design
+    from design.tracking.design_file import load_design
 
     path = tmp_path / "design.json"
     run("dc-motor", "--information", "generated", "-o", str(path))

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.log.arrays import StructuredArray
-from hil.log.provenance import Provenance
-from hil.log.recorder import McapSink
+from hil.log.read.arrays import StructuredArray
 from hil.log.records import Channel, channels
-from hil.log.sinks import Sink
+from hil.log.write.mcap_sink import McapSink
+from hil.log.write.provenance import Provenance
+from hil.log.write.sinks import Sink
 
 PERIOD_NS = 1_000_000
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.log.provenance import Provenance
-from hil.log.read import Run
-from hil.log.sinks import MemorySink
-from hil.runtime.loop import compose
+from hil.log.read.run import Run
+from hil.log.write.provenance import Provenance
+from hil.log.write.sinks import MemorySink
 from hil.runtime.virtual import run_virtual
-from transport.draws import REASONS
+from transport.medium.draws import REASONS
 
 
 def run_of(name: str, *sets: str, timed: bool = False) -> Run:

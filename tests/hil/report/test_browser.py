@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.report.figures import Band, Figure, Marker, Section, Series
-from hil.report.metrics import summarise
-from hil.report.page import render_page
-from hil.report.run_page import render_report
+from hil.measure.summary import summarise
+from hil.report.html.figures import Band, Figure, Marker, Section, Series
+from hil.report.html.page import render_page
+from hil.report.run.run_page import render_report
 from tests.hil.report import chromium
 from tests.hil.report.runs import run_of
 

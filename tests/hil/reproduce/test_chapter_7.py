@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hil.reproduce import reproduce
-from hil.reproduce.friction_ch7 import EXPERIMENT, Imperfections, errors_of_all, experiment_rows, loop_of, misfit
-from hil.reproduce.models_ch7 import model_rows, theorem_rows
-from hil.reproduce.tables_ch7 import table_rows
+from hil.reproduce.chapter7.friction import EXPERIMENT, Imperfections, errors_of_all, experiment_rows, loop_of, misfit
+from hil.reproduce.chapter7.models import model_rows, theorem_rows
+from hil.reproduce.chapter7.tables import table_rows
 
 LABORATORY = Imperfections(
     saturation_v=0.0576, coulomb_v=0.0017, static_ratio=2.5, dead_zone_v=0.0021, encoder_rad=0.0019

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from design.controllers import GainIndex, SendAll
-from design.design_file import load_design
-from hil.delay_chains import delay_chain, delay_chains
+from design.tracking.design_file import load_design
+from hil.compose.delay_chains import delay_chain, delay_chains
+from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
-from hil.runtime.loop import compose
 from hil.session import simulate
-from transport.age_laws import MarkovAge
-from transport.semi_markov_law import SemiMarkovAge, augmented_chain
-from transport.sojourn import Table, Uniform
+from transport.laws.age import MarkovAge
+from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
+from transport.laws.sojourn import Table, Uniform
 
 BURSTY = SemiMarkovAge(
     matrix=((0.0, 1.0, 0.0), (0.8, 0.0, 0.2), (0.5, 0.5, 0.0)),

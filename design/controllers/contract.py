@@ -1,0 +1,89 @@
+r"""What runs inside a loop: controllers that answer one sensor packet with one *send-all* packet.
+
+Importing this module imports numpy and nothing heavier, because a process that keeps time imports it.
+
+A controller plug-in is a frozen dataclass of parameters with ``start(model)``; what it returns answers, once a slot,
+
+.. math:: (k, \tau_k, y(k-\tau_k), \bar r) \mapsto u(k, \tau_k, \cdot), \qquad \text{one row of } m \text{ values per row index}
+
+and says by ``selection`` how the actuator picks the row that it applies (thesis, Section 7.2, (7.9)-(7.13)):
+
+========== ============================== =================================================
+selection  row applied in slot k          where the packet was generated in slot g = k - d_k
+========== ============================== =================================================
+constant   0                              no information about d
+generated  d_g                            the printed rule (7.13)
+applied    d_k                            what the actuator knows when it applies
+previous   d_{g-1}                        Zhang and Shi [53]
+both       d_g (d_max + 1) + d_k          all of it
+========== ============================== =================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Selection = Literal["constant", "generated", "applied", "previous", "both"]
+Rows = tuple[tuple[float, ...], ...]
+Gains = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [tau][row][m][p]
+
+
+def row_count(selection: Selection | str, d_max: int) -> int:
+    """Return how many rows a send-all packet carries.
+
+    >>> [row_count(s, 1) for s in ("constant", "generated", "applied", "previous", "both")]
+    [1, 2, 2, 2, 4]
+    """
+    return {"constant": 1, "both": (d_max + 1) ** 2}.get(selection, d_max + 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopModel:
+    """What a controller may know of its loop.
+
+    Args:
+        A, B, C: shapes (n, n), (n, m), (p, n). Nominal plant, zero-order hold at ``period_s``.
+        period_s: sample period T, s.
+        tau_max, d_max: largest sensor-to-controller and controller-to-actuator delays, samples.
+    """
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    period_s: float
+    tau_max: int
+    d_max: int
+
+
+class RunningController(Protocol):
+    """A controller in the loop; called once a slot, in order."""
+
+    selection: Selection
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        """Return one row of m inputs per row index, for the sample y(k - tau) and the reference r.
+
+        Where the parameters say ``samples = 2``, y holds y(k - tau), then y(k - tau - 1).
+        """
+        ...
+
+
+@runtime_checkable
+class StaticGains(Protocol):
+    """A controller that is a table of gains, so that its loop has a certificate."""
+
+    selection: Selection
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]:
+        """Return K[tau, row, m, p]."""
+        ...
+
+
+def packet_samples(controller: object) -> int:
+    """Return how many samples one sensor packet carries for this controller: its field ``samples``, 1 without one."""
+    return int(getattr(controller, "samples", 1))

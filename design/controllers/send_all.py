@@ -1,0 +1,193 @@
+"""*Send all, apply one*: a packet carries one input per delay that it may meet, the actuator applies one (7.9)-(7.13)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import cycle
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers.contract import Gains, LoopModel, Rows, RunningController, Selection, row_count
+
+
+def feedforward(model: LoopModel) -> NDArray[np.float64]:
+    r"""Return :math:`\Omega_{22}` (m x p), so that :math:`\tilde u^* = \Omega_{22} \bar r` (thesis (7.6)-(7.7)).
+
+    With p < m the minimum-norm solution :math:`N^T(NN^T)^{-1}` is taken, as printed.
+
+    Raises:
+        ValueError: if N is rank deficient: no steady state tracks every reference.
+    """
+    n, m = model.B.shape
+    p = model.C.shape[0]
+    N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((p, m))]])
+    if np.linalg.matrix_rank(N) < n + p:
+        raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
+    return np.asarray(np.linalg.pinv(N)[n:, n:])
+
+
+def nested(K: NDArray[np.float64]) -> Gains:
+    """Return K[tau, row, m, p] as the nested tuples that an experiment file holds."""
+    return tuple(tuple(tuple(tuple(map(float, row)) for row in mat) for mat in rows) for rows in K)
+
+
+class GainIndex:
+    """Counts for how long the measured tau has lasted, and says which gain belongs to both.
+
+    Args:
+        sojourns: how many gains every tau has, for 1, 2, ... slots at this tau; the last one stands for all longer ones. A tau
+            without gains, as of a packet that comes late, has those of the next larger one, beyond the end those of the last.
+    """
+
+    def __init__(self, sojourns: Sequence[int]) -> None:
+        first = [sum(sojourns[:tau]) for tau in range(len(sojourns))]
+        own = [tau for tau, count in enumerate(sojourns) if count]
+        taken = [next((other for other in own if other >= tau), own[-1]) for tau in range(len(sojourns))]
+        self._range = [(first[tau], first[tau] + sojourns[tau] - 1) for tau in taken]
+        self._tau = self._index = -1
+
+    def at(self, tau: int) -> int:
+        """Return the index of the gain; called once a slot, in order."""
+        first, last = self._range[min(tau, len(self._range) - 1)]
+        self._index = min(self._index + 1, last) if tau == self._tau else first
+        self._tau = tau
+        return self._index
+
+
+class GainRows:
+    """u = u* + K[tau, row] Y, see `GainIndex`.
+
+    Y is the error y - r of every sample in the packet, newest first, and with ``integral`` below these the sum of the newest
+    errors of all earlier slots.
+    """
+
+    def __init__(
+        self,
+        K: NDArray[np.float64],
+        selection: Selection,
+        model: LoopModel,
+        integral: bool = False,
+        sojourns: Sequence[int] = (),
+    ) -> None:
+        self.selection = selection
+        self._sum = [0.0] * model.C.shape[0] if integral else []
+        self._gains = nested(K)
+        self._gain_at = GainIndex(sojourns or (1,) * len(K)).at
+        self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
+        # One input, one output: the same sums without loops in loops, as a sweep runs this a million times.
+        scalar = K.shape[2:] == (1, 1)
+        self._scalars = [[mat[0][0] for mat in rows] for rows in self._gains] if scalar else None
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        if self._scalars is not None:
+            error, held = y[0] - r[0], self._omega[0][0] * r[0]
+            return tuple([(held + g * error,) for g in self._scalars[self._gain_at(tau)]])
+        e = [a - b for a, b in zip(y, cycle(r))]
+        known = e + self._sum
+        self._sum = [s + x for s, x in zip(self._sum, e)]
+        star = [sum(o * b for o, b in zip(row, r)) for row in self._omega]
+        return tuple(
+            tuple(s + sum(g * x for g, x in zip(gains, known)) for s, gains in zip(star, mat))
+            for mat in self._gains[self._gain_at(tau)]
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendAll:
+    """*Send all, apply one* static output feedback with any table of gains (7.9)-(7.13).
+
+    Args:
+        gains: nested tuple [tau][row][m][p]. One gain matrix (m x p, input unit per output unit) for every measured tau and every
+            row.
+        selection: which row the actuator applies; see the module's table.
+        integral: the gains have p more columns, for the integral of the measured error (Remark 7.7).
+        sojourns: how many tables belong to every tau, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
+            semi-Markov delays; by default one each, whatever it has lasted.
+        samples: samples per packet, 1 or 2: the gains have p columns for y(k - tau), then p for y(k - tau - 1).
+    """
+
+    kind: ClassVar[str] = "send-all"
+
+    gains: Gains
+    selection: Selection = "applied"
+    integral: bool = False
+    sojourns: tuple[int, ...] = ()
+    samples: Literal[1, 2] = 1
+
+    def __post_init__(self) -> None:
+        try:
+            shape = np.asarray(self.gains, dtype=float).shape
+        except ValueError:
+            shape = ()
+        if len(shape) != 4:
+            raise ValueError("gains: expected [tau][row][m][p] with equal lengths")
+        if self.sojourns and (min(self.sojourns) < 0 or sum(self.sojourns) != shape[0]):
+            raise ValueError(f"sojourns: {list(self.sojourns)}, expected counts whose sum is the number of tables, {shape[0]}")
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]:
+        K = np.asarray(self.gains, dtype=float)
+        m, p = model.B.shape[1], model.C.shape[0]
+        rows = row_count(self.selection, model.d_max)
+        width = p * (self.samples + self.integral)
+        if K.shape[1:] != (rows, m, width):
+            raise ValueError(
+                f"gains: shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "
+                f"for selection {self.selection!r} with d up to {model.d_max}"
+            )
+        if len(self.sojourns or K) < model.tau_max + 1:
+            raise ValueError(f"gains: {len(self.sojourns or K)} tables, but tau reaches {model.tau_max}")
+        return K
+
+    def start(self, model: LoopModel) -> RunningController:
+        return GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Local:
+    """One gain for every delay: a design that ignores the network (thesis, Section 7.4.3: K = -0.4515).
+
+    Args:
+        gain: nested tuple [m][p]. Output feedback gain, input unit per output unit.
+    """
+
+    gain: tuple[tuple[float, ...], ...] = ((-0.4515,),)
+    selection: Selection = field(default="constant", init=False)
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]:
+        K = np.asarray(self.gain, dtype=float)
+        m, p = model.B.shape[1], model.C.shape[0]
+        if K.shape != (m, p):
+            raise ValueError(f"gain: shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
+        return np.broadcast_to(K, (model.tau_max + 1, 1, m, p)).copy()
+
+    def start(self, model: LoopModel) -> RunningController:
+        return GainRows(self.table(model), self.selection, model)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Constant:
+    """The same input in every slot and for every row: for tests and for open-loop experiments.
+
+    Args:
+        value: tuple of float, length m. Input, in the plant's input unit.
+    """
+
+    value: tuple[float, ...] = (0.0,)
+
+    def start(self, model: LoopModel) -> RunningController:
+        if len(self.value) != model.B.shape[1]:
+            raise ValueError(f"value: {len(self.value)} entries, but the plant has {model.B.shape[1]} inputs")
+        return _ConstantRows(self.value)
+
+
+class _ConstantRows:
+    selection: Selection = "constant"
+
+    def __init__(self, value: tuple[float, ...]) -> None:
+        self._rows = (tuple(map(float, value)),)
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        return self._rows

@@ -1,0 +1,299 @@
+"""H-infinity norm of a jump-linear system by coupled bounded-real equations, solved at their fold.
+
+For gamma above the norm the equations
+
+    P_i = A_i' E_i(P) A_i + C_i' C_i + G_i' V_i^-1 G_i,   G_i = B_i' E_i(P) A_i + D_i' C_i,
+    V_i = gamma^2 I - B_i' E_i(P) B_i - D_i' D_i > 0
+
+have a smallest solution P >= 0, for which the worst disturbance w = F_i x, F_i = V_i^-1 G_i, leaves the system
+mean-square stable; this is (7.28) with equality. As gamma falls to the norm, this solution meets another one and both
+vanish: a fold, where I - L of A_i + B_i F_i is singular. Value iteration crawls there (0.3406 for a norm of 0.3390),
+and Newton's method at fixed gamma turns linear. The fold itself is a regular root of
+
+    (Riccati residual, smallest singular direction of its Jacobian) = 0
+
+in (P, gamma^2), which Newton finds in a few steps, and whose null vectors give the derivative of the norm at once.
+The left null vector is the second moment of the state under the worst disturbance: where it is positive
+semidefinite, one is its largest eigenvalue, and the fold is the norm.
+
+References: Theorem 7.4; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 2000 (bordered fold).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+
+from design.errors import NotStable
+from design.jump_linear.h2 import is_positive
+from design.jump_linear.mjls import MJLS
+from design.jump_linear.second_moment import Array, Resolvent, expect, operator_matrix, to_matrix, to_vector
+
+FOLD_TOLERANCE = 1e-12
+NEWTON_STEPS = 40
+
+
+class Policy(NamedTuple):
+    """A solution of the bounded-real equations at one gamma: P, worst disturbance F, closed-loop matrices, V."""
+
+    P: Array
+    F: Array
+    A: Array
+    C: Array
+    V: Array
+
+
+class Fold(NamedTuple):
+    """The fold: gamma^2, the solution there, and the null vectors (cost direction, worst-case second moment)."""
+
+    square: float
+    policy: Policy
+    right: Array
+    left: Array
+
+    @property
+    def norm(self) -> float:
+        """The H-infinity norm."""
+        return float(np.sqrt(self.square))
+
+    def gradient_A(self, transition: Array) -> Array:
+        """d norm / d A_i = E_i(P) (A_i + B_i F_i) W_i / (norm sum_i tr F_i W_i F_i'), W the worst-case moment."""
+        p = self.policy
+        power = float(np.sum((p.F @ self.left) * p.F))
+        return np.asarray(expect(transition, p.P) @ p.A @ self.left / (self.norm * power))
+
+
+Matrices = tuple[Array, Array, Array, Array, Array]
+
+
+def hinf_norm(system: MJLS) -> float:
+    """H-infinity norm (7.27): the largest sqrt(E sum |z|^2 / E sum |w|^2) from any initial mode with x(0) = 0.
+
+    The disturbance may depend on the past of state and mode.
+
+    Raises:
+        NotStable: the radius is not below 1.
+    """
+    radius = system.radius()
+    if radius >= 1.0:
+        raise NotStable(f"H-infinity norm: not mean-square stable, radius {radius:.6g}, expected < 1", value=radius)
+    found = locate_norm(system.matrices)
+    return found.norm if isinstance(found, Fold) else float(np.sqrt(found))
+
+
+def solve_bounded_real(matrices: Matrices, square: float, extra: float = 0.0) -> Policy | None:
+    """Smallest solution of the bounded-real equations at gamma^2 = `square`, or None if gamma is not above the norm.
+
+    Newton's method from w = 0, every step one coupled Lyapunov equation; its iterates rise to the solution.
+    `extra` adds extra * I to C_i' C_i, which makes (7.28) strict at the result.
+    """
+    A, B, C, _, transition = matrices
+    identity = extra * np.eye(A.shape[-1])
+    policy: Policy | None = None
+    closed, output = A, C
+    F = np.zeros((A.shape[0], B.shape[2], A.shape[1]))
+    ones = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    for _ in range(NEWTON_STEPS):
+        weight = output.transpose(0, 2, 1) @ output - square * (F.transpose(0, 2, 1) @ F) + identity
+        P, probe = Resolvent(closed, transition).cost(np.stack([weight, ones]))
+        if not np.isfinite(probe).all() or not is_positive(probe):
+            return None
+        previous = policy
+        policy = _policy(matrices, P, square)
+        if policy is None:
+            return None
+        if previous is not None:
+            scale = np.abs(P).max() + 1e-300
+            if np.abs(P - previous.P).max() <= 1e-11 * scale:
+                return policy
+        F, closed, output = policy.F, policy.A, policy.C
+    return None
+
+
+def _policy(matrices: Matrices, P: Array, square: float) -> Policy | None:
+    A, B, C, D, transition = matrices
+    E = expect(transition, P)
+    BE = B.transpose(0, 2, 1) @ E
+    V = square * np.eye(B.shape[2]) - BE @ B - D.transpose(0, 2, 1) @ D
+    if not np.isfinite(V).all() or not is_positive(V):
+        return None
+    F = np.asarray(np.linalg.solve(V, BE @ A + D.transpose(0, 2, 1) @ C), dtype=np.float64)
+    return Policy(P, F, A + B @ F, C + D @ F, V)
+
+
+def locate_norm(matrices: Matrices, guess: Fold | None = None) -> Fold | float:
+    """The fold of a mean-square stable system; only gamma^2 where the norm is reached without one (finite memory).
+
+    Args:
+        matrices: (A, B, C, D, transition).
+        guess: fold of a system nearby, from which Newton's method starts.
+    """
+    if guess is not None:
+        fold = refine_fold(matrices, guess)
+        if fold is not None:
+            return fold
+    A, B, C, D, transition = matrices
+    identity = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    C2 = C.transpose(0, 2, 1) @ C
+    S = Resolvent(A, transition).cost(C2)
+    gain = B.transpose(0, 2, 1) @ expect(transition, S) @ B + D.transpose(0, 2, 1) @ D
+    low = float(np.linalg.eigvalsh(gain).max())  # an impulse is one disturbance
+    if low <= 0.0:
+        return 0.0
+    high, policy = low, None
+    while policy is None:
+        high *= 4.0
+        policy = solve_bounded_real(matrices, high)
+    near = 0.5  # Newton is tried at ever closer brackets, not at every one
+    while high / low > 1.0 + 1e-12:
+        if high / low - 1.0 < near:
+            near = 0.1 * (high / low - 1.0)
+            fold = refine_fold(matrices, Fold(high, policy, identity, identity))
+            if fold is not None and low * (1 - 1e-9) <= fold.square <= high * (1 + 1e-9):
+                return fold
+        middle = float(np.sqrt(low * high)) if high / low > 1.01 else 0.5 * (low + high)
+        attempt = solve_bounded_real(matrices, middle)
+        if attempt is None:
+            low = middle
+        else:
+            high, policy = middle, attempt
+    return high
+
+
+def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None:
+    """Newton's method on the fold equations from a guess; None unless it ends at the fold that is the norm."""
+    A, B, _, _, transition = matrices
+    n = A.shape[-1]
+    P, square = guess.policy.P, guess.square
+    right, left = _unit(to_vector(guess.right).ravel()), _unit(to_vector(guess.left).ravel())
+    shape = (A.shape[0], n * (n + 1) // 2)
+    inverse = 0  # first turn the guesses of the null vectors by inverse iteration
+    for step in range(steps):
+        policy = _policy(matrices, P, square)
+        if policy is None:
+            return None
+        E = expect(transition, P)
+        residual = (
+            policy.A.transpose(0, 2, 1) @ E @ policy.A
+            + policy.C.transpose(0, 2, 1) @ policy.C
+            - square * (policy.F.transpose(0, 2, 1) @ policy.F)
+            - P
+        )
+        size = right.size
+        bordered = np.zeros((size + 1, size + 1))
+        bordered[:size, :size] = operator_matrix(policy.A, transition)
+        bordered.flat[: size * (size + 1) : size + 2] -= 1.0
+        bordered[:size, size], bordered[size, :size] = left, right
+        factors = scipy.linalg.lu_factor(bordered, overwrite_a=True, check_finite=False)
+        last = np.zeros(size + 1)
+        last[size] = 1.0
+        rounds = 3 if step == inverse else 1
+        for _ in range(rounds):
+            v = scipy.linalg.lu_solve(factors, last, check_finite=False)
+            w = scipy.linalg.lu_solve(factors, last, trans=1, check_finite=False)
+        right_family, left_family = (to_matrix(x[:size].reshape(shape), n) for x in (v, w))
+        singular = float(v[size])
+        # how the singular direction changes with P and gamma^2: -w' (dJ) v
+        Ev = expect(transition, right_family)
+        H = B.transpose(0, 2, 1) @ Ev @ policy.A @ left_family
+        VH = np.linalg.solve(policy.V, H)
+        by_P = B @ VH @ policy.A.transpose(0, 2, 1)
+        by_P = np.tensordot(transition, by_P + by_P.transpose(0, 2, 1), axes=(0, 0))
+        by_square = 2.0 * float(np.sum(VH * policy.F))
+        rhs = np.zeros((size + 1, 2))
+        rhs[:size, 0] = -to_vector(residual).ravel()
+        rhs[:size, 1] = to_vector(policy.F.transpose(0, 2, 1) @ policy.F).ravel()
+        x = scipy.linalg.lu_solve(factors, rhs, check_finite=False)
+        slope = -to_vector(by_P).ravel()
+        system = np.array(
+            [[x[size, 1], singular], [slope @ x[:size, 1] + by_square, slope @ v[:size]]],
+        )
+        right_side = np.array([-x[size, 0], -singular - slope @ x[:size, 0]])
+        try:
+            change, along = np.linalg.solve(system, right_side)
+        except np.linalg.LinAlgError:
+            return None
+        dP = to_matrix((x[:size, 0] + change * x[:size, 1] + along * v[:size]).reshape(shape), n)
+        if not np.isfinite(dP).all() or abs(change) > 0.9 * square:
+            return None
+        P, square = P + dP, square + float(change)
+        right, left = _unit(v[:size]), _unit(w[:size])
+        if abs(change) <= FOLD_TOLERANCE * square and np.abs(dP).max() <= 1e-7 * np.abs(P).max():
+            return _verified(matrices, P, square, right.reshape(shape), left.reshape(shape))
+    return None
+
+
+def _verified(matrices: Matrices, P: Array, square: float, right: Array, left: Array) -> Fold | None:
+    """The fold if it is the norm: V > 0, P >= 0, and null vectors that are positive semidefinite."""
+    policy = _policy(matrices, P, square)
+    if policy is None:
+        return None
+    n = P.shape[-1]
+    families = []
+    for vector in (right, left):
+        family = to_matrix(vector, n)
+        if np.trace(family, axis1=1, axis2=2).sum() < 0:
+            family = -family
+        if np.linalg.eigvalsh(family).min() < -1e-6 * np.abs(family).max():
+            return None
+        families.append(family)
+    if np.linalg.eigvalsh(P).min() < -1e-8 * np.abs(P).max():
+        return None
+    return Fold(square, policy, families[0], families[1])
+
+
+def bounded_real_margin(system: MJLS, gamma: float) -> float | None:
+    """-largest eigenvalue of (7.28) at matrices P found for `gamma`, each block scaled to gamma^2; None if none exist.
+
+    P solves the equations with a small multiple of I added to C'C, so that a positive margin is strict.
+    """
+    matrices = system.matrices
+    A, B, C, D, transition = matrices
+    scale = float(np.abs(C.transpose(0, 2, 1) @ C).max())
+    for extra in 10.0 ** np.arange(-5.0, -13.0, -1.0) * scale:
+        policy = solve_bounded_real(matrices, gamma**2, extra)
+        if policy is not None:
+            break
+    else:
+        return None
+    E = expect(transition, policy.P)
+    full = np.concatenate([A, B], axis=2)
+    output = np.concatenate([C, D], axis=2)
+    inequality = full.transpose(0, 2, 1) @ E @ full + output.transpose(0, 2, 1) @ output
+    n = A.shape[-1]
+    inequality[:, :n, :n] -= policy.P
+    inequality[:, n:, n:] -= gamma**2 * np.eye(B.shape[2])
+    return -float(np.linalg.eigvalsh(inequality).max())
+
+
+def worst_disturbance(system: MJLS, gamma: float) -> Array:
+    """Gains F (N, q, n) of the disturbance w = F_i x that is worst at a level gamma above the norm.
+
+    Raises:
+        NotStable: gamma is not above the norm.
+    """
+    policy = solve_bounded_real(system.matrices, gamma**2)
+    if policy is None:
+        raise NotStable(f"worst disturbance: level {gamma:.6g} is not above the H-infinity norm", value=gamma)
+    return policy.F
+
+
+def disturbance_ratio(system: MJLS, F: npt.ArrayLike, impulse: npt.ArrayLike, mode: int) -> float:
+    """sqrt(E sum |z|^2 / E sum |w|^2) for w(0) = impulse in the given mode, then w(k) = F_i x(k)."""
+    A, B, C, D, transition = system.matrices
+    gains, w0 = np.asarray(F, dtype=np.float64), np.asarray(impulse, dtype=np.float64)
+    closed, output = A + B @ gains, C + D @ gains
+    resolvent = Resolvent(closed, transition)
+    z, w = resolvent.cost(np.stack([output.transpose(0, 2, 1) @ output, gains.transpose(0, 2, 1) @ gains]))
+    start = B[mode] @ w0
+    energy = [float(start @ expect(transition, S)[mode] @ start) for S in (z, w)]
+    first = D[mode] @ w0
+    return float(np.sqrt((energy[0] + first @ first) / (energy[1] + w0 @ w0)))
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))
+

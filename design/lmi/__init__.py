@@ -1,0 +1,1 @@
+"""Linear matrix inequalities: programs, solvers, proof in exact fractions."""

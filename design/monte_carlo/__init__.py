@@ -1,0 +1,1 @@
+"""Thousands of runs at once: paths, batches, seeds, parallel back ends, confidence."""

@@ -1,0 +1,173 @@
+"""Monte Carlo of discrete-time Markov jump linear systems, thousands of runs per step.
+
+    x(k+1) = A_i x(k) + B_i w(k),    z(k) = C_i x(k) + D_i w(k),    i = theta_k,  Pr{theta_{k+1} = j | i} = p_ij
+
+with w white of unit covariance or zero. Each run has its own streams for the chain and for the noise. Runs of the same
+mode are multiplied by their matrix together, in tiles that never reach the size at which a BLAS library begins to use
+several threads: so the numbers are the same in every process, whatever its number of threads.
+
+Reference: Chapter 7, (7.14); the Chapter 7 loop is ``loop_structure(...).mjls(gain)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from design.jump_linear.mjls import MJLS
+from design.monte_carlo.parallel import Ladder, chunk_numbers, inside_chunk, spread
+from design.monte_carlo.random_streams import CHAIN, NOISE, DrawTable
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
+
+CHUNK = 512
+PAGE = 64
+ONE_CORE = Ladder()
+BLAS_ONE_THREAD = 100_000
+"""Multiplications in one product; OpenBLAS begins to share them out at 262,144."""
+
+
+def _nothing(done: int) -> None:
+    pass
+
+
+class MarkovBatch(NamedTuple):
+    """What ``simulate_mjls`` returns, R runs, K steps.
+
+    energy: sum_{k<K} |z(k)|^2 per run, (R,). final: x(K), (R, n). peak: max_k |z(k)|, (R,).
+    mean: E x(k), (K + 1, n). second: E x(k) x(k)', (K + 1, n, n); both averages over the runs.
+    occupancy: share of the runs in each mode, (K + 1, N).
+    """
+
+    energy: FloatArray
+    peak: FloatArray
+    final: FloatArray
+    mean: FloatArray
+    second: FloatArray
+    occupancy: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Task:
+    system: MJLS
+    start: FloatArray
+    initial: FloatArray
+    steps: int
+    seed: int
+    noise: bool
+    first: int
+    runs: int
+
+    def __call__(self, chunk: int) -> tuple[FloatArray, ...]:
+        A, B, C, D, transition = self.system.matrices
+        modes, n = A.shape[:2]
+        inside = inside_chunk(chunk, self.first, self.runs, CHUNK)
+        chain = DrawTable(self.seed, chunk * CHUNK, CHUNK, purpose=CHAIN, blocks=PAGE)
+        noise = DrawTable(self.seed, chunk * CHUNK, CHUNK, purpose=NOISE, blocks=PAGE)
+        edges = np.cumsum(transition, axis=1)[:, :-1].T  # (N - 1, N): the last target takes what is left
+        mode = (chain.row(0) >= np.cumsum(self.initial)[:-1, None]).sum(axis=0)
+        x = np.ascontiguousarray(self.start[mode].T)
+        energy, peak = np.zeros(CHUNK), np.zeros(CHUNK)
+        mean, second = np.empty((self.steps + 1, n)), np.empty((self.steps + 1, n, n))
+        occupancy = np.empty((self.steps + 1, modes))
+        q = B.shape[2]
+        for k in range(self.steps + 1):
+            used = x[:, inside]
+            mean[k], second[k] = used.sum(axis=1), _product(used, used.T)
+            occupancy[k] = np.bincount(mode[inside], minlength=modes)
+            if k == self.steps:
+                break
+            w = self._noise(noise, k, q) if self.noise else None
+            after, z = np.empty_like(x), np.empty((C.shape[1], CHUNK))
+            for i in range(modes):
+                at = np.flatnonzero(mode == i)
+                if not at.size:
+                    continue
+                here = x[:, at]
+                after[:, at], z[:, at] = _product(A[i], here), _product(C[i], here)
+                if w is not None:
+                    after[:, at] += _product(B[i], w[:, at])
+                    z[:, at] += _product(D[i], w[:, at])
+            square = (z * z).sum(axis=0)
+            energy += square
+            np.maximum(peak, square, out=peak)
+            x = after
+            mode = (chain.row(k + 1) >= edges[:, mode]).sum(axis=0)
+        return energy[inside], np.sqrt(peak[inside]), x[:, inside].T, mean, second, occupancy
+
+    def _noise(self, table: DrawTable, k: int, q: int) -> FloatArray:
+        from scipy.special import ndtri
+
+        return np.asarray(ndtri(np.stack([table.row(k * q + c) for c in range(q)])))
+
+
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a @ b, in tiles too small for a BLAS library to split among threads."""
+    width = max(1, BLAS_ONE_THREAD // max(a.shape[0] * a.shape[1], 1))
+    if b.shape[1] <= width:
+        return np.asarray(a @ b)
+    return np.concatenate([a @ b[:, at : at + width] for at in range(0, b.shape[1], width)], axis=1)
+
+
+def simulate_mjls(
+    system: MJLS,
+    runs: int,
+    steps: int,
+    *,
+    start: npt.ArrayLike,
+    initial: npt.ArrayLike | None = None,
+    noise: bool = False,
+    seed: int = 0,
+    first: int = 0,
+    ladder: Ladder = ONE_CORE,
+    progress: Callable[[int], None] = _nothing,
+) -> MarkovBatch:
+    """Simulate many runs of a jump-linear system, the same numbers for every split.
+
+    Args:
+        start: x(0), shape (n,), or per initial mode (N, n).
+        initial: distribution of theta_0, uniform if not given.
+        noise: w is white with covariance I; otherwise w = 0.
+        runs, first, seed: which runs.
+        steps: K.
+
+    Raises:
+        ValueError: an argument that cannot be (the message starts with its name).
+    """
+    if steps < 1:
+        raise ValueError(f"steps: {steps}, expected at least 1")
+    if seed < 0:
+        raise ValueError(f"seed: {seed} is negative")
+    x0 = np.asarray(start, dtype=float)
+    shape = (system.modes, system.order)
+    if x0.shape not in (shape, shape[1:]) or not np.isfinite(x0).all():
+        raise ValueError(f"start: expected finite numbers of shape {shape[1:]} or {shape}, got shape {x0.shape}")
+    task = _Task(
+        system=system,
+        start=np.broadcast_to(x0, shape),
+        initial=system.alpha(initial),
+        steps=steps,
+        seed=seed,
+        noise=noise,
+        first=first,
+        runs=runs,
+    )
+    chunks = chunk_numbers(first, runs, CHUNK)
+    parts = []
+    for done, part in enumerate(spread(task, chunks, ladder), 1):
+        parts.append(part)
+        progress(min(done * CHUNK, runs))
+    columns = list(zip(*parts, strict=True))
+    energy, peak, final = (np.concatenate(column) for column in columns[:3])
+    sums = []
+    for column in columns[3:]:
+        total = column[0].copy()
+        for part in column[1:]:  # in the order of the chunks: a sum of floats depends on its order
+            total += part
+        sums.append(total / runs)
+    return MarkovBatch(energy, peak, final, *sums)

@@ -1,0 +1,227 @@
+"""Monte Carlo of semi-Markov jump linear closed loops: exact between events, thousands of runs at once.
+
+    settling_times   T_s of (2.28) per run       mean_states   E x(t), E x(t)x(t)' on a grid       trajectories   for plots
+
+Every run has its own streams of random numbers (``design.monte_carlo.random_streams``), and the runs are computed in chunks that
+are always cut at the same places (``design.monte_carlo.parallel``), so the numbers do not depend on how the work is split.
+
+References: thesis Section 2.5 and (2.28); findings, Chapter 2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from design.monte_carlo.batched_flow import MatrixFlow
+from design.monte_carlo.jump_loop import JumpLoop, Segments, segments
+from design.monte_carlo.parallel import Ladder, chunk_numbers, inside_chunk, spread
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
+
+CHUNK = 1024
+"""Runs computed together. Part of the definition of the result's last bits: change it and they may change."""
+ONE_CORE = Ladder()
+
+
+def _nothing(done: int) -> None:
+    pass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Study:
+    """What one chunk needs to know; it travels to the workers."""
+
+    loop: JumpLoop
+    duration_s: float
+    dt_s: float
+    seed: int
+    band: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("duration_s", "dt_s"):
+            value = getattr(self, name)
+            if not math.isfinite(value) or value <= 0:
+                raise ValueError(f"{name}: {value!r} is not a finite positive time")
+        if abs(self.duration_s / self.dt_s - self.steps) > 1e-9 * self.steps or self.steps < 1:
+            raise ValueError(f"duration_s: {self.duration_s!r} is no multiple of dt_s = {self.dt_s!r}")
+        if self.seed < 0:
+            raise ValueError(f"seed: {self.seed} is negative")
+
+    @property
+    def steps(self) -> int:
+        return round(self.duration_s / self.dt_s)
+
+    def solve(self, chunk: int) -> tuple[MatrixFlow, Segments]:
+        first = chunk * CHUNK
+        matrices = self.loop.matrices(seed=self.seed, first=first, runs=CHUNK)
+        flow = MatrixFlow(matrices, dt_s=self.dt_s, longest_s=self.duration_s)
+        found, _ = segments(
+            self.loop, flow, duration_s=self.duration_s, dt_s=self.dt_s, seed=self.seed, first=first, runs=CHUNK
+        )
+        return flow, found
+
+    def settle(self, chunk: int) -> FloatArray:
+        """T_s of every run of a chunk, ``inf`` where the last grid point is outside the band."""
+        flow, found = self.solve(chunk)
+        limit = (self.band * float(np.linalg.norm(self.loop.start))) ** 2
+        size = (found.x * found.x).sum(axis=0)
+        has = found.points > 0
+        # A segment matters only if no later one begins outside the band, and if it can leave the band at all.
+        last_out = np.full(CHUNK, -1, dtype=np.intp)
+        outside = has & ~(size <= limit)
+        np.maximum.at(last_out, found.run[outside], found.grid[outside])
+        has &= found.grid >= last_out[found.run]
+        bound = flow.growth(found.which, found.points)
+        has &= ~(bound * bound * size * (1.0 + 1e-9) <= limit)
+        index = np.flatnonzero(has)
+        last = last_out.copy()
+        points = found.points[index]
+        for part, x in flow.grid(found.which[index], found.x[:, index], points):
+            norm = x[0] * x[0]
+            for row in x[1:]:
+                norm += row * row
+            count = np.arange(1, x.shape[1] + 1, dtype=np.int32)[:, None]
+            out = ~(norm <= limit) & (count <= points[part].astype(np.int32))
+            steps = (out * count).max(axis=0) - 1
+            left = steps >= 0
+            chosen = index[part[left]]
+            np.maximum.at(last, found.run[chosen], found.grid[chosen] + steps[left])
+        return np.where(last < self.steps, (last + 1) * self.dt_s, np.inf)
+
+    def states(self, chunk: int) -> FloatArray:
+        """x on the grid, shape (n, grid points, runs of the chunk)."""
+        flow, found = self.solve(chunk)
+        n = found.x.shape[0]
+        out = np.empty((n, CHUNK, self.steps + 1))
+        flat = out.reshape(n, -1)
+        origin = found.run * (self.steps + 1) + found.grid
+        for part, x in flow.grid(found.which, found.x, found.points):
+            step = np.arange(x.shape[1])
+            real = step < found.points[part][:, None]
+            at = (origin[part][:, None] + step)[real]
+            for row in range(n):
+                flat[row, at] = x[row].T[real]
+        return out
+
+
+def settling_times(
+    loop: JumpLoop,
+    runs: int,
+    *,
+    duration_s: float,
+    dt_s: float = 0.01,
+    band: float = 0.015,
+    seed: int = 0,
+    first: int = 0,
+    ladder: Ladder = ONE_CORE,
+    progress: Callable[[int], None] = _nothing,
+) -> FloatArray:
+    """Settling times (2.28): the first grid time from which on |x(t)|_2 <= band |x(0)|_2 up to the end.
+
+    The states are exact at every grid point. Segments that provably stay inside the band are not evaluated.
+
+    Args:
+        runs: how many, numbered from ``first``.
+        duration_s: length of a run (s), a multiple of the grid's dt_s (s).
+        progress: told how many runs are done.
+
+    Returns:
+        T_s (s), shape (runs,); ``inf`` where the last grid point is outside the band.
+
+    Raises:
+        ValueError: an argument that cannot be (the message starts with its name).
+    """
+    if not band > 0:
+        raise ValueError(f"band: {band!r} is not positive")
+    study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed, band=band)
+    chunks = chunk_numbers(first, runs, CHUNK)
+    parts: list[FloatArray] = []
+    done = 0
+    for chunk, part in zip(chunks, spread(study.settle, chunks, ladder)):
+        parts.append(part[inside_chunk(chunk, first, runs, CHUNK)])
+        done += parts[-1].size
+        progress(done)
+    return np.concatenate(parts)
+
+
+def trajectories(
+    loop: JumpLoop, runs: int, *, duration_s: float, dt_s: float = 0.01, seed: int = 0, first: int = 0
+) -> FloatArray:
+    """Exact states on the grid 0, dt_s, ..., duration_s: shape (runs, grid points, n)."""
+    study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed)
+    out = [
+        study.states(chunk)[:, inside_chunk(chunk, first, runs, CHUNK)].transpose(1, 2, 0)
+        for chunk in chunk_numbers(first, runs, CHUNK)
+    ]
+    return np.concatenate(out)
+
+
+class MeanStates(NamedTuple):
+    """Means over ``runs`` runs on the grid.
+
+    ``time_s`` (G,), ``mean`` E x (G, n), ``second`` E x x' (G, n, n), ``fourth`` E |x|^4 (G,).
+    """
+
+    time_s: FloatArray
+    mean: FloatArray
+    second: FloatArray
+    fourth: FloatArray
+    runs: int
+
+    @property
+    def square(self) -> FloatArray:
+        """E |x(t)|^2, shape (G,)."""
+        return np.asarray(np.trace(self.second, axis1=1, axis2=2))
+
+    @property
+    def square_error(self) -> FloatArray:
+        """Standard error of ``square``, shape (G,)."""
+        return np.asarray(np.sqrt(np.maximum(self.fourth - self.square**2, 0.0) / self.runs))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sums:
+    """Sums of a chunk's states and of their products over its runs that count."""
+
+    study: _Study
+    first: int
+    runs: int
+
+    def __call__(self, chunk: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x = self.study.states(chunk)[:, inside_chunk(chunk, self.first, self.runs, CHUNK)]
+        second = np.stack([[(a * b).sum(axis=0) for b in x] for a in x])
+        square = (x * x).sum(axis=0)
+        return x.sum(axis=1), second, (square * square).sum(axis=0)
+
+
+def mean_states(
+    loop: JumpLoop,
+    runs: int,
+    *,
+    duration_s: float,
+    dt_s: float = 0.01,
+    seed: int = 0,
+    first: int = 0,
+    ladder: Ladder = ONE_CORE,
+    progress: Callable[[int], None] = _nothing,
+) -> MeanStates:
+    """Average trajectory and second moments on the grid (Figure 2.4a); arguments as ``settling_times``."""
+    study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed)
+    chunks = chunk_numbers(first, runs, CHUNK)
+    sums = _Sums(study=study, first=first, runs=runs)
+    total: tuple[FloatArray, ...] | None = None
+    for done, part in enumerate(spread(sums, chunks, ladder), 1):
+        # Added in the order of the chunks: a sum of floats depends on its order.
+        total = part if total is None else tuple(a + b for a, b in zip(total, part, strict=True))
+        progress(min(done * CHUNK, runs))
+    assert total is not None
+    mean, second, fourth = (np.asarray(value / runs, dtype=np.float64) for value in total)
+    time_s = np.arange(study.steps + 1, dtype=np.float64) * dt_s
+    return MeanStates(time_s, mean.T, np.moveaxis(second, -1, 0), fourth, runs)

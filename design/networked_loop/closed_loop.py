@@ -1,0 +1,272 @@
+"""The networked closed loop as a jump-linear system, (7.14), for every information pattern.
+
+In the coordinates of deviations from the ideal plant response (7.8) the loop is
+
+    x(k+1) = A x(k) + B [u(k) + w(k)],   u(k) = v_{d_k}(k - d_k),   v_j(k) = K[t_k, row(k, j)] Y(k)
+
+where Y(k) is what the controller knows at tick k (the sample C x(k - tau_k), by choice also the one before it and the
+integral of the measured error) and v_j(k) is the row of the send-all packet of tick k that is applied if the packet
+is j ticks old. The information pattern is the row index:
+
+    constant   0                        one row, the C-A delay is not used
+    generated  d_k                      as printed, (7.9)-(7.13): d when the packet was generated
+    previous   d_{k-1}                  as in [53]
+    applied    j                        d when the row is applied
+    both       d_k * rows + j           both of them
+
+State: x, then the stored samples, (the integral), then the packet rows under way, newest first; for `applied` and
+`both` one register per row, as long as the row's delay. The loop is affine in the gains: A_i(K) = A_i0 + sum L K R.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers import Selection, row_count
+from design.jump_linear.mjls import MJLS
+from design.networked_loop.loop_shapes import check_gains, check_plant_shapes
+from design.networked_loop.packet_registers import packet_registers
+from design.networked_loop.performance_output import performance_output
+from design.processes.delay_chain import Array, DelayChain, Index, as_chain
+
+SELECTIONS: tuple[str, ...] = get_args(Selection)
+
+
+class _Entries(NamedTuple):
+    """One term L K[sc, row] R of one mode's matrix, per index e."""
+
+    mode: Index
+    sc: Index
+    row: Index
+    left: Array
+    right: Array
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStructure:
+    """Everything of the closed loop but the gains. Made by `loop_structure`.
+
+    Fields: `base` (N, n, n) matrices for zero gains; `B` (N, n, q); `C` (N, l, n); `transition` (N, N);
+    `sc_mode`, `ca_mode`, `ca_before` (N,) indices of each mode's chains (`ca_before` is -1 unless the pattern is
+    `previous`); `stored_outputs` samples lie behind x; `gain_shape` = (sc labels, rows, m, py);
+    `used` (sc labels, rows) tells which gains can matter.
+    """
+
+    base: Array
+    B: Array
+    C: Array
+    transition: Array
+    entries: _Entries
+    input_entries: _Entries
+    input_base: Array
+    gain_shape: tuple[int, int, int, int]
+    sc_mode: Index
+    ca_mode: Index
+    ca_before: Index
+    plant_order: int
+    stored_outputs: int
+    integral: bool
+    selection: str
+
+    @property
+    def used(self) -> npt.NDArray[np.bool_]:
+        """(sc labels, rows): gains that enter the loop; the others have no effect."""
+        mask = np.zeros(self.gain_shape[:2], dtype=bool)
+        mask[self.entries.sc, self.entries.row] = True
+        return mask
+
+    def matrices(self, gains: Array) -> Array:
+        """(N, n, n) closed-loop matrices for gains K of shape `gain_shape`."""
+        e = self.entries
+        A = self.base.copy()
+        np.add.at(A, e.mode, e.left @ gains[e.sc, e.row] @ e.right)
+        return A
+
+    def gain_gradient(self, gradient_A: Array) -> Array:
+        """Derivative with respect to the gains from the one with respect to the mode matrices."""
+        e = self.entries
+        gradient = np.zeros(self.gain_shape)
+        np.add.at(
+            gradient, (e.sc, e.row), e.left.transpose(0, 2, 1) @ gradient_A[e.mode] @ e.right.transpose(0, 2, 1)
+        )
+        return gradient
+
+    def applied_input(self, gains: Array) -> Array:
+        """(N, m, n) matrices U_i with u(k) = U_i X(k), the (deviation of the) input that acts on the plant."""
+        e = self.input_entries
+        U = self.input_base.copy()
+        np.add.at(U, e.mode, gains[e.sc, e.row] @ e.right)
+        return U
+
+    def system(self, gains: npt.ArrayLike) -> MJLS:
+        """The closed loop for the given gains."""
+        A = self.matrices(check_gains(gains, self.gain_shape))
+        return MJLS(A=A, B=self.B, C=self.C, transition=self.transition)
+
+
+def loop_structure(
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    sc: DelayChain | npt.ArrayLike,
+    ca: DelayChain | npt.ArrayLike,
+    selection: Selection | str = "generated",
+    *,
+    Q: npt.ArrayLike | None = None,
+    R: npt.ArrayLike | None = None,
+    output: Literal["stacked", "sum"] = "stacked",
+    samples: int = 1,
+    integral: float = 0.0,
+    store: Literal["output", "state"] = "output",
+    weigh: Literal["row", "applied"] | None = None,
+) -> LoopStructure:
+    """Augment plant, network and information pattern to the jump-linear loop (7.14).
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n) discrete plant (7.1).
+        sc, ca: S-C and C-A delay chains, or their transition matrices Lambda and Pi.
+        selection: information pattern, see the module.
+        Q: (l, n) weight of the state; default C.
+        R: weight of u1(k-1), (l', m), a vector (one row), or a number (times the identity); default: the row
+            0.01 .. 0.01 of Section 7.4.
+        output: "stacked" is z = [Q x; R u1], "sum" is z = Q x + R u1 as printed (the two may cancel).
+        samples: 1, or 2 for packets that carry the sample before too: Y = [y(k - tau); y(k - tau - 1)].
+        integral: > 0 adds the integral of the measured error, xi(k+1) = xi(k) + C x(k - tau_k), at the controller: Y
+            gets xi(k) as its last p entries, and z gets `integral` * xi(k) (stacked).
+        store: "output" delays C x, "state" delays x as printed: same loop, more states.
+        weigh: what R weighs: the newest stored "row", u1(k-1) as printed, or the input "applied" in the last sample
+            (m more states). Default: the row where the controller knows which will be applied; the applied input where
+            the actuator chooses, for there only the rows for d > 0 are stored and R would not see the others.
+
+    Raises:
+        ValueError: wrong shapes; the message starts with the argument's name.
+    """
+    A_, B_, C_ = check_plant_shapes(A, B, C)
+    n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
+    sc_chain, ca_chain = as_chain(sc, "Lambda"), as_chain(ca, "Pi")
+    if samples not in (1, 2):
+        raise ValueError(f"samples: {samples}, expected 1 or 2")
+    if integral < 0 or not np.isfinite(integral):
+        raise ValueError(f"integral: {integral:g}, expected a finite weight >= 0")
+    labels = int(ca_chain.label.max()) + 1
+    if selection not in SELECTIONS:
+        raise ValueError(f"selection: {selection!r}, expected one of {', '.join(SELECTIONS)}")
+    rows = row_count(selection, labels - 1)
+    taken = C_ if store == "output" else np.eye(n)
+    width = taken.shape[0]
+    depth = sc_chain.max_delay + samples - 1
+
+    # where things lie in the state: x | samples k-1.. | xi | registers
+    xi = n + depth * width
+    start = xi + (p if integral > 0 else 0)
+    registers = packet_registers(selection, ca_chain, start, m)
+    weigh = weigh or ("applied" if selection in ("applied", "both") else "row")
+    last_input = start + sum(length for _, length in registers) * m
+    order = last_input + (m if weigh == "applied" else 0)
+
+    shift = np.zeros((order, order))
+    shift[:n, :n] = A_
+    if depth:
+        shift[n : n + width, :n] = taken
+        shift[n + width : xi, n : xi - width] = np.eye((depth - 1) * width)
+    for first, length in registers:
+        tail = (length - 1) * m
+        shift[first + m : first + m + tail, first : first + tail] = np.eye(tail)
+
+    def sample(age: int) -> Array:
+        """C x(k - age) as a function of the state."""
+        reader = np.zeros((p, order))
+        if age == 0:
+            reader[:, :n] = C_
+        else:
+            at = n + (age - 1) * width
+            reader[:, at : at + width] = np.eye(p) if store == "output" else C_
+        return reader
+
+    modes, transition = _modes(sc_chain, ca_chain, with_previous=selection == "previous")
+    N = len(modes)
+    base = np.repeat(shift[None], N, axis=0)
+    input_base = np.zeros((N, m, order))
+    entries: list[tuple[int, int, int, Array, Array]] = []
+    inputs: list[tuple[int, int, int, Array, Array]] = []
+    into_plant = np.zeros((order, m))
+    into_plant[:n] = B_
+    into_plant[last_input:] = np.eye(order - last_input, m)
+    for i, (s, c, before) in enumerate(modes):
+        tau, d, label = int(sc_chain.delay[s]), int(ca_chain.delay[c]), int(ca_chain.label[c])
+        known = [sample(tau + lag) for lag in range(samples)]
+        if integral > 0:
+            reader = np.zeros((p, order))
+            reader[:, xi : xi + p] = np.eye(p)
+            base[i, xi : xi + p] += sample(tau) + reader
+            known.append(reader)
+        Y = np.concatenate(known)
+        generated = {"generated": label, "previous": int(ca_chain.label[before]), "both": label * labels}
+        offset = generated.get(selection, 0)
+        per_row = selection in ("applied", "both")
+        # rows that go into a register: one per label if the actuator chooses, else the only one
+        for slot, (first, _) in enumerate(registers):
+            store_at = np.zeros((order, m))
+            store_at[first : first + m] = np.eye(m)
+            choice = registers.labels[slot] if per_row else 0
+            entries.append((i, int(sc_chain.label[s]), offset + choice, store_at, Y))
+        if d == 0:
+            term = (i, int(sc_chain.label[s]), offset + (label if per_row else 0), into_plant, Y)
+            entries.append(term)
+            inputs.append(term)
+        else:
+            first = registers.first_of(label if per_row else 0) + (d - 1) * m
+            input_base[i, :, first : first + m] = np.eye(m)
+            base[i, :, first : first + m] += into_plant
+    input_at = registers[0][0] if weigh == "row" else last_input
+    weight = performance_output(
+        C_, m, order, Q=Q, R=R, output=output, input_at=input_at, integral=integral, integral_at=xi
+    )
+    drive = np.zeros((order, m))
+    drive[:n] = B_
+    known_size = p * (samples + (1 if integral > 0 else 0))
+    sc_labels = int(sc_chain.label.max()) + 1
+    index = np.array(modes, dtype=np.int64)
+    return LoopStructure(
+        base=base,
+        B=np.repeat(drive[None], N, axis=0),
+        C=np.repeat(weight[None], N, axis=0),
+        transition=transition,
+        entries=_pack(entries),
+        input_entries=_pack(inputs),
+        input_base=input_base,
+        gain_shape=(sc_labels, rows, m, known_size),
+        sc_mode=index[:, 0],
+        ca_mode=index[:, 1],
+        ca_before=index[:, 2],
+        plant_order=n,
+        stored_outputs=depth,
+        integral=integral > 0,
+        selection=selection,
+    )
+
+
+def _modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool) -> tuple[list[tuple[int, int, int]], Array]:
+    transition = np.asarray(np.kron(sc.matrix, ca.matrix), dtype=np.float64)
+    pairs = [(s, c) for s in range(sc.modes) for c in range(ca.modes)]
+    if not with_previous:
+        return [(s, c, -1) for s, c in pairs], transition
+    modes = [(s, c, b) for s, c in pairs for b in range(ca.modes) if ca.matrix[b, c] > 0]
+    index = {pair: i for i, pair in enumerate(pairs)}
+    full = np.zeros((len(modes), len(modes)))
+    for i, (s, c, _) in enumerate(modes):
+        for j, (s2, c2, b2) in enumerate(modes):
+            if b2 == c:
+                full[i, j] = transition[index[s, c], index[s2, c2]]
+    return modes, full
+
+
+def _pack(entries: list[tuple[int, int, int, Array, Array]]) -> _Entries:
+    if not entries:
+        raise ValueError("Pi: every packet must have a way to the actuator")
+    mode, sc, row, left, right = zip(*entries, strict=True)
+    return _Entries(np.array(mode), np.array(sc), np.array(row), np.stack(left), np.stack(right))

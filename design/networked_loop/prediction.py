@@ -1,0 +1,253 @@
+"""Mean and spread of the tracking error of any experiment, exactly, transients included.
+
+In coordinates of deviation from the ideal response (7.8) the loop is X(k+1) = A_i X(k) + B w(k), its reference steps
+are jumps of X, and everything random is the mode. With xi = [X; 1] and eta = the coordinates of xi xi',
+
+    eta(k+1) = W_i eta(k),      s(k+1) = s(k) + T |e(k)|^2      (linear in eta)
+
+is a jump-linear system again, so one second-moment recursion of [eta; s] gives, at every tick, the mean of the error
+(through the 1), its variance, mean and variance of its square, and mean and variance of the sums of Table 7.2.
+
+Before the first sample has come the controller answers zeros, and before the first packet the input is 0; the rows of
+packets under way when the reference steps were computed for the old one. All of this is in the recursion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers import Selection
+from design.jump_linear.second_moment import congruence_matrices, forward, to_matrix, to_vector
+from design.networked_loop.closed_loop import LoopStructure, loop_structure
+from design.networked_loop.loop_shapes import check_gains
+from design.networked_loop.steady_state import steady_state
+from design.processes.delay_chain import Array, DelayChain, as_chain
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """Exact moments of the tracking error e = y - target at ticks k = 0..K-1 over the randomness of the network.
+
+    Args:
+        error_mean, error_sd: (K, p) in output units.
+        square_mean, square_sd: (K,) of |e(k)|^2.
+        sum_mean, sum_sd: (sums,) of T sum |e(k)|^2 from each start tick on, output units squared times s.
+    """
+
+    error_mean: Array
+    error_sd: Array
+    square_mean: Array
+    square_sd: Array
+    sum_mean: Array
+    sum_sd: Array
+
+
+def predict_tracking(
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    Lambda: DelayChain | npt.ArrayLike,
+    Pi: DelayChain | npt.ArrayLike,
+    gains: npt.ArrayLike,
+    selection: Selection | str,
+    reference: npt.ArrayLike,
+    *,
+    period_s: float,
+    target: npt.ArrayLike | None = None,
+    disturbance: npt.ArrayLike | None = None,
+    initial: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    x0: npt.ArrayLike | None = None,
+    samples: int = 1,
+    integral: bool = False,
+    sums_from: tuple[int, ...] = (0,),
+) -> Prediction:
+    """Predict the tracking error of an experiment.
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n) discrete plant.
+        Lambda, Pi: S-C and C-A transition matrices or delay chains.
+        gains, selection: the loop's gains and row rule.
+        reference: (K,) or (K, p), r(k).
+        period_s: sample period T, s.
+        target: (K,) or (K, p), what y is compared with; default the reference. Tables 7.1 and 7.2 count the error to the
+            step's value from t = 0 on.
+        disturbance: (K,) or (K, m) input disturbance w(k); default none.
+        initial: distributions of the S-C and C-A mode at k = 0; default stationary.
+        x0: (n,) plant state at k = 0; default 0.
+        samples, integral: as the gains were designed.
+        sums_from: start ticks of the sums.
+
+    Raises:
+        ValueError: wrong shapes.
+        DesignError: a reference that no input holds.
+    """
+    from threadpoolctl import threadpool_limits
+
+    sc, ca = as_chain(Lambda, "Lambda"), as_chain(Pi, "Pi")
+    structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=1.0 if integral else 0.0)
+    K = check_gains(gains, structure.gain_shape)
+    n, p, m = structure.plant_order, np.shape(C)[0], structure.B.shape[2]
+    r = _signal(reference, p, "reference", None)
+    aim = r if target is None else _signal(target, p, "target", len(r))
+    w = _signal(np.zeros((len(r), m)) if disturbance is None else disturbance, m, "disturbance", len(r))
+    star = steady_state(A, B, C) if r.any() else None
+    walk = _Recursion(structure, K, sc, period_s, np.asarray(C, dtype=np.float64), sums_from)
+
+    def ideal(value: Array) -> Array:
+        """Steady closed-loop state at a constant reference."""
+        if star is None:
+            return np.zeros(structure.base.shape[-1])
+        inputs = (structure.base.shape[-1] - n - structure.stored_outputs * p - (p if structure.integral else 0)) // m
+        return np.concatenate([
+            star.state @ value, np.tile(value, structure.stored_outputs), np.zeros(p if structure.integral else 0),
+            np.tile(star.input @ value, inputs),
+        ])  # fmt: skip
+
+    start = -ideal(r[0])
+    if x0 is not None:
+        start[:n] += np.asarray(x0, dtype=np.float64)
+    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+        walk.begin(start, _initial_modes(structure, sc, ca, initial))
+        rows = []
+        for k in range(len(r)):
+            if k and (r[k] != r[k - 1]).any():
+                walk.jump(ideal(r[k - 1]) - ideal(r[k]))
+            walk.aim(r[k] - aim[k])
+            rows.append(walk.read())
+            hold = np.zeros(m) if star is None else star.input @ r[k]
+            walk.step(k, w[k], hold)
+        sums = walk.sums()
+    mean, second, square, fourth = (np.array(column) for column in zip(*rows, strict=True))
+    return Prediction(
+        error_mean=mean,
+        error_sd=np.sqrt(np.maximum(second - mean**2, 0.0)),
+        square_mean=square,
+        square_sd=np.sqrt(np.maximum(fourth - square**2, 0.0)),
+        sum_mean=sums[0],
+        sum_sd=np.sqrt(np.maximum(sums[1] - sums[0] ** 2, 0.0)),
+    )
+
+
+class _Recursion:
+    """Second moments of [eta; s], mode by mode."""
+
+    def __init__(
+        self, structure: LoopStructure, gains: Array, sc: DelayChain, period_s: float, C: Array, sums_from: tuple[int, ...]
+    ) -> None:
+        self.structure, self.gains, self.sums_from = structure, gains, sums_from
+        self.tau = sc.delay[structure.sc_mode]
+        self.d = structure.base.shape[-1] + 1
+        self.size = self.d * (self.d + 1) // 2
+        self.period_s, self.p = period_s, C.shape[0]
+        self.G = np.zeros((self.p, self.d))
+        self.G[:, : C.shape[1]] = C
+        self.aim(np.zeros(self.p))
+        self.closed = structure.matrices(gains)
+        self._lifted: dict[tuple[object, ...], Array] = {}
+        self.M = np.empty(0)
+
+    def aim(self, offset: Array) -> None:
+        """e = C x^ + offset, offset = r - target."""
+        self.G[:, -1] = offset
+        self.square = to_vector(self.G.T @ self.G)
+
+    def begin(self, X: Array, weights: Array) -> None:
+        """Start at a known state, with the mode's distribution."""
+        lifted = np.zeros(self.size + len(self.sums_from))
+        xi = np.append(X, 1.0)
+        lifted[: self.size] = to_vector(np.outer(xi, xi))
+        self.M = weights[:, None, None] * np.outer(lifted, lifted)
+
+    def jump(self, shift: Array) -> None:
+        """X <- X + shift: the reference steps."""
+        matrix = np.eye(self.d)
+        matrix[:-1, -1] = shift
+        W = self._complete(congruence_matrices(matrix.T[None]), np.zeros(len(self.sums_from)))
+        self.M = W @ self.M @ W.transpose(0, 2, 1)
+
+    def step(self, k: int, w: Array, hold: Array) -> None:
+        """One tick under the disturbance w; `hold` is u*, from which the silent first packets deviate."""
+        silent = bool((self.tau > k).any())
+        counted = tuple(k >= first for first in self.sums_from)
+        key = (k if silent else -1, w.tobytes(), hold.tobytes() if silent else b"", counted, self.G[:, -1].tobytes())
+        if key not in self._lifted:
+            affine = np.zeros((self.closed.shape[0], self.d, self.d))
+            affine[:, :-1, :-1] = self.closed
+            affine[:, -1, -1] = 1.0
+            affine[:, :-1, -1] = self.structure.B @ w
+            if silent:
+                self._silence(affine, self.tau > k, hold)
+            weights = self.period_s * np.array(counted, dtype=np.float64)
+            self._lifted[key] = self._complete(congruence_matrices(affine.transpose(0, 2, 1)), weights)
+        self.M = forward(self._lifted[key], self.structure.transition, self.M)
+
+    def _silence(self, affine: Array, quiet: npt.NDArray[np.bool_], hold: Array) -> None:
+        """No sample has come yet: rows are 0, u* below the ideal, and no error is added to the integral."""
+        s, e = self.structure, self.structure.entries
+        for index in np.flatnonzero(quiet[e.mode]):
+            mode = e.mode[index]
+            affine[mode, :-1, :-1] -= e.left[index] @ self.gains[e.sc[index], e.row[index]] @ e.right[index]
+            affine[mode, :-1, -1] -= e.left[index] @ hold
+        if s.integral:
+            at = s.plant_order + s.stored_outputs * self.p
+            for mode in np.flatnonzero(quiet):
+                affine[mode, at : at + self.p, :-1] = 0.0
+                affine[mode, at : at + self.p, at : at + self.p] = np.eye(self.p)
+
+    def _complete(self, W: Array, weights: Array) -> Array:
+        full = np.zeros((W.shape[0], self.size + weights.size, self.size + weights.size))
+        full[:, : self.size, : self.size] = W
+        full[:, self.size :, : self.size] = weights[:, None] * self.square
+        full[:, self.size :, self.size :] = np.eye(weights.size)
+        return full
+
+    def read(self) -> tuple[Array, Array, float, float]:
+        """E e, E e^2 per output, E |e|^2, E |e|^4 at this tick."""
+        M = self.M.sum(axis=0)
+        moment = to_matrix(M[: self.size, self.size - 1], self.d)  # the last coordinate of eta is 1 * 1
+        return (
+            self.G @ moment[:, -1],
+            np.einsum("ca,ab,cb->c", self.G, moment, self.G),
+            float(self.square @ M[: self.size, self.size - 1]),
+            float(self.square @ M[: self.size, : self.size] @ self.square),
+        )
+
+    def sums(self) -> tuple[Array, Array]:
+        """E s and E s^2 of every sum."""
+        M = self.M.sum(axis=0)
+        return M[self.size :, self.size - 1].copy(), np.diagonal(M)[self.size :].copy()
+
+
+def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) -> Array:
+    array = np.asarray(values, dtype=np.float64)
+    array = array[:, None] if array.ndim == 1 else array
+    if array.ndim != 2 or array.shape[1] != width or (length is not None and len(array) != length):
+        raise ValueError(f"{name}: shape {array.shape}, expected ({length or 'K'}, {width})")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: not finite")
+    return array
+
+
+def _initial_modes(
+    structure: LoopStructure, sc: DelayChain, ca: DelayChain, initial: tuple[npt.ArrayLike, npt.ArrayLike] | None
+) -> Array:
+    """Distribution of the joint mode at k = 0; the C-A delay of the tick before counts as that of the first one."""
+    laws = [sc.stationary, ca.stationary] if initial is None else [np.asarray(v, dtype=np.float64) for v in initial]
+    for name, law, chain in zip(("initial[0]", "initial[1]"), laws, (sc, ca), strict=True):
+        if law.shape != (chain.modes,) or (law < 0).any() or abs(law.sum() - 1.0) > 1e-9:
+            raise ValueError(f"{name}: expected {chain.modes} probabilities that sum to 1")
+    weights = laws[0][structure.sc_mode] * laws[1][structure.ca_mode]
+    if structure.selection != "previous":
+        return np.asarray(weights)
+    # of the modes that differ in the tick before only, one carries the weight
+    for s in range(sc.modes):
+        for c in range(ca.modes):
+            same = np.flatnonzero((structure.sc_mode == s) & (structure.ca_mode == c))
+            chosen = same[np.argmin(np.abs(structure.ca_before[same] - c))]
+            total = weights[chosen]
+            weights[same] = 0.0
+            weights[chosen] = total
+    return np.asarray(weights)

@@ -1,0 +1,167 @@
+"""Norm-bounded plant uncertainty of Remark 7.6: how much a networked loop bears, and what it guarantees under it.
+
+    x(k+1) = (A + dA) x + (B + dB) (u + w),    [dA dB] = M Delta(k) [N1 N2],    |Delta(k)| <= 1
+
+Delta closes a loop from q = N1 x + N2 (u + w) to x(k+1) through M. It may change with time and depend on the past, so
+the small-gain condition in the H-infinity norm of that channel is what counts, and for every multiplier lambda > 0
+
+    P_i >= A_i' E_i(P) A_i + C'C + lambda N_i'N_i + (..)' (lambda I - M' E_i(P) M)^-1 (..)
+
+bounds the H2 norm over all such Delta. The bounds are sound for every Delta; the multiplier is found by a line search.
+
+Remark 7.6 overlooks one thing: in coordinates of deviation, dA x* + dB u* is an input that does not fade. The bounds
+here are for the disturbance response, not for the offset that a wrong model leaves (only integral action removes it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+from design.errors import Infeasible
+from design.jump_linear.bounded_real import hinf_norm, solve_bounded_real
+from design.jump_linear.mjls import MJLS
+from design.jump_linear.second_moment import expect
+from design.networked_loop.closed_loop import LoopStructure
+from design.networked_loop.loop_shapes import check_gains
+from design.processes.delay_chain import Array
+
+
+class RobustNorms(NamedTuple):
+    """Guaranteed norms under all |Delta| <= 1, with the multipliers that prove them."""
+
+    h2: float
+    h2_multiplier: float
+    hinf: float
+    hinf_multiplier: float
+
+
+class _Channel(NamedTuple):
+    A: Array
+    B: Array
+    C: Array
+    transition: Array
+    M: Array  # (N, n, a): where Delta's output enters
+    of_state: Array  # (N, b, n): q as a function of the state
+    of_disturbance: Array  # (N, b, m): and of w
+
+
+def uncertainty_margin(
+    structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike
+) -> float:
+    """Largest rho for which the small-gain theorem keeps the loop mean-square stable for all |Delta| <= rho.
+
+    Args:
+        structure, gains: the loop.
+        M: (n, a).
+        N1: (b, n).
+        N2: (b, m).
+    """
+    c = _channel(structure, gains, M, N1, N2)
+    norm = hinf_norm(MJLS(A=c.A, B=c.M, C=c.of_state, transition=c.transition))
+    return float("inf") if norm == 0.0 else 1.0 / norm
+
+
+def robust_norms(
+    structure: LoopStructure,
+    gains: npt.ArrayLike,
+    M: npt.ArrayLike,
+    N1: npt.ArrayLike,
+    N2: npt.ArrayLike,
+    initial: npt.ArrayLike | None = None,
+) -> RobustNorms:
+    """H2 and H-infinity norms that hold for every |Delta(k)| <= 1.
+
+    Raises:
+        Infeasible: the loop does not bear |Delta| <= 1; `value` is the margin, below 1.
+    """
+    margin = uncertainty_margin(structure, gains, M, N1, N2)
+    if margin <= 1.0:
+        raise Infeasible(f"uncertainty: the loop bears |Delta| up to {margin:.6g}, expected more than 1", value=margin)
+    c = _channel(structure, gains, M, N1, N2)
+    alpha = MJLS(A=c.A, B=c.B, C=c.C, transition=c.transition).alpha(initial)
+    centre = float(np.log10(np.abs(c.C).max() ** 2 / max(np.abs(c.of_state).max() ** 2, 1e-300)))
+    grid = centre + np.arange(-8.0, 12.5, 0.5)
+    h2 = _search(grid, lambda exponent: _h2_bound(c, alpha, 10.0**exponent))
+    hinf = _search(grid, lambda exponent: _hinf_bound(c, 10.0**exponent))
+    return RobustNorms(float(np.sqrt(h2[1])), h2[0], hinf[1], hinf[0])
+
+
+def _channel(
+    structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike
+) -> _Channel:
+    K = check_gains(gains, structure.gain_shape)
+    n, m = structure.plant_order, structure.B.shape[2]
+    M_, N1_, N2_ = (np.atleast_2d(np.asarray(v, dtype=np.float64)) for v in (M, N1, N2))
+    for name, value, axis, size in (("M", M_, 0, n), ("N1", N1_, 1, n), ("N2", N2_, 1, m)):
+        if value.shape[axis] != size or not np.isfinite(value).all():
+            raise ValueError(f"{name}: shape {value.shape}, expected {size} {'rows' if axis == 0 else 'columns'}")
+    if N1_.shape[0] != N2_.shape[0]:
+        raise ValueError(f"N2: {N2_.shape[0]} rows, expected {N1_.shape[0]} as N1 has")
+    modes, order = structure.base.shape[:2]
+    enter = np.zeros((modes, order, M_.shape[1]))
+    enter[:, :n] = M_
+    of_state = N2_ @ structure.applied_input(K)
+    of_state[:, :, :n] += N1_
+    of_disturbance = np.repeat(N2_[None], modes, axis=0)
+    return _Channel(structure.matrices(K), structure.B, structure.C, structure.transition, enter, of_state, of_disturbance)
+
+
+def _h2_bound(c: _Channel, alpha: Array, multiplier: float) -> float:
+    """Guaranteed squared H2 norm for one multiplier, inf if there is none."""
+    root = float(np.sqrt(multiplier))
+    zero = np.zeros((c.A.shape[0], c.C.shape[1] + c.of_state.shape[1], c.M.shape[2]))
+    output = np.concatenate([c.C, root * c.of_state], axis=1)
+    policy = solve_bounded_real((c.A, c.M / root, output, zero, c.transition), 1.0)
+    if policy is None:
+        return np.inf
+    E = expect(c.transition, policy.P)
+    EM = E @ c.M
+    rest = multiplier * np.eye(c.M.shape[2]) - c.M.transpose(0, 2, 1) @ EM
+    BEM = c.B.transpose(0, 2, 1) @ EM
+    energy = (
+        c.B.transpose(0, 2, 1) @ E @ c.B
+        + multiplier * c.of_disturbance.transpose(0, 2, 1) @ c.of_disturbance
+        + BEM @ np.linalg.solve(rest, BEM.transpose(0, 2, 1))
+    )
+    return float(np.einsum("i,ijj->", alpha, energy))
+
+
+def _hinf_bound(c: _Channel, multiplier: float) -> float:
+    """Smallest gamma with |z|^2 - gamma^2 |w|^2 + multiplier (|q|^2 - |p|^2) < 0 along all trajectories."""
+    root = float(np.sqrt(multiplier))
+    output = np.concatenate([c.C, root * c.of_state], axis=1)
+    direct = np.zeros((c.A.shape[0], output.shape[1], c.B.shape[2] + c.M.shape[2]))
+    direct[:, c.C.shape[1] :, : c.B.shape[2]] = root * c.of_disturbance
+
+    def feasible(gamma: float) -> bool:
+        enter = np.concatenate([c.B, c.M * gamma / root], axis=2)
+        return solve_bounded_real((c.A, enter, output, direct, c.transition), gamma**2) is not None
+
+    low, high = 0.0, float(np.abs(c.C).max())
+    for _ in range(60):
+        if feasible(high):
+            break
+        low, high = high, 2.0 * high
+    else:
+        return np.inf
+    while high - low > 1e-7 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if feasible(middle) else (middle, high)
+    return high
+
+
+def _search(grid: Array, bound: Callable[[float], float]) -> tuple[float, float]:
+    """(multiplier, bound) at the smallest bound: a grid over decades, then a line search about its best point."""
+    values = [bound(float(x)) for x in grid]
+    best = int(np.argmin(values))
+    if not np.isfinite(values[best]):
+        raise Infeasible("uncertainty: no multiplier proves a bound", value=float(values[best]))
+    step = float(grid[1] - grid[0])
+    found = minimize_scalar(bound, bounds=(grid[best] - step, grid[best] + step), method="bounded", options={"xatol": 1e-4})
+    exponent, value = (float(found.x), float(found.fun)) if found.fun < values[best] else (float(grid[best]), values[best])
+    return 10.0**exponent, float(value)

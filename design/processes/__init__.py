@@ -1,0 +1,1 @@
+"""Random processes: rates, lifetimes, semi-Markov processes, delay chains."""

@@ -1,0 +1,168 @@
+"""Failure rates of redundant and ageing components: the rates that Chapter 4 starts from (Figures 4.1, 4.2).
+
+A component with a constant failure rate c has an exponential lifetime; a system of several such components has not.
+Every class here is a ``design.processes.rates.Rate``; ``reliability(h)`` is the probability that the system still works, and the
+density of Figure 4.1 is reliability times rate.
+
+Reference: thesis Section 4.1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from design.processes.rates import FloatArray, check_positive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BathtubRate:
+    """Infant mortality, useful life, wear: infant e^(-h/infant_time_s) + useful + wear clip(h - start, 0, span).
+
+    Args:
+        infant, useful: rates (1/s); infant_time_s: time constant of the infant part (s).
+        wear: slope (1/s^2) of the wear part, which starts at wear_start_s and has saturated wear_span_s later.
+    """
+
+    infant: float
+    infant_time_s: float
+    useful: float
+    wear: float
+    wear_start_s: float
+    wear_span_s: float
+
+    def __post_init__(self) -> None:
+        for name in ("infant", "useful", "wear", "wear_start_s"):
+            check_positive(name, getattr(self, name), zero=True)
+        check_positive("infant_time_s", self.infant_time_s)
+        check_positive("wear_span_s", self.wear_span_s)
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return tuple(sorted({self.wear_start_s, self.wear_start_s + self.wear_span_s} - {0.0}))
+
+    @property
+    def settled(self) -> float:
+        return math.inf
+
+    def __call__(self, h: npt.ArrayLike) -> FloatArray:
+        h = np.asarray(h, dtype=float)
+        worn = np.clip(h - self.wear_start_s, 0.0, self.wear_span_s)
+        return np.asarray(self.infant * np.exp(-h / self.infant_time_s) + self.useful + self.wear * worn)
+
+    def integral(self, h: npt.ArrayLike) -> FloatArray:
+        h = np.asarray(h, dtype=float)
+        worn = np.clip(h - self.wear_start_s, 0.0, self.wear_span_s)
+        after = np.maximum(h - self.wear_start_s - self.wear_span_s, 0.0)
+        infant = -self.infant * self.infant_time_s * np.expm1(-h / self.infant_time_s)
+        wear = self.wear * (0.5 * worn * worn + self.wear_span_s * after)
+        return np.asarray(infant + self.useful * h + wear)
+
+    def bounds(self, start: float, stop: float) -> tuple[float, float]:
+        points = [start, stop, *(b for b in self.breaks if start < b < stop)]
+        if self.infant > 0 and self.wear > 0:  # the slope vanishes where infant/infant_time e^(-h/infant_time) = wear
+            valley = self.infant_time_s * math.log(self.infant / (self.infant_time_s * self.wear))
+            if max(start, self.wear_start_s) < valley < min(stop, self.wear_start_s + self.wear_span_s):
+                points.append(valley)
+        values = self(points)
+        return float(values.min()), float(values.max())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KOutOfNRate:
+    """Hazard of n active components of which k must work, each failing at a constant rate (Figures 4.1, 4.2).
+
+    With p = e^(-rate h): R = sum_{j>=k} C(n,j) p^j (1-p)^(n-j), f = k C(n,k) rate p^k (1-p)^(n-k), lambda = f/R, which
+    grows from 0 (n > k) to k rate.
+    """
+
+    needed: int
+    installed: int
+    rate: float
+
+    def __post_init__(self) -> None:
+        check_positive("rate", self.rate)
+        if not 1 <= self.needed <= self.installed:
+            raise ValueError(f"needed: {self.needed} of {self.installed} components is not between 1 and all")
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return ()
+
+    @property
+    def settled(self) -> float:
+        return 0.0 if self.needed == self.installed else math.inf
+
+    def reliability(self, h: npt.ArrayLike) -> FloatArray:
+        """R(h): probability that the system still works."""
+        p = np.exp(-self.rate * np.asarray(h, dtype=float))
+        return np.asarray(special.betainc(self.needed, self.installed - self.needed + 1, p))
+
+    def _ratio(self, p: FloatArray) -> FloatArray:
+        # R / p^k, so that numerator and denominator of the hazard keep their digits when p underflows.
+        k, n = self.needed, self.installed
+        return np.asarray(sum(math.comb(n, j) * p ** (j - k) * (1 - p) ** (n - j) for j in range(k, n + 1)))
+
+    def __call__(self, h: npt.ArrayLike) -> FloatArray:
+        p = np.exp(-self.rate * np.asarray(h, dtype=float))
+        ratio = self._ratio(p)
+        density = self.needed * math.comb(self.installed, self.needed) * (1 - p) ** (self.installed - self.needed)
+        return np.asarray(self.rate * density / ratio)
+
+    def integral(self, h: npt.ArrayLike) -> FloatArray:
+        h = np.asarray(h, dtype=float)
+        p = np.exp(-self.rate * h)
+        return np.asarray(self.needed * self.rate * h - np.log(self._ratio(p)))
+
+    def bounds(self, start: float, stop: float) -> tuple[float, float]:
+        return float(self(start)), float(self(stop))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColdStandbyRate:
+    """Hazard of a component with n - 1 cold spares, an Erlang lifetime (Figures 4.1, 4.2).
+
+    With a = rate h: lambda = rate (a^(n-1)/(n-1)!) / sum_{j<n} a^j/j!, which grows from 0 (n > 1) to rate.
+    """
+
+    installed: int
+    rate: float
+
+    def __post_init__(self) -> None:
+        check_positive("rate", self.rate)
+        if self.installed < 1:
+            raise ValueError(f"installed: {self.installed} components, expected at least 1")
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return ()
+
+    @property
+    def settled(self) -> float:
+        return 0.0 if self.installed == 1 else math.inf
+
+    def reliability(self, h: npt.ArrayLike) -> FloatArray:
+        """R(h): probability that the system still works."""
+        return np.asarray(special.gammaincc(self.installed, self.rate * np.asarray(h, dtype=float)))
+
+    def _terms(self, h: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        # Each term relative to the largest power: stable for long times.
+        a = self.rate * np.asarray(h, dtype=float)
+        orders = np.arange(self.installed)
+        log_terms = special.xlogy(orders, a[..., None]) - special.gammaln(orders + 1)
+        return special.logsumexp(log_terms, axis=-1), log_terms[..., -1]
+
+    def __call__(self, h: npt.ArrayLike) -> FloatArray:
+        h = np.asarray(h, dtype=float)
+        total, last = self._terms(np.where(np.isinf(h), 0.0, h))
+        return np.asarray(np.where(np.isinf(h), self.rate, self.rate * np.exp(last - total)))
+
+    def integral(self, h: npt.ArrayLike) -> FloatArray:
+        return np.asarray(self.rate * np.asarray(h, dtype=float) - self._terms(h)[0])
+
+    def bounds(self, start: float, stop: float) -> tuple[float, float]:
+        return float(self(start)), float(self(stop))

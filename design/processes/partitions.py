@@ -1,0 +1,118 @@
+"""Partitions of the sojourn time into sections, one scheduled gain (or one Lyapunov cell) each.
+
+A partition is a tuple of section starts per mode, 0 = h_0 < h_1 < ... < h_{M-1}; section m is [h_{m-1}, h_m), the last
+one never ends. Strategies: equal probability (2.22), uniform (2.23), rate threshold (2.24), and geometric in the rate.
+
+On the conservatism that each leaves see the findings, section 2: the form of the Lyapunov function matters more.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from design.processes.semi_markov import SemiMarkov
+
+Partition = tuple[tuple[float, ...], ...]
+
+
+def _sections(sections: int) -> None:
+    if sections < 1:
+        raise ValueError(f"sections: {sections}, expected at least 1")
+
+
+def _end(process: SemiMarkov, mode: int, end_s: float | None) -> float:
+    end = process.settled(mode) if end_s is None else end_s
+    if not math.isfinite(end) or end < 0 or (end == 0 and end_s is not None):
+        raise ValueError(f"end_s: the rates out of mode {mode} never settle, say where to end (got {end!r})")
+    return end
+
+
+def check_partition(process: SemiMarkov, starts: Partition) -> None:
+    """Raise ValueError unless there is one increasing tuple of finite section starts from 0 per mode."""
+    if len(starts) != process.modes:
+        raise ValueError(f"partition: {len(starts)} tuples of section starts for {process.modes} modes")
+    for mode, row in enumerate(starts):
+        if not row or row[0] != 0.0 or not np.isfinite(row).all() or (np.diff(row) <= 0).any():
+            raise ValueError(f"partition[{mode}]: {row} is not 0 = h_0 < h_1 < ...")
+
+
+def equal_probability(process: SemiMarkov, sections: int) -> Partition:
+    """Sections that a sojourn ends in with equal probability, Pr{h_{m-1} <= h < h_m} = 1/M (2.22).
+
+    >>> from design.processes.rates import WeibullRate
+    >>> rate = WeibullRate(scale_s=1.0, shape=2.0)
+    >>> equal_probability(SemiMarkov(rates=((None, rate), (rate, None))), 2)[0]
+    (0.0, 0.8325546111576977)
+    """
+    _sections(sections)
+    levels = -np.log1p(-np.arange(sections) / sections)
+    out = []
+    for mode in range(process.modes):
+        starts = process.sojourn(mode, levels)
+        if not np.isfinite(starts).all():
+            starts = starts[np.isfinite(starts)]
+            if starts.size < sections and process.targets(mode):
+                raise ValueError(f"sections: mode {mode} is left with a probability below {1 - 1 / sections:g}")
+        out.append(tuple(starts.tolist()))
+    return tuple(out)
+
+
+def uniform(process: SemiMarkov, sections: int, end_s: float | None = None) -> Partition:
+    """Sections of equal length up to ``end_s``, by default where the rates settle (2.23)."""
+    _sections(sections)
+    ends = [_end(process, mode, end_s) for mode in range(process.modes)]
+    return tuple(tuple((end * np.arange(sections if end > 0 else 1) / sections).tolist()) for end in ends)
+
+
+def rate_threshold(process: SemiMarkov, threshold: float, end_s: float | None = None) -> Partition:
+    """The fewest sections within which no rate varies by more than ``threshold`` (1/s), up to ``end_s`` (2.24).
+
+    Each section is grown until the bounds of some rate are the threshold apart (bisection to 1e-12 relative). A step
+    larger than the threshold starts a section of its own.
+    """
+    if not threshold > 0 or not math.isfinite(threshold):
+        raise ValueError(f"threshold: {threshold!r} is not a positive rate")
+
+    def spread(mode: int, start: float, stop: float) -> float:
+        low, high = process.bounds(mode, start, stop)
+        return float((high - low).max())
+
+    out = []
+    for mode in range(process.modes):
+        end = _end(process, mode, end_s)
+        after = math.inf if process.settled(mode) <= end else end
+        starts = [0.0]
+        while starts[-1] < end and spread(mode, starts[-1], after) > threshold:
+            good, bad = starts[-1], end
+            while bad - good > 1e-12 * end and spread(mode, starts[-1], end) > threshold:
+                middle = 0.5 * (good + bad)
+                good, bad = (middle, bad) if spread(mode, starts[-1], middle) <= threshold else (good, middle)
+            starts.append(bad)
+            if len(starts) > 1000:
+                raise ValueError(f"threshold: {threshold:g} needs more than 1000 sections in mode {mode}")
+        out.append(tuple(starts))
+    return tuple(out)
+
+
+def geometric_in_rate(process: SemiMarkov, sections: int) -> Partition:
+    """Sections whose total rate grows by one factor each, from a positive value until it settles."""
+    _sections(sections)
+    out = []
+    for mode in range(process.modes):
+        end = _end(process, mode, None)
+        first, last = (float(process.rate(mode, h).sum()) for h in (0.0, end))
+        if not 0 < first <= last:
+            raise ValueError(
+                f"rates[{mode}]: the total rate goes from {first:g} to {last:g}, expected 0 < first < last"
+            )
+        starts = [0.0]
+        for m in range(1, sections):
+            target, low, high = first * (last / first) ** (m / sections), starts[-1], end
+            while high - low > 1e-13 * end:
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if float(process.rate(mode, middle).sum()) <= target else (low, middle)
+            starts.append(high)
+        out.append(tuple(starts if last > first else starts[:1]))
+    return tuple(out)

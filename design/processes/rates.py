@@ -1,0 +1,306 @@
+"""Transition rates lambda(h) of semi-Markov processes: how likely the next jump is, h seconds after the last one.
+
+Every rate is a frozen callable of the sojourn time h (seconds, array) with values in 1/s, and offers
+
+- ``integral(h)``: H(h) = int_0^h lambda(s) ds, so that exp(-H(h)) is the probability of no jump before h;
+- ``bounds(start, stop)``: the infimum and supremum over [start, stop) (``stop`` may be ``inf``), at which the
+  inequalities of Chapters 2 to 4 are evaluated;
+- ``breaks``: the sojourn times at which lambda or its slope is not smooth; quadrature and Lyapunov nodes respect them;
+- ``settled``: the sojourn time after which lambda is constant (``inf`` if it never is).
+
+Families here: constant, clipped ramp (2.26), piecewise linear table, Weibull, a user's function with bounds, a fraction
+of another rate. ``design.processes.lifetimes`` adds the bathtub and the redundant components of Figures 4.1 and 4.2.
+
+References: thesis Sections 2.2 and 2.5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@runtime_checkable
+class Rate(Protocol):
+    """What a transition rate must offer; see the module's docstring."""
+
+    @property
+    def breaks(self) -> tuple[float, ...]: ...
+
+    @property
+    def settled(self) -> float: ...
+
+    def __call__(self, h: npt.ArrayLike) -> FloatArray: ...
+
+    def integral(self, h: npt.ArrayLike) -> FloatArray: ...
+
+    def bounds(self, start: float, stop: float) -> tuple[float, float]: ...
+
+
+def check_positive(name: str, value: float, *, zero: bool = False) -> None:
+    if not math.isfinite(value) or value < 0 or (value == 0 and not zero):
+        raise ValueError(f"{name}: {value!r} is not a finite {'non-negative' if zero else 'positive'} number")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PiecewiseLinearRate:
+    """Rate interpolated linearly between nodes and constant after the last one.
+
+    A node may be repeated to make a step; the rate is then continuous from the right.
+
+    Args:
+        times_s: node positions, first one 0, not decreasing (s), shape (R,).
+        values: rate at the nodes (1/s), shape (R,).
+
+    >>> ramp = PiecewiseLinearRate(times_s=(0.0, 1.0, 2.0), values=(0.0, 2.0, 2.0))
+    >>> ramp([0.5, 3.0]).tolist(), ramp.integral([1.0, 3.0]).tolist(), ramp.bounds(0.5, 1.5)
+    ([1.0, 2.0], [1.0, 5.0], (1.0, 2.0))
+    """
+
+    times_s: tuple[float, ...]
+    values: tuple[float, ...]
+    _start: FloatArray = field(init=False, repr=False, compare=False)
+    _value: FloatArray = field(init=False, repr=False, compare=False)
+    _slope: FloatArray = field(init=False, repr=False, compare=False)
+    _total: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        times, values = np.asarray(self.times_s, dtype=float), np.asarray(self.values, dtype=float)
+        if times.ndim != 1 or times.size == 0:
+            raise ValueError("times_s: expected at least one node")
+        if values.shape != times.shape:
+            raise ValueError(f"values: {values.size} values for {times.size} nodes")
+        if not np.isfinite(times).all() or times[0] != 0.0 or (np.diff(times) < 0).any():
+            raise ValueError(f"times_s: expected finite nodes 0 = t_0 <= t_1 <= ..., got {self.times_s}")
+        for index, value in enumerate(values):
+            check_positive(f"values[{index}]", float(value), zero=True)
+        width = np.append(np.diff(times), np.inf)
+        keep = width > 0
+        rise = np.append(np.diff(values), 0.0)
+        slope = np.divide(rise, width, out=np.zeros_like(width), where=np.isfinite(width) & keep)[keep]
+        start, value, width = times[keep], values[keep], width[keep]
+        area = (value[:-1] + 0.5 * slope[:-1] * width[:-1]) * width[:-1]
+        object.__setattr__(self, "times_s", tuple(times.tolist()))
+        object.__setattr__(self, "values", tuple(values.tolist()))
+        object.__setattr__(self, "_start", start)
+        object.__setattr__(self, "_value", value)
+        object.__setattr__(self, "_slope", slope)
+        object.__setattr__(self, "_total", np.concatenate([[0.0], np.cumsum(area)]))
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return tuple(self._start[1:].tolist())
+
+    @property
+    def settled(self) -> float:
+        return float(self._start[-1])
+
+    def _cell(self, h: FloatArray) -> npt.NDArray[np.intp]:
+        return np.maximum(np.searchsorted(self._start, h, side="right") - 1, 0)
+
+    def __call__(self, h: npt.ArrayLike) -> FloatArray:
+        h = np.asarray(h, dtype=float)
+        cell = self._cell(h)
+        with np.errstate(invalid="ignore"):  # h = inf in the last, constant cell
+            rise = self._slope[cell] * (h - self._start[cell])
+        return self._value[cell] + np.where(np.isnan(rise), 0.0, rise)
+
+    def integral(self, h: npt.ArrayLike) -> FloatArray:
+        h = np.asarray(h, dtype=float)
+        cell = self._cell(h)
+        into = h - self._start[cell]
+        with np.errstate(invalid="ignore"):  # h = inf in the last, constant cell
+            flat, bent = self._value[cell] * into, 0.5 * self._slope[cell] * into * into
+        return self._total[cell] + np.where(np.isnan(flat), 0.0, flat) + np.where(np.isnan(bent), 0.0, bent)
+
+    def inverse_integral(self, target: npt.ArrayLike) -> FloatArray:
+        """h with H(h) = target in closed form; ``inf`` where the rate never accumulates that much.
+
+        In a cell, with v the rate at its start, s its slope and e the area still missing:
+        v x + s x^2 / 2 = e, whose wanted root in its numerically stable form is x = 2 e / (v + sqrt(v^2 + 2 s e)).
+        """
+        target = np.asarray(target, dtype=float)
+        cell = np.maximum(np.searchsorted(self._total, target, side="left") - 1, 0)
+        missing = target - self._total[cell]
+        value = self._value[cell]
+        root = value + np.sqrt(np.maximum(value * value + 2.0 * self._slope[cell] * missing, 0.0))
+        step = np.divide(2.0 * missing, root, out=np.full_like(missing, np.inf), where=root > 0.0)
+        return self._start[cell] + np.where(missing <= 0.0, 0.0, step)
+
+    def bounds(self, start: float, stop: float) -> tuple[float, float]:
+        # Ends of every cell that meets [start, stop), each seen from inside its cell (steps).
+        end = np.append(self._start[1:], np.inf)
+        hit = (self._start < stop) & (end > start)
+        if not hit.any():
+            hit = np.arange(end.size) == int(self._cell(np.asarray(start)))
+        first = np.maximum(self._start[hit], start)
+        last = np.where(self._slope[hit] == 0.0, first, np.minimum(end[hit], stop))
+        low = self._value[hit] + self._slope[hit] * (first - self._start[hit])
+        high = self._value[hit] + self._slope[hit] * (last - self._start[hit])
+        both = np.concatenate([low, high])
+        return float(both.min()), float(both.max())
+
+
+def constant_rate(value: float) -> PiecewiseLinearRate:
+    """The memoryless rate of a Markov jump system: lambda(h) = value (1/s)."""
+    return PiecewiseLinearRate(times_s=(0.0,), values=(value,))
+
+
+def clip_rate(lower: float, upper: float, slope: float = 1.0) -> PiecewiseLinearRate:
+    """The clipped ramp (2.26): lambda(h) = min(max(slope h, lower), upper).
+
+    >>> clip_rate(0.1, 4.6)([0.0, 1.0, 9.0]).tolist()
+    [0.1, 1.0, 4.6]
+    """
+    check_positive("lower", lower, zero=True)
+    check_positive("slope", slope)
+    if not math.isfinite(upper) or upper <= lower:
+        raise ValueError(f"upper: {upper!r} is not above lower = {lower!r}: the rate crosses its bounds")
+    times, values = (0.0, lower / slope, upper / slope), (lower, lower, upper)
+    return PiecewiseLinearRate(times_s=times[lower == 0.0 :], values=values[lower == 0.0 :])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeibullRate:
+    """Weibull hazard lambda(h) = (shape/scale) (h/scale)^(shape-1), H(h) = (h/scale)^shape.
+
+    Scale 1 and shape 2 give 2h, not h as the text above (2.26) says.
+
+    >>> WeibullRate(scale_s=1.0, shape=2.0)(3.0).item()
+    6.0
+    """
+
+    scale_s: float
+    shape: float
+
+    def __post_init__(self) -> None:
+        check_positive("scale_s", self.scale_s)
+        check_positive("shape", self.shape)
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return ()
+
+    @property
+    def settled(self) -> float:
+        return 0.0 if self.shape == 1.0 else math.inf
+
+    def __call__(self, h: npt.ArrayLike) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            power = np.power(np.asarray(h, dtype=float) / self.scale_s, self.shape - 1.0)
+        return np.asarray(self.shape / self.scale_s * power)
+
+    def integral(self, h: npt.ArrayLike) -> FloatArray:
+        return np.asarray((np.asarray(h, dtype=float) / self.scale_s) ** self.shape)
+
+    def bounds(self, start: float, stop: float) -> tuple[float, float]:
+        ends = sorted((float(self(start)), float(self(stop))))
+        return ends[0], ends[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UserRate:
+    """A user's vectorised function of h with the bounds it promises, constant after ``horizon_s``.
+
+    Args:
+        function: lambda(h) (1/s) for an array h (s), smooth between ``breaks``.
+        lower, upper: promised bounds (1/s); checked at 513 points per smooth piece, used as they are in every inequality.
+        horizon_s: after it the rate keeps its value (s).
+
+    Raises:
+        ValueError: the function is not finite, negative, or crosses its bounds (with the sojourn time where it does).
+    """
+
+    function: Callable[[FloatArray], npt.ArrayLike]
+    lower: float
+    upper: float
+    horizon_s: float
+    breaks: tuple[float, ...] = ()
+    _nodes: FloatArray = field(init=False, repr=False, compare=False)
+    _total: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_positive("lower", self.lower, zero=True)
+        check_positive("horizon_s", self.horizon_s)
+        if not math.isfinite(self.upper) or self.upper < self.lower:
+            raise ValueError(f"upper: {self.upper!r} is below lower = {self.lower!r}: the bounds cross")
+        inner = [b for b in sorted(self.breaks) if 0 < b < self.horizon_s]
+        edges = [0.0, *inner, self.horizon_s]
+        pieces = [np.linspace(a, b, 513) for a, b in pairwise(edges)]
+        nodes = np.unique(np.concatenate(pieces))
+        object.__setattr__(self, "_nodes", nodes)
+        values = self(nodes)
+        slack = 1e-12 * max(1.0, self.upper)
+        wrong = ~np.isfinite(values) | (values < self.lower - slack) | (values > self.upper + slack)
+        if wrong.any():
+            where = int(np.argmax(wrong))
+            raise ValueError(
+                f"function: {values[where]:.6g} at h = {nodes[where]:.6g} s is outside its bounds "
+                f"[{self.lower:g}, {self.upper:g}]"
+            )
+        cells = np.array([self._cell_integral(np.array([a]), np.array([b]))[0] for a, b in pairwise(nodes)])
+        object.__setattr__(self, "_total", np.concatenate([[0.0], np.cumsum(cells)]))
+
+    @property
+    def settled(self) -> float:
+        return self.horizon_s
+
+    def __call__(self, h: npt.ArrayLike) -> FloatArray:
+        inside = np.minimum(np.asarray(h, dtype=float), self.horizon_s)
+        return np.asarray(np.broadcast_to(np.asarray(self.function(inside), dtype=float), inside.shape))
+
+    def _cell_integral(self, start: FloatArray, stop: FloatArray) -> FloatArray:
+        points, weights = np.polynomial.legendre.leggauss(8)
+        half = 0.5 * (stop - start)
+        values = self((start + half)[..., None] + half[..., None] * points)
+        return np.asarray(half * (values @ weights))
+
+    def integral(self, h: npt.ArrayLike) -> FloatArray:
+        h = np.asarray(h, dtype=float)
+        inside = np.minimum(h, self.horizon_s)
+        cell = np.clip(np.searchsorted(self._nodes, inside, side="right") - 1, 0, self._nodes.size - 2)
+        head = self._total[cell] + self._cell_integral(self._nodes[cell], inside)
+        return np.asarray(head + np.maximum(h - self.horizon_s, 0.0) * float(self(self.horizon_s)))
+
+    def bounds(self, start: float, stop: float) -> tuple[float, float]:
+        if start >= self.horizon_s:
+            last = float(self(self.horizon_s))
+            return last, last
+        return self.lower, self.upper
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScaledRate:
+    """A fraction of another rate: lambda_ij(h) = q_ij lambda_i(h), the form (2.7) with a constant q_ij."""
+
+    rate: Rate
+    factor: float
+
+    def __post_init__(self) -> None:
+        check_positive("factor", self.factor)
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        return self.rate.breaks
+
+    @property
+    def settled(self) -> float:
+        return self.rate.settled
+
+    def __call__(self, h: npt.ArrayLike) -> FloatArray:
+        return self.factor * self.rate(h)
+
+    def integral(self, h: npt.ArrayLike) -> FloatArray:
+        return self.factor * self.rate.integral(h)
+
+    def bounds(self, start: float, stop: float) -> tuple[float, float]:
+        low, high = self.rate.bounds(start, stop)
+        return self.factor * low, self.factor * high

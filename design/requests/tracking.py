@@ -1,0 +1,86 @@
+"""Controllers that an experiment asks for by what they shall achieve: solved, or read, when the experiment is composed.
+
+What runs is the table of gains that came out (:class:`design.controllers.SendAll`); no process that keeps time solves anything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from design.controllers import LoopModel, SendAll, nested
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Designed:
+    """A tracking design of Chapter 7, for the loop that it will run in.
+
+    Args:
+        objective: ``h2`` (7.26), ``hinf`` (7.31) or ``mixed`` (7.33).
+        information: what the gain may depend on: ``constant``, ``tau``, ``previous``, ``generated`` (printed), ``applied``,
+            ``both``, ``total``.
+        hinf_bound: mixed only: bound of the H-infinity norm.
+        gain_bound: bound on every entry of every gain.
+        input_weight: R of z = [Q x; R u1], Q = C.
+        output: ``stacked`` or ``sum`` (as printed).
+        integral: weight of the integrated error; above 0 the controller integrates (Remark 7.7).
+        samples: samples per packet, 1 or 2: the newest, or also the one before.
+        design_seed: seed of the multistart.
+        sojourns: over semi-Markov delays: how many lengths of stay at the measured delay the gain tells apart, in slots; 1: none.
+        file: a design saved by ``hil design -o``; then nothing is solved. Relative to the experiment's file.
+    """
+
+    objective: Literal["h2", "hinf", "mixed"] = "h2"
+    information: Literal["constant", "tau", "previous", "generated", "applied", "both", "total"] = "applied"
+    hinf_bound: float | None = None
+    gain_bound: float | None = None
+    input_weight: float = 0.01
+    output: Literal["stacked", "sum"] = "stacked"
+    integral: float = 0.0
+    samples: Literal[1, 2] = 1
+    design_seed: int = 0
+    sojourns: int = 1
+    file: str = ""
+
+    def __post_init__(self) -> None:
+        if self.sojourns < 1:
+            raise ValueError(f"sojourns: {self.sojourns}, expected at least 1")
+
+    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[SendAll, None]:
+        """Return the gains for a loop; their certificate is computed like any other's, when the loop is composed.
+
+        Args:
+            model: the plant and the largest delays.
+            sc, ca: the chains of both directions; None where a law has none.
+            folder: where relative file names begin.
+
+        Raises:
+            ValueError: the message starts with the field.
+        """
+        if self.file:
+            from design.tracking.design_file import load_design
+
+            read = load_design(Path(folder) / self.file)
+            return SendAll(
+                gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
+                sojourns=read.sojourns, samples=read.samples,  # type: ignore[arg-type]
+            ), None  # fmt: skip
+        if sc is None or ca is None:
+            raise ValueError("kind: a design needs age laws with a chain on both links, not packet laws or traces")
+        from design.tracking.cache import solve_cached
+        from design.tracking.synthesis import TrackingProblem
+
+        problem = TrackingProblem(
+            A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, objective=self.objective, information=self.information,
+            R=self.input_weight, output=self.output, hinf_bound=self.hinf_bound, gain_bound=self.gain_bound,
+            integral=self.integral, samples=self.samples, seed=self.design_seed,
+        )  # fmt: skip
+        design = solve_cached(problem)
+        gains = nested(np.asarray(design.gains))
+        sojourns = sc.sojourns if self.sojourns > 1 else ()
+        return SendAll(
+            gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
+        ), None  # fmt: skip

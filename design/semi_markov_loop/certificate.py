@@ -1,0 +1,79 @@
+"""What is known of a semi-Markov loop, with everything needed to check it again.
+
+The verdict is never a solver's word. ``certified``: the eigenvalues of every inequality at the returned matrices are on the
+right side. ``refused``: dual matrices prove (weak duality) that no solution of this form exists with entries up to
+``reach``, or the exact second moments grow. ``undecided``: neither could be shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.scheduled_gain import ScheduledGain
+from design.lmi.program import Inequality, verify
+from design.semi_markov_loop.sojourn_grid import Lift, as_float
+
+FloatArray = npt.NDArray[np.float64]
+Method = Literal["exact", "pwl", "pwc", "printed"]
+Verdict = Literal["certified", "refused", "undecided"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JumpCertificate:
+    """The verdict on a closed loop and its proof.
+
+    Args:
+        method: exact, pwl, pwc or printed.
+        sound: whether ``certified`` implies stability (False for every printed form).
+        verdict: certified, refused or undecided; reason: why, in one sentence.
+        margin: -(largest eigenvalue) of the strict inequalities at the matrices, which are normalised to P >= I (or X >= I).
+        decay_rate: E|x|^2 falls at least like e^(-decay_rate t) (1/s); exact for ``exact``.
+        gamma: L2 gain bound.
+        spectral_radius: of the per-jump second-moment operator (``exact`` only).
+        matrices: the solution by name.
+        rebuild: the inequalities, in floats or in fractions (``design.lmi.exact``).
+        gain: the gains that were analysed.
+        assumptions: what the verdict rests on.
+        solver: who found the matrices.
+        scale: factor on z in the inequalities, for conditioning; ``gamma`` is that of the z given.
+    """
+
+    method: Method
+    sound: bool
+    verdict: Verdict
+    reason: str
+    margin: float | None = None
+    decay_rate: float | None = None
+    gamma: float | None = None
+    spectral_radius: float | None = None
+    gain: ScheduledGain | None = field(default=None, repr=False)
+    assumptions: tuple[str, ...] = ()
+    solver: str = ""
+    scale: float = 1.0
+    matrices: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
+    rebuild: Callable[[Lift], list[Inequality]] | None = field(default=None, repr=False)
+
+    @property
+    def certified(self) -> bool:
+        """Whether the verdict is ``certified``; believe it as stability only if ``sound``."""
+        return self.verdict == "certified"
+
+    def check(self) -> float:
+        """Build every inequality anew, evaluate it at the matrices, return the margin; > 0 proves the claim in floats."""
+        if self.rebuild is None:
+            raise ValueError(f"certificate: method {self.method!r} has no inequalities to check")
+        return min(verify(self.rebuild(as_float), self.matrices))
+
+    def renamed(self, **changes: object) -> JumpCertificate:
+        """A copy with some fields replaced."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+    def to_json(self) -> dict[str, object]:
+        """The verdict and its numbers as a dictionary that ``json.dumps`` takes, without the matrices."""
+        keep = ("method", "sound", "verdict", "reason", "margin", "decay_rate", "gamma", "spectral_radius", "solver")
+        return {**{name: getattr(self, name) for name in keep}, "assumptions": list(self.assumptions)}

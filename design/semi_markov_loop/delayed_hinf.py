@@ -1,0 +1,307 @@
+"""H-infinity state feedback for semi-Markov jump systems with a time-varying state delay (Chapter 3), corrected.
+
+    V = x'P_i(h)x + int_{t-tau}^t x'Qx + eta int_{-tau_max}^0 int_{t+s}^t x'Qx,    eta = max_{i,h} |lambda_ii(h)|, one Q
+
+    [ A_i'P_i + P_i A_i + dP_i/dh + sum_j lambda_ij (P_j(0) - P_i) + (1 + eta tau_max) Q + C'C      *             *    ]
+    [ Ad' P_i                                                                                  -(1 - slope_i) Q   *    ] < 0
+    [ E' P_i                                                                                        0         -gamma^2 ]
+
+at every rate vertex of every cell, A_i = A_i + B_i K(i, h). ``analyse_delayed`` checks given gains in this form (``pwc``: P
+constant per section with P_{i,m+1} <= P_{i,m}; ``pwl``: linear in h). ``delayed_hinf`` finds gains in X = P^-1, U = K X.
+Without a gain bound the infimum of gamma is 0 (the disturbance is matched and z holds no u), so a bound is required.
+
+The printed forms live in ``design.as_printed.delayed_hinf``. References: thesis (3.7), (3.27), (3.42); findings items 10-14.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import cast
+
+import numpy as np
+
+from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import Infeasible
+from design.lmi.attenuation import Attenuation, at_gamma, smallest_gamma
+from design.lmi.program import (
+    Array,
+    Inequality,
+    LmiProgram,
+    add_schur_rows,
+    gain_limit,
+    symmetric_blocks,
+    symmetric_part,
+    transpose,
+)
+from design.processes.partitions import Partition
+from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop.certificate import JumpCertificate, Method, Verdict
+from design.semi_markov_loop.sojourn_grid import Cell, Lift, as_float, bernstein, cells, gain_on
+from design.semi_markov_loop.stability import gain_matrices
+from design.semi_markov_loop.system import DelayedJumpSystem
+
+ASSUMPTIONS = (
+    "rates anywhere in their bounds on every section",
+    "delay and its growth within their bounds",
+    "x(t) = 0 for t <= 0",
+)
+
+
+def fastest_exit(process: SemiMarkov, nodes: Partition) -> float:
+    """eta = the largest total rate out of any mode at any sojourn time (1/s)."""
+    return max(sum(rates) for cell in cells(process, nodes) for rates in cell.rates)
+
+
+def delayed_inequalities(
+    system: DelayedJumpSystem,
+    process: SemiMarkov,
+    gain: ScheduledGain,
+    nodes: Partition,
+    method: Method,
+    scale: float,
+    lift: Lift = as_float,
+) -> list[Inequality]:
+    """Every inequality on P[i,r], Q, g2 = (scale gamma)^2 and K[i,s], z scaled by ``scale``."""
+    eta = fastest_exit(process, nodes)
+    out = []
+    for cell in cells(process, nodes):
+        i, here = cell.mode, cell.index
+        mixture = gain_on(gain.starts_s[i], gain.schedule, cell)
+        pwl = method == "pwl" and not cell.last
+        if mixture.moves and not pwl:
+            raise ValueError(f"gain: varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
+        own = [f"P[{i},{r}]" for r in ([here, here + 1] if pwl else [here])]
+        for rates in cell.rates:
+            targets = [j for j, rate in enumerate(rates) if rate > 0]
+            on = (*own, "Q", "g2", *(f"P[{j},0]" for j in targets), *(f"K[{i},{s}]" for s in mixture.sections))
+            for pairs in bernstein(mixture) if pwl else [[(0, mixture.weights[0])]]:
+                function = partial(
+                    _bounded_real, system=system, cell=cell, ends=len(own), pairs=pairs, eta=eta, scale=scale,
+                    rates=[lift(rates[j]) for j in targets], lift=lift,
+                )  # fmt: skip
+                name = f"bounded real lemma of mode {i} from {cell.start:g} s at rates {rates}"
+                out.append(Inequality(name=name, function=function, on=on))
+        if method == "pwc" and not cell.last:
+            both = (f"P[{i},{here + 1}]", f"P[{i},{here}]")
+            out.append(Inequality(name="{} <= {}".format(*both), function=lambda a, b: a - b, on=both))
+        out.append(Inequality(name=f"P[{i},{here}] > 0", function=lambda p: -p, on=(f"P[{i},{here}]",)))
+    return out
+
+
+def _bounded_real(
+    *matrices: Array,
+    system: DelayedJumpSystem,
+    cell: Cell,
+    ends: int,
+    pairs: list[tuple[int, tuple[float, ...]]],
+    eta: float,
+    scale: float,
+    rates: list[Array],
+    lift: Lift,
+) -> Array:
+    i = cell.mode
+    p, (q, g2), rest = matrices[:ends], matrices[ends : ends + 2], matrices[ends + 2 :]
+    landing, gains = rest[: len(rates)], rest[len(rates) :]
+    slope = (p[1] - p[0]) / (lift(cell.stop) - lift(cell.start)) if ends == 2 else 0 * p[0]
+    a, b, ad, e, c = (lift(m[i]) for m in (system.a, system.b, system.ad, system.e, system.c))
+    held = 1 + lift(eta) * lift(system.delay_max_s)
+    terms = []
+    for end, weights in pairs:
+        here = p[end]
+        k = sum(lift(weight) * stored for weight, stored in zip(weights, gains))
+        value = symmetric_part(here @ (a + b @ k)) + slope + held * q + lift(scale) * lift(scale) * (c.T @ c)
+        value = value + sum(rate * (after - here) for rate, after in zip(rates, landing))
+        delayed = -(1 - lift(system.delay_slopes[i])) * q
+        one = lift(np.eye(e.shape[1]))
+        terms.append(
+            symmetric_blocks([[value], [transpose(here @ ad), delayed], [transpose(here @ e), None, -g2 * one]])
+        )
+    return cast(Array, sum(terms[1:], terms[0]) / lift(len(terms)))
+
+
+def _known_gain(
+    system: DelayedJumpSystem,
+    process: SemiMarkov,
+    gain: ScheduledGain,
+    nodes: Partition,
+    method: Method,
+    scale: float,
+    gamma: float | None,
+    lift: Lift = as_float,
+) -> list[Inequality]:
+    known = gain_matrices(gain, lift)
+    if gamma is not None:
+        known["g2"] = lift([[(scale * gamma) ** 2]])
+    return [item.fixing(known) for item in delayed_inequalities(system, process, gain, nodes, method, scale, lift)]
+
+
+def analyse_delayed(
+    system: DelayedJumpSystem,
+    gain: ScheduledGain,
+    process: SemiMarkov,
+    *,
+    method: Method = "pwc",
+    nodes: Partition | None = None,
+    gamma: float | None = None,
+) -> JumpCertificate:
+    """The smallest gamma that is certified for given gains, or the verdict at a given gamma.
+
+    Args:
+        nodes: sections (``pwc``) or nodes (``pwl``) of P per mode; by default the section starts of the gains.
+
+    Returns:
+        The certificate; ``refused`` or ``undecided`` with the reason where no matrices could be verified.
+
+    Raises:
+        ValueError: shapes that do not fit, rates without finite bounds.
+    """
+    expected, got = (system.modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
+    if got != expected or process.modes != system.modes:
+        raise ValueError(
+            f"gain: (modes, inputs, states) = {got}, process: {process.modes} modes; the system has {expected}"
+        )
+    starts = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
+    if method == "printed":
+        from design.as_printed.delayed_hinf import printed_delayed
+
+        return printed_delayed(system, process, starts, gain, gamma=gamma)
+    if method not in ("pwl", "pwc"):
+        raise ValueError(f"method: {method!r} is not one of pwl, pwc, printed")
+
+    def build(scale: float) -> LmiProgram:
+        program = LmiProgram()
+        for i, row in enumerate(starts):
+            for r in range(len(row)):
+                program.symmetric(f"P[{i},{r}]", system.states)
+        program.symmetric("Q", system.states)
+        program.matrix("g2", 1, 1)
+        program.inequalities = _known_gain(system, process, gain, starts, method, scale, None)
+        return program
+
+    what = f"H-infinity norm of the delayed loop ({method})"
+    try:
+        result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
+    except Infeasible as error:
+        verdict: Verdict = "undecided" if "not proved" in str(error) else "refused"
+        return JumpCertificate(method=method, sound=True, verdict=verdict, reason=str(error), gain=gain)
+    return JumpCertificate(
+        method=method, sound=True, verdict="certified", gamma=result.gamma, margin=result.found.margin, gain=gain,
+        reason=f"every inequality holds at the returned matrices, margin {result.found.margin:.3g}", assumptions=ASSUMPTIONS,
+        matrices=result.found.matrices, solver=result.found.solver, scale=result.scale,
+        rebuild=partial(_known_gain, system, process, gain, starts, method, result.scale, result.gamma),
+    )  # fmt: skip
+
+
+def synthesis_program(
+    system: DelayedJumpSystem, process: SemiMarkov, sections: Partition, gain_bound: float, scale: float
+) -> LmiProgram:
+    """The corrected (3.42) on X[i,m], U[i,m], Q, s and g2; X >= s I and [[k^2 s I, U], [U', X]] >= 0 bound the gains."""
+    program = LmiProgram()
+    n, m = system.states, system.inputs
+    eta = fastest_exit(process, sections)
+    program.symmetric("Q", n)
+    program.matrix("g2", 1, 1)
+    program.matrix("s", 1, 1)
+    for i, row in enumerate(sections):
+        for r in range(len(row)):
+            x, u = f"X[{i},{r}]", f"U[{i},{r}]"
+            program.symmetric(x, n)
+            program.matrix(u, m, n)
+            program.require(f"{x} >= s I", lambda v, s: s * np.eye(n) - v, x, "s", strict=False)
+            program.require(f"gain bound at {x}", partial(gain_limit, bound=gain_bound), x, u, "s", strict=False)
+    for cell in cells(process, sections):
+        i, here = cell.mode, cell.index
+        for rates in cell.rates:
+            targets = [j for j, rate in enumerate(rates) if rate > 0]
+            on = (f"X[{i},{here}]", f"U[{i},{here}]", "Q", "g2", *(f"X[{j},0]" for j in targets))
+            function = partial(
+                _synthesis_block, system=system, mode=i, rates=[rates[j] for j in targets], eta=eta, scale=scale
+            )
+            program.require(f"bounded real lemma of mode {i} from {cell.start:g} s at {rates}", function, *on)
+        if not cell.last:
+            program.require("coupling", lambda a, b: b - a, f"X[{i},{here + 1}]", f"X[{i},{here}]", strict=False)
+    return program
+
+
+def _synthesis_block(
+    x: Array,
+    u: Array,
+    q: Array,
+    g2: Array,
+    *landing: Array,
+    system: DelayedJumpSystem,
+    mode: int,
+    rates: list[float],
+    eta: float,
+    scale: float,
+) -> Array:
+    a, b, ad, e, c = (m[mode] for m in (system.a, system.b, system.ad, system.e, system.c))
+    rows: list[list[Array | None]] = [
+        [symmetric_part(a @ x + b @ u) - sum(rates) * x],
+        [q @ ad.T, -(1.0 - system.delay_slopes[mode]) * q],
+        [math.sqrt(1.0 + eta * system.delay_max_s) * x, None, -q],
+        [e.T, None, None, -g2 * np.eye(e.shape[1])],
+        [scale * (c @ x), None, None, None, -np.eye(c.shape[0])],
+    ]
+    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
+    return symmetric_blocks(rows)
+
+
+def delayed_hinf(
+    system: DelayedJumpSystem,
+    process: SemiMarkov,
+    *,
+    gain_bound: float,
+    sections: Partition | None = None,
+    gamma: float | None = None,
+    method: Method = "pwc",
+) -> JumpCertificate:
+    """State feedback K(i, m) with the smallest certified gamma under a gain bound, or at a given gamma.
+
+    Args:
+        gain_bound: largest spectral norm of any gain; required, the infimum of gamma is 0 without one.
+        sections: section starts per mode; by default one section.
+        method: ``pwc``, or ``printed`` (then ``sound = False``).
+
+    Returns:
+        The certificate of the gains (``.gain``), found again from the gains alone by ``analyse_delayed``.
+
+    Raises:
+        ValueError: data that do not fit.
+        Infeasible: no such gains exist (proved) or none could be verified.
+    """
+    if not np.isfinite(gain_bound) or gain_bound <= 0:
+        raise ValueError(f"gain_bound: {gain_bound!r} is not a finite positive norm")
+    if process.modes != system.modes:
+        raise ValueError(f"process: {process.modes} modes, the system has {system.modes}")
+    starts = sections if sections is not None else ((0.0,),) * system.modes
+    if method == "printed":
+        from design.as_printed.delayed_hinf import printed_delayed
+
+        return printed_delayed(system, process, starts, None, gain_bound=gain_bound, gamma=gamma)
+    if method != "pwc":
+        raise ValueError(f"method: {method!r} is not pwc or printed")
+    build = partial(synthesis_program, system, process, starts, gain_bound)
+    what = f"delayed H-infinity feedback with gain norm <= {gain_bound:g}"
+    result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
+    gain = _gains(result, starts, gain_bound)
+    certificate = analyse_delayed(system, gain, process, nodes=starts)
+    if not certificate.certified or (gamma is not None and (certificate.gamma or math.inf) > gamma):
+        raise Infeasible(
+            f"{what}: gains found, but not confirmed from themselves: {certificate.reason}", value=certificate.gamma
+        )
+    return certificate
+
+
+def _gains(result: Attenuation, starts: Partition, gain_bound: float) -> ScheduledGain:
+    matrices = result.found.matrices
+    longest = max(len(row) for row in starts)
+    rows, times = [], []
+    for i, row in enumerate(starts):
+        gains = [matrices[f"U[{i},{r}]"] @ np.linalg.inv(matrices[f"X[{i},{r}]"]) for r in range(len(row))]
+        gains = [gain * min(1.0, gain_bound / np.linalg.norm(gain, 2)) for gain in gains]
+        missing = longest - len(row)
+        rows.append(gains + [gains[-1]] * missing)
+        times.append([*row, *(row[-1] + 1.0 + k for k in range(missing))])
+    return ScheduledGain(gain=np.array(rows), starts_s=np.array(times))

@@ -1,0 +1,270 @@
+"""Fault-tolerant state feedback that needs only what the controller sees (Chapter 4).
+
+The thesis' conditions give K_ik, but the fault i is not measured: only the detection k = r and its clock are. Used as K_kk, the
+printed gains (4.30) diverge. Here:
+
+1. start: X shared by all (i, a) that the controller cannot tell apart, so that K = R X^-1 depends on what it sees alone;
+2. alternate: with K known the conditions are linear in P; with P known they are linear in K and its norm bound.
+
+Both steps lower gamma, neither can raise it. ``measured``: ("r",) (default), () for one blind gain, ("eta", "r") if the
+fault is known. Without a gain bound the infimum of gamma is 0, so a bound is required.
+
+References: thesis (4.21), (4.26); findings items 17-19.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+
+from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import Infeasible
+from design.lmi.attenuation import smallest_gamma
+from design.lmi.program import (
+    Array,
+    LmiProgram,
+    LmiSolution,
+    add_schur_rows,
+    gain_limit,
+    symmetric_blocks,
+    symmetric_part,
+    transpose,
+)
+from design.processes.partitions import Partition
+from design.processes.semi_markov import FaultDetection
+from design.semi_markov_loop.certificate import JumpCertificate, Method
+from design.semi_markov_loop.fault_tolerant_analysis import (
+    Siqc,
+    analyse_fault_tolerant,
+    check_loop,
+    loop_inequalities,
+    pair_cells,
+    r_sections,
+)
+from design.semi_markov_loop.stabilisability import check_stabilisable
+from design.semi_markov_loop.system import JumpSystem
+
+Measured = tuple[str, ...]
+
+
+def _seen(measured: Measured, i: int, k: int, detections: int) -> int:
+    return {(): 0, ("r",): k, ("eta", "r"): i * detections + k}[measured]
+
+
+def _start_program(
+    system: JumpSystem,
+    process: FaultDetection,
+    measured: Measured,
+    sections: Partition,
+    gain_bound: float,
+    performance: Siqc | None,
+    scale: float,
+) -> LmiProgram:
+    """The X form of (4.26), vertex by vertex, on X[mode,section], R[mode,section], s and g2."""
+    program = LmiProgram()
+    n, m, detections = system.states, system.inputs, process.detection[0].modes
+    program.matrix("s", 1, 1)
+    if performance is None:
+        program.matrix("g2", 1, 1)
+    for cell in pair_cells(process, ((0.0,),) * system.modes, sections):
+        i, k, b = cell.i, cell.k, cell.b
+        mode = _seen(measured, i, k, detections)
+        x, r = f"X[{mode},{b}]", f"R[{mode},{b}]"
+        if x not in program.variables:
+            program.symmetric(x, n)
+            program.matrix(r, m, n)
+            program.require(f"{x} >= s I", lambda v, s: s * np.eye(n) - v, x, "s", strict=False)
+            program.require(f"gain bound at {x}", partial(gain_limit, bound=gain_bound), x, r, "s", strict=False)
+            if not cell.last_b:
+                program.require("coupling", lambda p, q: q - p, f"X[{mode},{b + 1}]", x, strict=False)
+        after = 0 if process.failure_restarts_detection_clock else b
+        for failure, detection in cell.vertices:
+            jumps = [
+                (rate, f"X[{_seen(measured, j, k, detections)},{after}]") for j, rate in enumerate(failure) if rate > 0
+            ]
+            jumps += [
+                (rate, f"X[{_seen(measured, i, l, detections)},0]") for l, rate in enumerate(detection) if rate > 0
+            ]
+            jumps = [(rate, name) for rate, name in jumps if name != x]  # a jump to the same X changes nothing
+            function = partial(
+                _start_block,
+                system=system,
+                mode=i,
+                rates=[rate for rate, _ in jumps],
+                performance=performance,
+                scale=scale,
+            )
+            on = (x, r, *(() if performance else ("g2",)), *(name for _, name in jumps))
+            program.require(f"{x} at {failure}, {detection}", function, *on)
+    return program
+
+
+def _start_block(
+    x: Array,
+    r: Array,
+    *rest: Array,
+    system: JumpSystem,
+    mode: int,
+    rates: list[float],
+    performance: Siqc | None,
+    scale: float,
+) -> Array:
+    a, b, c, e = (m[mode] for m in (system.a, system.b, system.c, system.e) if m is not None)
+    p, q = c.shape[0], e.shape[1]
+    landing = rest[len(rest) - len(rates) :]
+    if performance is None:
+        cross, corner, weight = np.zeros((q, p)), -rest[0] * np.eye(q), np.eye(p)
+    else:
+        square = scale * scale
+        cross, corner, weight = square * performance.g12.T, square * performance.g22, performance.g11
+    output = scale * (c @ x)
+    rows: list[list[Array | None]] = [
+        [symmetric_part(a @ x + b @ r) - sum(rates) * x],
+        [cross @ (c @ x) + e.T, corner],
+        [output, None, -np.linalg.inv(weight)],
+    ]
+    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
+    return symmetric_blocks(rows)
+
+
+def _start_gain(
+    found: LmiSolution, modes: int, sections: list[tuple[float, ...]], measured: Measured, bound: float
+) -> ScheduledGain:
+    longest = max(len(row) for row in sections)
+    gains, starts = [], []
+    for mode in range(modes):
+        row = []
+        for b in range(len(sections[mode])):
+            gain = found.matrices[f"R[{mode},{b}]"] @ np.linalg.inv(found.matrices[f"X[{mode},{b}]"])
+            row.append(gain * min(1.0, bound / np.linalg.norm(gain, 2)))
+        missing = longest - len(row)
+        gains.append(row + [row[-1]] * missing)
+        starts.append([*sections[mode], *(sections[mode][-1] + 1.0 + extra for extra in range(missing))])
+    return ScheduledGain(gain=np.array(gains), starts_s=np.array(starts), measured=measured)
+
+
+def _gain_step(
+    system: JumpSystem, process: FaultDetection, certificate: JumpCertificate, eta: Partition, bound: float
+) -> ScheduledGain:
+    """The gains of smallest gamma for the Lyapunov matrices of a certificate."""
+    gain = certificate.gain
+    if gain is None:
+        raise ValueError("certificate: holds no gains")
+    program = LmiProgram()
+    program.matrix("g2", 1, 1)
+    for mode in range(gain.modes):
+        for section in range(gain.gain.shape[1]):
+            name = f"K[{mode},{section}]"
+            program.matrix(name, system.inputs, system.states)
+            limit = partial(_norm_limit, bound=bound)
+            program.require(f"norm of {name}", limit, name, strict=False)
+    listed = loop_inequalities(system, process, gain, eta, r_sections(process, gain), None, certificate.scale)
+    for item in listed:
+        if any(name.startswith("K") for name in item.on):
+            program.inequalities.append(item.fixing(certificate.matrices))
+    found = program.solve("g2")
+    new = np.array(
+        [
+            [found.matrices[f"K[{mode},{section}]"] for section in range(gain.gain.shape[1])]
+            for mode in range(gain.modes)
+        ]
+    )
+    norms = np.linalg.norm(new, ord=2, axis=(-2, -1), keepdims=True)
+    return ScheduledGain(
+        gain=new * np.minimum(1.0, bound / norms),
+        starts_s=gain.starts_s,
+        schedule=gain.schedule,
+        measured=gain.measured,
+    )
+
+
+def _norm_limit(k: Array, bound: float) -> Array:
+    return -symmetric_blocks([[bound * np.eye(k.shape[-2])], [transpose(k), bound * np.eye(k.shape[-1])]])
+
+
+def fault_tolerant_feedback(
+    system: JumpSystem,
+    process: FaultDetection,
+    *,
+    gain_bound: float,
+    measured: Measured = ("r",),
+    sections: Partition | None = None,
+    eta_nodes: Partition | None = None,
+    gamma: float | None = None,
+    performance: Siqc | None = None,
+    rounds: int = 8,
+    method: Method = "pwc",
+) -> JumpCertificate:
+    """Gains K(what is measured, section of r's clock) with the smallest certified gamma under a gain bound.
+
+    Args:
+        gain_bound: largest spectral norm of any gain.
+        measured: ("r",), () or ("eta", "r"), see the module.
+        sections: sections of r's clock per detection mode, by default one.
+        eta_nodes: sections of eta's clock for P.
+        gamma: stop as soon as this level is certified.
+        performance: a SIQC (4.6) to meet instead of gamma.
+        rounds: largest number of alternations; they end when gamma falls by less than 1e-3 per round.
+        method: ``pwc``, or ``printed`` for (4.26), (4.27): K_ik whatever is measured, ``sound = False``.
+
+    Returns:
+        The certificate of the gains (``.gain``), found again from the gains alone.
+
+    Raises:
+        ValueError: data that do not fit.
+        Infeasible: no start could be found, or ``gamma`` was not reached; the message says how far.
+    """
+    check_loop(system, process)
+    if not np.isfinite(gain_bound) or gain_bound <= 0:
+        raise ValueError(f"gain_bound: {gain_bound!r} is not a finite positive norm")
+    check_stabilisable(system, process.failure)
+    if measured not in ((), ("r",), ("eta", "r")):
+        raise ValueError(f"measured: {measured!r} is not (), ('r',) or ('eta', 'r')")
+    detections = process.detection[0].modes
+    parts = sections if sections is not None else ((0.0,),) * detections
+    if measured == () and max(len(row) for row in parts) > 1:
+        raise ValueError("sections: a controller that sees nothing has no clock to schedule by")
+    eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
+    if method == "printed":
+        from design.as_printed.fault_tolerant import printed_fault_tolerant
+
+        return printed_fault_tolerant(
+            system, process, None, eta_sections=eta, r_sections=parts, gain_bound=gain_bound, gamma=gamma
+        )
+    if method != "pwc":
+        raise ValueError(f"method: {method!r} is not pwc or printed")
+    build = partial(_start_program, system, process, measured, parts, gain_bound, performance)
+    what = f"fault-tolerant feedback with gain norm <= {gain_bound:g}, measured {measured}"
+    if performance is not None:
+        found = build(performance.scale).decide()
+        if not found.holds:
+            raise Infeasible(f"{what}, SIQC, X shared by what is not told apart: {found.explain()}", value=found.margin)
+    else:
+        found = smallest_gamma(build, what).found
+    modes = {(): 1, ("r",): detections, ("eta", "r"): system.modes * detections}[measured]
+    rows = [parts[mode % detections] for mode in range(modes)]
+    gain = _start_gain(found, modes, rows, measured, gain_bound)
+    best = analyse_fault_tolerant(system, gain, process, eta_nodes=eta, performance=performance)
+    if not best.certified:
+        raise Infeasible(f"{what}: gains found, but not confirmed from themselves: {best.reason}")
+    if performance is not None:
+        return best
+    for _ in range(rounds):
+        level = best.gamma or math.inf
+        if gamma is not None and level <= gamma:
+            break
+        gain = _gain_step(system, process, best, eta, gain_bound)
+        trial = analyse_fault_tolerant(system, gain, process, eta_nodes=eta)
+        if not trial.certified or (trial.gamma or math.inf) >= level:
+            break
+        best = trial
+        if (best.gamma or 0.0) > level * (1.0 - 1e-3):
+            break
+    if gamma is not None and (best.gamma or math.inf) > gamma:
+        raise Infeasible(
+            f"{what}: gamma = {best.gamma:.4g} was certified, {gamma:g} was asked; not proved to be the best",
+            value=best.gamma,
+        )
+    return best

@@ -1,0 +1,279 @@
+"""Stability and performance of a loop with a failure process eta and a detection process r, each with its own clock (Chapter 4).
+
+    dx = (A_i + B_i K) x + E_i w,   y = C_i x,   i = eta,   k = r,   K = K(k, h_r): what the controller sees
+
+    [ A_ik'P + P A_ik + sum_j lambda_ij (P_jk - P) + sum_l pi^(i)_kl (P_il - P) + C_i'G11 C_i      *   ]
+    [ E_i'P + G21 C_i                                                                             G22  ] < 0
+
+for P = P_ik(a, b), a the section of eta's clock and b that of r's, at all vertices of all rates of the pair of sections.
+A jump of eta lands in (1, b), or in (1, 1) if it restarts r's clock; a jump of r lands in (a, 1); P falls where a clock
+enters a new section. The printed (4.27) has one index for both clocks and couples neither: ``design.as_printed.fault_tolerant``.
+
+References: thesis (4.6), (4.14), (4.23); findings items 17-20.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import Infeasible
+from design.lmi.attenuation import at_gamma, smallest_gamma
+from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
+from design.processes.partitions import Partition
+from design.processes.semi_markov import FaultDetection
+from design.semi_markov_loop.certificate import JumpCertificate, Method, Verdict
+from design.semi_markov_loop.growth import gain_mode, worst_growth
+from design.semi_markov_loop.sojourn_grid import Lift, as_float, cells
+from design.semi_markov_loop.stability import gain_matrices
+from design.semi_markov_loop.system import JumpSystem
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Siqc:
+    """Stochastic integral quadratic constraint (4.6): E int [y; w]' [G11 G12; G12' G22] [y; w] < 0 for x(0) = 0, w != 0.
+
+    Args:
+        g11: positive definite, shape (p, p).
+        g12: shape (p, q).
+        g22: negative definite, shape (q, q).
+    """
+
+    g11: FloatArray
+    g12: FloatArray
+    g22: FloatArray
+
+    def __post_init__(self) -> None:
+        g11, g12, g22 = (np.array(m, dtype=float) for m in (self.g11, self.g12, self.g22))
+        for name, matrix, sign in (("g11", g11, 1.0), ("g22", -g22, -1.0)):
+            if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.allclose(matrix, matrix.T):
+                raise ValueError(f"{name}: shape {matrix.shape} or entries are not those of a symmetric matrix")
+            smallest = np.linalg.eigvalsh(matrix)[0] if np.isfinite(matrix).all() else np.nan
+            if not smallest > 0:
+                kind = "positive" if sign > 0 else "negative"
+                raise ValueError(f"{name}: eigenvalue {sign * smallest:g}, expected a {kind} definite matrix")
+        if g12.shape != (g11.shape[0], g22.shape[0]) or not np.isfinite(g12).all():
+            raise ValueError(f"g12: shape {g12.shape}, expected finite entries of shape {(g11.shape[0], g22.shape[0])}")
+        for name, matrix in (("g11", g11), ("g12", g12), ("g22", g22)):
+            object.__setattr__(self, name, matrix)
+
+    @property
+    def scale(self) -> float:
+        """Factor on y and w that makes G22 of size one."""
+        return float(1.0 / np.sqrt(np.linalg.norm(self.g22, 2)))
+
+
+def check_loop(system: JumpSystem, process: FaultDetection, gain: ScheduledGain | None = None) -> None:
+    """Raise ValueError unless system, processes and gains fit each other."""
+    if system.c is None or system.e is None:
+        raise ValueError(f"{'c' if system.c is None else 'e'}: is needed for a performance bound")
+    if system.uncertainty is not None:
+        raise ValueError("uncertainty: is not covered by the two-process conditions")
+    if process.failure.modes != system.modes:
+        raise ValueError(f"process: {process.failure.modes} failure modes, the system has {system.modes}")
+    if gain is None:
+        return
+    seen = process.detection[0].modes
+    modes = {(): 1, ("r",): seen, ("eta", "r"): system.modes * seen}.get(gain.measured)
+    if modes is None:
+        raise ValueError(f"measured: {gain.measured!r} is not (), ('r',) or ('eta', 'r')")
+    expected, got = (modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
+    if got != expected:
+        raise ValueError(f"gain: (modes, inputs, states) = {got}, expected {expected} for measured = {gain.measured!r}")
+    if gain.schedule != "hold":
+        raise ValueError("gain: linear schedules are not covered by the two-process conditions, hold them")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairCell:
+    """One pair of sections: eta = i in section a of its clock, r = k in section b of its; rate vertices (1/s)."""
+
+    i: int
+    k: int
+    a: int
+    b: int
+    failure: tuple[tuple[float, ...], ...]
+    detection: tuple[tuple[float, ...], ...]
+    last_a: bool
+    last_b: bool
+
+    @property
+    def vertices(self) -> Iterator[tuple[tuple[float, ...], tuple[float, ...]]]:
+        """All pairs of rate vertices."""
+        return itertools.product(self.failure, self.detection)
+
+
+def pair_cells(process: FaultDetection, eta_nodes: Partition, r_nodes: Partition) -> list[PairCell]:
+    """All pairs of sections. Raises ValueError as ``design.semi_markov_loop.sojourn_grid.cells``."""
+    return [
+        PairCell(
+            i=one.mode, k=two.mode, a=one.index, b=two.index, failure=one.rates, detection=two.rates, last_a=one.last,
+            last_b=two.last,
+        )
+        for one in cells(process.failure, eta_nodes)
+        for two in cells(process.detection[one.mode], r_nodes)
+    ]  # fmt: skip
+
+
+def loop_inequalities(
+    system: JumpSystem,
+    process: FaultDetection,
+    gain: ScheduledGain,
+    eta_nodes: Partition,
+    r_nodes: Partition,
+    performance: Siqc | None,
+    scale: float,
+    lift: Lift = as_float,
+) -> list[Inequality]:
+    """Every inequality on P[i,k,a,b], K[mode,section] and, without a SIQC, g2 = (scale gamma)^2; y is scaled by ``scale``."""
+    out = []
+    for cell in pair_cells(process, eta_nodes, r_nodes):
+        i, k, a, b = cell.i, cell.k, cell.a, cell.b
+        own = f"P[{i},{k},{a},{b}]"
+        mode = gain_mode(gain, process, i, k)
+        section = int(np.searchsorted(gain.starts_s[mode], r_nodes[k][b], side="right")) - 1
+        after = 0 if process.failure_restarts_detection_clock else b
+        for failure, detection in cell.vertices:
+            jumps = [(rate, f"P[{j},{k},0,{after}]") for j, rate in enumerate(failure) if rate > 0]
+            jumps += [(rate, f"P[{i},{l},{a},0]") for l, rate in enumerate(detection) if rate > 0]
+            function = partial(
+                _bounded_real, system=system, mode=i, rates=[lift(rate) for rate, _ in jumps], performance=performance,
+                scale=scale, lift=lift,
+            )  # fmt: skip
+            on = (own, f"K[{mode},{section}]", *(() if performance else ("g2",)), *(name for _, name in jumps))
+            out.append(Inequality(name=f"{own} at rates {failure}, {detection}", function=function, on=on))
+        for last, later in ((cell.last_a, f"P[{i},{k},{a + 1},{b}]"), (cell.last_b, f"P[{i},{k},{a},{b + 1}]")):
+            if not last:
+                out.append(Inequality(name=f"{later} <= {own}", function=lambda p, q: p - q, on=(later, own)))
+        out.append(Inequality(name=f"{own} > 0", function=lambda p: -p, on=(own,)))
+    return out
+
+
+def _bounded_real(
+    p: Array,
+    k: Array,
+    *rest: Array,
+    system: JumpSystem,
+    mode: int,
+    rates: list[Array],
+    performance: Siqc | None,
+    scale: float,
+    lift: Lift,
+) -> Array:
+    a, b, c, e = (lift(m[mode]) for m in (system.a, system.b, system.c, system.e) if m is not None)
+    landing = rest[len(rest) - len(rates) :]
+    value = symmetric_part(p @ (a + b @ k)) + sum((rate * (q - p) for rate, q in zip(rates, landing)), 0 * p)
+    square = lift(scale) * lift(scale)
+    if performance is None:
+        g2 = rest[0]
+        return symmetric_blocks([[value + square * (c.T @ c)], [transpose(p @ e), -g2 * lift(np.eye(e.shape[1]))]])
+    g11, g12, g22 = (square * lift(m) for m in (performance.g11, performance.g12, performance.g22))
+    return symmetric_blocks([[value + c.T @ g11 @ c], [transpose(p @ e) + g12.T @ c, g22]])
+
+
+def _known(
+    system: JumpSystem,
+    process: FaultDetection,
+    gain: ScheduledGain,
+    eta_nodes: Partition,
+    r_nodes: Partition,
+    performance: Siqc | None,
+    scale: float,
+    gamma: float | None,
+    lift: Lift = as_float,
+) -> list[Inequality]:
+    known = gain_matrices(gain, lift)
+    if gamma is not None:
+        known["g2"] = lift([[(scale * gamma) ** 2]])
+    listed = loop_inequalities(system, process, gain, eta_nodes, r_nodes, performance, scale, lift)
+    return [item.fixing(known) for item in listed]
+
+
+def r_sections(process: FaultDetection, gain: ScheduledGain) -> Partition:
+    """For every detection mode the sections of r's clock on which no gain changes."""
+    out = []
+    for k in range(process.detection[0].modes):
+        rows = {gain_mode(gain, process, i, k) for i in range(process.failure.modes)}
+        out.append(tuple(sorted({float(start) for row in rows for start in gain.starts_s[row]})))
+    return tuple(out)
+
+
+def analyse_fault_tolerant(
+    system: JumpSystem,
+    gain: ScheduledGain,
+    process: FaultDetection,
+    *,
+    eta_nodes: Partition | None = None,
+    r_nodes: Partition | None = None,
+    performance: Siqc | None = None,
+    gamma: float | None = None,
+    method: Method = "pwc",
+) -> JumpCertificate:
+    """The smallest certified gamma of given gains (or the verdict at a given gamma, or on a SIQC).
+
+    Args:
+        gain: K by what is measured: ("r",), ("eta", "r") with index eta * N_r + r, or () for one blind gain; sections on r's
+            clock.
+        eta_nodes, r_nodes: sections of both clocks for P; by default one for eta, and for r those of the gains.
+        method: ``pwc``, or ``printed`` for (4.26), (4.27) as they stand (then ``sound = False``).
+
+    Returns:
+        The certificate. Gains without sections whose second moments grow at constant rates within the bounds are ``refused``.
+
+    Raises:
+        ValueError: data that do not fit.
+    """
+    check_loop(system, process, gain)
+    eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
+    r = r_nodes if r_nodes is not None else r_sections(process, gain)
+    if method == "printed":
+        from design.as_printed.fault_tolerant import printed_fault_tolerant
+
+        return printed_fault_tolerant(system, process, gain, eta_sections=eta, r_sections=r, gamma=gamma)
+    if method != "pwc":
+        raise ValueError(f"method: {method!r} is not pwc or printed")
+    rebuild = partial(_known, system, process, gain, eta, r, performance)
+    assumptions = ("rates anywhere in their bounds on every pair of sections", "x(0) = 0 for the performance bound")
+
+    def build(scale: float) -> LmiProgram:
+        program = LmiProgram()
+        for cell in pair_cells(process, eta, r):
+            program.symmetric(f"P[{cell.i},{cell.k},{cell.a},{cell.b}]", system.states)
+        if performance is None:
+            program.matrix("g2", 1, 1)
+        program.inequalities = rebuild(scale, None)
+        return program
+
+    growth = worst_growth(system, gain, process) if gain.gain.shape[1] == 1 else None
+    if growth is not None and growth[0] >= 0:
+        reason = f"second moments grow like e^({growth[0]:.4g} t) at constant rates within the bounds: {growth[1]}"
+        return JumpCertificate(
+            method="exact", sound=True, verdict="refused", reason=reason, gain=gain, decay_rate=-growth[0],
+            assumptions=assumptions[:1],
+        )  # fmt: skip
+    what = "fault-tolerant loop"
+    try:
+        if performance is not None:
+            scale, level = performance.scale, None
+            found = build(scale).decide()
+            if not found.holds:
+                raise Infeasible(f"{what}, SIQC: {found.explain()}", value=found.margin)
+        else:
+            result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
+            scale, level, found = result.scale, result.gamma, result.found
+    except Infeasible as error:
+        verdict: Verdict = "undecided" if "not proved" in str(error) else "refused"
+        return JumpCertificate(method="pwc", sound=True, verdict=verdict, reason=str(error), gain=gain)
+    return JumpCertificate(
+        method="pwc", sound=True, verdict="certified", reason=found.explain(), margin=found.margin, gamma=level, gain=gain,
+        decay_rate=None if growth is None else -growth[0], assumptions=assumptions, matrices=found.matrices, scale=scale,
+        rebuild=partial(rebuild, scale, level), solver=found.solver,
+    )  # fmt: skip

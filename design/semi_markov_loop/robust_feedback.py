@@ -1,0 +1,301 @@
+"""Robust state feedback for semi-Markov jump systems (Chapter 2): gains scheduled by mode and sojourn time.
+
+With X = P^-1 and Y = K X the decrease condition becomes linear: for every cell, rate vertex and uncertainty,
+
+    [ A X + B Y + (.)' - dX/dh + (alpha - sum_j lambda_ij) X + eps E E'     *         *     ]
+    [ F_A X + F_B Y                                                     -eps I       0     ]  < 0,    K = Y X^-1
+    [ sqrt(lambda_ij) X                                                    0      -X_j(0)  ]
+
+- ``pwl``: X, Y and eps linear between nodes; K(h) = Y(h) X(h)^-1 is tabulated for the controller.
+- ``pwc``: constant per section, X_{i,m+1} >= X_{i,m}.
+- ``printed``: Corollary 2.2, X_j in its own section, no link between sections, two multipliers. NOT SOUND.
+
+A bound on the gain norm is part of every problem, [[k^2 I, Y], [Y', X]] >= 0 with X >= I: without one the gains grow without
+end. The returned gains are judged by ``design.semi_markov_loop.stability``, from the gains alone, not by these matrices.
+
+References: thesis (2.18)-(2.21); findings sections 2, 3 and 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import cast
+
+import numpy as np
+
+from design.controllers.scheduled_gain import Schedule, ScheduledGain
+from design.errors import Infeasible
+from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
+from design.processes.partitions import Partition, equal_probability
+from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop.certificate import JumpCertificate, Method
+from design.semi_markov_loop.sojourn_grid import Cell, cells, refine
+from design.semi_markov_loop.stabilisability import check_stabilisable
+from design.semi_markov_loop.stability import analyse
+from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
+
+CONDITION = 1e4
+"""Largest condition number of X that is searched (X >= I, X <= CONDITION I)."""
+
+
+def feedback_program(
+    system: JumpSystem,
+    process: SemiMarkov,
+    nodes: Partition,
+    method: Method,
+    gain_bound: float,
+    decay: float,
+    condition: float,
+) -> LmiProgram:
+    """The synthesis problem on X[i,r], Y[i,r] (and eps[i,r])."""
+    program = LmiProgram(reach=condition)
+    n, m = system.states, system.inputs
+    bounded = isinstance(system.uncertainty, NormBounded)
+    scales = ["eps"] * bounded + ["eps2"] * (bounded and method == "printed")
+    for i, row in enumerate(nodes):
+        for r in range(len(row)):
+            x, y = f"X[{i},{r}]", f"Y[{i},{r}]"
+            program.symmetric(x, n)
+            program.matrix(y, m, n)
+            program.require(f"{x} >= I", lambda v: np.eye(n) - v, x, strict=False)
+            program.require(f"{x} bounded", lambda v: v - condition * np.eye(n), x, strict=False)
+            limit = partial(gain_limit, bound=gain_bound)
+            program.require(f"gain bound at {x}", limit, x, y, strict=False)
+            for scale in scales:
+                program.matrix(f"{scale}[{i},{r}]", 1, 1)
+                program.require(f"{scale} >= 0", lambda e: -e, f"{scale}[{i},{r}]", strict=False)
+                program.require(f"{scale} bounded", lambda e: e - condition, f"{scale}[{i},{r}]", strict=False)
+    for cell in cells(process, nodes, segment=method == "printed"):
+        i, here = cell.mode, cell.index
+        pwl = method == "pwl" and not cell.last
+        for rates in cell.rates:
+            targets = [j for j, rate in enumerate(rates) if rate > 0]
+            landing = [f"X[{j},{min(here if method == 'printed' else 0, len(nodes[j]) - 1)}]" for j in targets]
+            for end in (0, 1) if pwl else (0,):
+                on = [f"X[{i},{here}]"] + ([f"X[{i},{here + 1}]"] if pwl else [])
+                on += [f"{kind}[{i},{here + end}]" for kind in ("Y", *scales)]
+                for vertex in system.vertices:
+                    function = partial(
+                        _decrease, system=system, cell=cell, vertex=vertex, end=end, ends=1 + pwl, scales=len(scales),
+                        rates=[rates[j] for j in targets], decay=decay,
+                    )  # fmt: skip
+                    program.require(f"decrease of mode {i} from {cell.start:g} s at {rates}", function, *on, *landing)
+        if method == "pwc" and not cell.last:
+            later, own = f"X[{i},{here + 1}]", f"X[{i},{here}]"
+            program.require(f"{later} >= {own}", lambda a, b: b - a, later, own, strict=False)
+    return program
+
+
+def _decrease(
+    *matrices: Array,
+    system: JumpSystem,
+    cell: Cell,
+    vertex: int | None,
+    end: int,
+    ends: int,
+    scales: int,
+    rates: list[float],
+    decay: float,
+) -> Array:
+    """The left side of the condition in the module's docstring; ``matrices``: X ends, Y, multipliers, landings."""
+    i, doubt = cell.mode, system.uncertainty
+    x, y = matrices[end], matrices[ends]
+    eps, landing = matrices[ends + 1 : ends + 1 + scales], matrices[ends + 1 + scales :]
+    a, b = system.a[i], system.b[i]
+    if vertex is not None:
+        doubt = cast(VertexUncertainty, doubt)
+        a, b = a + doubt.da[vertex, i], b + doubt.db[vertex, i]
+    value = symmetric_part(a @ x + b @ y) + (decay - sum(rates)) * x
+    if ends == 2:
+        value = value - (matrices[1] - matrices[0]) / (cell.stop - cell.start)
+    rows: list[list[Array | None]] = [[value]]
+    if scales:
+        doubt = cast(NormBounded, doubt)
+        rows[0][0] = value + sum(eps) * (doubt.e[i] @ doubt.e[i].T)
+        blocks = [doubt.fa[i] @ x + doubt.fb[i] @ y] if scales == 1 else [doubt.fa[i] @ x, doubt.fb[i] @ y]
+        add_schur_rows(rows, blocks, (scale * np.eye(block.shape[-2]) for scale, block in zip(eps, blocks)))
+    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
+    return symmetric_blocks(rows)
+
+
+def _tabulate(found: LmiSolution, nodes: Partition, method: Method, schedule: Schedule, points: int) -> ScheduledGain:
+    """K = Y X^-1 on a grid: ``points`` per cell (``pwl``), else one per section; ragged modes repeat their last gain."""
+    schedule = schedule if method == "pwl" else "hold"
+    rows = []
+    for i, row in enumerate(nodes):
+        table: list[tuple[float, Array]] = []
+        for r, start in enumerate(row):
+            last = r + 1 == len(row)
+            x0, y0 = found.matrices[f"X[{i},{r}]"], found.matrices[f"Y[{i},{r}]"]
+            if last or method != "pwl":
+                table.append((start, y0 @ np.linalg.inv(x0)))
+                continue
+            x1, y1 = found.matrices[f"X[{i},{r + 1}]"], found.matrices[f"Y[{i},{r + 1}]"]
+            for k in range(points):
+                part = k / points
+                at = part if schedule == "linear" else (k + 0.5) / points
+                gain = ((1 - at) * y0 + at * y1) @ np.linalg.inv((1 - at) * x0 + at * x1)
+                table.append((start + part * (row[r + 1] - start), gain))
+        rows.append(table)
+    longest = max(len(table) for table in rows)
+    for table in rows:
+        while len(table) < longest:
+            table.append((table[-1][0] + 1.0, table[-1][1]))
+    starts = np.array([[start for start, _ in table] for table in rows])
+    return ScheduledGain(
+        gain=np.array([[gain for _, gain in table] for table in rows]), starts_s=starts, schedule=schedule
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeedbackRequest:
+    """What is asked of the gains; see ``robust_feedback`` for the fields."""
+
+    process: SemiMarkov
+    gain_bound: float
+    sections: int | Partition = 2
+    method: Method = "pwl"
+    schedule: Schedule = "linear"
+    points: int = 4
+    condition: float = CONDITION
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.gain_bound) or self.gain_bound <= 0:
+            raise ValueError(f"gain_bound: {self.gain_bound!r} is not a finite positive norm")
+        if self.method not in ("pwl", "pwc", "printed"):
+            raise ValueError(f"method: {self.method!r} is not one of pwl, pwc, printed")
+        if self.points < 1:
+            raise ValueError(f"points: {self.points}, expected at least 1")
+
+    @property
+    def starts(self) -> Partition:
+        """Section starts per mode."""
+        return equal_probability(self.process, self.sections) if isinstance(self.sections, int) else self.sections
+
+    @property
+    def nodes(self) -> Partition:
+        """Nodes of X: the section starts and, for ``pwl``, the kinks of the rates."""
+        return refine(self.process, self.starts, 1) if self.method == "pwl" else self.starts
+
+    def __str__(self) -> str:
+        return f"method {self.method}, {max(map(len, self.starts))} sections, gain norm <= {self.gain_bound:g}"
+
+    def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
+        """Solve the inequalities. Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
+        if not np.isfinite(decay) or decay < 0:
+            raise ValueError(f"decay: {decay!r} is not a finite non-negative rate")
+        if self.process.modes != system.modes:
+            raise ValueError(f"process: {self.process.modes} modes, the system has {system.modes}")
+        check_stabilisable(system, self.process)
+        for condition in (self.condition, 0.1 * self.condition):  # a smaller box is easier to prove empty
+            program = feedback_program(
+                system, self.process, self.nodes, self.method, self.gain_bound, decay, condition
+            )  # fmt: skip
+            found = program.solve()
+            if found.holds:
+                return found
+            if found.refused or quick:
+                break
+        else:
+            found = program.decide()
+            if found.holds:
+                return found
+        raise Infeasible(
+            f"robust feedback ({self}, decay {decay:g}/s, I <= X <= {condition:g} I): {found.explain()}",
+            value=found.margin,
+        )
+
+    def judge(self, system: JumpSystem, found: LmiSolution, decay: float) -> JumpCertificate:
+        """Tabulate the gains and certify them from nothing but themselves. Raises Infeasible if that fails."""
+        gain = _tabulate(found, self.nodes, self.method, self.schedule, self.points)
+        if gain.norm > self.gain_bound:  # the inequality holds to the solver's tolerance only
+            gain = replace(gain, gain=gain.gain * (self.gain_bound / gain.norm))
+        if self.method == "pwl":
+            certificate = analyse(system, gain, self.process, method="pwl", parts=1, decay=decay)
+        else:
+            certificate = analyse(system, gain, self.process, method=self.method, nodes=self.starts, decay=decay)
+        if certificate.certified:
+            return certificate
+        raise Infeasible(
+            f"robust feedback ({self}, decay {decay:g}/s): gains found, but {certificate.reason}; more points may help",
+            value=certificate.margin,
+        )
+
+
+def robust_feedback(
+    system: JumpSystem,
+    process: SemiMarkov,
+    *,
+    gain_bound: float,
+    sections: int | Partition = 2,
+    method: Method = "pwl",
+    schedule: Schedule = "linear",
+    points: int = 4,
+    decay: float = 0.0,
+    condition: float = CONDITION,
+) -> JumpCertificate:
+    """Gains K(i, h) that make the loop mean-square stable for every admissible uncertainty and rate (Corollary 2.2, sound).
+
+    Args:
+        gain_bound: largest spectral norm of any gain.
+        sections: number of equal-probability sections, or a partition.
+        method: ``pwl``, ``pwc`` or ``printed``.
+        schedule, points: how K(h) of ``pwl`` is handed over: ``points`` per section,
+            linear between them or held.
+        decay: demanded decay rate of E|x|^2 (1/s).
+        condition: largest condition number of X that is searched.
+
+    Returns:
+        The certificate of the gains (``.gain``), found again from the gains alone; for ``printed`` with ``sound = False``.
+
+    Raises:
+        ValueError: data that do not fit.
+        Infeasible: no such gains exist (proved) or none could be certified; the message says.
+    """
+    request = FeedbackRequest(
+        process=process, gain_bound=gain_bound, sections=sections, method=method, schedule=schedule, points=points,
+        condition=condition,
+    )  # fmt: skip
+    return request.judge(system, request.find(system, decay), decay)
+
+
+def largest_uncertainty(
+    system: JumpSystem, request: FeedbackRequest, *, tolerance: float = 1e-3
+) -> tuple[float, JumpCertificate]:
+    """The largest scale of the system's uncertainty for which gains are certified, and the certificate of these gains.
+
+    Bisection to a relative ``tolerance``. Raises as ``robust_feedback`` does, where not even scale 0 has gains.
+    """
+    if system.uncertainty is None:
+        raise ValueError("uncertainty: there is none to scale")
+    return _largest(lambda scale: (system.scaled(scale), 0.0), request, tolerance)
+
+
+def fastest_feedback(system: JumpSystem, request: FeedbackRequest, *, tolerance: float = 2e-3) -> JumpCertificate:
+    """The gains with the largest certified decay rate of E|x|^2 under the gain bound, by bisection as above."""
+    return _largest(lambda decay: (system, decay), request, tolerance)[1]
+
+
+def _largest(
+    problem: Callable[[float], tuple[JumpSystem, float]], request: FeedbackRequest, tolerance: float
+) -> tuple[float, JumpCertificate]:
+    low, high, found = 0.0, math.inf, request.find(*problem(0.0))
+    while high - low > tolerance * max(low, 1e-2):
+        trial = max(1.0, 2.0 * low) if math.isinf(high) else 0.5 * (low + high)
+        try:
+            found = request.find(*problem(trial), quick=True)
+            low = trial
+        except Infeasible:
+            high = trial
+    for _ in range(8):  # at the very edge the tabulated gains may fail where Y X^-1 does not: step back a little
+        try:
+            system, decay = problem(low)
+            return low, request.judge(system, found, decay)
+        except Infeasible:
+            low *= 1.0 - 4.0 * tolerance
+            found = request.find(*problem(low))
+    system, decay = problem(low)
+    return low, request.judge(system, found, decay)

@@ -1,0 +1,137 @@
+"""The cells of the sojourn axis on which a Lyapunov function is linear, with the rate vertices that hold there.
+
+A cell is [h_r, h_{r+1}) of one mode, the last one [h_R, inf). Within it every rate stays between its bounds, so that an
+inequality that is affine in the rates holds if it holds at all 2^(N-1) corners of the box.
+
+Products of two functions that are linear in h are quadratic; they are negative definite on the cell if their three
+Bernstein coefficients are (``along``).
+
+References: thesis (2.13); findings, chapter 2, items 1 and 2.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from design.processes.partitions import Partition, check_partition
+from design.processes.semi_markov import SemiMarkov
+
+Array = npt.NDArray[Any]
+Lift = Callable[[npt.ArrayLike], Array]
+
+
+def as_float(value: npt.ArrayLike) -> Array:
+    """The lift that changes nothing: numbers stay floats (the other lift makes fractions, ``design.lmi.exact``)."""
+    return np.asarray(value, dtype=float)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """One cell of one mode.
+
+    Args:
+        mode, index: where it belongs.
+        start, stop: its ends (s); ``stop`` is ``inf`` in the last one.
+        rates: the vertices of the rates out of the mode, each of length N (1/s).
+    """
+
+    mode: int
+    index: int
+    start: float
+    stop: float
+    rates: tuple[tuple[float, ...], ...]
+
+    @property
+    def last(self) -> bool:
+        """Whether the cell never ends."""
+        return math.isinf(self.stop)
+
+
+def cells(process: SemiMarkov, nodes: Partition, *, segment: bool = False) -> list[Cell]:
+    """All cells between the nodes, mode by mode.
+
+    ``segment`` takes only the two corners "all low" and "all high", as Theorem 2.2 is printed: that covers a segment of
+    the box when a mode has two targets or more.
+
+    Raises:
+        ValueError: the nodes are not increasing from 0, or a rate has no finite bound on a cell.
+    """
+    check_partition(process, nodes)
+    out = []
+    for mode, row in enumerate(nodes):
+        for index, (start, stop) in enumerate(zip(row, [*row[1:], math.inf])):
+            low, high = process.bounds(mode, start, stop)
+            for target, (a, b) in enumerate(zip(low.tolist(), high.tolist())):
+                if not math.isfinite(b):
+                    raise ValueError(f"rates[{mode}][{target}]: no finite bound on [{start:g}, {stop:g}) s; clip it")
+                if not 0 <= a <= b:
+                    raise ValueError(f"rates[{mode}][{target}]: bounds [{a:g}, {b:g}] on [{start:g}, {stop:g}) s cross")
+            if segment:
+                corners = {tuple(low.tolist()), tuple(high.tolist())}
+            else:
+                corners = set(itertools.product(*({a, b} for a, b in zip(low.tolist(), high.tolist()))))
+            out.append(Cell(mode=mode, index=index, start=start, stop=stop, rates=tuple(sorted(corners))))
+    return out
+
+
+def refine(process: SemiMarkov, starts: Partition, parts: int) -> Partition:
+    """Lyapunov nodes: the section starts, the kinks of the rates and where they settle, every gap cut into ``parts``."""
+    if parts < 1:
+        raise ValueError(f"parts: {parts}, expected at least 1")
+    out = []
+    for mode, row in enumerate(starts):
+        settled = process.settled(mode)
+        ends = {*row, *process.breaks(mode), *({settled} if math.isfinite(settled) else set())}
+        edges = sorted(ends)
+        inner = [np.linspace(a, b, parts + 1)[:-1].tolist() for a, b in itertools.pairwise(edges)]
+        out.append(tuple(itertools.chain(*inner, edges[-1:])))
+    return tuple(out)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainOnCell:
+    """K along a cell as a mixture of stored gains: K at end e is sum_s weights[e][s] gain[mode, sections[s]]."""
+
+    sections: tuple[int, ...]
+    weights: tuple[tuple[float, ...], ...]
+
+    @property
+    def moves(self) -> bool:
+        """Whether K changes along the cell."""
+        return self.weights[0] != self.weights[-1]
+
+
+def gain_on(starts: npt.NDArray[np.float64], schedule: str, cell: Cell) -> GainOnCell:
+    """The stored gains that act on a cell, with their weights at its ends (one end if the cell never ends).
+
+    Raises ValueError where a section of the gains starts inside the cell: K would not be linear on it.
+    """
+    if ((starts > cell.start) & (starts < cell.stop)).any():
+        raise ValueError(f"nodes[{cell.mode}]: a section of the gains starts inside [{cell.start:g}, {cell.stop:g}) s")
+    section = int(np.searchsorted(starts, cell.start, side="right")) - 1
+    ends = 1 if cell.last else 2
+    if schedule == "hold" or section + 1 == starts.size:
+        return GainOnCell(sections=(section,), weights=((1.0,),) * ends)
+    width = starts[section + 1] - starts[section]
+    parts = [float((h - starts[section]) / width) for h in (cell.start, cell.stop)[:ends]]
+    return GainOnCell(sections=(section, section + 1), weights=tuple((1.0 - part, part) for part in parts))
+
+
+Pairs = list[list[tuple[int, tuple[float, ...]]]]
+
+
+def bernstein(gain: GainOnCell) -> Pairs:
+    """What to check on a cell for g(s) = f(P(s), K(s)), P and K linear in s and f affine in each of them.
+
+    The Bernstein coefficients are f(P_0, K_0), f(P_1, K_1) and (f(P_0, K_1) + f(P_1, K_0)) / 2; each is returned as the
+    list of (end of P, weights of K) whose mean it is. Where K does not move, the middle one follows from the ends.
+    """
+    ends = [[(end, weights)] for end, weights in enumerate(gain.weights)]
+    return [*ends, [(0, gain.weights[1]), (1, gain.weights[0])]] if gain.moves else ends

@@ -1,0 +1,205 @@
+"""Semi-Markov jump linear systems as data: the matrices per mode, their uncertainty, the delay, the disturbance path.
+
+    dx = (A_i + dA_i) x + Ad_i x(t - tau_i(t)) + (B_i + dB_i) u + E_i w,      z = C_i x,      i = mode of the process.
+
+The rates belong to the process (``design.processes.semi_markov``), not to the system, so that one system can be tried under
+several.
+
+References: thesis (2.16), (3.1), (3.23), (4.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def _array(path: str, value: npt.ArrayLike, ndim: int, shape: Mapping[int, int]) -> FloatArray:
+    """A read-only float copy with its shape and entries checked; ``shape`` says which axes are already known."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{path}: is not an array of numbers (do all modes have the same shape?)") from None
+    if array.ndim != ndim:
+        raise ValueError(f"{path}: {array.ndim} axes, expected {ndim}; got shape {array.shape}")
+    for axis, size in shape.items():
+        if array.shape[axis] != size:
+            raise ValueError(f"{path}: shape {array.shape}, expected {size} along axis {axis}")
+    if not np.isfinite(array).all():
+        where = tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"{path}{list(where)}: {array[where]} is not finite")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NormBounded:
+    """dA_i = E_i delta FA_i, dB_i = E_i delta FB_i with delta'delta <= I, free in time (2.16).
+
+    Args:
+        e: shape (N, n, q).
+        fa: shape (N, q', n).
+        fb: shape (N, q', m); delta is q x q'.
+    """
+
+    e: FloatArray
+    fa: FloatArray
+    fb: FloatArray
+
+    def __post_init__(self) -> None:
+        e = _array("e", self.e, 3, {})
+        fa = _array("fa", self.fa, 3, {0: e.shape[0], 2: e.shape[1]})
+        object.__setattr__(self, "e", e)
+        object.__setattr__(self, "fa", fa)
+        object.__setattr__(self, "fb", _array("fb", self.fb, 3, {0: e.shape[0], 1: fa.shape[1]}))
+
+    def scaled(self, scale: float) -> NormBounded:
+        """The same uncertainty, ``scale`` times as large."""
+        return replace(self, fa=scale * self.fa, fb=scale * self.fb)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VertexUncertainty:
+    """(dA_i, dB_i) anywhere in the convex hull of V pairs, free in time.
+
+    Args:
+        da: shape (V, N, n, n).
+        db: shape (V, N, n, m).
+    """
+
+    da: FloatArray
+    db: FloatArray
+
+    def __post_init__(self) -> None:
+        da = _array("da", self.da, 4, {})
+        object.__setattr__(self, "da", _array("da", da, 4, {3: da.shape[2]}))
+        object.__setattr__(self, "db", _array("db", self.db, 4, {0: da.shape[0], 1: da.shape[1], 2: da.shape[2]}))
+
+    def scaled(self, scale: float) -> VertexUncertainty:
+        """The same uncertainty, ``scale`` times as large."""
+        return replace(self, da=scale * self.da, db=scale * self.db)
+
+
+Uncertainty = NormBounded | VertexUncertainty
+
+
+class _Sized:
+    """The sizes of a system, read off its matrices."""
+
+    __slots__ = ()
+    a: FloatArray
+    b: FloatArray
+
+    @property
+    def modes(self) -> int:
+        """Number of modes N."""
+        return int(self.a.shape[0])
+
+    @property
+    def states(self) -> int:
+        """Number of states n."""
+        return int(self.a.shape[1])
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs m."""
+        return int(self.b.shape[2])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JumpSystem(_Sized):
+    """Matrices of a jump linear system with N modes, n states, m inputs.
+
+    Args:
+        a: shape (N, n, n).
+        b: shape (N, n, m).
+        c: z = C_i x, shape (N, p, n), optional.
+        e: disturbance, shape (N, n, q), optional.
+        uncertainty: of A and B, optional.
+
+    Raises:
+        ValueError: a matrix has the wrong shape or an entry that is not finite (the message starts with the field).
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray | None = None
+    e: FloatArray | None = None
+    uncertainty: Uncertainty | None = None
+
+    def __post_init__(self) -> None:
+        a = _array("a", self.a, 3, {})
+        modes, n = a.shape[:2]
+        object.__setattr__(self, "a", _array("a", a, 3, {2: n}))
+        object.__setattr__(self, "b", _array("b", self.b, 3, {0: modes, 1: n}))
+        if self.c is not None:
+            object.__setattr__(self, "c", _array("c", self.c, 3, {0: modes, 2: n}))
+        if self.e is not None:
+            object.__setattr__(self, "e", _array("e", self.e, 3, {0: modes, 1: n}))
+        doubt = self.uncertainty
+        if isinstance(doubt, NormBounded):
+            _array("uncertainty.e", doubt.e, 3, {0: modes, 1: n})
+            _array("uncertainty.fb", doubt.fb, 3, {2: self.b.shape[2]})
+        elif isinstance(doubt, VertexUncertainty):
+            _array("uncertainty.da", doubt.da, 4, {1: modes, 2: n})
+            _array("uncertainty.db", doubt.db, 4, {3: self.b.shape[2]})
+
+    @property
+    def vertices(self) -> list[int | None]:
+        """The vertices of its uncertainty; one None where it is not given by vertices."""
+        doubt = self.uncertainty
+        return list(range(doubt.da.shape[0])) if isinstance(doubt, VertexUncertainty) else [None]
+
+    def scaled(self, scale: float) -> JumpSystem:
+        """The same nominal system with its uncertainty ``scale`` times as large."""
+        return replace(self, uncertainty=None if self.uncertainty is None else self.uncertainty.scaled(scale))
+
+    def at_vertex(self, vertex: int) -> JumpSystem:
+        """The certain system at one vertex of its uncertainty (constant, the same in all modes)."""
+        if not isinstance(self.uncertainty, VertexUncertainty):
+            raise ValueError("uncertainty: is not given by vertices")
+        da, db = self.uncertainty.da[vertex], self.uncertainty.db[vertex]
+        return replace(self, a=self.a + da, b=self.b + db, uncertainty=None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DelayedJumpSystem(_Sized):
+    """A jump linear system with a state delay tau_i(t) <= delay_max_s, d tau_i/dt <= slope_i < 1 (3.1)-(3.2).
+
+    Args:
+        a, ad: shape (N, n, n).
+        b: shape (N, n, m).
+        e: disturbance, shape (N, n, q).
+        c: z = C_i x, shape (N, p, n).
+        delay_max_s: largest delay (s).
+        delay_slopes: bound on the growth of the delay per mode, shape (N,).
+    """
+
+    a: FloatArray
+    ad: FloatArray
+    b: FloatArray
+    e: FloatArray
+    c: FloatArray
+    delay_max_s: float
+    delay_slopes: FloatArray
+
+    def __post_init__(self) -> None:
+        a = _array("a", self.a, 3, {})
+        modes, n = a.shape[:2]
+        object.__setattr__(self, "a", _array("a", a, 3, {2: n}))
+        object.__setattr__(self, "ad", _array("ad", self.ad, 3, {0: modes, 1: n, 2: n}))
+        object.__setattr__(self, "b", _array("b", self.b, 3, {0: modes, 1: n}))
+        object.__setattr__(self, "e", _array("e", self.e, 3, {0: modes, 1: n}))
+        object.__setattr__(self, "c", _array("c", self.c, 3, {0: modes, 2: n}))
+        slopes = _array("delay_slopes", self.delay_slopes, 1, {0: modes})
+        if (slopes >= 1).any():
+            worst = int(np.argmax(slopes))
+            raise ValueError(f"delay_slopes[{worst}]: {slopes[worst]:g} is not below 1, as (3.2) demands")
+        if not np.isfinite(self.delay_max_s) or self.delay_max_s < 0:
+            raise ValueError(f"delay_max_s: {self.delay_max_s!r} is not a finite non-negative time")
+        object.__setattr__(self, "delay_slopes", slopes)

@@ -1,0 +1,72 @@
+"""Norms of the closed loop as functions of the free gains, with exact derivatives, for a descent."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from design.jump_linear.bounded_real import Fold, locate_norm, refine_fold
+from design.jump_linear.h2 import h2_derivative, is_positive
+from design.jump_linear.second_moment import Resolvent, mean_square_radius
+from design.networked_loop.closed_loop import LoopStructure
+from design.processes.delay_chain import Array
+from design.tracking.gain_parametrisation import GainSpace
+
+
+class LoopObjective:
+    """H2 and H-infinity norm over a gain space; counts evaluations, and starts each fold from the last one.
+
+    Args:
+        structure: the loop.
+        space: its free gains.
+        alpha: (N,) initial mode distribution.
+    """
+
+    def __init__(self, structure: LoopStructure, space: GainSpace, alpha: Array) -> None:
+        self.structure, self.space, self.alpha = structure, space, alpha
+        self.evaluations = 0
+        self._fold: Fold | None = None
+        self._zero = np.zeros((structure.B.shape[0], structure.C.shape[1], structure.B.shape[2]))
+
+    def radius(self, v: Array) -> float:
+        """Spectral radius of the second-moment operator."""
+        return mean_square_radius(self.structure.matrices(self.space.gains(v)), self.structure.transition)
+
+    def h2(self, v: Array, scale: float = 1.0) -> tuple[float, Array]:
+        """H2 norm of the loop, of matrices times `scale` (a discount, under which any gains are stable)."""
+        s = self.structure
+        self.evaluations += 1
+        found = h2_derivative(scale * s.matrices(self.space.gains(v)), s.B, s.C, s.transition, self.alpha)
+        if found is None or not found.square > 0.0:
+            return np.inf, np.zeros_like(v)
+        norm = float(np.sqrt(found.square))
+        return norm, self.space.gradient(v, s.gain_gradient(scale * found.gradient_A)) / (2.0 * norm)
+
+    def hinf(self, v: Array) -> tuple[float, Array]:
+        """H-infinity norm of the loop; its derivative is exact, the norm being smooth wherever its fold is simple."""
+        s = self.structure
+        self.evaluations += 1
+        A = s.matrices(self.space.gains(v))
+        matrices = (A, s.B, s.C, self._zero, s.transition)
+        fold = None if self._fold is None else refine_fold(matrices, self._fold)
+        if fold is None:
+            probe = Resolvent(A, s.transition).cost(np.broadcast_to(np.eye(A.shape[-1]), A.shape))
+            if not np.isfinite(probe).all() or not is_positive(probe):
+                return np.inf, np.zeros_like(v)
+            found = locate_norm(matrices)
+            if not isinstance(found, Fold):
+                return self._without_fold(v, float(np.sqrt(found)))
+            fold = found
+        self._fold = fold
+        return fold.norm, self.space.gradient(v, s.gain_gradient(fold.gradient_A(s.transition)))
+
+    def _without_fold(self, v: Array, norm: float) -> tuple[float, Array]:
+        """A norm that is reached without a fold (finite memory) has no null vectors: its slope by differences."""
+        s, slope = self.structure, np.zeros_like(v)
+        step = 1e-5 * max(1.0, float(np.abs(v).max()))
+        for i, direction in enumerate(np.eye(v.size) * step):
+            ends = []
+            for side in (v + direction, v - direction):
+                found = locate_norm((s.matrices(self.space.gains(side)), s.B, s.C, self._zero, s.transition))
+                ends.append(found.norm if isinstance(found, Fold) else float(np.sqrt(found)))
+            slope[i] = (ends[0] - ends[1]) / (2.0 * step)
+        return norm, slope

@@ -1,0 +1,1 @@
+"""Asked -> ready to run: the loop, its design, its certificate."""

@@ -1,0 +1,94 @@
+"""Design problems in the user's words: a plant or an experiment by name, and the network of Section 7.4."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from design.processes.delay_chain import DelayChain
+from design.tracking.problem import TrackingProblem
+from hil.errors import HilError
+
+LAMBDA = ((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1))
+PI = ((0.5, 0.5), (0.7, 0.3))
+"""The network of both examples, (7.34)."""
+
+PERIODS_S = {"dc-motor": 0.05, "vtol": 0.01}
+"""Sample periods of Section 7.4, s."""
+
+PRINTED_VTOL = (
+    ((0.9996, 0.0003, 0.0002, -0.0046), (0.0005, 0.99, -0.0002, -0.04), (0.001, 0.0036, 0.993, 0.0141), (0, 0, 0.01, 1.0001)),
+    ((0.0044, 0.0018), (0.0353, -0.0755), (-0.0549, 0.0446), (-0.0003, 0.0002)),
+    ((0.0, 1.0, 0.0, 0.0),),
+)
+"""A, B, C of Section 7.4.1: the plant's zero-order hold rounded to four decimals, which moves the norms by 3e-4."""
+
+
+class Site(NamedTuple):
+    """Where a controller is to work: plant's name, period in s, discrete plant, and the two delay chains."""
+
+    plant: str
+    period_s: float
+    A: Any
+    B: Any
+    C: Any
+    sc: DelayChain
+    ca: DelayChain
+
+
+def site(name: str, period_s: float | None = None, sojourns: int = 1) -> Site:
+    """Plant and network of a plant plug-in (network (7.34)) or of an experiment.
+
+    The name "vtol" without a period means the discrete model that Section 7.4.1 prints; an experiment always means the
+    model of the plant that it runs.
+
+    Raises:
+        HilError: no such plant or experiment, or a network that is no chain of delays.
+    """
+    from hil.experiment.plugins import load, names
+
+    of_experiment = name not in names("hil.plants")
+    if not of_experiment:
+        if sojourns > 1:
+            raise HilError(f"--sojourns: over the Markov network of {name} the length of a stay says nothing; name an experiment")
+        plant = load("hil.plants", name)()
+        period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
+        sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
+    else:
+        from hil.compose.delay_chains import delay_chain
+        from hil.experiment import load_experiment
+
+        experiment = load_experiment(name)
+        plant = experiment.plant
+        period = period_s if period_s is not None else float(experiment.period)
+        try:
+            sc_found, ca_found = delay_chain(experiment.links.sc.law, sojourns), delay_chain(experiment.links.ca.law)
+        except ValueError as error:
+            raise HilError(f"{name}: {error}") from None
+        if sc_found is None or ca_found is None:
+            raise HilError(f"{name}: its network laws are no finite chains of delays, so there is nothing to design for")
+        sc, ca = sc_found, ca_found
+        name = experiment.kinds.get("plant", name)
+    if not (np.isfinite(period) and period > 0):
+        raise HilError(f"--period: {period:g} s, expected a number > 0")
+    try:
+        discrete = plant.model().discretise(float(period))
+    except (AttributeError, NotImplementedError) as error:
+        raise HilError(f"{name}: this plant has no linear model to design for ({error})") from None
+    A, B, C = (np.asarray(M) for M in (discrete.A, discrete.B, discrete.C))
+    if name == "vtol" and period_s is None and not of_experiment:
+        A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
+    return Site(name, float(period), A, B, C, sc, ca)
+
+
+def problem_for(place: Site, **options: Any) -> TrackingProblem:
+    """The tracking problem of a site; errors name the field at fault.
+
+    Raises:
+        HilError: an option that does not fit.
+    """
+    try:
+        return TrackingProblem(A=place.A, B=place.B, C=place.C, sc=place.sc, ca=place.ca, **options)
+    except ValueError as error:
+        raise HilError(f"design: {error}") from None

@@ -1,0 +1,225 @@
+"""An experiment, composed: plug-ins made, the design solved, its certificate computed. What every process of a run receives."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from msgspec.structs import replace
+from threadpoolctl import threadpool_limits
+
+from design.controllers import LoopModel, RunningController, StaticGains, packet_samples, row_count
+from design.errors import DesignError
+from hil.compose.delay_chains import delay_chains, gains_over
+from hil.errors import ExperimentError
+from hil.experiment import Experiment
+from hil.log.records import Channel, channels
+from transport.laws.protocols import load_files, prepare, slots_served
+from transport.packets import MAX_OUTPUTS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loop:
+    """What is needed to run: plain data, cheap to pickle.
+
+    Args:
+        experiment: the checked description.
+        model: what the controller knows of the plant, and the bounds of both delays.
+        controller: controller parameters, with any design already solved.
+        sc_law, ca_law: the network laws, distributions tabulated: no process that keeps time computes them.
+        rows: rows in one send-all packet.
+        selection: how the actuator picks one of them.
+        samples: samples in one sensor packet: the newest, and so many less one before it.
+        certificate: JSON form of the certificate of the closed loop, None if this kind of loop has none.
+    """
+
+    experiment: Experiment
+    model: LoopModel
+    controller: Any
+    sc_law: Any
+    ca_law: Any
+    rows: int
+    selection: str
+    samples: int
+    certificate: dict[str, Any] | None
+
+    def start_controller(self) -> RunningController:
+        """Return the control law, ready for slot 0."""
+        running: RunningController = self.controller.start(self.model)
+        return running
+
+    def channels(self) -> dict[str, Channel]:
+        """Return the topics that a run of this loop logs."""
+        plant = self.experiment.plant
+        return channels(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows)
+
+    def reference(self) -> Callable[[int], tuple[float, ...]]:
+        """Return the reference as a function of the slot."""
+        e = self.experiment
+        zero = (0.0,) * len(e.plant.outputs)
+        return _schedule(zero, [(round(s.at / e.period), s.value) for s in e.reference])
+
+    def disturbance(self) -> Callable[[int], tuple[float, ...]]:
+        """Return the input disturbance as a function of the slot."""
+        e = self.experiment
+        zero = (0.0,) * len(e.plant.inputs)
+        changes: dict[int, tuple[float, ...]] = {}
+        pulses = [(round(p.at / e.period), round(p.at / e.period) + p.samples, p.value) for p in e.disturbance]
+        for k in sorted({edge for a, b, _ in pulses for edge in (a, b)}):
+            active = [v for a, b, v in pulses if a <= k < b]
+            changes[k] = tuple(map(sum, zip(zero, *active)))
+        return _schedule(zero, list(changes.items()))
+
+
+def _schedule(
+    start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float, ...]]]
+) -> Callable[[int], tuple[float, ...]]:
+    """Piecewise constant in the slot; asked in ascending order it costs one comparison."""
+    ordered = sorted(changes)
+    ticks = [k for k, _ in ordered]
+    values = [start, *(v for _, v in ordered)]
+    position = 0
+
+    def at(k: int) -> tuple[float, ...]:
+        nonlocal position
+        while position < len(ticks) and ticks[position] <= k:
+            position += 1
+        while position > 0 and ticks[position - 1] > k:
+            position -= 1
+        return values[position]
+
+    return at
+
+
+def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
+    """Make the loop of an experiment: check what belongs together, solve the design, certify the closed loop.
+
+    Raises:
+        ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is
+            not set.
+    """
+    # Small matrices: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
+    with threadpool_limits(1, user_api="blas"):
+        return _compose(experiment, certify)
+
+
+def _compose(experiment: Experiment, certify: bool) -> Loop:
+    faults = _faults(experiment)
+    if faults:
+        raise ExperimentError(experiment.name, faults)
+    experiment = _loaded(experiment)
+    plant, links = experiment.plant, experiment.links
+    discrete = plant.model().discretise(float(experiment.period))
+    model = LoopModel(
+        A=np.asarray(discrete.A),
+        B=np.asarray(discrete.B),
+        C=np.asarray(discrete.C),
+        period_s=float(experiment.period),
+        tau_max=links.sc.max_age,
+        d_max=links.ca.max_age,
+    )
+    controller = experiment.controller
+    stated: dict[str, Any] | None = None
+    try:
+        if hasattr(controller, "solve"):  # a design problem: what runs is its solution
+            controller, stated = controller.solve(model, *delay_chains(experiment), experiment.folder)
+            kinds = {**experiment.kinds, "controller": controller.kind}
+            experiment = replace(experiment, controller=controller, kinds=kinds)
+        running = controller.start(model)
+        chains = delay_chains(experiment)
+        samples = packet_samples(controller)
+        if not 1 <= samples * len(plant.outputs) <= MAX_OUTPUTS:
+            raise ValueError(f"samples: {samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
+    except (ValueError, DesignError) as e:
+        field = isinstance(e, ValueError) and re.match(r"[\w.\[\]]+:", str(e))  # the message begins with a parameter's name
+        raise ExperimentError(experiment.name, [f"controller.{e}" if field else f"controller: {e}"]) from e
+    certificate = None
+    if certify:
+        certificate = _certify(experiment, model, chains) if stated is None else _accept(experiment, stated)
+    return Loop(
+        experiment=experiment,
+        model=model,
+        controller=controller,
+        sc_law=prepare(links.sc.law),
+        ca_law=prepare(links.ca.law),
+        rows=row_count(running.selection, model.d_max),
+        selection=running.selection,
+        samples=samples,
+        certificate=certificate,
+    )
+
+
+def _loaded(e: Experiment) -> Experiment:
+    """Read the files that the network laws name, so that the experiment needs nothing but itself."""
+    sides = {}
+    for side in ("sc", "ca"):
+        direction = getattr(e.links, side)
+        try:
+            law = load_files(direction.law, e.folder)
+        except ValueError as error:
+            raise ExperimentError(e.name, [f"links.{side}.law.{error}"]) from error
+        served = slots_served(law)
+        if served is not None and served < e.ticks:
+            raise ExperimentError(
+                e.name, [f"links.{side}.law: the recording serves {served} slots, the run has {e.ticks}; it can repeat"]
+            )
+        sides[side] = replace(direction, law=law)
+    return replace(e, links=replace(e.links, **sides))
+
+
+def _faults(e: Experiment) -> list[str]:
+    faults = []
+    p, m, names = len(e.plant.outputs), len(e.plant.inputs), [s.name for s in e.plant.states]
+    for i, step in enumerate(e.reference):
+        if len(step.value) != p:
+            faults.append(f"reference[{i}].value: {len(step.value)} entries, but the plant has {p} outputs")
+    for i, pulse in enumerate(e.disturbance):
+        if len(pulse.value) != m:
+            faults.append(f"disturbance[{i}].value: {len(pulse.value)} entries, but the plant has {m} inputs")
+    if e.limits.input is not None and len(e.limits.input) != m:
+        faults.append(f"limits.input: {len(e.limits.input)} entries, but the plant has {m} inputs")
+    for name in e.limits.state:
+        if name not in names:
+            faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
+    return faults
+
+
+def _accept(e: Experiment, stated: dict[str, Any]) -> dict[str, Any]:
+    """Return the certificate that came with a design, or refuse the run."""
+    if not stated["stable"] and not e.allow_uncertified:
+        reason = stated.get("reason", "not stable")
+        raise ExperimentError(
+            e.name, [f"controller: no certificate of stability: {reason}; set allow_uncertified = true to run it all the same"]
+        )
+    return stated
+
+
+def _certify(e: Experiment, model: LoopModel, chains: tuple[Any | None, Any | None]) -> dict[str, Any] | None:
+    """Return the certificate of the closed loop, or refuse the run."""
+    controller, (sc, ca) = e.controller, chains
+    if not isinstance(controller, StaticGains) or sc is None or ca is None:
+        if not e.allow_uncertified:
+            what = "this kind of network law" if isinstance(controller, StaticGains) else "this kind of controller"
+            raise ExperimentError(
+                e.name, [f"controller: there is no certificate for {what}; set allow_uncertified = true to run it"]
+            )
+        return None
+    from design.jump_linear.certificate import certify_loop
+
+    K = gains_over(controller, model, sc, ca)
+    certificate = certify_loop(
+        model.A, model.B, model.C, sc, ca, K, controller.selection,
+        samples=packet_samples(controller), integral=float(getattr(controller, "integral", False)),
+    )  # fmt: skip
+    if not certificate.stable and not e.allow_uncertified:
+        raise ExperimentError(
+            e.name,
+            [
+                "controller: the loop is not mean-square stable over this network (second-moment radius "
+                f"{certificate.mean_square_radius:.4f}); set allow_uncertified = true to run it all the same"
+            ],
+        )
+    return dict(certificate.to_json())

@@ -1,0 +1,182 @@
+"""Raw TOML to checked tables: table by table and field by field, so that no fault hides another."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import re
+import typing
+from typing import Any
+
+import msgspec
+
+from hil.errors import HilError
+from hil.experiment import plugins as registry
+from hil.experiment.tables import HIDDEN, Direction, Experiment, Links, Seconds, Table
+from transport.laws.protocols import load_files
+
+FIELD = re.compile(r"[a-z_]\w*(\[\d+\])*(\.\w+)*: ")
+INFINITE = "is not a finite number"
+OLDEST = 63  # slots
+
+
+def _hook(kind: type, value: object) -> object:
+    if kind is Seconds:
+        return Seconds.parse(value)
+    raise NotImplementedError(kind)
+
+
+def _join(path: str, rest: str) -> str:
+    return f"{path}.{rest}" if path and not rest.startswith("[") else path + rest
+
+
+class Checker:
+    """Converts table by table and field by field, so that no fault hides another."""
+
+    def __init__(self) -> None:
+        self.faults: list[str] = []
+        self.kinds: dict[str, str] = {}
+
+    def experiment(self, raw: dict[str, Any], text: str, folder: str = ".") -> Experiment | None:
+        self.finite(raw, "")
+        links = raw.get("links")
+        given: dict[str, Any] = {
+            "plant": self.plugin("hil.plants", raw.get("plant"), "plant"),
+            "controller": self.plugin("hil.controllers", raw.get("controller"), "controller"),
+            "links": self._links(links, folder),
+            "text": text,
+            "folder": folder,
+            "kinds": self.kinds,
+        }
+        for reserved in HIDDEN:
+            if reserved in raw:
+                self.faults.append(f"{reserved}: unknown field")
+        rest = {k: v for k, v in raw.items() if k not in given}
+        experiment = self.table(Experiment, rest, "", given)
+        infinite = {fault.partition(": ")[0] for fault in self.faults if fault.endswith(INFINITE)}
+        self.faults = [f for f in self.faults if f.endswith(INFINITE) or f.partition(": ")[0] not in infinite]  # say it once
+        return experiment if not self.faults else None
+
+    def _links(self, raw: Any, folder: str) -> Links | None:
+        if raw is None:
+            self.faults.append("links: missing table")
+            return None
+        if not isinstance(raw, dict):
+            self.faults.append(f"links: expected a table, got {raw!r:.60}")
+            return None
+        given: dict[str, Any] = {}
+        for side in ("sc", "ca"):
+            table = raw.get(side)
+            if not isinstance(table, dict):
+                self.faults.append(f"links.{side}: missing table" if table is None else f"links.{side}: expected a table")
+                given[side] = None
+                continue
+            law = self._law(table.get("law"), f"links.{side}.law", folder)
+            bound = getattr(law, "max_age", None)
+            default = 3 if bound is None else int(bound)
+            direction = self.table(
+                Direction, {"max_age": default} | {k: v for k, v in table.items() if k != "law"}, f"links.{side}", {"law": law}
+            )
+            if direction is not None and law is not None:
+                if direction.max_age < 0:
+                    self.faults.append(f"links.{side}.max_age: {direction.max_age} is negative")
+                elif bound is not None and direction.max_age < bound:
+                    self.faults.append(f"links.{side}.max_age: {direction.max_age} is below the law's largest delay {bound}")
+                elif direction.max_age > OLDEST:
+                    field = "max_age:" if "max_age" in table else "law: its largest delay"
+                    self.faults.append(f"links.{side}.{field} {direction.max_age} is above {OLDEST}")
+            given[side] = direction
+        links: Links | None = self.table(Links, {k: v for k, v in raw.items() if k not in given}, "links", given)
+        return links
+
+    def _law(self, raw: Any, path: str, folder: str) -> Any:
+        """Return a network law with the files that it names read, from where the experiment stands."""
+        law = self.plugin("hil.laws", raw, path)
+        try:
+            return load_files(law, folder)
+        except ValueError as e:
+            self.faults.append(f"{path}.{e}")
+            return None
+
+    def plugin(self, group: registry.Group, raw: Any, path: str) -> Any:
+        if not isinstance(raw, dict):
+            self.faults.append(f"{path}: missing table" if raw is None else f"{path}: expected a table, got {raw!r:.60}")
+            return None
+        kind = raw.get("kind")
+        if not isinstance(kind, str):
+            self.faults.append(f"{path}.kind: missing; one of {', '.join(registry.names(group))}")
+            return None
+        try:
+            cls = registry.load(group, kind)
+        except HilError as e:
+            self.faults.append(f"{path}.kind: {e}")
+            return None
+        self.kinds[path] = kind
+        return self.table(cls, {k: v for k, v in raw.items() if k != "kind"}, path, {})
+
+    def table(self, cls: type, raw: dict[str, Any], path: str, given: dict[str, Any]) -> Any:
+        """Convert one table into ``cls``; ``given`` holds fields that were made elsewhere (None: faulty there)."""
+        hints = typing.get_type_hints(cls)
+        if issubclass(cls, msgspec.Struct):
+            required = {f.name for f in msgspec.structs.fields(cls) if f.required}
+            known = list(cls.__struct_fields__)
+        else:
+            fs = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
+            required = {f.name for f in fs if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
+            known = [f.name for f in fs]
+        before, values, broken = len(self.faults), dict(given), set(given)
+        for key, value in raw.items():
+            at = _join(path, key)
+            if key not in known:
+                near = difflib.get_close_matches(key, known, n=1)
+                self.faults.append(f"{at}: unknown field" + (f"; did you mean {near[0]!r}?" if near else ""))
+                continue
+            count = len(self.faults)
+            converted = self._value(hints[key], value, at)
+            if len(self.faults) == count:
+                values[key] = converted
+            else:
+                broken.add(key)
+        for key in known:
+            if key in required and key not in values and key not in broken:
+                self.faults.append(f"{_join(path, key)}: missing")
+        if issubclass(cls, Table):
+            self.faults += [_join(path, fault) for fault in cls.faults(values)]
+        if len(self.faults) > before or any(v is None for v in given.values()):
+            return None
+        try:
+            return cls(**values)
+        except (ValueError, TypeError) as e:
+            self.faults.append(_join(path, str(e)) if path else str(e))
+            return None
+
+    def _value(self, hint: Any, value: Any, at: str) -> Any:
+        if isinstance(hint, type) and isinstance(value, dict) and (
+            issubclass(hint, msgspec.Struct) or dataclasses.is_dataclass(hint)
+        ):
+            return self.table(hint, value, at, {})
+        args = typing.get_args(hint)
+        if typing.get_origin(hint) is tuple and isinstance(value, list) and len(args) == 2 and args[1] is ...:
+            return tuple(self._value(args[0], v, f"{at}[{i}]") for i, v in enumerate(value))
+        try:
+            return msgspec.convert(value, hint, dec_hook=_hook)
+        except (msgspec.ValidationError, ValueError) as e:
+            message, _, where = str(e).partition(" - at `$")
+            if message.startswith("Invalid enum value"):
+                words = [w for part in (hint, *args) if typing.get_origin(part) is typing.Literal for w in typing.get_args(part)]
+                message += f", expected one of {', '.join(map(str, words))}" if words else ""
+            sub = where.rstrip("`")
+            own = FIELD.match(message) is not None  # one of our classes said it, and named its field
+            self.faults.append(_join(at, message) if own else f"{at}{sub}: {message[0].lower()}{message[1:]}")
+            return None
+
+    def finite(self, value: Any, at: str) -> None:
+        if isinstance(value, float) and not math.isfinite(value):
+            self.faults.append(f"{at}: {value} {INFINITE}")
+        elif isinstance(value, dict):
+            for k, v in value.items():
+                self.finite(v, _join(at, str(k)))
+        elif isinstance(value, list):
+            for i, v in enumerate(value):
+                self.finite(v, f"{at}[{i}]")

@@ -1,0 +1,151 @@
+"""Experiments, from a name or a TOML file to a checked, frozen description; every fault is reported at once, by its path."""
+
+from __future__ import annotations
+
+import difflib
+import stat
+import tomllib
+import typing
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from hil.errors import ExperimentError, HilError
+from hil.experiment import plugins as registry
+from hil.experiment.check import Checker
+from hil.experiment.tables import Experiment, Seconds
+
+__all__ = [
+    "Experiment", "Seconds", "experiment_from_resolved", "load_experiment", "parse_experiment", "parse_plugin", "shipped",
+]  # fmt: skip
+
+MAX_BYTES = 1_000_000
+
+
+def shipped() -> dict[str, Path]:
+    """Return the experiments that come with the package, by name."""
+    folder = Path(str(resources.files("hil"))) / "experiments"
+    return {p.stem: p for p in sorted(folder.glob("*.toml"))}
+
+
+def load_experiment(
+    source: str | Path, sets: typing.Sequence[str] = (), *, seed: int | None = None, duration: str | None = None
+) -> Experiment:
+    """Read and check an experiment.
+
+    Args:
+        source: name of a shipped experiment, or path of a TOML file.
+        sets: changes ``path=value``, value in TOML notation (a bare word is taken as a string).
+        seed, duration: short for ``seed=...`` and ``duration="..."``, after the other changes.
+
+    Raises:
+        ExperimentError: with every fault found, each with the path of its field.
+    """
+    changes = [*sets]
+    if seed is not None:
+        changes.append(f"seed={seed}")
+    if duration is not None:
+        changes.append(f'duration="{duration}"')
+    name = str(source)
+    if not name:
+        raise HilError("no experiment is named; `hil list` shows the shipped ones")
+    path = shipped().get(name, Path(source))
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        near = difflib.get_close_matches(name, shipped(), n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        hint += "`hil list` shows the shipped ones"
+        raise HilError(f"no experiment {name!r}: neither a file nor a shipped name; {hint}") from None
+    except OSError as e:  # such as a name that is too long
+        raise HilError(f"{name}: cannot be read: {e.strerror}") from e
+    if not stat.S_ISREG(mode):  # a device has no end
+        raise HilError(f"{name}: is {'a folder' if stat.S_ISDIR(mode) else 'no regular file'}, not an experiment file")
+    try:
+        with open(path, "rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except OSError as e:
+        raise HilError(f"{name}: cannot be read: {e.strerror}") from e
+    if len(data) > MAX_BYTES:
+        raise HilError(f"{name}: more than {MAX_BYTES} bytes, which is the most an experiment file may have")
+    try:
+        text = data.decode()
+    except UnicodeDecodeError as e:
+        raise HilError(f"{name}: not a text file: byte 0x{data[e.start]:02x} at offset {e.start} is not UTF-8") from e
+    return parse_experiment(text, sets=changes, source=name, folder=str(path.parent))
+
+
+def parse_experiment(
+    text: str, *, sets: typing.Sequence[str] = (), source: str = "experiment", folder: str = "."
+) -> Experiment:
+    """Check the text of an experiment; see :func:`load_experiment`."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
+        raise HilError(f"{source}: not valid TOML: {e}") from e
+    except RecursionError as e:
+        raise HilError(f"{source}: not valid TOML: nested too deeply") from e
+    for change in sets:
+        _apply(raw, change)
+    checker = Checker()
+    try:
+        experiment = checker.experiment(raw, text, folder)
+    except RecursionError as e:
+        raise HilError(f"{source}: not valid TOML: nested too deeply") from e
+    if checker.faults or experiment is None:
+        raise ExperimentError(source, checker.faults)
+    return experiment
+
+
+def experiment_from_resolved(resolved: typing.Mapping[str, Any], text: str, source: str) -> Experiment:
+    """Check the resolved form that a log carries, so that what ran can run again."""
+    checker = Checker()
+    experiment = checker.experiment(_without_none(resolved), text)
+    if checker.faults or experiment is None:
+        raise ExperimentError(f"{source}: resolved experiment", checker.faults)
+    return experiment
+
+
+def parse_plugin(group: registry.Group, kind: str, sets: typing.Sequence[str] = ()) -> Any:
+    """Make the parameters of one plug-in from ``key=value`` changes, as the table of an experiment file would."""
+    raw: dict[str, Any] = {}
+    for change in sets:
+        _apply(raw, change)
+    checker = Checker()
+    checker.finite(raw, "")
+    made = checker.plugin(group, {"kind": kind, **raw}, group.removeprefix("hil.").removesuffix("s"))
+    if checker.faults:
+        raise HilError("\n".join(checker.faults))
+    return made
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list) else value
+
+
+def _apply(raw: dict[str, Any], change: str) -> None:
+    path, eq, value = change.partition("=")
+    keys = path.strip().split(".")
+    if not eq or not all(keys):
+        raise HilError(f"--set {change!r}: expected path=value, such as plant.gain=170")
+    try:
+        parsed = tomllib.loads(f"v = {value}")["v"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()
+    node: Any = raw
+    for i, key in enumerate(keys):
+        at = ".".join(keys[:i])
+        if isinstance(node, list):
+            if not key.isdigit() or int(key) >= len(node):
+                raise HilError(f"--set {change!r}: {at} has entries 0 to {len(node) - 1}, not {key!r}")
+            index: Any = int(key)
+        elif isinstance(node, dict):
+            index = key
+        else:
+            raise HilError(f"--set {change!r}: {at} is a value, not a table")
+        if i == len(keys) - 1:
+            node[index] = parsed
+        else:
+            node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]

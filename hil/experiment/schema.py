@@ -1,0 +1,74 @@
+"""The JSON Schema of experiment files: the tables of :mod:`hil.experiment`, and one variant per installed plug-in."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import msgspec
+from docstring_parser import ParseError
+from docstring_parser.google import parse
+
+from hil.experiment import plugins as registry
+from hil.experiment.tables import HIDDEN, UNITS, Direction, Experiment, Seconds
+
+PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
+
+
+def experiment_schema() -> dict[str, Any]:
+    """Return the schema as a JSON-able dict (draft 2020-12)."""
+    kinds = {group: registry.names(group) for group in ("hil.plants", "hil.controllers", "hil.laws")}
+    classes = {(group, name): registry.load(group, name) for group in kinds for name in kinds[group]}  # type: ignore[arg-type]
+    _, definitions = msgspec.json.schema_components(
+        [Experiment, *classes.values()], schema_hook=_hook, ref_template="#/$defs/{name}"
+    )
+    for definition in definitions.values():
+        if definition.get("type") == "object" and "properties" in definition:
+            definition["additionalProperties"] = False  # an unknown key is a fault everywhere
+            _explain(definition)
+    for cls in classes.values():
+        for field in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
+            if not field.init:  # nothing that a file could set
+                del definitions[cls.__name__]["properties"][field.name]
+
+    def variants(group: str) -> dict[str, Any]:
+        out = []
+        for name in kinds[group]:
+            cls = classes[group, name]
+            own = dict(definitions[cls.__name__])
+            own["properties"] = {"kind": {"const": name}, **own.get("properties", {})}
+            own["required"] = ["kind", *own.get("required", [])]
+            out.append(own)
+        return {"oneOf": out}
+
+    experiment = definitions.pop("Experiment")
+    for hidden in HIDDEN:
+        del experiment["properties"][hidden]
+    experiment["properties"]["plant"] |= variants("hil.plants")
+    experiment["properties"]["controller"] |= variants("hil.controllers")
+    definitions[Direction.__name__]["properties"]["law"] |= variants("hil.laws")
+    definitions[Direction.__name__]["required"] = ["law"]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": "hilrig-experiment",
+        **experiment,
+        "$defs": definitions,
+    }
+
+
+def _explain(definition: dict[str, Any]) -> None:
+    """Give every key what the docstring of its class says of it, so that an editor can show it."""
+    try:
+        doc = parse(definition.get("description", ""))
+    except ParseError:  # somebody else's plug-in, in a style of its own
+        return
+    definition["description"] = "\n\n".join(filter(None, (doc.short_description, doc.long_description)))
+    for param in doc.params:
+        for name in param.arg_name.split(", "):
+            definition["properties"].get(name, {})["description"] = " ".join((param.description or "").split())
+
+
+def _hook(kind: type) -> dict[str, Any]:
+    if kind is Seconds:
+        return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": PATTERN}]}
+    raise NotImplementedError(kind)

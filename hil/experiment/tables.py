@@ -1,0 +1,276 @@
+"""What an experiment is: the tables of its file, frozen, each with the checks of its own fields."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from typing import Any, Literal
+
+import msgspec
+
+from transport.links.link import TransportError, find_link
+
+HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+
+
+class Seconds(float):
+    """A duration: a bare number in seconds or a string with a unit, ``"50 ms"``."""
+
+    @classmethod
+    def parse(cls, value: object) -> Seconds:
+        """Return the duration in seconds.
+
+        >>> Seconds.parse("50 ms"), Seconds.parse(2)
+        (0.05, 2.0)
+        """
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise ValueError(f"expected a duration such as '50 ms' or 0.05, got {value!r}")
+        if not isinstance(value, str):
+            return cls(value)
+        number, _, unit = value.strip().partition(" ")
+        scale = UNITS.get(unit.strip() or "s")
+        try:
+            if scale is None:
+                raise ValueError
+            return cls(float(number) * scale)
+        except ValueError:
+            raise ValueError(f"{value!r} is not a duration: write a number and one of {', '.join(UNITS)}") from None
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of every table of an experiment file.
+
+    ``faults(values)`` checks the fields that could be converted, whether or not the others could.
+    """
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        """Yield ``field: what is wrong``."""
+        yield from ()
+
+
+def _not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
+    if values.get(field, 0.0) < 0:
+        yield f"{field}: {values[field]:g} s is negative"
+
+
+class Step(Table, frozen=True, kw_only=True):
+    """A step of the reference.
+
+    Args:
+        at: when it begins.
+        value: reference from then on, one entry per output, in the output's unit.
+    """
+
+    at: Seconds
+    value: tuple[float, ...]
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        yield from _not_negative(values, "at")
+
+
+class Pulse(Table, frozen=True, kw_only=True):
+    """A disturbance added to the plant's input.
+
+    Args:
+        at: when it begins.
+        samples: how many sample periods it lasts.
+        value: what is added, one entry per input, in the input's unit.
+    """
+
+    at: Seconds
+    samples: int
+    value: tuple[float, ...]
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        yield from _not_negative(values, "at")
+        if values.get("samples", 1) < 1:
+            yield f"samples: {values['samples']} is below 1"
+
+
+class Direction(Table, frozen=True, kw_only=True):
+    """One direction of the emulated network.
+
+    Args:
+        law: delays, losses and disorder; ``hil laws`` shows what it does.
+        max_age: largest delay in samples that the controller's rows cover; by default the law's own bound.
+    """
+
+    law: Any
+    max_age: int
+
+    @property
+    def kind(self) -> str:
+        """Name of the law's class, for messages."""
+        return type(self.law).__name__
+
+
+class Links(Table, frozen=True, kw_only=True):
+    """The real link, and the network that is emulated on both sides of the rig.
+
+    Args:
+        uri: the link in real time: memory:, can:INTERFACE:CHANNEL or zenoh:ENDPOINT.
+        sc: from the sensor to the controller.
+        ca: from the controller to the actuator.
+    """
+
+    uri: str
+    sc: Direction
+    ca: Direction
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        try:
+            find_link(values.get("uri", "memory:"))
+        except TransportError as error:
+            yield f"uri: {error}"
+
+
+class Limits(Table, frozen=True, kw_only=True):
+    """What the rig allows, whatever the controller does; a violation latches the safe state (zero input).
+
+    Args:
+        watchdog_ticks: so many slots in a row without a usable command trip the watchdog.
+        input: largest absolute command per input, in the input's unit.
+        state: largest absolute value of named states, in the state's unit.
+        after_trip: how long the rig goes on in the safe state before the run ends.
+    """
+
+    watchdog_ticks: int = 3
+    input: tuple[float, ...] | None = None
+    state: dict[str, float] = msgspec.field(default_factory=dict)
+    after_trip: Seconds = typing.cast(Seconds, 1.0)  # a plain float, for the JSON Schema
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        if values.get("watchdog_ticks", 1) < 1:
+            yield f"watchdog_ticks: {values['watchdog_ticks']} is below 1"
+        for i, bound in enumerate(values.get("input") or ()):
+            if bound <= 0:
+                yield f"input[{i}]: {bound:g} is not positive"
+        for name, bound in values.get("state", {}).items():
+            if bound <= 0:
+                yield f"state.{name}: {bound:g} is not positive"
+        yield from _not_negative(values, "after_trip")
+
+
+class Timing(Table, frozen=True, kw_only=True):
+    """How rig and controller run in real time; virtual time reads the deadline only.
+
+    Args:
+        deadline: share of the period within which the controller's answer must be here.
+        priority: SCHED_FIFO priority of the rig, 1 to 98; the controller runs one below.
+        affinity: ``free`` leaves the choice of a CPU to the scheduler, which on a virtual machine evades a CPU that the host has
+            taken away; ``pinned`` gives rig and controller one CPU each, counted from the last.
+        idle: ``doze`` leaves idle CPUs to the kernel; ``awake`` keeps all of them from sleeping (/dev/cpu_dma_latency), which
+            takes tens of microseconds off every wake-up.
+        overrun: what follows a stall: the slots that were missed run back to back, none is skipped.
+    """
+
+    deadline: float = 0.6
+    priority: int = 60
+    affinity: Literal["free", "pinned"] = "free"
+    idle: Literal["doze", "awake"] = "doze"
+    overrun: Literal["catch-up"] = "catch-up"
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        if not 0 < values.get("deadline", 0.6) < 1:
+            yield f"deadline: {values['deadline']:g} is not between 0 and 1 (a share of the period)"
+        if not 1 <= values.get("priority", 60) <= 98:
+            yield f"priority: {values['priority']} is not between 1 and 98"
+
+
+class Experiment(Table, frozen=True, kw_only=True):
+    """One experiment: plant, controller, links with their network laws, schedule, limits and seed.
+
+    Args:
+        name: name of the experiment, and of its logs.
+        description: one line for ``hil list``.
+        period: sample period T.
+        duration: length of a run.
+        seed: root of all random streams.
+        allow_uncertified: run although no certificate of mean-square stability could be computed.
+        plant: what is emulated.
+        controller: what commands it.
+        reference: steps of the reference; 0 before the first.
+        disturbance: pulses that are added to the plant's input.
+        links: the real link, and the network that is emulated on both sides of the rig.
+        limits: what the rig allows, whatever the controller does.
+        timing: how rig and controller run in real time.
+        kinds: name of the plug-in behind each table.
+        text: the file as it was written.
+        folder: where the file stands, for the files that it names.
+    """
+
+    name: str
+    description: str = ""
+    period: Seconds
+    duration: Seconds
+    seed: int = 0
+    allow_uncertified: bool = False
+    plant: Any
+    controller: Any
+    reference: tuple[Step, ...] = ()
+    disturbance: tuple[Pulse, ...] = ()
+    links: Links
+    limits: Limits = Limits()
+    timing: Timing = Timing()
+    kinds: dict[str, str] = msgspec.field(default_factory=dict)
+    text: str = ""
+    folder: str = "."
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        name, period, duration = values.get("name", "x"), values.get("period"), values.get("duration")
+        if not name or any(c in name for c in "/\\\0"):
+            yield f"name: {name!r} is empty or holds a path separator"
+        if period is not None and not 1e-5 <= period <= 60:
+            yield f"period: {period:g} s is not between 10 us and 60 s"
+        elif period is not None and duration is not None:
+            if not duration >= period:  # NaN is no duration either
+                yield f"duration: {duration:g} s is shorter than the period {period:g} s"
+            elif duration / period > 1e8:
+                yield f"duration: {duration / period:.3g} ticks; at most 1e8"
+        if not 0 <= values.get("seed", 0) < 2**63:
+            yield f"seed: {values['seed']} is not between 0 and 2^63 - 1"
+
+    @property
+    def period_ns(self) -> int:
+        """Sample period, ns."""
+        return round(self.period * 1e9)
+
+    @property
+    def ticks(self) -> int:
+        """Number of slots."""
+        return round(self.duration / self.period)
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the experiment with every default written out, as plain JSON values."""
+        out: dict[str, Any] = {}
+        for f in self.__struct_fields__:
+            if f not in HIDDEN:
+                out[f] = _plain(getattr(self, f))
+        for path, kind in self.kinds.items():
+            node = out
+            for part in path.split("."):
+                node = node[part]
+            node["kind"] = kind
+        return out
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+    if isinstance(value, msgspec.Struct):
+        config = value.__struct_config__
+        tag = {config.tag_field: config.tag} if config.tag_field else {}
+        return tag | {f: _plain(getattr(value, f)) for f in value.__struct_fields__}
+    if isinstance(value, tuple | list):
+        return [_plain(v) for v in value]
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    return float(value) if isinstance(value, Seconds) else value

@@ -1,0 +1,1 @@
+"""Reading a log: arrays, recovery of what is torn, export."""

@@ -1,0 +1,205 @@
+"""Rebuild an indexed log from one whose writer was killed, whose disk was full, or whose bytes were damaged."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, Message, MessageIndex, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from hil.errors import HilError
+from hil.log.read.mcap_walk import MAGIC, DamagedRecord, Record, TornFile, chunk_records, parse, parse_attachment, walk
+from hil.log.read.run import read_mcap, without_magic
+
+
+@dataclass(slots=True, kw_only=True)
+class Recovery:
+    """What was saved and what was not.
+
+    Args:
+        messages, chunks, attachments, metadata: what was kept.
+        last_ns: log time of the last message that was kept, -1 if there is none.
+        closed: whether the file had been closed in good order.
+        lost_messages: messages of damaged chunks, as far as the file's own index can tell.
+        lost_bytes: bytes behind the tear.
+        losses: one line for each.
+    """
+
+    messages: int = 0
+    chunks: int = 0
+    attachments: int = 0
+    metadata: int = 0
+    last_ns: int = -1
+    closed: bool = False
+    lost_messages: int = 0
+    lost_bytes: int = 0
+    losses: list[str] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """For people, one line each."""
+        until = f", up to {self.last_ns / 1e9:.3f} s of session time" if self.messages else ""
+        lines = [f"kept: {self.messages} messages in {self.chunks} chunks{until}; {self.metadata} metadata records,"
+                 f" {self.attachments} attachments"]
+        lines += [f"lost: {loss}" for loss in self.losses]
+        if not self.closed:
+            lines.append("lost: the summary and whatever was not on the disk yet (100 ms at most in real time)")
+        elif not self.losses:
+            lines.append("lost: nothing")
+        return "\n".join(lines)
+
+
+def recover(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> Recovery:
+    """Write a whole, indexed file with everything of ``source`` that can be read; ``source`` stays as it is.
+
+    Args:
+        source: a torn or damaged MCAP file.
+        target: the file to write; it must not exist.
+
+    Returns:
+        What was kept and what was lost.
+
+    Raises:
+        HilError: if ``source`` is no MCAP file, nothing in it can be read, or ``target`` exists or cannot be written.
+    """
+    source, target = Path(source), Path(target)
+    data = read_mcap(source)
+    report = Recovery()
+    records = _whole_records(data, report)
+    if not records:
+        raise HilError(f"{source}: nothing can be recovered: {report.losses[0] if report.losses else 'no record'}")
+    try:
+        file = open(target, "xb")  # noqa: SIM115
+    except FileExistsError:
+        raise HilError(f"{target}: exists already; name another file with -o") from None
+    except OSError as error:
+        raise HilError(f"{target}: cannot be created: {error.strerror or error}") from error
+    try:
+        with file:
+            _rebuild(records, Writer(file, compression=CompressionType.ZSTD), report)
+    except OSError as error:
+        target.unlink(missing_ok=True)
+        raise HilError(f"{target}: cannot be written: {error.strerror or error}") from error
+    except BaseException:
+        target.unlink(missing_ok=True)
+        raise
+    return report
+
+
+def _whole_records(data: bytes, report: Recovery) -> list[Record]:
+    """Every record before the tear."""
+    records = []
+    try:
+        for record in walk(without_magic(data), len(MAGIC)):
+            records.append(record)
+            report.closed = record.opcode == Opcode.FOOTER
+    except TornFile as error:
+        report.closed = False
+        report.lost_bytes = len(data) - error.offset
+        report.losses.append(f"{report.lost_bytes} bytes, {error}")
+    return records
+
+
+def _rebuild(records: list[Record], writer: Writer, report: Recovery) -> None:
+    header = next((_or_none(Header.read, record) for record in records if record.opcode == Opcode.HEADER), None)
+    writer.start(profile=header.profile if header else "", library=header.library if header else "")
+    copy = _Copy(writer, report)
+    copy.definitions(records)
+    damaged = False
+    for record in records:
+        if record.opcode == Opcode.MESSAGE_INDEX and damaged:
+            index = _or_none(MessageIndex.read, record)
+            report.lost_messages += len(index.records) if index else 0
+        elif record.opcode not in (Opcode.MESSAGE_INDEX, Opcode.MESSAGE):
+            damaged = False
+        try:
+            copy.take(record)
+        except DamagedRecord as error:
+            damaged = record.opcode == Opcode.CHUNK
+            report.losses.append(str(error))
+    if not copy.ours:
+        report.losses.append("the metadata record 'hilrig', without which hil cannot read the new file; other MCAP tools can")
+    if report.lost_messages:
+        report.losses.append(f"{report.lost_messages} messages stood in damaged chunks")
+    writer.add_metadata("recovery", {
+        "kept_messages": str(report.messages), "lost_bytes": str(report.lost_bytes),
+        "lost_messages": str(report.lost_messages), "losses": "\n".join(report.losses), "closed": str(report.closed),
+    })  # fmt: skip
+    writer.finish()  # type: ignore[no-untyped-call]
+
+
+class _Copy:
+    """Copies record by record, renumbering schemas and channels as mcap's writer wants them."""
+
+    def __init__(self, writer: Writer, report: Recovery) -> None:
+        self._writer = writer
+        self._report = report
+        self._channels: dict[int, int] = {}
+        self.ours = False  # whether there is a metadata record of hilrig
+
+    def definitions(self, records: list[Record]) -> None:
+        """Register every schema and channel first, wherever one of its copies can be read."""
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Channel] = {}
+        for record in records:
+            found: list[Any] = []
+            try:
+                if record.opcode == Opcode.CHUNK:
+                    found = chunk_records(record)
+                elif record.opcode == Opcode.SCHEMA:
+                    found = [parse(Schema.read, record)]
+                elif record.opcode == Opcode.CHANNEL:
+                    found = [parse(Channel.read, record)]
+            except DamagedRecord:
+                continue  # told when it is this record's turn
+            for item in found:
+                if isinstance(item, Schema):
+                    schemas.setdefault(item.id, item)
+                elif isinstance(item, Channel):
+                    channels.setdefault(item.id, item)
+        numbers = {0: 0}
+        for number, schema in sorted(schemas.items()):
+            numbers[number] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+        for number, channel in sorted(channels.items()):
+            self._channels[number] = self._writer.register_channel(
+                channel.topic, channel.message_encoding, numbers.get(channel.schema_id, 0), channel.metadata
+            )
+
+    def take(self, record: Record) -> None:
+        writer, report = self._writer, self._report
+        if record.opcode == Opcode.CHUNK:
+            for item in chunk_records(record):
+                if isinstance(item, Message):
+                    self._message(item)
+            report.chunks += 1
+        elif record.opcode == Opcode.MESSAGE:
+            self._message(parse(lambda stream: Message.read(stream, len(record.body)), record))
+        elif record.opcode == Opcode.METADATA:
+            metadata = parse(Metadata.read, record)
+            writer.add_metadata(metadata.name, metadata.metadata)
+            report.metadata += 1
+            self.ours |= metadata.name == "hilrig"
+        elif record.opcode == Opcode.ATTACHMENT:
+            found = parse_attachment(record)
+            writer.add_attachment(found.create_time, found.log_time, found.name, found.media_type, found.data)
+            report.attachments += 1
+
+    def _message(self, message: Message) -> None:
+        number = self._channels.get(message.channel_id)
+        if number is None:
+            self._report.lost_messages += 1
+            return
+        self._writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+        self._report.messages += 1
+        self._report.last_ns = max(self._report.last_ns, message.log_time)
+
+
+def _or_none(read: Any, record: Record) -> Any:
+    try:
+        return parse(read, record)
+    except DamagedRecord:
+        return None

@@ -1,0 +1,188 @@
+"""A finished run in memory: one numpy array per topic, the events, and where it all came from."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mcap.opcode import Opcode
+
+from hil.errors import HilError
+from hil.log.read.arrays import StructuredArray, assemble
+from hil.log.read.mcap_content import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT, Content
+from hil.log.read.mcap_walk import MAGIC, DamagedRecord, TornFile, walk
+from hil.log.records import EVENTS_TOPIC, Schema
+from hil.log.write.provenance import FORMAT
+from hil.log.write.sinks import MemorySink
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """What a log tells.
+
+    Args:
+        arrays: topic to records in the order of the log; field ``t_ns`` (nominal session time) first, then the fields of the
+            topic's schema. Raw frames have the field ``data`` of bytes objects. A topic without records has length 0.
+        schemas: topic to schema, with the units.
+        events: records of ``/events``; see ``records.EVENT_SCHEMA``.
+        metadata: ``experiment``, ``seed``, ``clock``, ``link``, ``format`` (all text) and what else the record ``hilrig`` holds.
+        versions, session: packages of the session, and what a session in real time said of itself.
+        codes: names behind the records' small integers.
+        experiment_text: the experiment file.
+        resolved, certificate: the experiment after defaults and overrides; the design's certificate, empty if there is none.
+        summary: the summary that closed the log, empty if it was never closed.
+    """
+
+    arrays: dict[str, StructuredArray]
+    schemas: dict[str, Schema]
+    events: list[dict[str, Any]] = field(default_factory=list)
+    metadata: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    session: dict[str, str] = field(default_factory=dict)
+    codes: dict[str, list[str]] = field(default_factory=dict)
+    experiment_text: str = ""
+    resolved: dict[str, Any] = field(default_factory=dict)
+    certificate: dict[str, Any] = field(default_factory=dict)
+    summary: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_memory(cls, sink: MemorySink, **about: Any) -> Run:
+        """Run of what a ``MemorySink`` kept; ``about`` takes the fields that a sink does not know, by name."""
+        schemas = {topic: sink.channels[topic].schema for topic in sink.payloads if topic != EVENTS_TOPIC}
+        arrays = {
+            topic: assemble(schema, sink.payloads[topic], times=sink.times[topic]) for topic, schema in schemas.items()
+        }
+        return cls(arrays=arrays, schemas=schemas, events=_events(sink.payloads.get(EVENTS_TOPIC, ())), **about)
+
+
+def read_run(path: str | os.PathLike[str], *, whole: bool = True) -> Run:
+    """Read a log.
+
+    Args:
+        path: the file.
+        whole: refuse a log that is torn or damaged. Otherwise read what is there: after a full disk, say.
+
+    Raises:
+        HilError: if the file cannot be read, is no MCAP file, is no log of ours, is torn or damaged; the message names the file
+            and the offset in it, and the remedy where there is one.
+    """
+    path = Path(path)
+    data = read_mcap(path)
+    content = Content()
+    closed = False
+    try:
+        for record in walk(without_magic(data), len(MAGIC)):
+            try:
+                content.take(record)
+            except DamagedRecord:
+                if whole:
+                    raise
+            closed = record.opcode == Opcode.FOOTER
+        if not closed:
+            raise TornFile(len(data), "the log was never closed")
+    except (TornFile, DamagedRecord) as error:
+        if whole:
+            raise HilError(f"{path}: {error}; what is whole can be saved: hil recover {path}") from error
+    try:
+        return _run(content)
+    except HilError as error:
+        raise HilError(f"{path}: {error}") from error
+
+
+def read_mcap(path: Path) -> bytes:
+    """Bytes of a file that begins as MCAP does.
+
+    Raises:
+        HilError: if it cannot be read, is no regular file (a device has no end), is empty, or begins otherwise.
+    """
+    try:
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise HilError(f"{path}: is no regular file")
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise HilError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if not data:
+        raise HilError(f"{path}: is empty, expected an MCAP log")
+    if not data.startswith(MAGIC):
+        raise HilError(f"{path}: is no MCAP file: byte 0 begins {data[:8]!r}, expected {MAGIC!r}")
+    return data
+
+
+def without_magic(data: bytes) -> memoryview:
+    """The file up to its closing magic, or all of it where there is none."""
+    closed = len(data) >= 2 * len(MAGIC) and data.endswith(MAGIC)
+    return memoryview(data)[: len(data) - len(MAGIC) if closed else len(data)]
+
+
+def _run(content: Content) -> Run:
+    head = content.metadata.get("hilrig")
+    if head is None:
+        raise HilError("is an MCAP file but no log of hilrig: it has no metadata record 'hilrig'")
+    if head.get("format") != FORMAT:
+        raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {FORMAT!r}")
+    arrays, schemas, events = {}, {}, []
+    for number, channel in content.channels.items():
+        messages = content.messages.get(number, [])
+        if channel.topic == EVENTS_TOPIC:
+            events += _events([message[MESSAGE_PAYLOAD_AT:] for message in messages])
+            continue
+        found = content.schemas.get(channel.schema_id)
+        if found is None or found.encoding != "ros2msg" or channel.message_encoding != "cdr":
+            raise HilError(f"topic {channel.topic}: expected a ros2msg schema and CDR messages")
+        if channel.topic in arrays:
+            raise HilError(f"topic {channel.topic}: stands in the file twice")
+        try:
+            schema = Schema.from_text(found.name, found.data.decode())
+        except ValueError as error:
+            raise HilError(f"topic {channel.topic}: unknown schema: {error}") from error
+        schemas[channel.topic] = schema
+        try:
+            arrays[channel.topic] = assemble(
+                schema, messages, payload_at=MESSAGE_PAYLOAD_AT, time_at=MESSAGE_TIME_AT
+            )
+        except HilError as error:
+            raise HilError(f"topic {channel.topic}: {error}") from error
+    if not arrays:
+        raise HilError("holds no records: the session ended before the first of them was written")
+    summary = _json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'")
+    if content.metadata.get("recovery", {}).get("closed") == "False":
+        summary.setdefault("problems", {})["recovered"] = "rebuilt from a torn log: its end is missing"
+    text = content.attachments.get("experiment.toml")
+    return Run(
+        arrays=arrays,
+        schemas=schemas,
+        events=events,
+        metadata=head,
+        versions=content.metadata.get("versions", {}),
+        session=content.metadata.get("session", {}),
+        codes={name: names.split(",") for name, names in content.metadata.get("codes", {}).items()},
+        experiment_text=text.data.decode(errors="replace") if text is not None else "",
+        resolved=_attached_json(content, "resolved.json"),
+        certificate=_attached_json(content, "certificate.json"),
+        summary=summary,
+    )
+
+
+def _attached_json(content: Content, name: str) -> dict[str, Any]:
+    attachment = content.attachments.get(name)
+    return _json_object(attachment.data, f"attachment {name}") if attachment is not None else {}
+
+
+def _events(payloads: Sequence[bytes]) -> list[dict[str, Any]]:
+    return [_json_object(payload, f"event {index}") for index, payload in enumerate(payloads)]
+
+
+def _json_object(text: str | bytes, what: str) -> dict[str, Any]:
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise HilError(f"{what} is no JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise HilError(f"{what} is no JSON object")
+    return value

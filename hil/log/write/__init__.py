@@ -1,0 +1,1 @@
+"""Writing a log: sinks, the pipe out of a process that keeps time, the MCAP file."""

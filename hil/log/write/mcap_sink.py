@@ -1,0 +1,233 @@
+"""The MCAP file of a session, written so that a kill costs 100 ms at most and a full disk costs only the log."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+from mcap.writer import CompressionType, Writer
+
+from hil.errors import HilError
+from hil.log.events import encode_event, to_json
+from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
+from hil.log.write.provenance import Provenance
+from hil.log.write.sinks import Put
+
+LIBRARY: Final = "hilrig"
+FLUSH_BYTES: Final = 1 << 16
+FLUSH_S: Final = 0.05
+_NEVER: Final = 1 << 62
+_MESSAGE_OVERHEAD: Final = 31
+
+
+class McapSink:
+    """Writes records to an MCAP file, chunked and compressed; the file is recoverable at every instant.
+
+    Provenance goes first and is flushed at once. Without ``now`` a chunk ends after a fixed number of bytes, so that
+    the same records give the same file; with it also after 50 ms, because a killed process loses its open chunk.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        channels: the session's table (``records.channels``).
+        provenance: what stands before the first record.
+        now: monotonic seconds of a clock, in real time only.
+
+    Raises:
+        HilError: if the file cannot be created or the first bytes cannot be written; no file is left behind then.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        channels: Mapping[str, Channel],
+        provenance: Provenance,
+        *,
+        now: Callable[[], float] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.messages = 0
+        self.dropped = 0
+        self.error: str | None = None
+        self._now = now
+        self._flushed_at = now() if now is not None else 0.0
+        self._pending_bytes = 0
+        self._pending = 0
+        self._summary: Mapping[str, Any] = {}
+        self._closed = False
+        self._ids: dict[str, int] = {}
+        try:
+            self._disk = _Disk(self.path)
+        except OSError as error:
+            raise HilError(f"log {self.path}: cannot be created: {error.strerror or error}") from error
+        # Chunks end where this class says, never inside add_message: only a flush touches the disk.
+        self._writer = Writer(self._disk, chunk_size=_NEVER, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+        try:
+            self._open(channels, provenance)
+        except OSError as error:
+            self._disk.discard()
+            raise HilError(f"log {self.path}: cannot be written: {error.strerror or error}") from error
+        except BaseException:
+            self._disk.discard()
+            raise
+
+    def _open(self, channels: Mapping[str, Channel], provenance: Provenance) -> None:
+        writer = self._writer
+        writer.start(profile="ros2", library=LIBRARY)
+        for name, record in provenance.metadata().items():
+            writer.add_metadata(name, record)
+        attachments = [
+            ("experiment.toml", "application/toml", provenance.experiment_text.encode("utf-8", "backslashreplace")),
+            ("resolved.json", "application/json", to_json(provenance.resolved, indent=1)),
+        ]
+        if provenance.certificate is not None:
+            attachments.append(("certificate.json", "application/json", to_json(provenance.certificate, indent=1)))
+        for name, media_type, data in attachments:
+            writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        schemas: dict[str, int] = {}
+        for channel in channels.values():
+            schema = channel.schema
+            if schema.name not in schemas:
+                schemas[schema.name] = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
+            self._ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schemas[schema.name])
+        events = writer.register_schema(EVENT_SCHEMA_NAME, "jsonschema", to_json(EVENT_SCHEMA))
+        self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "json", events)
+        writer.flush()  # type: ignore[no-untyped-call]
+
+    def channel(self, topic: str) -> Put | None:
+        """See ``Sink``; ``/events`` takes JSON payloads that were encoded elsewhere."""
+        if topic not in self._ids:
+            return None
+        channel_id, add = self._ids[topic], self._writer.add_message
+
+        def put(t_ns: int, payload: bytes) -> None:
+            if self._closed or self.error is not None:
+                self.dropped += 1
+                return
+            t_ns = max(t_ns, 0)  # log times are unsigned
+            add(channel_id, t_ns, payload, t_ns)
+            self._pending += 1
+            self._pending_bytes += len(payload) + _MESSAGE_OVERHEAD
+
+        return put
+
+    def event(
+        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
+    ) -> None:
+        """See ``Sink``."""
+        put = self.channel(EVENTS_TOPIC)
+        assert put is not None
+        put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
+
+    def commit(self) -> None:
+        """See ``Sink``; ends a chunk when it is due."""
+        if self._pending_bytes >= FLUSH_BYTES:
+            self._flush()
+        elif self._now is not None:
+            now = self._now()
+            if now - self._flushed_at >= FLUSH_S:
+                self._flushed_at = now
+                if self._pending:
+                    self._flush()
+
+    def summary(self, values: Mapping[str, Any]) -> None:
+        """Set what ``close`` writes as metadata ``summary`` beside the counters of the log itself."""
+        self._summary = values
+
+    def close(self) -> None:
+        """Write the rest and the index, and close the file; idempotent, never raises for the disk's sake."""
+        if self._closed:
+            return
+        self._flush()
+        if self.error is None:
+            summary = {**self._summary, "log": {"messages": self.messages, "dropped": self.dropped}}
+            try:
+                self._writer.add_metadata("summary", {"json": to_json(summary).decode()})
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._disk.flush()
+            except OSError as error:
+                self._fail(error)
+        self._closed = True
+        self._disk.close()
+
+    def sha256(self) -> str:
+        """SHA-256 of the closed file in hexadecimal.
+
+        Raises:
+            HilError: if the file is gone or cannot be read.
+        """
+        try:
+            with open(self.path, "rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise HilError(f"log {self.path}: cannot be read back: {error.strerror or error}") from error
+
+    def _flush(self) -> None:
+        if self.error is not None or self._closed:
+            return
+        try:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+        except OSError as error:
+            self._fail(error)
+        else:
+            self.messages += self._pending
+        self._pending = self._pending_bytes = 0
+
+    def _fail(self, error: OSError) -> None:
+        self.dropped += self._pending
+        self.error = f"{self.path}: {error.strerror or error}"
+
+    def __enter__(self) -> McapSink:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Disk:
+    """A file that grows by whole flushes: after a failed one it is cut back to the end of the last good one."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = open(path, "wb", buffering=0)  # noqa: SIM115
+        self._parts: list[bytes] = []
+        self._position = 0
+        self._good = 0
+
+    def write(self, data: bytes) -> int:
+        self._parts.append(data)
+        self._position += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._position
+
+    def flush(self) -> None:
+        data = memoryview(b"".join(self._parts))
+        self._parts.clear()
+        try:
+            while data:
+                data = data[self._file.write(data) or 0 :]
+        except OSError:
+            try:
+                self._file.truncate(self._good)
+            except OSError:
+                pass  # a device or a dying disk; the torn end can still be recovered
+            raise
+        self._good = self._position
+
+    def close(self) -> None:
+        try:
+            self._file.close()
+        except OSError:
+            pass  # nothing is buffered here; the bytes were taken or refused at flush
+
+    def discard(self) -> None:
+        self.close()
+        if self._path.is_file():
+            self._path.unlink(missing_ok=True)

@@ -1,0 +1,82 @@
+"""What the emulated network did, counted from the records of its draws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from transport.laws.statistics import law_p_value, mode_counts, transition_counts
+from transport.medium.draws import REASONS
+
+Draws: TypeAlias = npt.NDArray[np.void]
+
+
+def mode_sequence(draws: Draws) -> npt.NDArray[np.int64]:
+    """Return the modes that the law drew, one per slot in slot order (rows with mode < 0 book a packet's fate)."""
+    return np.asarray(draws["mode"][draws["mode"] >= 0], dtype=np.int64)
+
+
+def network_metrics(
+    draws: Draws | None, law: Any | None, kind: str, *, late: int = 0, reasons: Sequence[str] = REASONS
+) -> dict[str, Any]:
+    """Return the network part of a summary, for one direction.
+
+    Args:
+        draws: records of `/network/sc` or `/network/ca`; None if they were not kept.
+        law: the network law's parameters, None if they cannot be made again here (its plug-in is gone).
+        kind: its plug-in name.
+        late: packets that missed the slot's deadline (they count as lost on the way to the actuator).
+        reasons: names of the codes in `draws["reason"]`.
+
+    Returns:
+        law (its kind), mode_counts, transition_counts (row: from), p_value (None where the law has no test or the record is
+        too short), lost (by the loss law or a full queue), late, duplicated, fates (reason: count).
+    """
+    found: dict[str, Any] = {"law": kind, "mode_counts": [], "transition_counts": [], "p_value": None}
+    fates: dict[str, int] = {}
+    if draws is not None and len(draws):
+        modes = mode_sequence(draws)
+        expected = expected_frequencies(law)
+        size = max(0 if expected is None else len(expected), int(modes.max(initial=-1)) + 1)
+        found["mode_counts"] = mode_counts(modes, size).tolist()
+        found["transition_counts"] = transition_counts(modes, size).tolist() if size else []
+        found["p_value"] = _p_value(law, modes, draws)
+        codes, counts = np.unique(draws["reason"], return_counts=True)
+        fates = {reasons[c] if c < len(reasons) else str(c): int(n) for c, n in zip(codes.tolist(), counts)}
+    found["lost"] = fates.get("lost", 0) + fates.get("overflow", 0)
+    found["late"] = late
+    found["duplicated"] = fates.get("duplicated", 0)
+    found["fates"] = fates
+    return found
+
+
+def expected_transitions(law: Any | None) -> npt.NDArray[np.float64] | None:
+    """Return the transition matrix that the law states for its modes, None where it is no Markov chain."""
+    return _stated(law, "transition_matrix")
+
+
+def expected_frequencies(law: Any | None) -> npt.NDArray[np.float64] | None:
+    """Return the stationary frequency of every mode that the law states, None where it states none."""
+    return _stated(law, "stationary")
+
+
+def _stated(law: Any | None, name: str) -> npt.NDArray[np.float64] | None:
+    method = getattr(law, name, None)
+    try:
+        return np.asarray(method(), dtype=np.float64) if callable(method) else None
+    except ValueError:  # for instance a chain with several closed classes has no single stationary law
+        return None
+
+
+def _p_value(law: Any | None, modes: npt.NDArray[np.int64], draws: Draws) -> float | None:
+    if law is None:
+        return None
+    try:
+        p_value = law_p_value(law, modes, draws)
+    except ValueError:  # a recorded trace whose file is no longer where it was
+        return None
+    return p_value if math.isfinite(p_value) else None

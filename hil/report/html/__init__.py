@@ -1,0 +1,1 @@
+"""Figures, blocks and pages; knows HTML and no run."""

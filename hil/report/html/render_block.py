@@ -1,0 +1,271 @@
+"""One block of a page to HTML; what the script draws is collected in a `Payload` of deduplicated arrays."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.report.html.decimation import bucket_extremes, step_ends
+from hil.report.html.figures import Badge, Bars, Block, Cell, Figure, Histogram, Matrix, Series, Table, Text, Tile
+from hil.report.html.numbers import text_of
+from hil.report.html.svg import draw_bars, draw_histogram
+
+WHOLE = 25_000
+"""Curves of up to so many points are kept as they are (20 s at 1 kHz), so that zooming shows every sample."""
+
+BUCKETS = 4000
+"""Intervals of x that a longer curve is reduced to: several per pixel of a wide window, so that zooming still helps."""
+
+SIGNS = {"good": "✓", "warning": "!", "bad": "✕", "neutral": "·"}
+
+SHORT_CELL = 40
+"""Characters of a cell that are kept on one line."""
+
+LONG_TABLE = 40
+"""Rows above which a table scrolls in its own box."""
+
+GAP = -32768
+"""What stands for NaN among whole numbers."""
+
+
+class Payload:
+    """The arrays and figure descriptions that the page's script draws; equal arrays are stored once."""
+
+    def __init__(self) -> None:
+        self._arrays: list[dict[str, Any]] = []
+        self._index: dict[bytes, int] = {}
+        self.figures: list[dict[str, Any]] = []
+
+    def add(self, values: npt.NDArray[np.float64]) -> int:
+        """Store an array and return its number: int16 for small whole numbers, float32 where that is exact enough."""
+        whole = np.where(np.isnan(values), GAP, values)
+        if np.all(np.abs(whole) <= -GAP) and np.array_equal(whole, np.round(whole)):
+            return self._store("i2", whole.astype("<i2").tobytes())
+        narrow = values.astype("<f4")
+        finite = values[np.isfinite(values)]
+        steps = np.abs(np.diff(finite))
+        steps = steps[steps > 0]
+        rounding = float(np.abs(finite).max(initial=0.0)) * 6e-8
+        # y needs no more than a ten-thousandth of what is drawn; x needs its samples kept apart. One test serves both.
+        enough = steps.size == 0 or rounding < max(0.05 * float(steps.min()), 1e-5 * float(np.ptp(finite)))
+        return self._store("f4", narrow.tobytes()) if enough else self._store("f8", values.astype("<f8").tobytes())
+
+    def _store(self, kind: str, data: bytes) -> int:
+        key = kind.encode() + data
+        if key not in self._index:
+            self._index[key] = len(self._arrays)
+            self._arrays.append({"t": kind, "d": base64.b64encode(data).decode("ascii")})
+        return self._index[key]
+
+    def json(self) -> str:
+        """Return the JSON for a script element: no `<`, so nothing in it can end the element."""
+        text = json.dumps({"arrays": self._arrays, "figures": self.figures}, separators=(",", ":"), allow_nan=False)
+        return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def block_html(block: Block, payload: Payload) -> str:
+    """Return the HTML of one block.
+
+    Raises:
+        TypeError: for anything that is not one of the block dataclasses of `hil.report.html.figures`.
+    """
+    if isinstance(block, Figure):
+        return _figure(block, payload)
+    if isinstance(block, Bars):
+        return _panel(block.title, f'{_legend(block)}<div class="scroll">{draw_bars(block)}</div>', block.note)
+    if isinstance(block, Histogram):
+        return _panel(block.title, f'<div class="scroll">{draw_histogram(block)}</div>', block.note)
+    if isinstance(block, Matrix):
+        return _matrix(block)
+    if isinstance(block, Table):
+        return _table(block)
+    if isinstance(block, Text):
+        return _text(block)
+    if isinstance(block, Badge):
+        return badge_html(block)
+    raise TypeError(f"block: expected one of the dataclasses of hil.report.html.figures, got {type(block).__name__}")
+
+
+def badge_html(badge: Badge) -> str:
+    """Return a verdict: a sign and a colour, so that neither is needed alone."""
+    detail = f'<span class="detail">{escape(badge.detail)}</span>' if badge.detail else ""
+    sign = f'<span class="sign" aria-hidden="true">{SIGNS[badge.state]}</span>'
+    return f'<span class="badge {badge.state}">{sign}<span class="what">{escape(badge.label)}</span>{detail}</span>'
+
+
+def tile_html(tile: Tile) -> str:
+    """Return one large number with its label, unit and note."""
+    unit = f'<span class="unit">{escape(tile.unit)}</span>' if tile.unit and tile.value is not None else ""
+    note = f'<div class="note">{escape(tile.note)}</div>' if tile.note else ""
+    return (
+        f'<div class="tile {tile.state}"><div class="label">{escape(tile.label)}</div>'
+        f'<div class="value">{escape(text_of(tile.value))}{unit}</div>{note}</div>'
+    )
+
+
+def _panel(title: str, body: str, note: str, kind: str = "panel") -> str:
+    head = f"<h3>{escape(title)}</h3>" if title else ""
+    foot = f"<figcaption>{escape(note)}</figcaption>" if note else ""
+    return f'<figure class="{kind}">{head}{body}{foot}</figure>'
+
+
+def _figure(figure: Figure, payload: Payload) -> str:
+    number = len(payload.figures)
+    note = figure.note
+    curves, whole, drawn = [], 0, 0
+    for i, series in enumerate(figure.series):
+        x, y = _arrays(series.label, series.x, series.y)
+        keep = _kept(x, y, series)
+        whole, drawn = max(whole, x.size), max(drawn, keep.size if "step" not in series.style else 0)
+        curves.append(
+            {
+                "label": series.label,
+                "colour": (i if series.colour is None else series.colour) % 8,
+                "style": series.style,
+                "faint": series.faint,
+                "halo": series.halo,
+                "x": payload.add(x[keep]),
+                "y": payload.add(y[keep]),
+            }
+        )
+    bands = []
+    for i, band in enumerate(figure.bands):
+        x, lower = _arrays(band.label, band.x, band.lower)
+        x, upper = _arrays(band.label, band.x, band.upper)
+        keep = np.union1d(_reduced(x, lower), _reduced(x, upper))
+        bands.append(
+            {
+                "label": band.label,
+                "colour": (i if band.colour is None else band.colour) % 8,
+                "x": payload.add(x[keep]),
+                "lower": payload.add(lower[keep]),
+                "upper": payload.add(upper[keep]),
+            }
+        )
+    payload.figures.append(
+        {
+            "series": curves,
+            "bands": bands,
+            "markers": [{"x": float(m.x), "label": m.label, "state": m.state} for m in figure.markers],
+            "xLabel": _axis(figure.x_label, figure.x_unit),
+            "yLabel": _axis(figure.y_label, figure.y_unit),
+            "xLog": figure.x_log,
+            "yLog": figure.y_log,
+            "integerY": figure.integer_y,
+            "yRange": list(figure.y_range) if figure.y_range is not None else None,
+            "sync": figure.sync,
+            "height": figure.height_px,
+        }
+    )
+    if drawn and drawn < whole:
+        reduced = f"Drawn as the minimum and maximum of {text_of(BUCKETS)} intervals of {text_of(whole)} samples."
+        note = f"{note} {reduced}".strip()
+    label = escape(f"{figure.title}: {', '.join(s.label for s in figure.series)}", quote=True)
+    place = f'data-figure="{number}" style="min-height:{figure.height_px}px"'
+    body = f'<div class="plot" role="img" aria-label="{label}" {place}></div>'
+    return _panel(figure.title, body, note)
+
+
+def _arrays(
+    label: str, x: Sequence[float] | npt.NDArray[Any], y: Sequence[float] | npt.NDArray[Any]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    x_values, y_values = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if x_values.ndim != 1 or x_values.shape != y_values.shape:
+        shapes = f"x has shape {x_values.shape}, y {y_values.shape}"
+        raise ValueError(f"series {label!r}: {shapes}, expected one dimension and equal length")
+    return x_values, np.where(np.isfinite(y_values), y_values, np.nan)
+
+
+def _kept(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], series: Series) -> npt.NDArray[np.intp]:
+    if "step" not in series.style:
+        return _reduced(x, y)
+    ends = step_ends(y)
+    return ends[_reduced(x[ends], y[ends])]
+
+
+def _reduced(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
+    return np.arange(x.size, dtype=np.intp) if x.size <= WHOLE else bucket_extremes(x, y, BUCKETS)
+
+
+def _axis(label: str, unit: str) -> str:
+    return f"{label} ({unit})" if unit else label
+
+
+def _legend(bars: Bars) -> str:
+    if len(bars.groups) < 2:
+        return ""
+    items = []
+    for g, group in enumerate(bars.groups):
+        colour = (g if group.colour is None else group.colour) % 8
+        swatch = f'<i class="swatch c{colour}{" hollow" if group.hollow else ""}"></i>'
+        items.append(f"<span>{swatch}{escape(group.label)}</span>")
+    return f'<div class="legend">{"".join(items)}</div>'
+
+
+def _matrix(matrix: Matrix) -> str:
+    corner = escape(f"{matrix.row_label} \\ {matrix.column_label}" if matrix.row_label else "")
+    head = "".join(f'<th scope="col">{escape(str(c))}</th>' for c in matrix.columns)
+    lines = []
+    for i, name in enumerate(matrix.rows):
+        cells = []
+        for j, value in enumerate(matrix.values[i]):
+            expected = matrix.expected[i][j] if matrix.expected is not None else None
+            small = "" if expected is None else f"<small>{_share(float(expected))}</small>"
+            number = float("nan") if value is None else float(value)
+            shade = min(max(number, 0.0), 1.0) if np.isfinite(number) else 0.0
+            cells.append(f'<td style="--shade:{shade:.3f}">{_share(number)}{small}</td>')
+        lines.append(f'<tr><th scope="row">{escape(str(name))}</th>{"".join(cells)}</tr>')
+    top = f"<thead><tr><th>{corner}</th>{head}</tr></thead>"
+    body = f'<table class="matrix">{top}<tbody>{"".join(lines)}</tbody></table>'
+    return _panel(matrix.title, f'<div class="scroll">{body}</div>', matrix.note)
+
+
+def _share(value: float) -> str:
+    """Three decimals, so that a column of shares lines up; other magnitudes as any number."""
+    return f"{value:.3f}".replace("-", "−") if 1e-3 <= abs(value) < 100.0 else text_of(value, 3)
+
+
+def _table(table: Table) -> str:
+    numeric = [all(_is_number(row[j]) for row in table.rows) and bool(table.rows) for j in range(len(table.columns))]
+    kinds = [' class="number"' if n else "" for n in numeric]
+    head = "".join(f'<th scope="col"{kinds[j]}>{escape(str(c))}</th>' for j, c in enumerate(table.columns))
+    lines = []
+    for i, row in enumerate(table.rows):
+        cells = "".join(f"<td{kinds[j]}>{_cell(cell)}</td>" for j, cell in enumerate(row))
+        lines.append(f"<tr{' class=highlight' if i in table.highlight else ''}>{cells}</tr>")
+    # The last column takes what the others leave, unless they hold sentences too: then all of them wrap.
+    widest = max((len(_words(cell)) for row in table.rows for cell in row[:-1]), default=0)
+    kind = ' class="prose-last"' if len(table.columns) > 2 and not numeric[-1] and widest <= SHORT_CELL else ""
+    scroll = "scroll long" if len(table.rows) > LONG_TABLE else "scroll"
+    body = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+    return _panel(table.title, f'<div class="{scroll}">{body}</div>', table.note, "panel wide" if table.wide else "panel")
+
+
+def _words(cell: Cell) -> str:
+    return f"{cell.label} {cell.detail}" if isinstance(cell, Badge) else str(cell)
+
+
+def _is_number(cell: Cell) -> bool:
+    return cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool))
+
+
+def _cell(cell: Cell) -> str:
+    if isinstance(cell, Badge):
+        return badge_html(cell)
+    return escape(text_of(cell, 6) if isinstance(cell, float) else text_of(cell))
+
+
+def _text(text: Text) -> str:
+    if not text.code:
+        return _panel(text.title, f"<p>{escape(text.text)}</p>", "", "prose")
+    body = f'<pre tabindex="0"><code>{escape(text.text)}</code></pre>'
+    if text.folded:
+        body = f"<details><summary>{escape(text.title or 'Show')}</summary>{body}</details>"
+        return _panel("", body, "", "panel code")
+    return _panel(text.title, body, "", "panel code")

@@ -1,0 +1,1 @@
+"""Pictures of a run; knows runs and no HTML."""

@@ -1,0 +1,142 @@
+"""Theory and emulation on one picture: the predicted tracking error, the run, and many more runs of the same experiment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from design.controllers import StaticGains
+from hil.compose.delay_chains import delay_chains, gains_over
+from hil.compose.loop import Loop, compose
+from hil.errors import HilError
+from hil.log.read.run import Run
+from hil.measure.summary import experiment_of, matrix, signal_names
+from hil.measure.tracking import target_of
+from hil.measure.units import metric_units, with_unit
+from hil.report.html.figures import Band, Block, Figure, Section, Series, Table
+from hil.report.run.time_panels import unit_of
+
+RUNS = 100
+TICKS = 120_000  # of emulation that a page may cost: some 3 s
+FEWEST = 20
+
+
+def theory_section(run: Run) -> Section | None:
+    """Return the panels of predicted mean and spread, with the run and a Monte Carlo band over them.
+
+    None where there is no prediction: a controller that is no table of gains, a network law without a chain, a reference that
+    no input holds, or a log whose experiment cannot be made again here.
+    """
+    experiment = experiment_of(run)
+    if experiment is None:
+        return None
+    try:
+        loop = compose(experiment, certify=False)
+    except HilError:
+        return None
+    chains = delay_chains(loop.experiment)
+    if not isinstance(loop.controller, StaticGains) or None in chains:
+        return None
+    names = signal_names(run, "/plant/measurement")
+    y, r = (matrix(run.arrays[topic], names) for topic in ("/plant/measurement", "/reference"))
+    ticks = min(len(y), len(r))
+    if ticks < 2:
+        return None
+    predicted = _predict(loop, chains, r[:ticks])
+    if predicted is None:
+        return None
+    many = _emulate(loop, names, ticks)
+    t = np.arange(ticks) * loop.model.period_s
+    blocks: list[Block] = []
+    for c, name in enumerate(names):
+        mean, sd = predicted.error_mean[:ticks, c], predicted.error_sd[:ticks, c]
+        bands = [Band(label="predicted mean +- 2 sd", x=t, lower=mean - 2 * sd, upper=mean + 2 * sd, colour=2)]
+        if many is not None:
+            low, high = np.percentile(many[:, :, c], (2.5, 97.5), axis=0)
+            bands.append(Band(label=f"95 % of {len(many)} more runs", x=t, lower=low, upper=high, colour=0))
+        blocks.append(
+            Figure(
+                title=f"Tracking error of {name.replace('_', ' ')}",
+                series=(
+                    Series(label="predicted mean", x=t, y=mean, style="dashed", colour=2),
+                    Series(label="this run", x=t, y=y[:ticks, c] - r[:ticks, c], colour=1),
+                ),
+                bands=tuple(bands),
+                y_label="error",
+                y_unit=unit_of(run, "/plant/measurement", name),
+                height_px=280,
+            )
+        )
+    squared = metric_units([unit_of(run, "/plant/measurement", name) for name in names], [])["sse"]
+    sums: list[list[Any]] = []
+    rows = zip(("whole run", "from 5 s on"), predicted.sum_mean, predicted.sum_sd, _starts(loop, ticks))
+    for label, mean_sum, sd_sum, start in rows:
+        error = y[start:ticks] - target_of(r)[start:ticks]
+        sums.append([label, float(mean_sum), float(sd_sum), float((error**2).sum() * loop.model.period_s)])
+    blocks.append(
+        Table(
+            columns=(with_unit("squared tracking error", squared), "predicted mean", "predicted sd", "this run"),
+            rows=sums,
+            note="Squared error against the value stepped to, summed over the samples, times T, as in Table 7.2.",
+        )
+    )
+    return Section(
+        title="Theory and emulation",
+        blocks=tuple(blocks),
+        intro=(
+            "What the covariance recursion of the jump-linear loop says of the error, transients too, from the nominal linear "
+            "model, the gains and the chains. A run outside the band is either one of the few, or not of this model."
+        ),
+    )
+
+
+def _starts(loop: Loop, ticks: int) -> tuple[int, ...]:
+    after = round(5.0 / loop.model.period_s)
+    return (0, after) if after < ticks else (0,)
+
+
+def _initial(law: Any, chain: Any) -> np.ndarray[Any, Any]:
+    """Return the distribution of the chain's modes in slot 0: the law's own, where its modes are the chain's."""
+    own = law.initial_law() if hasattr(law, "initial_law") else chain.stationary
+    return np.asarray(own if len(own) == chain.modes else chain.stationary)
+
+
+def _predict(loop: Loop, chains: tuple[Any, Any], r: np.ndarray[Any, Any]) -> Any | None:
+    from design.errors import DesignError
+    from design.networked_loop.prediction import predict_tracking
+
+    model, controller, at = loop.model, loop.controller, loop.disturbance()
+    gains = gains_over(controller, model, *chains)
+    common: dict[str, Any] = {
+        "period_s": model.period_s,
+        "disturbance": np.array([at(k) for k in range(len(r))]),
+        "samples": loop.samples,
+        "integral": bool(getattr(controller, "integral", False)),
+        "initial": tuple(map(_initial, (loop.sc_law, loop.ca_law), chains)),
+    }
+    arguments = (model.A, model.B, model.C, *chains, gains, controller.selection, r)
+    try:
+        error = predict_tracking(*arguments, **common)
+        table = predict_tracking(*arguments, **common, target=target_of(r), sums_from=_starts(loop, len(r)))
+    except (ValueError, DesignError):
+        return None
+    from dataclasses import replace
+
+    return replace(error, sum_mean=table.sum_mean, sum_sd=table.sum_sd)
+
+
+def _emulate(loop: Loop, names: list[str], ticks: int) -> np.ndarray[Any, Any] | None:
+    """Return the errors of more runs, (runs, ticks, outputs); None if the runs are too long to make many."""
+    from hil.session import simulate
+
+    count = min(RUNS, TICKS // ticks)
+    if count < FEWEST:
+        return None
+    found = []
+    for seed in range(count):
+        run = simulate(loop, 1_000_000 + seed, ("/plant/measurement", "/reference"))
+        y, r = (matrix(run.arrays[topic], names) for topic in ("/plant/measurement", "/reference"))
+        if len(y) >= ticks:  # one that safety stopped has no error to show
+            found.append((y - r)[:ticks])
+    return np.array(found) if len(found) >= FEWEST else None

@@ -1,0 +1,226 @@
+"""The time panels of a run: outputs against their reference, states, input, delays, lateness; events marked on all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.log.read.run import Run
+from hil.log.records import TIME_FIELD
+from hil.measure.summary import experiment_of, matrix, signal_names, tracked_names
+from hil.report.html.figures import Band, Figure, LineStyle, Marker, Series, State
+
+MOST_MARKERS = 500
+DENSE = 1500
+_STATES: Mapping[str, State] = {"warning": "warning", "error": "bad"}
+_BOOKKEEPING = ("started", "outcome", "stop", "stopped")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """What a theory says of one output over time, drawn behind the run.
+
+    Args:
+        series: over session time, for instance the mean.
+        bands: over session time, for instance two standard deviations.
+    """
+
+    series: tuple[Series, ...] = ()
+    bands: tuple[Band, ...] = ()
+
+
+def seconds(array: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
+    """Return the session time of every record, s."""
+    return np.asarray(array[TIME_FIELD] / 1e9, dtype=np.float64)
+
+
+def unit_of(run: Run, topic: str, name: str) -> str:
+    """Return the unit that the schema states for a field, nothing for a pure number."""
+    schema = run.schemas.get(topic)
+    found = next((f.unit for f in schema.fields if f.name == name), "") if schema is not None else ""
+    return "" if found == "1" else found
+
+
+def markers(run: Run) -> tuple[Marker, ...]:
+    """Return what happened when: reference steps, disturbances, events, late packets."""
+    found = [Marker(x=t, label="reference step") for t in reference_steps(run)]
+    applied = run.arrays["/actuator/applied"]
+    disturbances = [n for n in applied.dtype.names or () if n.startswith("w_")]
+    if disturbances and len(applied):
+        active = np.any(matrix(applied, disturbances) != 0.0, axis=1)
+        begins = np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
+        found += [Marker(x=float(t), label="disturbance") for t in seconds(applied)[begins]]
+    for event in run.events:
+        if event.get("kind") not in _BOOKKEEPING:
+            state = _STATES.get(str(event.get("severity")), "neutral")
+            found.append(Marker(x=float(event.get("t_s", 0.0)), label=str(event.get("kind", "event")), state=state))
+    timing = run.arrays.get("/timing/tick")
+    if timing is not None and len(timing):
+        named = {m.x for m in found if m.label == "late"}
+        late = seconds(timing)[timing["late"] != 0]
+        found += [Marker(x=float(t), label="", state="warning") for t in late if float(t) not in named]
+    return tuple(sorted(found, key=lambda m: (m.label == "", m.x))[:MOST_MARKERS])
+
+
+def reference_steps(run: Run) -> list[float]:
+    """Return the times at which the reference changed, s."""
+    array = run.arrays["/reference"]
+    values = matrix(array, signal_names(run, "/reference"))
+    changed = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1)) + 1
+    return [float(t) for t in seconds(array)[changed]]
+
+
+def output_panels(run: Run, marks: tuple[Marker, ...], predicted: Mapping[str, Prediction]) -> list[Figure]:
+    """Return one panel per output: what was measured, the true state where it differs, and what was asked for.
+
+    An output that does not follow the reference (a measured mode) has none, and holds its value between samples.
+    """
+    measurement, reference = run.arrays["/plant/measurement"], run.arrays["/reference"]
+    state = run.arrays.get("/plant/state")
+    tracked = tracked_names(run, experiment_of(run))
+    panels: list[Figure] = []
+    for name in signal_names(run, "/plant/measurement"):
+        theory = predicted.get(name, Prediction())
+        style: LineStyle = "line" if name in tracked else "step"
+        series = [Series(label=_words(name), x=seconds(measurement), y=measurement[name], style=style, colour=0)]
+        if state is not None and name in (state.dtype.names or ()) and not _equal(state, measurement, name):
+            series = [
+                replace(series[0], label=f"{_words(name)}, measured", halo=True),
+                Series(label=f"{_words(name)}, true", x=seconds(state), y=state[name], style=style, colour=0),
+            ]
+        asked = Series(label="reference", x=seconds(reference), y=reference[name], style="dashed-step", colour=7)
+        panels.append(
+            Figure(
+                title=_title(name),
+                y_label=_words(name),
+                y_unit=unit_of(run, "/plant/measurement", name),
+                series=(*([asked] if name in tracked else []), *theory.series, *series),
+                bands=theory.bands,
+                markers=marks,
+                height_px=300 if len(panels) == 0 else 220,
+            )
+        )
+    return panels
+
+
+def state_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
+    """Return one panel per state that is no output."""
+    state = run.arrays.get("/plant/state")
+    if state is None or not len(state):
+        return []
+    outputs = signal_names(run, "/plant/measurement")
+    return [
+        Figure(
+            title=_title(name),
+            y_label=_words(name),
+            y_unit=unit_of(run, "/plant/state", name),
+            series=(Series(label=_words(name), x=seconds(state), y=state[name], colour=2),),
+            markers=marks,
+            height_px=190,
+        )
+        for name in signal_names(run, "/plant/state")
+        if name not in outputs
+    ]
+
+
+def input_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
+    """Return one panel per input: what was applied, and the disturbance that was added where there is one."""
+    applied = run.arrays["/actuator/applied"]
+    panels = []
+    for name in signal_names(run, "/actuator/applied"):
+        series = [Series(label=f"{_words(name)}, commanded", x=seconds(applied), y=applied[name], style="step", colour=3)]
+        w = f"w_{name}"
+        if w in (applied.dtype.names or ()) and np.any(applied[w] != 0.0):
+            series.insert(0, Series(label="disturbance", x=seconds(applied), y=applied[w], style="step", colour=4))
+        panels.append(
+            Figure(
+                title=f"Input: {_words(name)}",
+                y_label=_words(name),
+                y_unit=unit_of(run, "/actuator/applied", name),
+                series=tuple(series),
+                markers=marks,
+                height_px=200,
+            )
+        )
+    return panels
+
+
+def delay_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
+    """Return two panels: the age that each direction's law drew, and the age that the receiver measured."""
+    rows, applied = run.arrays.get("/controller/rows"), run.arrays["/actuator/applied"]
+    measured = {"sc": (rows, "tau", "τ"), "ca": (applied, "d", "d")}
+    names = {"sc": "Sensor to controller", "ca": "Controller to actuator"}
+    panels = []
+    for side, (array, field, symbol) in measured.items():
+        series = []
+        draws = run.arrays.get(f"/network/{side}")
+        if draws is not None and len(draws):
+            own = draws[(draws["mode"] >= 0)]
+            age = np.where(own["age"] >= 0, own["age"], np.nan).astype(np.float64)
+            if not np.any(np.isfinite(age)):
+                pass
+            elif _is_age_law(run, side):
+                label = "drawn by the law"
+                series.append(Series(label=label, x=seconds(own), y=age, style="step", colour=1, halo=True))
+            else:
+                series.append(Series(label="age at arrival, by packet", x=seconds(own), y=age, style="points", colour=1))
+        if array is not None and len(array):
+            heard = array["sample_ns"] >= 0 if field == "tau" else array["d"] >= 0
+            age = np.where(heard, array[field], np.nan).astype(np.float64)
+            where = "measured by the controller" if field == "tau" else "measured at the actuator"
+            series.append(Series(label=where, x=seconds(array), y=age, style="step", colour=0))
+        if series:
+            panels.append(
+                Figure(
+                    title=f"{names[side]} delay {symbol}",
+                    y_label=symbol,
+                    y_unit="samples",
+                    series=tuple(series),
+                    markers=marks,
+                    integer_y=True,
+                    height_px=165,
+                    note="Zoom in to see single slots." if len(applied) > DENSE else "",
+                )
+            )
+    return panels
+
+
+def lateness_panel(run: Run, marks: tuple[Marker, ...]) -> Figure | None:
+    """Return lateness and round trip over time, None for a run without measured times."""
+    timing = run.arrays.get("/timing/tick")
+    if timing is None or not len(timing):
+        return None
+    return Figure(
+        title="Lateness and round trip",
+        y_label="time",
+        y_unit="µs",
+        y_log=True,
+        series=(
+            Series(label="lateness", x=seconds(timing), y=np.maximum(timing["lateness_us"], 0.1), colour=0),
+            Series(label="round trip", x=seconds(timing), y=np.maximum(timing["round_trip_us"], 0.1), colour=2),
+        ),
+        markers=marks,
+        height_px=220,
+    )
+
+
+def _is_age_law(run: Run, side: str) -> bool:
+    draws = run.arrays[f"/network/{side}"]
+    codes = run.codes.get("reason", [])
+    return "sent" not in codes or not np.any(draws["reason"] == codes.index("sent"))
+
+
+def _equal(a: npt.NDArray[np.void], b: npt.NDArray[np.void], name: str) -> bool:
+    n = min(len(a), len(b))
+    return bool(np.array_equal(a[name][:n], b[name][:n]))
+
+
+def _title(name: str) -> str:
+    return _words(name).capitalize()
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

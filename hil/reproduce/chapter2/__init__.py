@@ -1,0 +1,1 @@
+"""Chapter 2: robust state feedback of semi-Markov jump linear systems."""

@@ -1,0 +1,1 @@
+"""Chapter 3: H-infinity control under time-varying delays."""

@@ -1,0 +1,1 @@
+"""Chapter 4: fault-tolerant control with random detection delays."""

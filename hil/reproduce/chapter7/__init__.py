@@ -1,0 +1,1 @@
+"""Chapter 7: output tracking over networks, send all, apply one."""

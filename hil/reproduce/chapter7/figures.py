@@ -1,0 +1,149 @@
+"""Figures 7.2 to 7.4 and 7.6 to 7.8: runs of the rig, with the predicted band, the fitted motor, and the Smith predictor."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from design.networked_loop.prediction import predict_tracking
+from hil.compose.loop import Loop, compose
+from hil.experiment import load_experiment
+from hil.measure.summary import run_metrics
+from hil.report.html.figures import Band, Figure, Marker, Series
+from hil.reproduce import Plot, Progress, Row, row
+from hil.reproduce.chapter7.friction import Imperfections, loop_of
+from hil.reproduce.chapter7.models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL_H2, everywhere, vtol
+from hil.reproduce.chapter7.tables import CONTROLLERS, motor_prediction
+from hil.session import simulate
+
+Array = npt.NDArray[np.float64]
+TOPICS = ("/plant/measurement", "/reference", "/actuator/applied")
+SMITH_GAINS = (-0.02, -0.03, -0.08, -0.16, -0.2)
+SEED = 7
+
+
+def ideal(controller: str, *sets: str) -> Loop:
+    """The networked motor without imperfections at T = 0.05 s, with a published controller."""
+    changes = (f"controller.kind={controller}", "allow_uncertified=true", *sets)
+    return compose(load_experiment("dc-motor-hinf", changes), certify=False)
+
+
+def angle(loop: Loop, seed: int) -> tuple[Array, Array]:
+    """Time, s, and angle, rad, of one run."""
+    run = simulate(loop, seed, TOPICS)
+    measured = run.arrays["/plant/measurement"]
+    return measured["tick"] * loop.model.period_s, np.asarray(measured["angle"], dtype=np.float64)
+
+
+def motor_plots(motor: Imperfections, progress: Progress) -> list[Plot]:
+    """Figures 7.6 to 7.8: simulation, fitted motor, and what the recursion predicts."""
+    plots = []
+    figures = {"7.6": ("hinf", "H-infinity"), "7.7": ("h2", "H2"), "7.8": ("local", "local")}
+    for number, (kind, name) in figures.items():
+        progress(f"figure {number}")
+        t, simulated = angle(ideal(kind), SEED)
+        t_lab, lab = angle(loop_of(kind, motor), SEED)
+        t_fast, fast = angle(ideal(kind, "period=25 ms"), SEED)
+        series = [
+            Series(label="simulation, T = 0.05 s", x=t, y=simulated, style="dashed"),
+            Series(label="fitted motor, T = 0.05 s", x=t_lab, y=lab),
+            Series(label="simulation, T = 0.025 s", x=t_fast, y=fast, style="dashed"),
+        ]
+        bands: tuple[Band, ...] = ()
+        period_s = 0.025 if kind == "local" else 0.05
+        predicted = motor_prediction(*CONTROLLERS[name], period_s)
+        mean, sd = predicted.error_mean[:, 0] + 3.0, predicted.error_sd[:, 0]
+        x = np.arange(len(mean)) * period_s
+        bands = (Band(label=f"predicted mean +- 2 sd, T = {period_s} s", x=x, lower=mean - 2 * sd, upper=mean + 2 * sd),)
+        note = "stopped by safety at T = 0.05 s: not mean-square stable" if kind == "local" else ""
+        plots.append(
+            Plot(
+                title=f"Figure {number}: {name} controller",
+                panels=(
+                    Figure(
+                        title="Motor angle", series=tuple(series), bands=bands, y_label="angle", y_unit="rad",
+                        y_range=(-1.0, 7.0), markers=(Marker(x=30.0, label="disturbance"),), note=note,
+                    ),
+                ),
+            )
+        )  # fmt: skip
+    return plots
+
+
+def smith_plot(progress: Progress, runs: int = 40) -> tuple[Plot, list[Row]]:
+    """Figure 7.4, and how the verdict on the Smith predictor depends on its gain."""
+    progress("Smith predictor")
+    loops = {"H-infinity (7.36)": ideal("hinf"), "H2 (7.37)": ideal("h2")}
+    for gain in SMITH_GAINS:
+        loops[f"Smith, {gain:g}"] = ideal("smith", f"controller.gain=[[{gain!r}]]")
+    marks = {name: np.array([_marks(loop, seed) for seed in range(runs)]).mean(axis=0) for name, loop in loops.items()}
+    shown = ("H-infinity (7.36)", "H2 (7.37)", "Smith, -0.03", "Smith, -0.16")
+    series = tuple(
+        Series(label=name, x=t, y=y, style="dashed" if name.startswith("Smith") else "line")
+        for name in shown
+        for t, y in [angle(loops[name], SEED)]
+    )
+    pulse = (Marker(x=30.0, label="disturbance"),)
+    figure = Figure(title="Motor angle", series=series, y_label="angle", y_unit="rad", markers=pulse)
+    words = [f"{name}: sse {m[0]:.2f}, overshoot {m[1]:.0%}, peak {m[2]:.3f} rad" for name, m in marks.items()]
+    cautious, bold = marks["Smith, -0.03"], marks["Smith, -0.16"]
+    hinf = marks["H-infinity (7.36)"]
+    rows = [
+        row(
+            "Figure 7.4: the proposed controllers are faster than a Smith predictor, overshoot more, reject disturbances better",
+            "holds", "; ".join(words),
+            "reproduced" if cautious[1] < hinf[1] and cautious[2] > hinf[2] else "not reproduced",
+            f"mean of {runs} runs; the thesis does not print the Smith gain; it holds for cautious gains (-0.02 to -0.08)",
+        ),
+        row(
+            "the same for every Smith gain", "implied",
+            f"gain -0.16: sse {bold[0]:.2f} against {hinf[0]:.2f}, peak {bold[2]:.3f} against {hinf[2]:.3f} rad of (7.36)",
+            "claim false" if bold[0] < hinf[0] and bold[1] < hinf[1] and bold[2] < hinf[2] else "reproduced",
+            "a predictor with the exact model and a bolder gain is better in all three",
+        ),
+    ]  # fmt: skip
+    return Plot(title="Figure 7.4: Smith predictor", panels=(figure,)), rows
+
+
+def _marks(loop: Loop, seed: int) -> tuple[float, float, float]:
+    run = simulate(loop, seed, TOPICS)
+    found = run_metrics(run, loop.experiment)
+    measured = run.arrays["/plant/measurement"]
+    peak = float(np.abs(measured["angle"][measured["tick"] * loop.model.period_s >= 30.0] - 3.0).max())
+    return float(found["sse"] or np.nan), float(found["overshoot"] or 0.0), peak
+
+
+def vtol_plots(progress: Progress) -> list[Plot]:
+    """Figures 7.2 and 7.3: one run of the published controller, the predicted band, and the local gain that diverges."""
+    plots = []
+    plant = vtol()
+    for number, kind, gains in (("7.2", "vtol-h2", VTOL_H2), ("7.3", "vtol-hinf", VTOL_HINF)):
+        progress(f"figure {number}")
+        loop = compose(load_experiment(kind), certify=False)
+        run = simulate(loop, SEED, TOPICS)
+        measured = run.arrays["/plant/measurement"]
+        t = measured["tick"] * loop.model.period_s
+        ticks = len(t)
+        reference, disturbance = np.ones(ticks), np.zeros((ticks, 2))
+        disturbance[300] = 1.0
+        predicted = predict_tracking(*plant, *NETWORK, gains, "generated", reference, period_s=0.01, disturbance=disturbance)
+        local = predict_tracking(*plant, *NETWORK, everywhere(VTOL_LOCAL_H2), "constant", reference[:60], period_s=0.01)
+        mean, sd = predicted.error_mean[:, 0] + 1.0, predicted.error_sd[:, 0]
+        panels = (
+            Figure(
+                title="Vertical velocity", y_label="velocity", y_unit="kn", sync="vtol",
+                series=(Series(label="published gains, one run", x=t, y=measured["vertical_velocity"]),),
+                bands=(Band(label="predicted mean +- 2 sd", x=t, lower=mean - 2 * sd, upper=mean + 2 * sd),),
+                markers=(Marker(x=3.0, label="impulse"),),
+            ),
+            Figure(
+                title="Root mean square error", y_label="error", y_unit="kn", y_log=True, sync=None,
+                series=(
+                    Series(label="published gains", x=t, y=np.sqrt(predicted.square_mean) + 1e-12),
+                    Series(label="local H2 gain: diverges", x=t[:60], y=np.sqrt(local.square_mean) + 1e-12),
+                ),
+            ),
+        )  # fmt: skip
+        name = "H2" if kind == "vtol-h2" else "H-infinity"
+        plots.append(Plot(title=f"Figure {number}: {name} controller of the VTOL", panels=panels))
+    return plots

@@ -1,0 +1,1 @@
+"""Real time: processes, their scheduling, their end."""

@@ -1,0 +1,74 @@
+"""The controller process: the software under test. Frames in, send-all packets out; it logs nothing and times nothing.
+
+Started as ``python -m hil.runtime.real.controller_process`` with a pickled :class:`Job` on standard input.
+"""
+
+from __future__ import annotations
+
+import pickle
+import signal
+import sys
+from dataclasses import dataclass
+from types import FrameType
+
+from hil.compose.loop import Loop
+from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from transport.links.link import TransportError, open_link
+
+IDLE_S = 0.2  # how long one wait for a frame lasts, so that a signal is seen soon
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """What the controller process needs."""
+
+    loop: Loop
+    uri: str
+    parent: int
+
+
+class Stopped(Exception):
+    """Raised by the handler of SIGTERM: unwinds to the end of the process."""
+
+
+def stop_on_sigterm() -> None:
+    """Turn SIGTERM into :class:`Stopped`, and leave Ctrl-C to the parent, which ends everything in order."""
+
+    def handler(_signal: int, _frame: FrameType | None) -> None:
+        raise Stopped
+
+    signal.signal(signal.SIGTERM, handler)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def serve(loop: Loop, uri: str) -> None:
+    """Answer sensor frames on a link until stopped."""
+    node = ControlNode(loop)
+    with open_link(uri, "controller") as link:
+        while True:
+            data = link.receive(IDLE_S)
+            if data is not None:
+                answer = node.hear(data)
+                if answer is not None:
+                    link.send(answer)
+
+
+def main() -> None:
+    """Run one job from standard input."""
+    job: Job = pickle.load(sys.stdin.buffer)
+    timing = job.loop.experiment.timing
+    try:
+        stop_on_sigterm()
+        die_with_parent(job.parent)
+        go_real_time(max(timing.priority - 1, 1), 1 if timing.affinity == "pinned" else None)
+        serve(job.loop, job.uri)
+    except Stopped:
+        pass
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except TransportError as e:
+        sys.exit(f"hil: {e}")

@@ -1,0 +1,175 @@
+"""Real time: rig and controller as separate processes over a real link, watched by this one, which keeps the log."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from hil.compose.loop import Loop
+from hil.errors import HilError
+from hil.log.write.pipe import PumpReport, pump
+from hil.log.write.sinks import Put, Sink
+from hil.runtime.real import controller_process, rig_process
+from hil.runtime.real.scheduling import go_ahead_of_others
+from hil.runtime.real.stop_signals import StopSignals
+from hil.runtime.time.clock import monotonic_ns, pause
+
+POLL_S = 0.02
+GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
+HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0
+
+
+@dataclass(slots=True)
+class RealOutcome:
+    """How a session in real time went, as this process saw it."""
+
+    pump: PumpReport = field(default_factory=PumpReport)
+    interrupted: int | None = None  # the signal that stopped the session
+    rig_status: int | None = None
+    controller_lost: str | None = None
+    controller_lost_ns: int = 0  # session time
+
+
+class Child:
+    """One process of the session; killed within :data:`GRACE_S` by :meth:`end`, whatever it does."""
+
+    def __init__(self, name: str, module: str, job: object, pass_fds: tuple[int, ...] = ()) -> None:
+        self.name = name
+        # A new session keeps the terminal's Ctrl-C away: this process ends its children in order.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
+            pass_fds=pass_fds,
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        try:
+            pickle.dump(job, self._process.stdin)
+            self._process.stdin.close()
+        except BrokenPipeError:
+            pass  # it died on its first line; its status says so
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def poll(self) -> int | None:
+        """Return the exit status, None while it runs."""
+        return self._process.poll()
+
+    def how(self) -> str:
+        """Say how the process ended."""
+        status = self._process.returncode
+        if status is not None and status < 0:
+            return f"the {self.name} process (pid {self.pid}) was killed by {signal.Signals(-status).name}"
+        return f"the {self.name} process (pid {self.pid}) ended with status {status}"
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        if self.poll() is None:
+            self._process.terminate()
+
+    def end(self, grace_s: float = GRACE_S) -> None:
+        """Join it, or kill it after ``grace_s``."""
+        try:
+            self._process.wait(grace_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _has_fileno(stream: object) -> bool:
+    try:
+        stream.fileno()  # type: ignore[attr-defined]
+    except (OSError, AttributeError, ValueError):
+        return False
+    return True
+
+
+def run_real(
+    loop: Loop,
+    seed: int,
+    uri: str,
+    sink: Sink,
+    *,
+    external: bool = False,
+    hello_timeout_s: float | None = None,
+    taps: Mapping[str, Put] | None = None,
+) -> RealOutcome:
+    """Run a loop in real time; return when it has ended and nothing of it is left.
+
+    Args:
+        loop: the composed experiment.
+        seed: seed of the run.
+        uri: the link between rig and controller.
+        sink: takes every record, in this process.
+        external: do not start a controller: somebody else's program answers on the link.
+        hello_timeout_s: how long the rig waits for a first answer, s.
+        taps: see :func:`hil.log.write.pipe.pump`.
+
+    Raises:
+        HilError: if rig or controller ended before the run began, or no controller answered.
+    """
+    outcome = RealOutcome()
+    read_fd, write_fd = os.pipe()
+    parent = os.getpid()
+    children: list[Child] = []
+    stop_pump = threading.Event()
+
+    def keep_log() -> None:
+        go_ahead_of_others()
+        pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set, report=outcome.pump)
+
+    thread = threading.Thread(target=keep_log, name="log")
+    with StopSignals() as signals:
+        try:
+            job = rig_process.Job(
+                loop=loop, uri=uri, seed=seed, parent=parent, log_fd=write_fd,
+                hello_timeout_s=hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S),
+            )  # fmt: skip
+            rig = Child("rig", "hil.runtime.real.rig_process", job, (write_fd,))
+            children.append(rig)
+            os.close(write_fd)
+            write_fd = -1
+            thread.start()
+            controller = None
+            if not external:
+                controller = Child(
+                    "controller",
+                    "hil.runtime.real.controller_process",
+                    controller_process.Job(loop=loop, uri=uri, parent=parent),
+                )
+                children.append(controller)
+            while rig.poll() is None and signals.seen is None:
+                if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
+                    outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
+                    if not outcome.pump.records:
+                        break  # it never answered, so nothing runs yet
+                pause(POLL_S)
+        finally:
+            for child in children:
+                child.terminate()
+            limit = monotonic_ns() + round(GRACE_S * 1e9)
+            for child in children:
+                child.end(max((limit - monotonic_ns()) / 1e9, 0.05))
+            if write_fd >= 0:
+                os.close(write_fd)
+            stop_pump.set()
+            if thread.ident is not None:
+                thread.join()
+            os.close(read_fd)
+    outcome.interrupted = signals.seen
+    outcome.rig_status = children[0].poll()
+    if signals.seen is None and not outcome.pump.records:
+        if outcome.controller_lost is None and outcome.rig_status == rig_process.NOBODY:
+            raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s")
+        raise HilError(f"{outcome.controller_lost or children[0].how()} before the run began; its message, if any, stands above")
+    return outcome

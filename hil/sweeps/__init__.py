@@ -1,0 +1,1 @@
+"""Many runs of one experiment: seeds, records of what ran."""

@@ -1,0 +1,141 @@
+"""Many seeds of one experiment on one core, all cores or many machines: same loop, same code, no log files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.monte_carlo.confidence import Interval, StopRule
+from design.monte_carlo.parallel import Ladder, spread
+from hil.compose.loop import Loop, compose
+from hil.experiment import Experiment
+from hil.sweeps.store import SweepStore
+
+METRICS = ("sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u")
+COLUMNS = ("stopped", *METRICS)
+TOPICS = ("/plant/measurement", "/reference", "/actuator/applied", "/events")
+
+
+def run_seeds(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
+    """Run a loop for some seeds in this process; return one row of metrics per seed (NaN where undefined)."""
+    from hil.measure.summary import run_metrics
+    from hil.session import simulate
+
+    rows = []
+    for seed in seeds:
+        run = simulate(loop, seed, TOPICS)
+        found = run_metrics(run, loop.experiment)
+        row = {name: float("nan") if found[name] is None else float(found[name]) for name in METRICS}
+        row["seed"] = seed
+        row["stopped"] = float(any(e["kind"] == "safety" for e in run.events))
+        rows.append(row)
+    return rows
+
+
+class Sweep(NamedTuple):
+    """What a sweep has found.
+
+    values: ``seed``, ``stopped`` and every metric, one entry per run in the order of the seeds.
+    interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; the values are those of the runs that were done.
+    interval, reached: with a stopping rule, its interval (None before the first look) and whether it is narrow enough.
+    """
+
+    values: dict[str, NDArray[np.float64]]
+    interrupted: int
+    interval: Interval | None = None
+    reached: bool = False
+
+
+def sweep(
+    experiment: Experiment,
+    seeds: Sequence[int],
+    *,
+    jobs: int = -1,
+    progress: Callable[[int], None] = lambda done: None,
+) -> dict[str, NDArray[np.float64]]:
+    """Run an experiment for every seed on this machine; as `run_sweep`, but only its values."""
+    return run_sweep(experiment, seeds, ladder=here(jobs), progress=progress).values
+
+
+def here(jobs: int) -> Ladder:
+    """So many processes on this machine, -1 for one per core."""
+    return Ladder(backend="serial") if jobs == 1 else Ladder(backend="loky", jobs=jobs)
+
+
+def run_sweep(
+    experiment: Experiment,
+    seeds: Sequence[int],
+    *,
+    ladder: Ladder,
+    progress: Callable[[int], None] = lambda done: None,
+    store: SweepStore | None = None,
+    until: tuple[str, StopRule] | None = None,
+) -> Sweep:
+    """Run an experiment for every seed, or for as many as a confidence interval needs.
+
+    Every run has its own seed, so the numbers are the same for every number of jobs and machines and every split.
+
+    Args:
+        experiment: what to run, in virtual time.
+        seeds: one run each; with ``until`` the most that may be run.
+        ladder: Where: this process, the cores of this machine, or a dask cluster.
+        progress: told how many runs have been done.
+        store: where finished runs are kept, and taken from instead of being run again.
+        until: (metric, StopRule). Stop as soon as the interval of the metric is narrow enough. It is looked at only at the rule's
+            numbers of runs, which is what its error rate needs; runs in which the metric is undefined do not count for it.
+    """
+    done = {seed: store.rows[seed] for seed in seeds if seed in store.rows} if store else {}
+    look, interval, reached, interrupted = 0, None, False, 0
+    wanted: Sequence[int] = seeds
+    loop = compose(experiment)
+    try:
+        while not reached and (look == 0 or len(wanted) < len(seeds)):
+            look += 1
+            if until is not None:
+                wanted = seeds[: until[1].runs(look)]
+            progress(sum(seed in done for seed in wanted))
+            missing = [seed for seed in wanted if seed not in done]
+            for rows in spread(partial(run_seeds, loop), _parts(missing, ladder), ladder):
+                done.update((int(row["seed"]), row) for row in rows)
+                if store:
+                    store.add(rows)
+                progress(sum(seed in done for seed in wanted))
+            if until is not None:
+                found = np.array([done[seed][until[0]] for seed in wanted])
+                interval = until[1].interval(found[np.isfinite(found)], look)
+                reached = interval.half_width <= until[1].half_width
+                interval = interval._replace(level=until[1].level)
+    except KeyboardInterrupt as e:
+        interrupted = getattr(e, "status", 130)  # what is done is worth having
+        wanted = seeds
+    rows = [done[seed] for seed in wanted if seed in done]
+    values = {name: np.array([row[name] for row in rows]) for name in ("seed", *COLUMNS)}
+    return Sweep(values, interrupted, interval, reached)
+
+
+def _parts(seeds: Sequence[int], ladder: Ladder) -> list[Sequence[int]]:
+    """Seeds for one job each: few enough that Ctrl-C loses little, and that all workers have work to the end."""
+    workers = ladder.jobs if ladder.jobs > 0 else len(os.sched_getaffinity(0))
+    size = max(1, min(25, -(-len(seeds) // (4 * workers))))
+    return [seeds[i : i + size] for i in range(0, len(seeds), size)]
+
+
+def statistics(values: NDArray[np.float64]) -> dict[str, Any]:
+    """Return mean, standard deviation, standard error and percentiles of one metric over the runs that have it."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return {"n": 0, "mean": None, "sd": None, "se": None, "percentiles": {}}
+    sd = float(finite.std(ddof=1)) if finite.size > 1 else 0.0
+    points = (1, 5, 25, 50, 75, 95, 99)
+    return {
+        "n": int(finite.size),
+        "mean": float(finite.mean()),
+        "sd": sd,
+        "se": sd / float(np.sqrt(finite.size)),
+        "percentiles": {str(p): float(v) for p, v in zip(points, np.percentile(finite, points))},
+    }

@@ -1,0 +1,1 @@
+"""What plants are made of: exact propagation, friction, sensors, actuators, mode processes."""

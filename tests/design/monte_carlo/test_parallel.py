@@ -1,0 +1,134 @@
+"""One core, all cores, many machines: the same bits. The many machines are a real dask cluster of two processes on loopback."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from design.as_printed.examples import CHAPTER2_START, chapter2_gain, chapter2_system
+from design.errors import DesignError
+from design.jump_linear.mjls import MJLS
+from design.monte_carlo.jump_loop import JumpLoop
+from design.monte_carlo.markov_batch import simulate_mjls
+from design.monte_carlo.parallel import Ladder, spread
+from design.monte_carlo.studies import CHUNK, mean_states, settling_times
+from design.processes.rates import WeibullRate
+from design.processes.semi_markov import SemiMarkov
+
+# Newton's iteration, whose number of steps depends on all members of a batch: the hard case for equal bits.
+RATE = WeibullRate(scale_s=1.0, shape=1.7)
+LOOP = JumpLoop(
+    system=chapter2_system("printed"),
+    gain=chapter2_gain(),
+    process=SemiMarkov(rates=((None, RATE), (RATE, None))),
+    start=CHAPTER2_START,
+    uncertain=True,
+)
+RUNS = 3 * CHUNK + 100
+ONE_CORE = Ladder()
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """The address of a scheduler with two worker processes, all on 127.0.0.1, no dashboard; stopped at the end."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs=50
+    ) as local:
+        local.wait_for_workers(2, timeout=60)
+        yield local.scheduler_address
+
+
+def rungs(request: pytest.FixtureRequest, name: str) -> Ladder:
+    if name == "dask":
+        return Ladder(backend="dask", scheduler=request.getfixturevalue("cluster"))
+    return Ladder(backend=name, jobs=3)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def alone() -> np.ndarray:
+    return settling_times(LOOP, RUNS, duration_s=3.0, seed=4)
+
+
+def test_any_split_into_batches_gives_the_same_bits(alone: np.ndarray) -> None:
+    cuts = [0, 1, 40, CHUNK, CHUNK + 1, 2 * CHUNK + 17, RUNS]
+    parts = [
+        settling_times(LOOP, b - a, duration_s=3.0, seed=4, first=a) for a, b in pairwise(cuts)
+    ]
+    np.testing.assert_array_equal(np.concatenate(parts), alone)
+    assert np.unique(alone).size > 100  # the runs are not one run
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky", "dask"])
+def test_every_rung_gives_the_same_bits(request: pytest.FixtureRequest, backend: str, alone: np.ndarray) -> None:
+    ladder = rungs(request, backend)
+    np.testing.assert_array_equal(settling_times(LOOP, RUNS, duration_s=3.0, seed=4, ladder=ladder), alone)
+    one, many = (mean_states(LOOP, RUNS, duration_s=1.0, seed=4, ladder=rung) for rung in (ONE_CORE, ladder))
+    for a, b in zip(one, many, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("backend", ["loky", "dask"])
+def test_every_rung_gives_the_same_bits_in_discrete_time(request: pytest.FixtureRequest, backend: str) -> None:
+    rng = np.random.default_rng(0)
+    system = MJLS(A=rng.normal(size=(3, 6, 6)) / 4, B=np.eye(6), C=np.eye(6), transition=rng.dirichlet(np.ones(3), 3))
+    one, many = (
+        simulate_mjls(system, 1500, 30, start=np.ones(6), noise=True, seed=2, ladder=rung)
+        for rung in (ONE_CORE, rungs(request, backend))
+    )
+    for a, b in zip(one, many, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def process_of(_: int) -> int:
+    return os.getpid()
+
+
+def test_the_cluster_really_is_two_other_processes(cluster: str) -> None:
+    from distributed import Client
+
+    with Client(cluster, set_as_default=False, timeout=10) as client:
+        workers = set(client.run(os.getpid).values())
+    assert len(workers) == 2
+    assert os.getpid() not in workers
+    assert set(spread(process_of, range(8), Ladder(backend="dask", scheduler=cluster))) <= workers
+
+
+def test_results_come_in_order_and_an_error_in_a_job_is_raised() -> None:
+    def reciprocal(k: int) -> float:
+        return 1.0 / (k - 3)
+
+    assert list(spread(abs, range(20), Ladder(backend="loky", jobs=2))) == list(range(20))
+    with pytest.raises(ZeroDivisionError):
+        list(spread(reciprocal, range(6), Ladder(backend="threading", jobs=2)))
+
+
+def test_a_scheduler_that_is_not_there_is_said() -> None:
+    ladder = Ladder(backend="dask", scheduler="tcp://127.0.0.1:9", connect_timeout_s=0.5)
+    with pytest.raises(DesignError, match=r"^scheduler: no dask scheduler answers at tcp://127.0.0.1:9"):
+        list(spread(abs, [1], ladder))
+
+
+@pytest.mark.parametrize("address", ["garbage", "foo://x:1", "tcp://", ""])
+def test_what_is_no_address_of_a_scheduler_makes_no_client(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail("a client was made, and takes seconds to close"))
+    with pytest.raises(DesignError, match=f"^scheduler: no dask scheduler answers at {address} "):
+        list(spread(abs, [1], Ladder(backend="dask", scheduler=address)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"backend": "ray"}, "backend: 'ray'"),
+        ({"jobs": 0}, "jobs: 0"),
+        ({"backend": "dask"}, "scheduler: None"),
+        ({"scheduler": "tcp://127.0.0.1:1"}, "scheduler: 'tcp"),
+    ],
+)
+def test_a_ladder_that_cannot_be_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
+        Ladder(**change)  # type: ignore[arg-type]

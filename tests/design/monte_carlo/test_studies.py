@@ -1,0 +1,255 @@
+"""The batch engine: exact states, the findings' settling times, exact moments. Seeds fixed, error rates stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from design.as_printed.examples import (
+    CHAPTER2_START,
+    CHAPTER4_START,
+    chapter2_gain,
+    chapter2_process,
+    chapter2_reference_gain,
+    chapter2_system,
+    chapter4_process,
+    chapter4_seen_gain,
+    chapter4_system,
+)
+from design.controllers.scheduled_gain import ScheduledGain, constant_gain
+from design.monte_carlo import studies as monte_carlo
+from design.monte_carlo.jump_loop import JumpLoop, held
+from design.monte_carlo.studies import mean_states, settling_times, trajectories
+from design.processes.rates import clip_rate, constant_rate
+from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop.system import JumpSystem
+
+HAZARD_2H = clip_rate(0.0, 400.0, slope=2.0)  # Weibull(1, 2) but for a probability of exp(-40000)
+DOUBLED = SemiMarkov(rates=((None, HAZARD_2H), (HAZARD_2H, None)))
+
+
+def loop(gain: ScheduledGain | None = None, **changes: object) -> JumpLoop:
+    base = JumpLoop(
+        system=chapter2_system("printed"),
+        gain=chapter2_gain() if gain is None else gain,
+        process=DOUBLED,
+        start=CHAPTER2_START,
+        uncertain=True,
+    )
+    return replace(base, **changes)  # type: ignore[arg-type]
+
+
+def integrate(loop: JumpLoop, run: int, duration_s: float, grid: np.ndarray) -> np.ndarray:
+    """One run by solve_ivp with its own bookkeeping of visits, sections and uncertainty; only the draws are shared."""
+    visits = [
+        (int(v.mode[0]), int(v.seen[0]), float(v.age_s[0]), float(v.start_s[0]), float(v.stop_s[0]))
+        for v in loop.visits(duration_s, seed=3, first=run, runs=1)
+    ]
+    doubt = loop.system.uncertainty
+    delta = np.diag(loop._weights(2, seed=3, first=run, runs=1)[:, 0])
+    x, out = np.array(loop.start), np.full((grid.size, loop.system.states), np.nan)
+    for mode, seen, age, start, stop in visits:
+        edges = [start, *(start + s - age for s in loop.gain.starts_s[seen] if start < start + s - age < stop), stop]
+        for a, b in pairwise(edges):
+            k = loop.gain.at(seen, age + 0.5 * (a + b) - start)
+            m = loop.system.a[mode] + loop.system.b[mode] @ k
+            if loop.uncertain:
+                m = m + doubt.e[mode] @ delta @ (doubt.fa[mode] + doubt.fb[mode] @ k)
+            here = (grid >= a) & (grid < b)
+            found = solve_ivp(lambda _, y, m=m: m @ y, (a, b), x, t_eval=np.append(grid[here], b), rtol=1e-10, atol=1e-13)
+            out[here], x = found.y[:, :-1].T, found.y[:, -1]
+    out[grid >= duration_s] = x
+    return out
+
+
+@pytest.mark.parametrize("run", [0, 7, 1030])
+def test_trajectories_equal_an_ode_solver(run: int) -> None:
+    grid = np.arange(101) * 0.05
+    got = trajectories(loop(), 1, duration_s=5.0, dt_s=0.05, seed=3, first=run)[0]
+    want = integrate(loop(), run, 5.0, grid)
+    np.testing.assert_allclose(got, want, atol=2e-7 * np.abs(want).max())
+
+
+def test_settling_time_is_the_last_exit_of_the_trajectory() -> None:
+    # Pruning by bounds must not change a single run; some runs have not settled by the end.
+    for gain, duration in ((chapter2_gain(), 4.0), (chapter2_reference_gain(), 10.0)):
+        x = trajectories(loop(gain), 700, duration_s=duration, dt_s=0.02, seed=2)
+        outside = np.linalg.norm(x, axis=2) > 0.015 * np.hypot(*CHAPTER2_START)
+        last = np.where(outside, np.arange(outside.shape[1]), -1).max(axis=1)
+        want = np.where(last < outside.shape[1] - 1, (last + 1) * 0.02, np.inf)
+        got = settling_times(loop(gain), 700, duration_s=duration, dt_s=0.02, seed=2)
+        np.testing.assert_array_equal(got, want)
+        assert np.isinf(got).any()
+
+
+@pytest.mark.parametrize(
+    ("gain", "duration_s", "mean", "sd"), [(chapter2_gain(), 20.0, 3.13, 0.98), (chapter2_reference_gain(), 40.0, 9.91, 2.23)]
+)
+def test_settling_times_of_the_example_are_those_of_the_findings(
+    gain: ScheduledGain, duration_s: float, mean: float, sd: float
+) -> None:
+    # Two independent samples of 10,000: z tests at 1e-4 each, widened by the rounding of the findings.
+    runs = 10_000
+    found = settling_times(loop(gain), runs, duration_s=duration_s, seed=11)
+    assert np.isfinite(found).all()
+    assert abs(found.mean() - mean) < 3.9 * sd * np.sqrt(2 / runs) + 0.005
+    kurtosis = (((found - found.mean()) / found.std()) ** 4).mean()
+    assert abs(found.std() - sd) < 3.9 * sd * np.sqrt((kurtosis - 1) / 4 * 2 / runs) + 0.005
+
+
+def test_printed_mean_of_3_5741_s_is_not_reached_by_the_printed_data() -> None:
+    for process in (DOUBLED, chapter2_process()):
+        found = settling_times(loop(process=process), 4000, duration_s=20.0)
+        assert found.mean() + 4 * found.std() / np.sqrt(found.size) < 3.3
+
+
+def test_second_moments_of_a_markov_loop_are_those_of_its_moment_equation() -> None:
+    # dX_i/dt = M_i X_i + X_i M_i' + sum_j q_ji X_j, exact for constant rates.
+    a = np.array([[[-1.0, 2.0], [0.0, -0.5]], [[0.2, -1.0], [1.0, 0.1]]])
+    rates = np.array([[-1.5, 1.5], [2.5, -2.5]])
+    process = SemiMarkov(rates=((None, constant_rate(1.5)), (constant_rate(2.5), None)))
+    system = JumpSystem(a=a, b=np.zeros((2, 2, 1)))
+    x0 = (1.0, -2.0)
+    plain = JumpLoop(system=system, gain=constant_gain(np.zeros((2, 1, 2))), process=process, start=x0, mode=1)
+    got = mean_states(plain, 20_000, duration_s=3.0, dt_s=0.1, seed=4)
+    eye = np.eye(2)
+    big = np.kron(rates.T, np.eye(4))
+    mean = np.kron(rates.T, eye)
+    for i in range(2):
+        big[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] += np.kron(a[i], eye) + np.kron(eye, a[i])
+        mean[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += a[i]
+    second0 = np.concatenate([np.zeros(4), np.kron(x0, x0)])
+    mean0 = np.concatenate([np.zeros(2), x0])
+    assert got.square[0] == 5.0
+    for k in (1, 5, 12, 30):
+        want = (expm(big * got.time_s[k]) @ second0).reshape(2, 2, 2).sum(axis=0)
+        assert abs(got.square[k] - np.trace(want)) < 4.5 * got.square_error[k]  # 7e-6 each
+        bound = 4.5 * np.sqrt(np.diag(got.second[k]) / got.runs)
+        assert (np.abs(got.mean[k] - (expm(mean * got.time_s[k]) @ mean0).reshape(2, 2).sum(axis=0)) < bound).all()
+
+
+def test_published_chapter_4_gains_diverge_when_only_the_detection_is_seen() -> None:
+    # Findings: mean-square growth rate +20.0 to +20.9 1/s for (4.30), stable for (4.31).
+    process = chapter4_process(failure_restarts_detection_clock=False)
+    system = chapter4_system()
+    single = JumpLoop(system=system, gain=chapter4_seen_gain(partitioned=False), process=process, start=CHAPTER4_START)
+    split = replace(single, gain=chapter4_seen_gain(partitioned=True))
+    diverging = mean_states(single, 4000, duration_s=3.0, dt_s=0.05, seed=1).square
+    settling = mean_states(split, 4000, duration_s=3.0, dt_s=0.05, seed=1).square
+    assert diverging[-1] > 1e6 * diverging[0]
+    assert settling[-1] < 0.1 * settling[0]
+
+
+def test_fault_and_detection_have_the_law_of_their_chain() -> None:
+    # Constant rates: (eta, r) is a Markov chain of four states; chi-square at 1e-3.
+    def pair(up: float, down: float) -> SemiMarkov:
+        return SemiMarkov(rates=((None, constant_rate(up)), (constant_rate(down), None)))
+
+    process = FaultDetection(
+        failure=pair(0.8, 1.1), detection=(pair(0.4, 3.0), pair(2.0, 0.5)), failure_restarts_detection_clock=True
+    )
+    q = np.zeros((4, 4))
+    for eta in range(2):
+        for r in range(2):
+            q[2 * eta + r, 2 * (1 - eta) + r] = (0.8, 1.1)[eta]
+            q[2 * eta + r, 2 * eta + 1 - r] = ((0.4, 3.0), (2.0, 0.5))[eta][r]
+    q -= np.diag(q.sum(axis=1))
+    want = 5000 * expm(q * 1.5)[0]
+    gain = constant_gain(np.zeros((4, 1, 1)), measured=("eta", "r"))
+    system = JumpSystem(a=np.zeros((2, 1, 1)), b=np.zeros((2, 1, 1)))
+    both = JumpLoop(system=system, gain=gain, process=process, start=(1.0,))
+    seen = np.zeros(5000, dtype=int)
+    for visit in both.visits(1.5, seed=8, first=0, runs=5000):
+        seen[visit.run] = visit.seen
+        assert (visit.seen // 2 == visit.mode).all()
+    assert ((np.bincount(seen, minlength=4) - want) ** 2 / want).sum() < 16.27
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_detection_clock_restarts_as_it_was_told(restarts: bool) -> None:
+    process = chapter4_process(failure_restarts_detection_clock=restarts)
+    system = JumpSystem(a=np.zeros((2, 1, 1)), b=np.zeros((2, 1, 1)))
+    both = JumpLoop(
+        system=system, gain=constant_gain(np.zeros((4, 1, 1)), measured=("eta", "r")), process=process, start=(1.0,)
+    )
+    before = None
+    kept = 0
+    for visit in both.visits(5.0, seed=8, first=0, runs=500):
+        if before is not None:
+            old = {int(run): k for k, run in enumerate(before.run)}
+            at = np.array([old[int(run)] for run in visit.run], dtype=int)
+            failed = before.mode[at] != visit.mode
+            age = before.age_s[at] + before.stop_s[at] - before.start_s[at]
+            np.testing.assert_allclose(visit.age_s, np.where(~failed | restarts, 0.0, age), atol=1e-12)
+            kept += int(failed.sum())
+        before = visit
+    assert kept > 100
+
+
+def test_linear_gain_held_in_small_steps_converges() -> None:
+    nodes = np.array([[0.0, 0.8326]] * 2)
+    linear = ScheduledGain(gain=chapter2_gain().gain, starts_s=nodes, schedule="linear")
+    with pytest.raises(ValueError, match=r"^gain: a gain that moves"):
+        loop(linear)
+    ends = [
+        trajectories(loop(held(linear, step, 0.8326)), 20, duration_s=2.0, dt_s=0.5)[:, 2] for step in (0.04, 0.02, 0.005)
+    ]
+    first, second = (np.abs(end - ends[2]).max() for end in ends[:2])
+    assert second < 0.35 * first  # second order: a fifth
+
+
+def test_vertex_uncertainty_is_drawn_from_the_hull() -> None:
+    hull = loop(system=chapter2_system("vertices"))
+    weights = hull._weights(2, seed=0, first=0, runs=4000)
+    np.testing.assert_allclose(weights.sum(axis=0), 1.0)
+    rho = weights[1] - weights[0]  # sigma = rho = -1 at the first vertex, +1 at the second
+    assert abs(rho.mean()) < 4 / np.sqrt(3 * 4000)
+    matrix = hull.matrices(seed=0, first=0, runs=4000)[:, :, hull.index(*(np.ones(1, int),) * 2, 0, np.array([17]), 4000)[0]]
+    k = chapter2_gain().gain[1, 0]
+    nominal = chapter2_system("none")
+    want = nominal.a[1] + nominal.b[1] @ k + rho[17] * (np.array([[0, 0], [0, 0.7]]) + np.array([[0], [0.1]]) @ k)
+    np.testing.assert_allclose(matrix, want, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start": (1.0,)}, "start: "),
+        ({"start": (1.0, np.nan)}, "start: "),
+        ({"mode": 2}, "mode: 2"),
+        ({"detection": -1}, "detection: -1"),
+        ({"system": chapter2_system("none")}, "uncertain: "),
+        ({"gain": constant_gain(np.zeros((3, 1, 2)))}, "gain: 3 modes"),
+        ({"gain": constant_gain(np.zeros((2, 1, 3)))}, "gain: matrices of shape"),
+        ({"gain": constant_gain(np.zeros((4, 1, 2)), measured=("eta", "r"))}, "gain: measures"),
+        ({"system": chapter4_system(), "process": SemiMarkov(rates=((None,),))}, "process: 1 modes"),
+    ],
+)
+def test_a_loop_that_cannot_be_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
+        loop(**change)
+
+
+def test_a_study_that_cannot_be_is_refused() -> None:
+    for change, message in (
+        ({"dt_s": 0.03}, "duration_s: "),
+        ({"dt_s": 0.0}, "dt_s: "),
+        ({"duration_s": np.inf}, "duration_s: "),
+        ({"band": 0.0}, "band: "),
+        ({"seed": -2}, "seed: "),
+        ({"first": -1}, "runs: "),
+    ):
+        arguments = {"duration_s": 1.0, "dt_s": 0.01, "band": 0.01, "seed": 0, "first": 0} | change
+        with pytest.raises(ValueError, match="^" + message):
+            settling_times(loop(), 5, **arguments)  # type: ignore[arg-type]
+
+
+def test_progress_counts_runs() -> None:
+    told: list[int] = []
+    settling_times(loop(), 2000, duration_s=1.0, first=5, progress=told.append)
+    assert told == [monte_carlo.CHUNK - 5, 2000]

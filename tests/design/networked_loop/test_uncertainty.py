@@ -1,0 +1,68 @@
+"""Bounds under norm-bounded uncertainty hold for sampled uncertainties, and collapse to the norms without any."""
+
+import numpy as np
+import pytest
+
+from design.errors import Infeasible
+from design.jump_linear.bounded_real import hinf_norm
+from design.jump_linear.h2 import h2_norm
+from design.networked_loop.closed_loop import loop_structure
+from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
+from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF
+
+# the motor's time constant and gain known to about 10 %: the input matrix and the speed's row move together
+M, N1, N2 = np.array([[0.02], [0.5]]), np.array([[0.0, 0.04]]), np.array([[0.7]])
+
+
+def structure(A=MOTOR[0], B=MOTOR[1]):
+    return loop_structure(A, B, MOTOR[2], LAMBDA, PI, "generated")
+
+
+def with_delta(delta):
+    change = M @ delta @ np.hstack([N1, N2])
+    return structure(MOTOR[0] + change[:, :2], MOTOR[1] + change[:, 2:]).system(PRINTED_HINF)
+
+
+def test_margin_is_sound_and_nearly_reached_by_a_constant_uncertainty():
+    margin = uncertainty_margin(structure(), PRINTED_HINF, M, N1, N2)
+    assert margin > 1
+    for delta in (-margin, margin):
+        assert with_delta(np.array([[0.999 * delta]])).radius() < 1
+    assert max(with_delta(np.array([[2.0 * d]])).radius() for d in (-margin, margin)) > 1
+
+
+def test_guaranteed_norms_bound_those_of_sampled_plants():
+    bounds = robust_norms(structure(), PRINTED_HINF, M, N1, N2)
+    nominal = structure().system(PRINTED_HINF)
+    worst_h2, worst_hinf = h2_norm(nominal), hinf_norm(nominal)
+    for delta in np.linspace(-1, 1, 9):
+        plant = with_delta(np.array([[delta]]))
+        worst_h2, worst_hinf = max(worst_h2, h2_norm(plant)), max(worst_hinf, hinf_norm(plant))
+    assert worst_h2 < bounds.h2 < 2 * worst_h2
+    assert worst_hinf < bounds.hinf < 2 * worst_hinf
+
+
+def test_vanishing_uncertainty_leaves_the_nominal_norms():
+    nominal = structure().system(PRINTED_HINF)
+    bounds = robust_norms(structure(), PRINTED_HINF, 1e-4 * M, N1, N2)
+    assert np.isclose(bounds.h2, h2_norm(nominal), rtol=1e-3)
+    assert np.isclose(bounds.hinf, hinf_norm(nominal), rtol=1e-3)
+
+
+def test_too_much_uncertainty_is_refused_with_the_margin():
+    with pytest.raises(Infeasible, match=r"bears .Delta. up to 0") as caught:
+        robust_norms(structure(), PRINTED_HINF, 50 * M, N1, N2)
+    assert 0 < caught.value.value < 1
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"M": np.ones((3, 1))}, "M: shape"),
+        ({"N1": np.ones((1, 3))}, "N1: shape"),
+        ({"N2": np.ones((2, 1))}, "N2: 2 rows, expected 1"),
+    ],
+)
+def test_wrong_shapes_are_refused_by_name(change, message):
+    with pytest.raises(ValueError, match="^" + message):
+        uncertainty_margin(structure(), PRINTED_HINF, **({"M": M, "N1": N1, "N2": N2} | change))

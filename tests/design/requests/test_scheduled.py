@@ -1,0 +1,45 @@
+"""State feedback scheduled by mode and sojourn time, as it runs in a loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from design.as_printed.examples import chapter2_gain
+from design.controllers import LoopModel
+from design.requests.scheduled import Scheduled, scheduled_of
+
+
+def model(p: int = 3) -> LoopModel:
+    return LoopModel(A=np.eye(2), B=np.ones((2, 1)), C=np.zeros((p, 2)), period_s=0.1, tau_max=2, d_max=0)
+
+
+def test_gain_follows_the_mode_and_the_time_since_it_was_seen_to_change() -> None:
+    gain = chapter2_gain()  # sections at 0 and 0.8326 s
+    running = scheduled_of(gain).start(model())
+    x = (1.0, -2.0)
+    for k in range(30):
+        mode = 0 if k < 20 else 1
+        (row,) = running.rows(k, 0, (*x, mode + 1.0), (0.0, 0.0, 0.0))
+        h = 0.1 * (k if k < 20 else k - 20)
+        assert row == pytest.approx(tuple(gain.at(mode, h) @ np.array(x)))
+
+
+def test_sojourn_clock_counts_from_the_sample_not_from_its_arrival() -> None:
+    gain = chapter2_gain()
+    running = scheduled_of(gain).start(model())
+    running.rows(10, 2, (1.0, 0.0, 1.0), (0.0,) * 3)  # the mode was seen in the sample of slot 8
+    (row,) = running.rows(17, 0, (1.0, 0.0, 1.0), (0.0,) * 3)  # 0.9 s later: second section
+    assert row[0] == gain.gain[0, 1, 0, 0]
+
+
+def test_mode_that_no_gain_knows_takes_the_nearest() -> None:
+    running = scheduled_of(chapter2_gain()).start(model())
+    assert running.rows(0, 0, (1.0, 0.0, 9.0), (0.0,) * 3) == running.rows(1, 0, (1.0, 0.0, 2.0), (0.0,) * 3)
+
+
+def test_gains_that_do_not_fit_the_plant_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"gain: 1 x 2 matrices; the plant has 1 inputs and measures 4"):
+        scheduled_of(chapter2_gain()).start(model(p=5))
+    with pytest.raises(ValueError, match="gain: expected"):
+        Scheduled(gain=((((1.0,), (1.0, 2.0)),),), starts_s=((0.0,),))

@@ -1,0 +1,128 @@
+"""Delayed H-infinity feedback of Chapter 3: the required levels, from the gains alone; the printed form and what it hides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from design.as_printed.delayed_hinf import printed_section
+from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3_system
+from design.controllers.scheduled_gain import constant_gain
+from design.errors import Infeasible
+from design.lmi.exact import prove
+from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
+from design.semi_markov_loop.sojourn_grid import cells
+from design.semi_markov_loop.system import DelayedJumpSystem
+
+SYSTEM, PROCESS = chapter3_system(), chapter3_process()
+SECTIONS = ((0.0, 1.8),) * 3
+
+
+@pytest.mark.parametrize(("bound", "required"), [(5.0, 0.0200), (1.5, 0.0680)])
+def test_required_level_is_certified_from_the_returned_gains(bound: float, required: float) -> None:
+    certificate = delayed_hinf(SYSTEM, PROCESS, gain_bound=bound, sections=SECTIONS)
+    assert certificate.certified and certificate.sound
+    assert certificate.gain is not None and certificate.gain.norm <= bound
+    assert certificate.gamma is not None and certificate.gamma <= required
+    assert certificate.check() > 0 and prove(certificate).proved
+
+
+def test_published_gains_have_a_level_half_of_the_claimed_one() -> None:
+    certificate = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS)
+    assert certificate.gamma == pytest.approx(0.504, abs=2e-3) and certificate.check() > 0
+    ramp = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS, method="pwl", nodes=((0.0, 1.8, 3.6),) * 3)
+    assert ramp.gamma is not None and certificate.gamma is not None and ramp.gamma < certificate.gamma
+
+
+def test_certified_level_is_not_below_the_norm_of_any_frozen_mode() -> None:
+    certificate = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS)
+    worst = 0.0
+    for i in range(3):
+        for section in range(2):
+            loop = SYSTEM.a[i] + SYSTEM.b[i] @ chapter3_gain().gain[i, section]
+            for tau in (0.0, 0.15, 0.3):
+                for w in np.geomspace(1e-2, 1e2, 400):
+                    resolvent = 1j * w * np.eye(4) - loop - SYSTEM.ad[i] * np.exp(-1j * w * tau)
+                    gain = SYSTEM.c[i] @ np.linalg.solve(resolvent, SYSTEM.e[i])
+                    worst = max(worst, float(np.linalg.norm(gain, 2)))
+    assert worst == pytest.approx(0.423, abs=5e-3)
+    assert certificate.gamma is not None and worst < certificate.gamma
+
+
+def test_level_below_the_optimum_is_refused_with_a_proof() -> None:
+    with pytest.raises(Infeasible, match="dual matrices prove that no solution"):
+        delayed_hinf(SYSTEM, PROCESS, gain_bound=5.0, gamma=0.005)
+
+
+def test_printed_condition_accepts_a_level_2000_times_below_the_norm() -> None:
+    # DEVIATION from (3.27): C'C and B'P stand in the wrong coordinates; the true norm is 100
+    system = DelayedJumpSystem(
+        a=np.array([[[-1.0, 100.0], [0.0, -1.0]]]), ad=np.zeros((1, 2, 2)), b=np.array([[[0.0], [1.0]]]),
+        e=np.array([[[0.0], [1.0]]]), c=np.array([[[1.0, 0.0]]]), delay_max_s=0.1, delay_slopes=np.zeros(1),
+    )  # fmt: skip
+    process, gain = SemiMarkov(rates=((None,),)), constant_gain(np.zeros((1, 1, 2)))
+    printed = printed_section(system, process, ((0.0,),), 0, gain, gamma=0.05)
+    assert printed.certified and not printed.sound
+    ours = analyse_delayed(system, gain, process)
+    assert ours.gamma == pytest.approx(100.0, rel=5e-3) and ours.check() > 0
+    assert not analyse_delayed(system, gain, process, gamma=90.0).certified
+
+
+def test_published_gains_fit_093_in_one_reading_of_the_printed_condition_only() -> None:
+    for m, smallest in ((0, 0.760), (1, 0.717)):
+        literal = printed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="literal", gamma=0.93)
+        assert literal.verdict == "refused"
+        consistent = printed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="consistent")
+        assert consistent.gamma == pytest.approx(smallest, abs=2e-3) and not consistent.sound
+
+
+def test_printed_method_carries_its_flag_in_analysis_and_synthesis() -> None:
+    analysed = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS, method="printed")
+    assert analysed.gamma == pytest.approx(0.760, abs=2e-3) and not analysed.sound
+    made = delayed_hinf(SYSTEM, PROCESS, gain_bound=5.0, sections=SECTIONS, method="printed", gamma=0.93)
+    assert not made.sound and made.gain is not None and made.gain.gain.shape == (3, 2, 2, 4)
+
+
+def test_rates_meet_the_printed_bounds_of_both_sections() -> None:
+    for cell in cells(PROCESS, SECTIONS):
+        totals = sorted(sum(rates) for rates in cell.rates)
+        printed = {(0, 0): (0.3, 1.2), (1, 0): (0.5, 1.7), (2, 0): (0.6, 2.1), (0, 1): (1.2, 2.0), (1, 1): (1.7, 2.4)}
+        low, high = printed.get((cell.mode, cell.index), (2.1, 4.0))
+        assert (totals[0], totals[-1]) == pytest.approx((low, high))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: delayed_hinf(SYSTEM, PROCESS, gain_bound=-1.0), "gain_bound: -1.0"),
+        (lambda: delayed_hinf(SYSTEM, PROCESS, gain_bound=1.0, gamma=0.0), "gamma: 0.0"),
+        (lambda: delayed_hinf(SYSTEM, SemiMarkov(rates=((None,),)), gain_bound=1.0), "process: 1 modes"),
+        (
+            lambda: analyse_delayed(SYSTEM, constant_gain(np.zeros((2, 2, 4))), PROCESS),
+            r"gain: \(modes, inputs, states\) = \(2, 2, 4\)",
+        ),
+        (lambda: analyse_delayed(SYSTEM, chapter3_gain(), PROCESS, method="exact"), "method: 'exact'"),
+        (
+            lambda: DelayedJumpSystem(
+                a=SYSTEM.a,
+                ad=SYSTEM.ad,
+                b=SYSTEM.b,
+                e=SYSTEM.e,
+                c=SYSTEM.c,
+                delay_max_s=0.3,
+                delay_slopes=np.array([0.5, 1.0, 0.3]),
+            ),
+            r"delay_slopes\[1\]: 1 is not below 1",
+        ),
+        (
+            lambda: DelayedJumpSystem(
+                a=SYSTEM.a, ad=SYSTEM.ad, b=SYSTEM.b, e=SYSTEM.e, c=SYSTEM.c, delay_max_s=-0.3, delay_slopes=np.zeros(3)
+            ),
+            "delay_max_s: -0.3",
+        ),
+    ],
+)
+def test_bad_input_gets_one_clear_message(call: object, message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
+        call()  # type: ignore[operator]

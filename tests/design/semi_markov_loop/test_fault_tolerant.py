@@ -1,0 +1,183 @@
+"""Fault-tolerant feedback of Chapter 4: what sees the detection only, certified; what the printed gains do then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from design.as_printed.examples import (
+    chapter4_gain,
+    chapter4_partitioned_gain,
+    chapter4_process,
+    chapter4_seen_gain,
+    chapter4_system,
+)
+from design.as_printed.fault_tolerant import printed_section
+from design.controllers.scheduled_gain import ScheduledGain, constant_gain
+from design.errors import Infeasible
+from design.lmi.exact import prove
+from design.processes.rates import PiecewiseLinearRate
+from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
+from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant
+from design.semi_markov_loop.growth import mean_square_abscissa, worst_growth
+from design.semi_markov_loop.system import JumpSystem
+
+SYSTEM = chapter4_system()
+PROCESS = chapter4_process(failure_restarts_detection_clock=False)
+ONE = ((0.0,),) * 2
+ETA, DETECTION = ((0.0, 1.0),) * 2, ((0.0, 0.3),) * 2
+
+
+def known_fault(gain: np.ndarray) -> ScheduledGain:
+    sections = gain.reshape(4, -1, 2, 4)
+    starts = np.array([[0.0, 0.3][: sections.shape[1]]] * 4)
+    return ScheduledGain(gain=sections, starts_s=starts, measured=("eta", "r"))
+
+
+def test_required_level_is_certified_seeing_the_detection_only() -> None:
+    certificate = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0)
+    assert certificate.certified and certificate.sound
+    assert certificate.gain is not None and certificate.gain.measured == ("r",) and certificate.gain.norm <= 2.0 * (1 + 1e-12)
+    assert certificate.gamma is not None and certificate.gamma <= 0.0060
+    assert certificate.check() > 0 and prove(certificate, bits=40).proved
+
+
+def test_one_blind_gain_is_about_as_good_and_a_known_fault_is_by_choice() -> None:
+    blind = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, measured=())
+    assert blind.gain is not None and blind.gain.modes == 1 and (blind.gamma or 1) < 0.0060
+    known = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, measured=("eta", "r"), rounds=3)
+    assert known.gain is not None and known.gain.modes == 4 and (known.gamma or 1) < 0.0066
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_two_clocks_with_sections_are_certified_under_both_reset_rules(restarts: bool) -> None:
+    process = chapter4_process(failure_restarts_detection_clock=restarts)
+    certificate = fault_tolerant_feedback(
+        SYSTEM, process, gain_bound=2.0, sections=DETECTION, eta_nodes=ETA, gamma=0.0062, rounds=4
+    )
+    assert certificate.gain is not None and certificate.gain.gain.shape[:2] == (2, 2)
+    assert (certificate.gamma or 1) <= 0.0062 and certificate.check() > 0
+
+
+def test_published_gains_used_as_the_text_prescribes_diverge() -> None:
+    # DEVIATION: (4.30) holds K_ik, (4.2)-(4.3) prescribe K(r): K_11 acts while the fault is not detected yet
+    gain = chapter4_seen_gain(partitioned=False)
+    assert np.linalg.eigvals(SYSTEM.a[1] + SYSTEM.b[1] @ gain.gain[0, 0]).real.max() == pytest.approx(10.90, abs=0.01)
+    certificate = analyse_fault_tolerant(SYSTEM, gain, PROCESS)
+    assert certificate.verdict == "refused" and "second moments grow" in certificate.reason
+    assert certificate.decay_rate is not None and -21.0 < certificate.decay_rate < -20.0
+
+
+@pytest.mark.parametrize(
+    ("gain", "level"),
+    [
+        (chapter4_seen_gain(partitioned=True), 0.0161),
+        (known_fault(chapter4_gain()), 0.0239),
+        (known_fault(chapter4_partitioned_gain()), 0.0175),
+    ],
+)
+def test_levels_of_the_published_gains(gain: ScheduledGain, level: float) -> None:
+    certificate = analyse_fault_tolerant(SYSTEM, gain, PROCESS)
+    assert certificate.gamma == pytest.approx(level, abs=1e-4) and certificate.check() > 0
+
+
+def test_printed_levels_are_loose_and_speak_against_the_partition() -> None:
+    single = printed_section(SYSTEM, PROCESS, ONE, ONE, 0, chapter4_gain())
+    assert single.gamma == pytest.approx(0.0622, abs=2e-4) and not single.sound
+    second = printed_section(SYSTEM, PROCESS, ETA, DETECTION, 1, chapter4_partitioned_gain()[:, :, 1])
+    assert second.gamma == pytest.approx(0.1468, abs=5e-4)
+
+
+def test_printed_method_carries_its_flag_and_needs_the_fault() -> None:
+    made = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=5.0, method="printed")
+    assert made.gamma == pytest.approx(0.52, abs=0.02) and not made.sound
+    assert made.gain is not None and made.gain.measured == ("eta", "r")
+    again = analyse_fault_tolerant(SYSTEM, made.gain, PROCESS, method="printed")
+    assert again.gamma is not None and again.gamma <= (made.gamma or 0) * 1.05
+    with pytest.raises(ValueError, match="measured"):
+        analyse_fault_tolerant(SYSTEM, chapter4_seen_gain(partitioned=True), PROCESS, method="printed")
+
+
+def test_printed_sections_miss_the_pair_of_clocks_that_diverges() -> None:
+    # DEVIATION from Corollary 4.3: pairs (1,1) and (2,2) pass, eta in section 2 with r in section 1 diverges
+    def two(section: int) -> tuple[FaultDetection, JumpSystem]:
+        rate, detect = (0.1, 3.0) if section == 0 else (6.0, 60.0)
+        return process(rate, detect), system
+
+    def step(first: float, second: float) -> PiecewiseLinearRate:
+        return PiecewiseLinearRate(times_s=(0.0, 1.0, 1.0), values=(first, first, second))
+
+    def process(*_: float) -> FaultDetection:
+        eta = SemiMarkov(rates=((None, step(0.1, 6.0)), (step(0.1, 6.0), None)))
+        alarm, find = step(0.06, 1.2), step(3.0, 60.0)
+        normal = SemiMarkov(rates=((None, alarm), (find, None)))
+        faulty = SemiMarkov(rates=((None, find), (alarm, None)))
+        return FaultDetection(failure=eta, detection=(normal, faulty), failure_restarts_detection_clock=False)
+
+    # matched a = -1, mismatched a = +1.3: a_i + b_i k_r with a = 0.15, b_0 = 1.15, b_1 = -1.15, k = -1, +1
+    system = JumpSystem(
+        a=np.full((2, 1, 1), 0.15), b=np.array([[[1.15]], [[-1.15]]]), c=np.ones((2, 1, 1)), e=np.ones((2, 1, 1))
+    )
+    gains = np.array([-1.0, 1.0]).reshape(2, 1, 1)
+    known = np.stack([gains, gains])
+    sections = ((0.0, 1.0),) * 2
+    for m in (0, 1):
+        assert printed_section(system, two(m)[0], sections, sections, m, known, vertices=True).certified
+    loops = np.array([[[-1.0]], [[1.3]], [[1.3]], [[-1.0]]])  # (eta, r) = (0,0), (0,1), (1,0), (1,1)
+    rates = np.array([[0, 0.06, 6, 0], [3, 0, 0, 6], [6, 0, 0, 3], [0, 6, 0.06, 0]], dtype=float)
+    assert mean_square_abscissa(loops, rates) == pytest.approx(0.2016, abs=1e-3)
+    ours = analyse_fault_tolerant(system, constant_gain(gains), process(), eta_nodes=sections, r_nodes=sections)
+    assert ours.verdict == "refused"
+
+
+def test_growth_at_constant_rates_is_the_abscissa_of_the_generator() -> None:
+    gain = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, rounds=1).gain
+    assert gain is not None
+    worst = worst_growth(SYSTEM, gain, PROCESS)
+    assert worst is not None and worst[0] < 0
+
+
+def test_quadratic_constraint_with_a_cross_term_is_met() -> None:
+    siqc = Siqc(g11=np.eye(1), g12=np.array([[0.01, 0.0]]), g22=-4e-4 * np.eye(2))
+    certificate = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, performance=siqc)
+    assert certificate.certified and certificate.gamma is None and certificate.check() > 0
+    plain = Siqc(g11=np.eye(1), g12=np.zeros((1, 2)), g22=-(0.007**2) * np.eye(2))
+    gain = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, gamma=0.0066).gain
+    assert gain is not None and analyse_fault_tolerant(SYSTEM, gain, PROCESS, performance=plain).certified
+    strict = Siqc(g11=np.eye(1), g12=np.zeros((1, 2)), g22=-(0.003**2) * np.eye(2))
+    assert not analyse_fault_tolerant(SYSTEM, gain, PROCESS, performance=strict).certified
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=0.0), "gain_bound: 0.0"),
+        (lambda: fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=1.0, measured=("x",)), r"measured: \('x',\)"),
+        (
+            lambda: fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=1.0, measured=(), sections=DETECTION),
+            "sections: a controller that sees nothing",
+        ),
+        (
+            lambda: analyse_fault_tolerant(SYSTEM, constant_gain(np.zeros((3, 2, 4))), PROCESS),
+            r"gain: \(modes, inputs, states\) = \(3",
+        ),
+        (
+            lambda: analyse_fault_tolerant(
+                JumpSystem(a=SYSTEM.a, b=SYSTEM.b, c=SYSTEM.c), chapter4_seen_gain(partitioned=True), PROCESS
+            ),
+            "e: is needed",
+        ),
+        (lambda: Siqc(g11=-np.eye(1), g12=np.zeros((1, 1)), g22=-np.eye(1)), "g11: eigenvalue -1, expected a positive"),
+        (lambda: Siqc(g11=np.eye(1), g12=np.zeros((1, 1)), g22=np.eye(1)), "g22: eigenvalue 1, expected a negative"),
+        (lambda: Siqc(g11=np.eye(1), g12=np.zeros((2, 1)), g22=-np.eye(1)), r"g12: shape \(2, 1\)"),
+    ],
+)
+def test_bad_input_gets_one_clear_message(call: object, message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
+        call()  # type: ignore[operator]
+
+
+def test_level_that_was_not_reached_is_said_to_be_unproved() -> None:
+    with pytest.raises(Infeasible, match="not proved to be the best"):
+        fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, gamma=0.001, rounds=1)

@@ -1,0 +1,129 @@
+"""Robust feedback of Chapter 2: the scales that the findings ask for, certified from the returned gains alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from design.as_printed.examples import chapter2_process, chapter2_system
+from design.errors import Infeasible
+from design.lmi.exact import prove
+from design.processes.rates import PiecewiseLinearRate, constant_rate
+from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, largest_uncertainty, robust_feedback
+from design.semi_markov_loop.second_moments import second_moment_radius
+from design.semi_markov_loop.stability import analyse
+from design.semi_markov_loop.system import JumpSystem
+
+PROCESS = chapter2_process()
+STEP = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 200.0))
+
+
+@pytest.mark.parametrize(("sections", "required"), [(2, 0.72), (8, 1.14)])
+def test_certified_uncertainty_scale_reaches_the_required_one(sections: int, required: float) -> None:
+    system = chapter2_system("vertices").scaled(required)
+    certificate = robust_feedback(system, PROCESS, gain_bound=100.0, sections=sections)
+    gain = certificate.gain
+    assert gain is not None and gain.norm <= 100.0
+    assert certificate.certified and certificate.sound and certificate.check() > 0
+    assert prove(certificate).proved
+    # an independent look: worst constant uncertainty at a dense set of rates of the box, exactly
+    for vertex in (0, 1):
+        assert second_moment_radius(system.at_vertex(vertex), gain, PROCESS) < 1.0
+    # and at 501 sojourn times, 5 uncertainties: V decreases along P interpolated from the certificate
+    nodes = gain.starts_s[0]
+    p = np.array([[certificate.matrices[f"P[{i},{r}]"] for r in range(nodes.size)] for i in range(2)])
+    doubt = system.uncertainty
+    worst = -np.inf
+    for i in range(2):
+        for h in np.linspace(0.0, 5.0, 501):
+            r = min(int(np.searchsorted(nodes, h, side="right")) - 1, nodes.size - 1)
+            last = r == nodes.size - 1
+            width = 1.0 if last else nodes[r + 1] - nodes[r]
+            slope = np.zeros((2, 2)) if last else (p[i, r + 1] - p[i, r]) / width
+            here = p[i, r] + slope * (h - nodes[r])
+            rate = float(PROCESS.rate(i, h)[1 - i])
+            for rho in np.linspace(-1, 1, 5):
+                a = system.a[i] + 0.5 * (1 + rho) * doubt.da[1, i] + 0.5 * (1 - rho) * doubt.da[0, i]  # type: ignore[union-attr]
+                b = system.b[i] + 0.5 * (1 + rho) * doubt.db[1, i] + 0.5 * (1 - rho) * doubt.db[0, i]  # type: ignore[union-attr]
+                loop = a + b @ gain.at(i, h)
+                value = here @ loop + loop.T @ here + slope + rate * (p[1 - i, 0] - here)
+                worst = max(worst, float(np.linalg.eigvalsh(value)[-1]))
+    assert worst < 0.0
+
+
+def test_more_sections_help_and_never_hurt_and_pwl_beats_pwc() -> None:
+    scales = {}
+    for method in ("pwc", "pwl"):
+        for sections in (1, 2, 4):
+            request = FeedbackRequest(process=PROCESS, gain_bound=100.0, sections=sections, method=method)  # type: ignore[arg-type]
+            scales[method, sections], certificate = largest_uncertainty(chapter2_system(), request, tolerance=5e-3)
+            assert certificate.sound and certificate.check() > 0
+    assert scales["pwc", 1] == pytest.approx(0.35, abs=0.01) and scales["pwc", 2] == pytest.approx(0.44, abs=0.01)
+    for method in ("pwc", "pwl"):
+        assert scales[method, 1] <= scales[method, 2] <= scales[method, 4]
+    assert scales["pwl", 2] > 0.72 and scales["pwl", 4] > 0.95
+
+
+def test_theorem_2_4_is_feasible_where_the_text_says_it_is_not() -> None:
+    # DEVIATION: "by applying Theorem 2.4, the condition in (2.20) is not feasible" is false for the printed F_A, F_B
+    certificate = robust_feedback(chapter2_system("printed"), PROCESS, gain_bound=30.0, sections=1, method="pwc")
+    assert certificate.check() > 0 and prove(certificate).proved
+    with pytest.raises(Infeasible, match="dual matrices prove"):  # and true for the F that give the printed A_i(t)
+        robust_feedback(chapter2_system("matched"), PROCESS, gain_bound=100.0, sections=1, method="pwc")
+
+
+def test_printed_synthesis_returns_gains_that_destabilise() -> None:
+    # an input that can do next to nothing: the printed (2.21) "stabilises" counterexample 1
+    a = np.array([[[-0.6, -1.0], [10.0, -0.6]], [[-0.6, -10.0], [1.0, -0.6]]])
+    system = JumpSystem(a=a, b=np.full((2, 2, 1), 1e-6))
+    process = SemiMarkov(rates=((None, STEP), (STEP, None)))
+    halves = ((0.0, 0.4967), (0.0, 0.4967))
+    printed = robust_feedback(system, process, gain_bound=1.0, sections=halves, method="printed")
+    assert printed.certified and not printed.sound and printed.gain is not None
+    assert analyse(system, printed.gain, process, method="exact").spectral_radius == pytest.approx(5.463, abs=1e-2)
+    with pytest.raises(Infeasible, match="no solution with entries up to"):
+        robust_feedback(system, process, gain_bound=1.0, sections=halves)
+
+
+def test_held_gains_are_certified_as_they_are_held() -> None:
+    system = chapter2_system("vertices")
+    certificate = robust_feedback(system, PROCESS, gain_bound=100.0, sections=8, schedule="hold")
+    assert certificate.gain is not None and certificate.gain.schedule == "hold"
+    assert certificate.certified and certificate.check() > 0
+
+
+def test_decay_objective_finds_faster_gains_than_stability_alone() -> None:
+    system = chapter2_system("printed")
+    plain = robust_feedback(system, PROCESS, gain_bound=30.0, sections=2)
+    request = FeedbackRequest(process=PROCESS, gain_bound=30.0, sections=2)
+    fast = fastest_feedback(system, request, tolerance=2e-2)
+    assert fast.gain is not None and fast.gain.norm <= 30.0
+    assert (fast.decay_rate or 0.0) > max(0.55, plain.decay_rate or 0.0)  # findings: .279 in |x|, .558 in |x|^2
+
+
+def test_request_that_no_gain_can_meet_is_told_before_any_solver_runs() -> None:
+    slow = SemiMarkov(rates=((None, constant_rate(0.5)), (constant_rate(0.5), None)))
+    a = np.array([[[-1.0, 0.0], [0.0, 0.4]], [[-1.0, 0.0], [0.0, -1.0]]])
+    b = np.array([[[1.0], [0.0]], [[1.0], [1.0]]])
+    with pytest.raises(Infeasible, match=r"mode 0: the eigenvalue \+0.4 is out of the input's reach"):
+        robust_feedback(JumpSystem(a=a, b=b), slow, gain_bound=10.0)
+    quick = SemiMarkov(rates=((None, constant_rate(5.0)), (constant_rate(0.5), None)))
+    assert robust_feedback(JumpSystem(a=a, b=b), quick, gain_bound=10.0, sections=1).certified
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gain_bound": 0.0}, "gain_bound: 0.0"),
+        ({"gain_bound": float("nan")}, "gain_bound: nan"),
+        ({"method": "exact"}, "method: 'exact' is not one of"),
+        ({"points": 0}, "points: 0"),
+        ({"decay": float("inf")}, "decay: inf"),
+        ({"sections": ((0.0,),)}, "partition: 1 tuples"),
+    ],
+)
+def test_bad_request_gets_one_clear_message(changes: dict[str, object], message: str) -> None:
+    request: dict[str, object] = {"gain_bound": 10.0, **changes}
+    with pytest.raises(ValueError, match="^" + message):
+        robust_feedback(chapter2_system(), PROCESS, **request)  # type: ignore[arg-type]

@@ -1,0 +1,100 @@
+import io
+
+import pytest
+from rich.console import Console
+from rich.text import Text
+
+from hil.cli.live_view import LiveView
+from hil.compose.loop import compose
+from hil.experiment import Experiment, load_experiment
+from hil.log.write.sinks import MemorySink
+from hil.runtime.virtual import run_virtual
+
+
+def terminal(width: int = 110) -> Console:
+    return Console(file=io.StringIO(), force_terminal=True, width=width, legacy_windows=False, _environ={"TERM": "xterm"})
+
+
+def written(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple[Experiment, MemorySink]:
+    experiment = load_experiment("dc-motor-hinf", ['duration="20 s"'])
+    loop = compose(experiment)
+    sink = MemorySink(loop.channels())
+    run_virtual(loop, 0, sink)
+    sink.event(19_000_000_000, "late", "no control packet before the deadline", tick=380, severity="warning")
+    return experiment, sink
+
+
+def feed(view: LiveView, sink: MemorySink) -> None:
+    for topic, payloads in sink.payloads.items():
+        for t_ns, payload in zip(sink.times[topic], payloads):
+            view.update(topic, t_ns, payload)
+
+
+def test_view_shows_progress_error_delays_lateness_and_events(recorded: tuple[Experiment, MemorySink]) -> None:
+    experiment, sink = recorded
+    console = terminal()
+    view = LiveView(experiment, "real", link="can:hil:rig0", console=console)
+    feed(view, sink)
+    pack = compose(experiment).channels()["/timing/tick"].schema.pack
+    for k in range(100):
+        view.update("/timing/tick", k, pack(20.0 + k, 140.0, 60.0, k, int(k == 7), 0))
+    console.print(view.render())
+    text = written(console)
+    for part in ("dc-motor-hinf", "can:hil:rig0", "19.9", "of 20 s", "reference 3", "error", "τ = ", "d = "):
+        assert part in text
+    assert "max 119 µs" in text and "1 late, 0 overruns" in text and "no control packet" in text
+
+
+def test_nothing_is_drawn_or_tapped_without_a_terminal(recorded: tuple[Experiment, MemorySink]) -> None:
+    experiment, sink = recorded
+    console = Console(file=io.StringIO(), force_terminal=False)
+    with LiveView(experiment, "real", console=console) as view:
+        assert view.taps == {}
+        feed(view, sink)
+    assert written(console) == ""
+
+
+def test_interrupt_restores_the_terminal(recorded: tuple[Experiment, MemorySink]) -> None:
+    experiment, sink = recorded
+    console = terminal()
+    view = LiveView(experiment, "real", console=console)
+    with pytest.raises(KeyboardInterrupt), view:
+        feed(view, sink)
+        raise KeyboardInterrupt
+    text = written(console)
+    assert text.count("\x1b[?25l") == text.count("\x1b[?25h") == 1
+    assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
+
+
+def test_view_before_the_first_record_says_that_it_waits(recorded: tuple[Experiment, MemorySink]) -> None:
+    console = terminal()
+    console.print(LiveView(recorded[0], "real", console=console).render())
+    assert "starting" in written(console)
+
+
+def test_view_of_many_outputs_keeps_names_whole_and_one_line_each_at_sixty_columns() -> None:
+    experiment = load_experiment("vtol-fault", ['duration="0.2 s"'])
+    loop = compose(experiment)
+    sink = MemorySink(loop.channels())
+    run_virtual(loop, 0, sink)
+    pictures = {}
+    for width in (60, 110):
+        console = terminal(width)
+        view = LiveView(experiment, "real", console=console)
+        feed(view, sink)
+        view.update("/timing/tick", 0, loop.channels()["/timing/tick"].schema.pack(20.0, 140.0, 60.0, 0, 0, 0))
+        console.print(view.render())
+        pictures[width] = Text.from_ansi(written(console)).plain.splitlines()
+    assert len(pictures[60]) == len(pictures[110])
+    for lines in pictures.values():
+        for name in ("horizontal_velocity", "vertical_velocity"):
+            assert next(line for line in lines if line.startswith(f"{name} ")).count("error") == 1
+        mode = next(line for line in lines if line.startswith("detected_mode"))
+        assert mode.split() == ["detected_mode", "1"], "a measured mode has neither reference nor error"
+        assert not next(line for line in lines if line.startswith("input")).rstrip().endswith(" 1"), "a pure number has no unit"

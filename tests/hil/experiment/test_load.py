@@ -1,0 +1,225 @@
+"""Experiment files: what is accepted, and that every fault is named by its path, all at once, with nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.compose.loop import compose
+from hil.errors import ExperimentError, HilError
+from hil.experiment import experiment_from_resolved, load_experiment, parse_experiment, shipped
+from hil.experiment.schema import experiment_schema
+
+GOOD = shipped()["dc-motor-hinf"].read_text()
+MARKOV = 'sc.law = { kind = "markov", matrix = [[0.6, 0.4, 0.0], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]] }'
+
+
+def changed(old: str, new: str) -> str:
+    assert old in GOOD
+    return GOOD.replace(old, new)
+
+
+def law(text: str) -> str:
+    return changed(MARKOV, f"sc.law = {text}")
+
+
+FAULTS: list[tuple[str, str, str]] = [
+    # id, text, what the message must hold
+    ("wrong type of period", changed('period = "50 ms"', "period = [1]"), "period: "),
+    ("unit nobody knows", changed('"50 ms"', '"3 parsecs"'), "period: '3 parsecs' is not a duration"),
+    ("negative period", changed('"50 ms"', "-0.05"), "period: -0.05 s is not between"),
+    ("zero period", changed('"50 ms"', "0"), "period: 0 s is not between"),
+    ("period that is NaN", changed('"50 ms"', "nan"), "period: nan is not a finite number"),
+    ("infinite duration", changed('"50 s"', "inf"), "duration: inf is not a finite number"),
+    ("duration below a period", changed('"50 s"', '"1 ms"'), "duration: 0.001 s is shorter"),
+    ("duration without end", changed('"50 s"', '"100000000 h"'), "duration: 7.2e+12 ticks"),
+    ("no period", changed('period = "50 ms"\n', ""), "period: missing"),
+    ("no name", changed('name = "dc-motor-hinf"\n', ""), "name: missing"),
+    ("name with a path", changed('name = "dc-motor-hinf"', 'name = "../x"'), "name: '../x'"),
+    ("seed that is text", changed("seed = 0", 'seed = "zero"'), "seed: expected `int`, got `str`"),
+    ("negative seed", changed("seed = 0", "seed = -1"), "seed: -1 is not between"),
+    ("unknown key", changed("seed = 0", "sed = 0"), "sed: unknown field; did you mean 'seed'?"),
+    ("reserved key", changed("seed = 0", 'text = "x"'), "text: unknown field"),
+    ("unknown table", GOOD + "\n[plants]\nx = 1\n", "plants: unknown field"),
+    ("plant that nobody has", changed('kind = "dc-motor"', 'kind = "dc-moter"'), "did you mean 'dc-motor'?"),
+    ("plant without kind", changed('kind = "dc-motor"', "gain = 1.0"), "plant.kind: missing; one of"),
+    ("no plant", changed('[plant]\nkind = "dc-motor"\n', ""), "plant: missing table"),
+    ("plant that is a number", changed('[plant]\nkind = "dc-motor"\n', "").replace("seed = 0", "seed = 0\nplant = 3"),
+     "plant: expected a table, got 3"),
+    ("parameter of the wrong type", changed('kind = "dc-motor"', 'kind = "dc-motor"\ngain = "big"'),
+     "plant.gain: expected `float`, got `str`"),
+    ("parameter out of range", changed('kind = "dc-motor"', 'kind = "dc-motor"\ngain = -1.0'), "plant.gain: "),
+    ("parameter nobody has", changed('kind = "dc-motor"', 'kind = "dc-motor"\ngian = 1.0'), "did you mean 'gain'?"),
+    ("nested parameter out of range",
+     changed('kind = "dc-motor"', 'kind = "dc-motor"\n[plant.friction]\nstatic_v = -0.1'), "plant.friction.static_v"),
+    ("controller that nobody has", changed('kind = "hinf"', 'kind = "magic"'), "controller.kind: no controller plug-in"),
+    ("gains of another shape", changed('kind = "hinf"', 'kind = "send-all"\ngains = [[[[1.0]]]]'), "controller.gains: shape"),
+    ("gains that are ragged", changed('kind = "hinf"', 'kind = "send-all"\ngains = [[[[1.0]], [[1.0, 2.0]]]]'),
+     "controller.gains: expected [tau][row][m][p]"),
+    ("gain that is text", changed('kind = "hinf"', 'kind = "local"\ngain = [["x"]]'), "controller.gain[0][0]: expected `float`"),
+    ("row that sums to 0.98", law('{ kind = "markov", matrix = [[0.6, 0.4], [0.5, 0.48]] }'),
+     "links.sc.law.matrix[1]: row sums to 0.98"),
+    ("negative probability", law('{ kind = "markov", matrix = [[1.2, -0.2], [0.5, 0.5]] }'), "links.sc.law.matrix[0]"),
+    ("probability that is NaN", law('{ kind = "markov", matrix = [[nan, 1.0], [0.5, 0.5]] }'),
+     "links.sc.law.matrix[0][0]: nan is not a finite number"),
+    ("matrix that is not square", law('{ kind = "markov", matrix = [[1.0], [0.5, 0.5]] }'), "links.sc.law.matrix"),
+    ("empty matrix", law('{ kind = "markov", matrix = [] }'), "links.sc.law.matrix"),
+    ("age that grows by two", law('{ kind = "markov", matrix = [[0.5, 0.3, 0.2], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]] }'),
+     "links.sc.law.matrix[0][2]"),
+    ("initial law that nobody has", law('{ kind = "markov", matrix = [[0.5, 0.5], [0.7, 0.3]], initial = "foo" }'),
+     "links.sc.law.initial: invalid enum value 'foo', expected one of stationary, uniform"),
+    ("three samples per packet", changed('kind = "hinf"', 'kind = "designed"\nsamples = 3'),
+     "controller.samples: invalid enum value 3, expected one of 1, 2"),
+    ("affinity that nobody has", GOOD + '\n[timing]\naffinity = "cpu0"\n', "expected one of free, pinned"),
+    ("law that nobody has", law('{ kind = "poisson" }'), "links.sc.law.kind: no law plug-in"),
+    ("negative age", law('{ kind = "constant", age = -1 }'), "links.sc.law.age"),
+    ("delay that nobody can cover", law('{ kind = "constant", age = 64 }'), "links.sc.law: its largest delay 64 is above 63"),
+    ("link that nobody has", changed("can:hil:rig0", "nonsense"), "links.uri: link 'nonsense': no scheme"),
+    ("link of a scheme nobody has", changed("can:hil:rig0", "cam:hil:rig0"), "did you mean 'can:hil:rig0'?"),
+    ("link without a channel", changed("can:hil:rig0", "can:hil"), "links.uri: link 'can:hil': no channel"),
+    ("link without an endpoint", changed("can:hil:rig0", "zenoh:127.0.0.1:7447"), "as in tcp/127.0.0.1:7447"),
+    ("delay bound above the rows", law('{ kind = "constant", age = 4 }'), "controller.kind: the published gains cover"),
+    ("rows below the law's delay", changed("[limits]", "[links.ca]\nmax_age = 0\n[limits]").replace(
+        "ca.law = ", "#").replace("[links.ca]", '[links.ca]\nlaw = { kind = "constant", age = 1 }'),
+     "links.ca.max_age: 0 is below the law's largest delay 1"),
+    ("no links", GOOD.split("[links]")[0], "links: missing table"),
+    ("link without a law", changed(MARKOV, ""), "links.sc: missing table"),
+    ("law that cannot be certified",
+     law('{ kind = "packet", latency = { dist = "expon", scale = "1 ms" } }\nsc.max_age = 2'),
+     "allow_uncertified"),
+    ("reference of the wrong width", changed("value = [3.0]", "value = [3.0, 1.0]"), "reference[0].value: 2 entries"),
+    ("reference in the past", changed('at = "1 s"', 'at = "-1 s"'), "reference[0].at: -1 s is negative"),
+    ("disturbance without samples", changed("samples = 2", "samples = 0"), "disturbance[0].samples: 0 is below 1"),
+    ("disturbance of the wrong width", changed("value = [0.1]", "value = []"), "disturbance[0].value: 0 entries"),
+    ("limit of an unknown state", changed("angle = 20.0", "angel = 20.0"), "limits.state.angel: the plant has no such state"),
+    ("limit that is zero", changed("input = [5.0]", "input = [0.0]"), "limits.input[0]: 0 is not positive"),
+    ("limits of the wrong width", changed("input = [5.0]", "input = [5.0, 5.0]"), "limits.input: 2 entries"),
+    ("watchdog of zero ticks", GOOD + "watchdog_ticks = 0\n", "limits.watchdog_ticks: 0 is below 1"),
+    ("deadline beyond the period", GOOD + "[timing]\ndeadline = 1.5\n", "timing.deadline: 1.5"),
+    ("priority out of range", GOOD + "[timing]\npriority = 99\n", "timing.priority: 99"),
+    ("overrun policy nobody has", GOOD + '[timing]\noverrun = "skip"\n', "timing.overrun: "),
+    ("loop that is not stable", changed('kind = "hinf"', 'kind = "local"'), "radius 1.0540"),
+    ("not TOML", "name = \n", "not valid TOML"),
+    ("a key twice", GOOD.replace("seed = 0", "seed = 0\nseed = 1"), "not valid TOML"),
+    ("nested too deeply", "a = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
+    ("dotted too deeply", ".".join(["a"] * 4000) + " = 1", "nested too deeply"),
+    ("empty", "", "period: missing"),
+]
+
+
+@pytest.mark.parametrize(("text", "expected"), [pytest.param(t, e, id=i) for i, t, e in FAULTS])
+def test_fault_is_named_by_its_path(text: str, expected: str) -> None:
+    with pytest.raises(HilError) as caught:
+        compose(parse_experiment(text))
+    lines = str(caught.value).splitlines()
+    assert any(expected in line for line in lines), lines
+    assert all(len(line) < 400 for line in lines)
+
+
+def test_there_are_at_least_forty_faulty_files() -> None:
+    assert len(FAULTS) >= 40
+
+
+def test_all_faults_are_reported_at_once() -> None:
+    text = changed('"50 ms"', "-1").replace("seed = 0", 'seed = "x"').replace("samples = 2", "samples = 0")
+    text = text.replace("0.6, 0.4, 0.0", "0.6, 0.3, 0.0").replace('kind = "dc-motor"', 'kind = "dc-motor"\ngain = "g"')
+    with pytest.raises(ExperimentError) as caught:
+        parse_experiment(text)
+    paths = {fault.split(": ")[0] for fault in caught.value.faults}
+    assert {"period", "seed", "disturbance[0].samples", "links.sc.law.matrix[0]", "plant.gain"} <= paths
+
+
+@pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 40, b"[" * 10_000_000], ids=["binary", "10 MB"])
+def test_hil_run_refuses_garbage_with_status_2_and_leaves_nothing(tmp_path: Path, data: bytes) -> None:
+    bad = tmp_path / "bad.toml"
+    bad.write_bytes(data)
+    done = subprocess.run([sys.executable, "-m", "hil", "run", str(bad)], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("hil: ") and len(done.stderr.splitlines()) == 1
+    assert done.stdout == "" and [p.name for p in tmp_path.iterdir()] == ["bad.toml"]
+
+
+def test_hil_run_refuses_a_faulty_file_with_every_path_and_leaves_nothing(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.toml"
+    bad.write_text(changed('"50 ms"', "-1").replace("seed = 0", "seed = 1.5"))
+    done = subprocess.run([sys.executable, "-m", "hil", "run", "bad.toml"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert {line.split(": ")[2] for line in done.stderr.splitlines()} == {"period", "seed"}
+    assert [p.name for p in tmp_path.iterdir()] == ["bad.toml"]
+
+
+@pytest.mark.parametrize("name", sorted(shipped()))
+def test_shipped_experiment_composes_and_its_resolved_form_is_the_same_experiment(name: str) -> None:
+    experiment = load_experiment(name)
+    assert experiment.name == name and experiment.description
+    compose(experiment)
+    resolved = json.loads(json.dumps(experiment.resolved()))
+    assert experiment_from_resolved(resolved, experiment.text, name).resolved() == experiment.resolved()
+
+
+@pytest.mark.parametrize(
+    ("law_text", "heading"),
+    [
+        ('{ kind = "trace", file = "x.csv" }', "age\n0\n1\n"),
+        ('{ kind = "packet", latency = { file = "x.csv" } }\nsc.max_age = 2', "1 ms\n"),
+    ],
+    ids=["ages", "latencies"],
+)
+def test_a_recorded_law_is_read_from_beside_the_experiment(law_text: str, heading: str, tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_text(law(law_text))
+    with pytest.raises(ExperimentError, match=r"links\.sc\.law\.(latency\.)?file: .*x\.csv: No such file"):
+        load_experiment(tmp_path / "x.toml")
+    (tmp_path / "x.csv").write_text(heading)
+    assert "file" not in str(load_experiment(tmp_path / "x.toml").links.sc.law).replace("file=''", "")
+    (tmp_path / "x.csv").unlink()
+    (tmp_path / "x.csv").symlink_to("/dev/zero")
+    with pytest.raises(ExperimentError, match=r"x\.csv is no regular file"):
+        load_experiment(tmp_path / "x.toml")
+
+
+def test_what_is_not_finite_is_said_once() -> None:
+    with pytest.raises(ExperimentError) as caught:
+        parse_experiment(law('{ kind = "markov", matrix = [[nan, 1.0], [0.5, 0.5]] }'))
+    assert caught.value.faults == ["links.sc.law.matrix[0][0]: nan is not a finite number"]
+
+
+def test_set_changes_fields_tables_and_list_entries() -> None:
+    e = load_experiment("dc-motor-hinf", ["plant.gain=100", "reference.0.value=[1.0]", "links.uri=memory:", "period=10 ms"])
+    assert (e.plant.gain, e.reference[0].value, e.links.uri, e.period) == (100.0, (1.0,), "memory:", 0.01)
+
+
+@pytest.mark.parametrize("change", ["plant.gain", "=3", "reference.7.at=1", "seed.x=1", "plant..gain=1"])
+def test_set_that_makes_no_sense_is_refused(change: str) -> None:
+    with pytest.raises(HilError, match="--set"):
+        load_experiment("dc-motor-hinf", [change])
+
+
+def test_schema_accepts_the_names_of_every_table() -> None:
+    schema = experiment_schema()
+    assert {"name", "period", "plant", "controller", "links"} <= set(schema["properties"])
+    kinds = {variant["properties"]["kind"]["const"] for variant in schema["properties"]["plant"]["oneOf"]}
+    assert {"dc-motor", "vtol"} <= kinds
+    json.dumps(schema)
+
+
+def test_schema_explains_every_key() -> None:
+    schema = experiment_schema()
+    tables = [schema, *schema["$defs"].values()]
+    keys = [(table["title"], name, key) for table in tables for name, key in table.get("properties", {}).items()]
+    assert len(keys) > 100
+    tags = [name for _, name, key in keys if len(key.get("enum", ())) == 1]
+    assert [(title, name) for title, name, key in keys if not key.get("description") and name not in tags] == []
+
+
+def test_schema_has_no_key_that_a_file_may_not_set() -> None:
+    assert "selection" not in experiment_schema()["$defs"]["Local"]["properties"]
+
+
+def test_shipped_schema_that_the_experiments_name_is_the_one_that_hil_prints() -> None:
+    path = shipped()["dc-motor-hinf"].with_name("experiment.schema.json")
+    assert "#:schema ./experiment.schema.json" in GOOD
+    assert json.loads(path.read_text()) == json.loads(json.dumps(experiment_schema())), f"write it again: hil schema > {path}"

@@ -1,0 +1,134 @@
+"""Logs in other formats hold the same values."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hil.cli.export import command
+from hil.errors import HilError
+from hil.log.read.export import export
+from hil.log.read.run import Run, read_run
+from tests.hil.log.recording import record_chunks
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    record_chunks(path, 6)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(log: Path) -> Run:
+    return read_run(log)
+
+
+def test_a_table_reads_back_to_the_last_bit(run: Run, tmp_path: Path) -> None:
+    target = tmp_path / "state.csv"
+    assert export(run, target, ["/plant/state"]) == [target]
+    with open(target, newline="") as file:
+        header, *rows = csv.reader(file)
+    assert header == ["t_ns [ns]", "angle [rad]", "speed [rad/s]", "tick [1]"]
+    state = run.arrays["/plant/state"]
+    assert [float(row[2]) for row in rows] == state["speed"].tolist()
+    assert [int(row[0]) for row in rows] == state["t_ns"].tolist()
+
+
+def test_every_topic_becomes_a_table_of_its_own(run: Run, tmp_path: Path) -> None:
+    paths = export(run, tmp_path / "run.csv")
+    assert {path.name for path in paths} == {path.name for path in tmp_path.iterdir()}
+    assert len(paths) == len(run.arrays) + 1
+    with open(tmp_path / "run.events.csv", newline="") as file:
+        events = list(csv.DictReader(file))
+    assert [event["kind"] for event in events] == ["mark", "mark"]
+    assert json.loads(events[0]["data"]) == run.events[0]["data"]
+    with open(tmp_path / "run.link_sensor.csv", newline="") as file:
+        frames = list(csv.DictReader(file))
+    assert [bytes.fromhex(frame["data [1]"]) for frame in frames] == run.arrays["/link/sensor"]["data"].tolist()
+
+
+def test_numpy_reads_the_arrays_back(run: Run, tmp_path: Path) -> None:
+    export(run, tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz", allow_pickle=False) as found:
+        np.testing.assert_array_equal(found["plant_state"]["speed"], run.arrays["/plant/state"]["speed"])
+        lengths, data = found["link_control_length"], found["link_control_data"]
+        frames = [row[:length].tobytes() for row, length in zip(data, lengths, strict=True)]
+    assert frames == run.arrays["/link/control"]["data"].tolist()
+
+
+def packets(run: Run) -> list[tuple[float, int, bytes]]:
+    """When, as what and what: a frame stands where its slot's lateness put it, an answer a round trip later."""
+    sensor, control, timing = run.arrays["/link/sensor"], run.arrays["/link/control"], run.arrays["/timing/tick"]
+    begin, late = datetime(2000, 1, 1, tzinfo=UTC).timestamp(), dict(zip(timing["tick"], timing["lateness_us"]))
+    trip = dict(zip(timing["tick"], np.nan_to_num(timing["round_trip_us"])))
+    found = [(begin + f["t_ns"] / 1e9 + late[f["tick"]] / 1e6, 0x100, f["data"]) for f in sensor]
+    found += [(begin + f["t_ns"] / 1e9 + (late[f["tick"]] + trip[f["tick"]]) / 1e6, 0x140, f["data"]) for f in control]
+    return sorted(found, key=lambda packet: packet[0])
+
+
+@pytest.mark.parametrize("ending", [".log", ".blf"])
+def test_a_can_log_holds_the_frames_of_the_link(run: Run, tmp_path: Path, ending: str) -> None:
+    target = tmp_path / f"run{ending}"
+    assert export(run, target) == [target]
+    with can.LogReader(target) as reader:
+        messages = list(reader)
+    expected = packets(run)
+    assert [(m.arbitration_id, bytes(m.data)) for m in messages] == [(i, data) for _, i, data in expected]
+    assert [m.timestamp for m in messages] == pytest.approx([t for t, _, _ in expected], abs=1e-6)
+    assert all(m.is_fd and m.bitrate_switch and not m.is_extended_id for m in messages)
+
+
+def test_a_can_log_of_a_classic_link_holds_its_classic_frames(run: Run, tmp_path: Path) -> None:
+    classic = replace(run, metadata={**run.metadata, "link": "can:hil:rig0?fd=0&base=0x200"})
+    export(classic, tmp_path / "run.log", ["/link/sensor"])
+    with can.LogReader(tmp_path / "run.log") as reader:
+        messages = list(reader)
+    assert not any(m.is_fd for m in messages)
+    assert [m.arbitration_id for m in messages[:4]] == [0x280, 0x281, 0x282, 0x280]
+    assert b"".join(bytes(m.data) for m in messages) == b"".join(run.arrays["/link/sensor"]["data"])
+
+
+def test_a_frame_that_no_can_bus_takes_is_named(run: Run, tmp_path: Path) -> None:
+    frames = run.arrays["/link/sensor"].copy()
+    frames["data"][3] = bytes(5000)
+    big = replace(run, arrays={**run.arrays, "/link/sensor": frames})
+    with pytest.raises(HilError, match=r"/link/sensor at 0\.003\d* s: 5000 bytes do not fit on CAN"):
+        export(big, tmp_path / "run.log")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_can_log_without_frames_is_refused(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(HilError, match="no frames to write"):
+        export(run, tmp_path / "run.log", ["/plant/state"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_ending_or_topic_is_named(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(HilError, match=r"the ending '\.xls' names no format, expected \.log, \.blf, \.csv, \.npz"):
+        export(run, tmp_path / "run.xls")
+    with pytest.raises(HilError, match=r"topic '/plant/stat': not in the log, expected one of /plant/state, "):
+        export(run, tmp_path / "run.csv", ["/plant/stat"])
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.npz", "run.log", "run.blf"])
+def test_a_place_that_cannot_be_written_is_named(run: Run, tmp_path: Path, name: str) -> None:
+    target = tmp_path / "absent" / name
+    with pytest.raises(HilError, match=r"absent.*: cannot be written: No such file"):
+        export(run, target)
+
+
+def test_the_command_prints_the_files_it_wrote(log: Path, tmp_path: Path) -> None:
+    target = tmp_path / "reference.csv"
+    arguments = [str(log), "-o", str(target), "--topic", "/reference"]
+    done = CliRunner().invoke(command, arguments, catch_exceptions=False)
+    assert (done.exit_code, done.output) == (0, f"{target}\n")

@@ -1,0 +1,181 @@
+"""The MCAP file: readable by others, the same for the same records, and no danger to the session."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from hil.errors import HilError
+from hil.log.read.run import Run, read_run
+from hil.log.write.mcap_sink import McapSink
+from hil.log.write.sinks import MemorySink, TeeSink
+from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
+
+
+def write(path: Path, ticks: int = 500) -> tuple[McapSink, MemorySink]:
+    memory = MemorySink(TABLE)
+    with McapSink(path, TABLE, provenance()) as sink:
+        record(TeeSink(sink, memory), ticks)
+        sink.summary({"metrics": {"sse": 1.5}})
+    return sink, memory
+
+
+def test_a_run_reads_back_as_it_was_written(tmp_path: Path) -> None:
+    sink, memory = write(tmp_path / "run.mcap")
+    run, same = read_run(tmp_path / "run.mcap"), Run.from_memory(memory)
+    assert list(run.arrays) == list(TABLE)
+    assert_same_arrays(run.arrays, same.arrays)
+    assert run.events == same.events
+    assert [event["data"]["u"] for event in run.events] == ["nan"] * 5
+    assert sink.messages == sum(map(len, run.arrays.values())) + len(run.events)
+    assert sink.dropped == 0 and sink.error is None
+    state = run.arrays["/plant/state"]
+    assert state.dtype.names == ("t_ns", "angle", "speed", "tick")
+    np.testing.assert_array_equal(state["t_ns"], state["tick"] * PERIOD_NS)
+    assert all(len(data) == 20 for data in run.arrays["/link/sensor"]["data"])
+
+
+def test_provenance_travels_inside(tmp_path: Path) -> None:
+    write(tmp_path / "run.mcap")
+    run = read_run(tmp_path / "run.mcap")
+    assert run.experiment_text == provenance().experiment_text
+    assert run.resolved == {"period": 0.001, "limits": {"voltage": 24.0}}
+    assert run.certificate == {"radius": 0.9}
+    assert run.metadata == {"format": "1", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
+    assert run.versions["numpy"] == np.__version__
+    assert run.codes["reason"] == ["delivered", "lost"]
+    assert run.summary["metrics"] == {"sse": 1.5}
+    assert run.summary["log"]["dropped"] == 0
+
+
+def test_mcaps_own_reader_and_its_ros2_decoder_read_the_file(tmp_path: Path) -> None:
+    _, memory = write(tmp_path / "run.mcap", ticks=50)
+    same = Run.from_memory(memory)
+    with open(tmp_path / "run.mcap", "rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None and summary.statistics is not None
+        assert summary.statistics.message_count == sum(map(len, memory.payloads.values()))
+        assert {a.name for a in summary.attachment_indexes} == {"experiment.toml", "resolved.json", "certificate.json"}
+        seen = dict.fromkeys(TABLE, 0)
+        for schema, channel, message, decoded in reader.iter_decoded_messages(topics=list(TABLE)):
+            expected = same.arrays[channel.topic][seen[channel.topic]]
+            seen[channel.topic] += 1
+            assert schema is not None and schema.name == TABLE[channel.topic].schema.name
+            assert message.log_time == message.publish_time == expected["t_ns"]
+            for name in expected.dtype.names[1:]:
+                got = getattr(decoded, name)
+                got = bytes(got) if name == "data" else got
+                assert got == expected[name] or (got != got and expected[name] != expected[name])
+        assert seen == {topic: len(array) for topic, array in same.arrays.items()}
+        events = [json.loads(m.data) for _, c, m in reader.iter_messages(topics=["/events"])]
+        assert events == same.events
+
+
+_WRITE = """
+import sys
+from hil.log.write.mcap_sink import McapSink
+from tests.hil.log.recording import TABLE, provenance, record
+with McapSink(sys.argv[1], TABLE, provenance()) as sink:
+    record(sink, 6000)
+    sink.event(1, "set", "unordered", names={"b", "a", "c"}, more={"x", "y"})
+    sink.summary({"modes": {"q", "r"}})
+print(sink.sha256())
+"""
+
+
+def test_the_same_records_give_the_same_file_in_two_processes(tmp_path: Path) -> None:
+    hashes = []
+    for seed in ("1", "2"):
+        (tmp_path / seed).mkdir()
+        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": os.getcwd()}
+        done = subprocess.run(
+            [sys.executable, "-c", _WRITE, tmp_path / seed / f"run{seed}.mcap"],
+            env=environment, capture_output=True, text=True, check=True, timeout=60,
+        )  # fmt: skip
+        hashes.append(done.stdout)
+    assert hashes[0] == hashes[1]
+    assert len(hashes[0]) == 65
+
+
+def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
+    sink, _ = write(tmp_path / "run.mcap", ticks=10)
+    done = subprocess.run(["sha256sum", tmp_path / "run.mcap"], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[0] == sink.sha256()
+
+
+def test_in_real_time_records_are_on_the_disk_within_100_ms(tmp_path: Path) -> None:
+    now = 0.0
+    sink = McapSink(tmp_path / "run.mcap", TABLE, provenance(), now=lambda: now)
+    size = (tmp_path / "run.mcap").stat().st_size
+    record(sink, 1)
+    assert (tmp_path / "run.mcap").stat().st_size == size
+    now = 0.06
+    sink.commit()
+    assert (tmp_path / "run.mcap").stat().st_size > size
+    sink.close()
+
+
+def test_closing_twice_is_harmless_and_later_records_are_counted(tmp_path: Path) -> None:
+    sink, _ = write(tmp_path / "run.mcap", ticks=10)
+    digest = sink.sha256()
+    sink.close()
+    sink.event(0, "late", "after the end")
+    sink.commit()
+    assert sink.dropped == 1
+    assert sink.sha256() == digest
+
+
+@pytest.mark.parametrize("name", ["absent/run.mcap", ".", "file/run.mcap", "x" * 300])
+def test_a_place_that_cannot_be_written_is_refused_at_open(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").write_text("not a directory")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(HilError, match=r"log .*: cannot be created: "):
+        McapSink(tmp_path / name, TABLE, provenance())
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_full_device_is_refused_at_open() -> None:
+    with pytest.raises(HilError, match=r"log /dev/full: cannot be written: No space left"):
+        McapSink("/dev/full", TABLE, provenance())
+    assert os.path.exists("/dev/full")
+
+
+@pytest.fixture
+def disk_of_60_kb() -> Iterator[None]:
+    """A limit on file sizes: writing beyond it fails in the middle, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.usefixtures("disk_of_60_kb")
+def test_a_disk_that_fills_up_stops_the_log_and_not_the_session(tmp_path: Path) -> None:
+    now = 0.0
+    sink = McapSink(tmp_path / "run.mcap", TABLE, provenance(), now=lambda: now)
+    total = 0
+    for k in range(100):
+        now = k * 0.06
+        total += record(sink, 20, start=20 * k)
+    sink.close()
+    assert sink.error is not None and "run.mcap: File too large" in sink.error
+    assert 0 < sink.messages < total
+    assert sink.messages + sink.dropped == total
+
+
+@pytest.mark.usefixtures("disk_of_60_kb")
+def test_no_file_is_left_when_the_first_bytes_do_not_fit(tmp_path: Path) -> None:
+    with pytest.raises(HilError, match="cannot be written: File too large"):
+        McapSink(tmp_path / "run.mcap", TABLE, provenance(experiment_text="x" * 70_000))
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,237 @@
+"""The pipe between loop and log: never waits, never tears a frame, counts what it loses."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.log.read.run import Run, read_run
+from hil.log.write.mcap_sink import McapSink
+from hil.log.write.pipe import PipeSink, PumpReport, pump
+from hil.log.write.sinks import MemorySink
+from tests.hil.log.recording import TABLE, assert_same_arrays, provenance, record
+
+Ends = tuple[int, int]
+
+
+@pytest.fixture
+def ends() -> Iterator[Ends]:
+    read, write = os.pipe()
+    yield read, write
+    for fd in (read, write):
+        try:
+            os.close(fd)
+        except OSError:
+            pass  # a sink has closed its end
+
+
+def in_thread(read: int, sink: MemorySink) -> Callable[[], PumpReport]:
+    reports: list[PumpReport] = []
+    thread = threading.Thread(target=lambda: reports.append(pump(read, sink, TABLE)))
+    thread.start()
+
+    def join() -> PumpReport:
+        thread.join(30)
+        return reports[0]
+
+    return join
+
+
+def filled(write: int) -> int:
+    """Fill the pipe to the last byte; returns how many bytes that took."""
+    os.set_blocking(write, False)
+    total = 0
+    for size in (4096, 1):
+        try:
+            while True:
+                total += os.write(write, bytes(size))
+        except BlockingIOError:
+            pass
+    return total
+
+
+def test_records_arrive_as_they_were_written(ends: Ends) -> None:
+    got, direct = MemorySink(TABLE), MemorySink(TABLE)
+    join = in_thread(ends[0], got)
+    sink = PipeSink(ends[1], TABLE)
+    count = record(sink, 300)
+    sink.close()
+    report = join()
+    record(direct, 300)
+    assert_same_arrays(Run.from_memory(got).arrays, Run.from_memory(direct).arrays)
+    assert Run.from_memory(got).events == Run.from_memory(direct).events
+    assert report == PumpReport(records=count, complete=True)
+    assert sink.dropped == 0
+
+
+def test_a_tick_is_one_write_of_at_most_pipe_buf_bytes(ends: Ends) -> None:
+    sink = PipeSink(ends[1], TABLE)
+    record(sink, 1)
+    first = os.read(ends[0], 1 << 20)
+    assert 0 < len(first) <= select.PIPE_BUF
+
+
+def test_a_full_pipe_costs_records_and_says_how_many(ends: Ends) -> None:
+    read, write = ends
+    sink = PipeSink(write, TABLE)
+    filler = filled(write)
+    lost = record(sink, 20)
+    assert sink.dropped == lost
+    while filler:
+        filler -= len(os.read(read, min(filler, 1 << 16)))
+    kept = record(sink, 5, start=20)
+    sink.close()
+    got = MemorySink(TABLE)
+    report = pump(read, got, TABLE)
+    run = Run.from_memory(got)
+    assert (report.records, report.dropped, report.complete) == (kept, lost, True)
+    assert list(run.arrays["/plant/state"]["tick"]) == [20, 21, 22, 23, 24]
+    assert [(e["kind"], e["data"]) for e in run.events] == [("log-dropped", {"records": lost})]
+    assert run.events[0]["t_s"] == 0.02
+
+
+def test_a_long_stall_of_the_reader_never_tears_a_frame(ends: Ends) -> None:
+    read, write = ends
+    sink = PipeSink(write, TABLE)
+    total = record(sink, 3000)  # more than the pipe can hold
+    assert 0 < sink.dropped < total
+    got = MemorySink(TABLE)
+    join = in_thread(read, got)
+    total += record(sink, 10, start=3000)
+    sink.close(timeout_s=10)
+    report = join()
+    assert report.complete and report.malformed == report.torn_bytes == 0
+    assert report.dropped == sink.dropped
+    assert report.records == total - sink.dropped
+
+
+@given(st.lists(st.integers(0, 20_000), min_size=1, max_size=12), st.integers(1, 4))
+def test_records_of_any_size_keep_the_framing(sizes: list[int], ticks: int) -> None:
+    read, write = os.pipe()
+    sink = PipeSink(write, TABLE)
+    put = sink.channel("/link/sensor")
+    assert put is not None
+    got = MemorySink(TABLE)
+    pack = TABLE["/link/sensor"].schema.pack
+    for tick in range(ticks):
+        for size in sizes:
+            put(tick, pack(tick, 0, bytes(size)))
+        sink.commit()
+    sink.close()
+    report = pump(read, got, TABLE)
+    os.close(read)
+    frames = Run.from_memory(got).arrays["/link/sensor"]
+    assert report.torn_bytes == report.malformed == 0
+    assert report.records + sink.dropped == len(sizes) * ticks
+    assert sink.dropped == report.dropped
+    if not sink.dropped:
+        assert [len(data) for data in frames["data"]] == sizes * ticks
+
+
+def test_a_record_cut_by_a_full_pipe_is_completed_later(ends: Ends) -> None:
+    read, write = ends
+    sink = PipeSink(write, TABLE)
+    put = sink.channel("/link/sensor")
+    assert put is not None
+    filler = filled(write) - len(os.read(read, 8192))
+    pack = TABLE["/link/sensor"].schema.pack
+    put(0, pack(0, 0, b"x" * 30_000))
+    put(0, pack(1, 0, b"dropped"))
+    sink.commit()
+    assert sink.dropped == 1
+    while filler:
+        filler -= len(os.read(read, min(filler, 1 << 16)))
+    put(1, pack(2, 0, b"y"))
+    sink.commit()
+    sink.close()
+    got = MemorySink(TABLE)
+    report = pump(read, got, TABLE)
+    assert report == PumpReport(records=2, dropped=1, complete=True)
+    assert list(Run.from_memory(got).arrays["/link/sensor"]["data"]) == [b"x" * 30_000, b"y"]
+
+
+def test_a_reader_that_is_gone_never_raises_into_the_loop(ends: Ends) -> None:
+    read, write = ends
+    sink = PipeSink(write, TABLE)
+    os.close(read)
+    count = record(sink, 10)
+    sink.close()
+    sink.close()
+    assert sink.dropped == count
+    assert sink.error == "log pipe: Broken pipe"
+
+
+_RIG = """
+import os, signal, sys
+from hil.log.write.pipe import PipeSink
+from tests.hil.log.recording import TABLE, record
+sink = PipeSink(int(sys.argv[1]), TABLE)
+print(record(sink, 400), flush=True)
+if sys.argv[2] == "torn":
+    os.write(int(sys.argv[1]), bytes([200, 0, 0, 0, 1, 0, 7]))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize(("how", "torn"), [("whole", 0), ("torn", 7)])
+def test_a_rig_that_is_killed_leaves_a_whole_log(ends: Ends, tmp_path: Path, how: str, torn: int) -> None:
+    read, write = ends
+    environment = {**os.environ, "PYTHONPATH": os.getcwd()}
+    rig = subprocess.Popen(
+        [sys.executable, "-c", _RIG, str(write), how],
+        pass_fds=[write], stdout=subprocess.PIPE, text=True, env=environment,
+    )  # fmt: skip
+    os.close(write)
+    with McapSink(tmp_path / "run.mcap", TABLE, provenance()) as sink:
+        report = pump(read, sink, TABLE)
+    out, _ = rig.communicate(timeout=30)
+    assert rig.returncode == -signal.SIGKILL
+    assert report == PumpReport(records=int(out), torn_bytes=torn)
+    run = read_run(tmp_path / "run.mcap")
+    assert list(run.arrays["/plant/state"]["tick"]) == list(range(400))
+
+
+@given(st.binary(max_size=400))
+def test_any_bytes_in_the_pipe_are_taken_or_counted(garbage: bytes) -> None:
+    read, write = os.pipe()
+    os.write(write, garbage)
+    os.close(write)
+    got = MemorySink(TABLE)
+    report = pump(read, got, TABLE)
+    os.close(read)
+    assert report.records == sum(map(len, got.payloads.values()))
+
+
+def test_a_tap_sees_its_topic_and_cannot_hurt_the_log(ends: Ends) -> None:
+    seen: list[int] = []
+
+    def broken(t_ns: int, payload: bytes) -> None:
+        raise RuntimeError("screen gone")
+
+    sink = PipeSink(ends[1], TABLE)
+    count = record(sink, 10)
+    sink.close()
+    got = MemorySink(TABLE, topics={"/reference"})
+    taps = {"/plant/state": lambda t_ns, payload: seen.append(t_ns), "/reference": broken}
+    report = pump(ends[0], got, TABLE, taps=taps)
+    assert seen == [k * 1_000_000 for k in range(10)]
+    assert report.faults == ["tap /reference: RuntimeError: screen gone"]
+    assert report.records == count
+    assert len(got.times["/reference"]) == 10
+
+
+def test_the_pump_can_be_stopped_though_the_pipe_stays_open(ends: Ends) -> None:
+    sink = PipeSink(ends[1], TABLE)
+    count = record(sink, 10)
+    report = pump(ends[0], MemorySink(TABLE), TABLE, stop=lambda: True)
+    assert report == PumpReport(records=count)

@@ -1,0 +1,94 @@
+"""Sinks in memory and events: nothing raises into the loop."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.log.events import encode_event, plain
+from hil.log.read.run import Run
+from hil.log.write.sinks import MemorySink, TeeSink
+from tests.hil.log.recording import TABLE, assert_same_arrays, record
+
+_leaves = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.binary(), st.complex_numbers(),
+    st.just(object()),
+)
+_values = st.recursive(
+    _leaves,
+    lambda inner: st.one_of(
+        st.lists(inner), st.tuples(inner, inner), st.dictionaries(st.one_of(st.text(), st.integers()), inner)
+    ),
+    max_leaves=20,
+)
+
+
+@given(st.text(), st.text(), st.dictionaries(st.text(), _values))
+def test_every_event_becomes_strict_json(kind: str, message: str, data: dict[str, Any]) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    event = json.loads(encode_event(1_500_000_000, kind, message, data=data), parse_constant=refuse)
+    assert event["t_s"] == 1.5
+    assert set(event) == {"tick", "t_s", "kind", "severity", "message", "data"}
+
+
+def test_an_event_with_endless_nesting_is_kept() -> None:
+    endless: list[Any] = []
+    endless.append(endless)
+    assert json.loads(encode_event(0, "a", "b", data={"endless": endless}))["kind"] == "a"
+
+
+def test_values_that_python_will_not_print_are_kept_in_an_event() -> None:
+    class Rude:
+        def __str__(self) -> str:
+            raise RuntimeError("no")
+
+    data = json.loads(encode_event(0, "a", "b", data={"n": 16**5000, "rude": Rude()}))["data"]
+    assert data["n"] == hex(16**5000)
+    assert data["rude"] == "<Rude>"
+
+
+def test_lone_surrogates_in_an_event_are_kept_readable() -> None:
+    assert json.loads(encode_event(0, "\ud800", "b", data={}))["kind"] == "\ud800"
+
+
+def test_numbers_that_are_not_finite_become_text() -> None:
+    assert plain((math.nan, math.inf, -math.inf, 1.0)) == ["nan", "inf", "-inf", 1.0]
+
+
+def test_a_sink_in_memory_keeps_only_the_topics_that_are_wanted() -> None:
+    sink = MemorySink(TABLE, topics={"/plant/state"})
+    assert sink.channel("/network/sc") is None
+    record(sink, 10)
+    run = Run.from_memory(sink)
+    assert list(run.arrays) == ["/plant/state"]
+    assert len(run.arrays["/plant/state"]) == 10
+    assert run.events == []
+
+
+def test_a_topic_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ValueError, match="topics: '/plant/stat' is not"):
+        MemorySink(TABLE, topics={"/plant/stat"})
+
+
+def test_a_tee_gives_every_record_to_every_sink_that_wants_it() -> None:
+    everything, states = MemorySink(TABLE), MemorySink(TABLE, topics={"/plant/state", "/events"})
+    tee = TeeSink(everything, states)
+    assert TeeSink(states).channel("/network/sc") is None
+    record(tee, 150)
+    run, part = Run.from_memory(everything), Run.from_memory(states)
+    assert_same_arrays(part.arrays, {"/plant/state": run.arrays["/plant/state"]})
+    assert part.events == run.events and len(run.events) == 2
+
+
+def test_an_empty_run_has_empty_arrays_with_all_fields() -> None:
+    run = Run.from_memory(MemorySink(TABLE), experiment_text="x")
+    assert all(len(array) == 0 for array in run.arrays.values())
+    assert run.arrays["/link/sensor"].dtype.names == ("t_ns", "tick", "late", "data")
+    assert run.experiment_text == "x"

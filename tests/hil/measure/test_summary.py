@@ -1,0 +1,101 @@
+import json
+
+import numpy as np
+import pytest
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.log.read.run import Run
+from hil.log.write.sinks import MemorySink
+from hil.measure.network import network_metrics
+from hil.measure.summary import run_metrics, run_timing, summarise
+from hil.measure.timing import timing_metrics
+from hil.runtime.virtual import run_virtual
+from tests.hil.report.runs import run_of
+from transport.laws.age import MarkovAge
+
+
+def test_summary_is_plain_json_with_the_promised_keys() -> None:
+    summary = json.loads(json.dumps(summarise(run_of("dc-motor-hinf")), allow_nan=False))
+    assert {"experiment", "seed", "clock", "link", "ticks", "duration_s", "metrics", "network", "timing"} <= set(summary)
+    assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
+    for side in ("sc", "ca"):
+        assert {"law", "mode_counts", "transition_counts", "p_value", "lost", "late", "duplicated"} <= set(
+            summary["network"][side]
+        )
+    assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
+    assert summary["ticks"] == 1000 and summary["duration_s"] == 50.0
+    assert summary["timing"]["valid"] is True
+    assert summary["safety"] is None
+
+
+def test_published_gains_reach_the_error_of_the_reference_computation() -> None:
+    # 12.03, sd 0.41 over 10,000 runs: twenty seeds lie within 5 standard errors (false alarm below 1e-6).
+    experiment = load_experiment("dc-motor-hinf")
+    loop = compose(experiment)
+    found = []
+    for seed in range(20):
+        sink = MemorySink(loop.channels(), ("/plant/measurement", "/reference", "/actuator/applied"))
+        run_virtual(loop, seed, sink)
+        found.append(run_metrics(Run.from_memory(sink), experiment))
+    assert np.mean([f["sse"] for f in found]) == pytest.approx(12.03, abs=5 * 0.41 / np.sqrt(20))
+    assert np.mean([f["sse_after_5s"] for f in found]) == pytest.approx(0.0305, abs=5 * 0.0058 / np.sqrt(20))
+
+
+def test_counted_modes_add_up_to_the_slots() -> None:
+    run = run_of("dc-motor-hinf")
+    network = summarise(run)["network"]
+    for side, modes in (("sc", 3), ("ca", 2)):
+        assert len(network[side]["mode_counts"]) == modes and sum(network[side]["mode_counts"]) == 1000
+        assert np.sum(network[side]["transition_counts"]) == 999
+    draws = run.arrays["/network/ca"]
+    assert network["ca"]["mode_counts"][0] == np.sum(draws["mode"] == 0)
+
+
+def test_run_stopped_by_safety_names_the_reason() -> None:
+    summary = summarise(run_of("dc-motor-local"))
+    assert summary["safety"] is not None and "limit" in summary["safety"]
+    assert summary["ticks"] < 1000
+
+
+def test_summary_survives_a_run_that_ended_at_once() -> None:
+    run = run_of("dc-motor-hinf", 'duration="50 ms"')
+    json.dumps(summarise(run), allow_nan=False)
+
+
+def test_summary_survives_a_log_torn_between_two_records_of_one_tick() -> None:
+    run = run_of("dc-motor-hinf", 'duration="5 s"')
+    run.arrays["/reference"] = run.arrays["/reference"][:-1]
+    run.arrays["/actuator/applied"] = run.arrays["/actuator/applied"][:-3]
+    assert summarise(run)["metrics"]["sse"] > 9.0
+
+
+def test_record_agrees_with_its_own_law_and_not_with_another() -> None:
+    run = run_of("dc-motor-hinf")
+    experiment = load_experiment("dc-motor-hinf")
+    draws = run.arrays["/network/sc"]
+    own = network_metrics(draws, experiment.links.sc.law, "markov")["p_value"]
+    other = network_metrics(draws, MarkovAge(matrix=((0.1, 0.9, 0.0), (0.1, 0.1, 0.8), (0.2, 0.2, 0.6))), "markov")
+    assert own is not None and own > 1e-3  # fixed seed: no false alarm
+    assert other["p_value"] < 1e-6
+
+
+def test_law_that_cannot_be_made_again_is_still_counted() -> None:
+    draws = run_of("dc-motor-hinf").arrays["/network/ca"]
+    found = network_metrics(draws, None, "somebody-elses")
+    assert found["law"] == "somebody-elses" and sum(found["mode_counts"]) == 1000 and found["p_value"] is None
+
+
+def test_timing_verdict_names_every_reason() -> None:
+    n = 1000
+    quiet = np.full(n, 30.0)
+    zeros, some = np.zeros(n), np.arange(n) < 5
+    assert timing_metrics(quiet, quiet, zeros, zeros, period_s=1e-3)["valid"]
+    bad = timing_metrics(quiet + 200.0, quiet, some, some, period_s=1e-3)
+    assert not bad["valid"] and len(bad["why"]) == 3 and bad["first_late_tick"] == 0
+    assert bad["lateness_us"]["max"] == 230.0
+
+
+@pytest.mark.parametrize(("clock", "valid"), [("real", False), ("virtual", True)])
+def test_a_session_without_a_slot_has_no_valid_timing(clock: str, valid: bool) -> None:
+    assert run_timing(Run(arrays={}, schemas={}, metadata={"clock": clock}, resolved={"period": 0.05}))["valid"] is valid

@@ -1,0 +1,48 @@
+"""The controller node outlives a session, and what does not fit its time."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.runtime.nodes.controller_node import HELLO, ControlNode
+from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
+
+PERIOD_NS = 50_000_000
+
+
+def node(kind: str) -> ControlNode:
+    return ControlNode(compose(load_experiment(kind)))
+
+
+def session(of: ControlNode, slots: int) -> list[bytes | None]:
+    hello = of.hear(encode_sensor(SensorPacket(HELLO, EMPTY, 0, ())))
+    assert hello is not None
+    return [of.hear(encode_sensor(SensorPacket(k, 0, k * PERIOD_NS, (0.01 * k,)))) for k in range(slots)]
+
+
+@pytest.mark.parametrize("kind", ["dc-motor-hinf", "dc-motor-smith"])
+def test_a_second_session_is_answered_as_the_first(kind: str) -> None:
+    lasting = node(kind)
+    first = session(lasting, 40)
+    assert None not in first
+    assert session(lasting, 40) == first
+
+
+def test_a_sample_from_the_future_is_counted_and_not_answered() -> None:
+    ours = node("dc-motor-hinf")
+    session(ours, 20)
+    assert ours.hear(encode_sensor(SensorPacket(3, EMPTY, 0, ()))) is None  # another rig, which has only begun
+    assert ours.malformed == 1
+    answer = ours.hear(encode_sensor(SensorPacket(20, 0, 20 * PERIOD_NS, (0.2,))))
+    assert answer is not None and isinstance(decode(answer), ControlPacket)
+
+
+def test_a_packet_of_another_width_is_counted_and_not_used() -> None:
+    ours, two = node("dc-motor-hinf"), node("dc-motor-ours-two-samples")
+    session(ours, 3)
+    assert ours.hear(encode_sensor(SensorPacket(3, 0, 3 * PERIOD_NS, (0.1, 0.2)))) is None
+    assert two.hear(encode_sensor(SensorPacket(0, 0, 0, (0.1,)))) is None
+    assert (ours.malformed, two.malformed) == (1, 1)
+    assert two.hear(encode_sensor(SensorPacket(0, 0, 0, (0.1, 0.1)))) is not None

@@ -1,0 +1,166 @@
+"""The rig against the thesis's equations, and against controllers that misbehave."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hil.compose.loop import Loop, compose
+from hil.experiment import load_experiment
+from hil.log.write.sinks import MemorySink
+from hil.runtime.nodes.rig import HOLD, NONE_YET, OK, SAFE, Rig
+from hil.runtime.time.clock import VirtualClock
+from hil.runtime.time.kernel import Kernel
+from hil.session import simulate
+from transport.packets import ControlPacket, encode_control
+
+
+@pytest.fixture(scope="module")
+def loop() -> Loop:
+    return compose(load_experiment("dc-motor-hinf"))
+
+
+@pytest.mark.parametrize("name", ["dc-motor-hinf", "dc-motor-h2", "dc-motor-ours-two-samples"])
+def test_loop_follows_the_recursion_of_the_thesis_on_the_drawn_delays(name: str) -> None:
+    """(7.8)-(7.13) written once more in deviation coordinates, on the modes that the rig drew."""
+    loop = compose(load_experiment(name))
+    run = simulate(loop, 5)
+    A, B, C = loop.model.A, loop.model.B, loop.model.C
+    K = loop.controller.table(loop.model)[:, :, 0, :]
+    draws = {}
+    for side in ("sc", "ca"):
+        d = run.arrays[f"/network/{side}"]
+        d = d[d["mode"] >= 0]
+        draws[side] = dict(zip(d["tick"].tolist(), d["mode"].tolist()))
+    r, w = run.arrays["/reference"]["angle"], run.arrays["/actuator/applied"]["w_voltage"]
+    x, ys, packets = np.zeros(2), [], []
+    states = run.arrays["/plant/state"]
+    for k in range(len(states)):
+        assert states["angle"][k] == pytest.approx(x[0], abs=2e-5)  # float32 on the wire
+        ys.append((C @ x)[0])
+        tau, d = draws["sc"][k], draws["ca"][k]
+        errors = np.array([ys[max(k - tau - i, 0)] - r[k] for i in range(loop.samples)])
+        packets.append(K[tau] @ errors if k >= tau else np.zeros(2))
+        g = k - d
+        u = packets[g][d if loop.selection == "applied" else draws["ca"][g]] if g >= 0 else 0.0
+        x = A @ x + B[:, 0] * (u + w[k])
+
+
+def drive(loop: Loop, answer: Callable[[int], bytes | None], ticks: int) -> MemorySink:
+    """Run a rig whose controller is a function of the slot."""
+    sink = MemorySink(loop.channels())
+    kernel = Kernel(VirtualClock())
+    rig = Rig(loop, 0, sink, loop.channels(), lambda frame: None, kernel.stop)
+    period = loop.experiment.period_ns
+    for k in range(ticks):
+        rig.sense(k * period)
+        data = answer(k)
+        if data is not None:
+            rig.hear(data)
+        rig.actuate(k * period)
+        if kernel.stopped:
+            break
+    return sink
+
+
+def answer(k: int, rows: tuple[tuple[float, ...], ...] = ((0.1,), (0.1,))) -> bytes:
+    return encode_control(ControlPacket(k, k * 50_000_000, k * 50_000_000, 0, 1, rows))
+
+
+def statuses(loop: Loop, sink: MemorySink) -> list[int]:
+    from hil.log.read.run import Run
+
+    return Run.from_memory(sink).arrays["/actuator/applied"]["status"].tolist()
+
+
+def kinds(sink: MemorySink) -> list[str]:
+    from hil.log.read.run import Run
+
+    return [e["kind"] for e in Run.from_memory(sink).events]
+
+
+def test_silent_controller_trips_the_watchdog_and_the_run_ends_after_the_grace(loop: Loop) -> None:
+    sink = drive(loop, lambda k: None, 100)
+    got = statuses(loop, sink)
+    assert got[:2] == [NONE_YET, NONE_YET]
+    assert SAFE in got[:6] and set(got[5:]) == {SAFE}
+    assert len(got) < 30  # 1 s of 50 ms after the trip
+    assert "safety" in kinds(sink)
+
+
+def test_controller_that_dies_is_followed_by_hold_then_the_latched_safe_state(loop: Loop) -> None:
+    sink = drive(loop, lambda k: answer(k) if k < 20 else None, 60)
+    got = statuses(loop, sink)
+    assert OK in got[:20] and HOLD in got[20:25] and got[-1] == SAFE
+    assert got.index(SAFE) - 20 <= 1 + 3 + 1  # d_max + watchdog ticks
+
+
+def test_controller_that_comes_back_after_a_trip_stays_locked_out(loop: Loop) -> None:
+    sink = drive(loop, lambda k: answer(k) if k < 5 or k > 12 else None, 60)
+    got = statuses(loop, sink)
+    assert got[-1] == SAFE and OK not in got[13:]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_rows_that_are_not_finite_are_refused_and_count_as_missing(loop: Loop, value: float) -> None:
+    sink = drive(loop, lambda k: answer(k, ((0.1,), (value,))), 40)
+    assert kinds(sink)[:2] == ["refused", "safety"]
+    assert OK not in statuses(loop, sink)
+
+
+@pytest.mark.parametrize("rows", [((0.1,),), ((0.1,), (0.1,), (0.1,)), ((0.1, 0.1), (0.1, 0.1)), ()])
+def test_packets_of_another_shape_are_refused(loop: Loop, rows: tuple[tuple[float, ...], ...]) -> None:
+    assert "refused" in kinds(drive(loop, lambda k: answer(k, rows), 10))
+
+
+def test_command_beyond_its_limit_leads_to_zero_input(loop: Loop) -> None:
+    from hil.log.read.run import Run
+
+    sink = drive(loop, lambda k: answer(k, ((7.0,), (7.0,))), 40)
+    applied = Run.from_memory(sink).arrays["/actuator/applied"]
+    assert np.abs(applied["voltage"]).max() == 0.0
+    assert "beyond its limit 5" in next(e["message"] for e in Run.from_memory(sink).events if e["kind"] == "safety")
+
+
+def test_late_answer_is_lost_and_logged_never_another_delay(loop: Loop) -> None:
+    from hil.log.read.run import Run
+
+    sink = drive(loop, lambda k: answer(k - 1) if k == 10 else answer(k), 20)
+    run = Run.from_memory(sink)
+    frames = run.arrays["/link/control"]
+    assert frames["tick"][frames["late"] == 1].tolist() == [9]
+    assert 10 not in frames["tick"][frames["late"] == 0].tolist()
+    assert [e["tick"] for e in run.events if e["kind"] == "late"] == [10]
+
+
+def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> None:
+    rng = np.random.default_rng(0)
+    sink = MemorySink(loop.channels())
+    rig = Rig(loop, 0, sink, loop.channels(), lambda frame: None, lambda: None)
+    rig.sense(0)
+    for _ in range(300):
+        assert rig.hear(rng.bytes(int(rng.integers(0, 80)))) is False
+    assert rig.malformed == 300
+    rig.hear(answer(0))
+    rig.actuate(0)
+    assert rig.outcome()["refused"] == 0
+
+
+def test_a_second_controller_that_says_otherwise_is_told_once(loop: Loop) -> None:
+    sink = MemorySink(loop.channels())
+    rig = Rig(loop, 0, sink, loop.channels(), lambda frame: None, lambda: None)
+    one, other = ([encode_control(ControlPacket(k, 0, 0, 0, 1, ((u,), (u,)))) for k in range(4)] for u in (0.0, 0.5))
+    for k in range(4):
+        rig.sense(k * loop.experiment.period_ns)
+        if k:
+            rig.hear(one[k - 1])  # a copy of what was applied says nothing
+            assert rig.contradicted == (k > 1)
+            rig.hear(other[k - 1])  # what came to the same question from somebody else
+        rig.hear(one[k])
+        rig.actuate(k * loop.experiment.period_ns)
+    kinds = [json.loads(payload)["kind"] for payload in sink.payloads["/events"]]
+    assert kinds.count("second controller") == 1

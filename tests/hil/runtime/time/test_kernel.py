@@ -1,0 +1,53 @@
+"""Order of events, and what the two clocks promise."""
+
+from __future__ import annotations
+
+import time
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.runtime.time.clock import RealClock, VirtualClock
+from hil.runtime.time.kernel import Kernel, Phase
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(list(Phase))), max_size=40))
+def test_events_run_by_time_then_phase_then_order_of_scheduling(events: list[tuple[int, Phase]]) -> None:
+    kernel, seen = Kernel(VirtualClock()), []
+    for i, (t_ns, phase) in enumerate(events):
+        kernel.at(t_ns, phase, lambda t, phase=phase, i=i: seen.append((t, phase, i)))  # type: ignore[misc]
+    kernel.run()
+    assert seen == sorted((t, phase, i) for i, (t, phase) in enumerate(events))
+
+
+def test_periodic_events_keep_their_phases_at_every_instant() -> None:
+    kernel, seen = Kernel(VirtualClock()), []
+    for phase in (Phase.ACTUATE, Phase.SENSE, Phase.EXCHANGE):
+        kernel.every(10, 3, phase, lambda t, phase=phase: seen.append((t, phase)))  # type: ignore[misc]
+    kernel.run()
+    assert seen == [(t, p) for t in (0, 10, 20) for p in (Phase.SENSE, Phase.EXCHANGE, Phase.ACTUATE)]
+
+
+def test_stop_ends_the_run_within_its_event() -> None:
+    kernel, seen = Kernel(VirtualClock()), []
+
+    def handler(t_ns: int) -> None:
+        seen.append(t_ns)
+        if t_ns == 20:
+            kernel.stop()
+
+    kernel.every(10, 100, Phase.SENSE, handler)
+    kernel.run()
+    assert seen == [0, 10, 20]
+    assert kernel.stopped
+
+
+def test_real_clock_never_returns_early_and_a_past_instant_costs_no_wait() -> None:
+    start = time.monotonic_ns()
+    clock = RealClock(start)
+    for t_ns in (3_000_000, 5_000_000, 1_000_000):
+        clock.wait_until(t_ns)
+        assert clock.now() >= t_ns
+    before = clock.now()
+    clock.wait_until(0)
+    assert clock.now() - before < 50_000_000

@@ -1,0 +1,180 @@
+"""Sweeps: kept on Ctrl-C, resumed, stopped by an interval, the same numbers on a cluster."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from design.monte_carlo.confidence import StopRule
+from design.monte_carlo.parallel import Ladder
+from hil.cli.sweep import command, stop_rule
+from hil.errors import HilError
+from hil.experiment import Experiment, load_experiment
+from hil.sweeps.seeds import COLUMNS, METRICS, run_sweep, sweep
+from hil.sweeps.store import SweepStore
+
+ONE_CORE = Ladder()
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    return load_experiment("dc-motor-hinf", ["duration=3"])
+
+
+@pytest.fixture(scope="module")
+def plain(experiment: Experiment) -> dict[str, Any]:
+    return sweep(experiment, range(40), jobs=1)
+
+
+def same(a: dict[str, Any], b: dict[str, Any]) -> None:
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name])
+
+
+def test_a_resumed_sweep_has_the_numbers_of_one_that_was_never_interrupted(
+    tmp_path: Path, experiment: Experiment, plain: dict[str, Any]
+) -> None:
+    told: list[int] = []
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        run_sweep(experiment, range(10, 25), ladder=ONE_CORE, store=store)
+    with open(tmp_path / "s", "ab") as torn:
+        torn.write(b'{"seed": 77, "ss')  # the machine died while it wrote
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        found = run_sweep(experiment, range(40), ladder=ONE_CORE, store=store, progress=told.append)
+    same(found.values, plain)
+    assert (told[0], told[-1]) == (15, 40)
+    assert len((tmp_path / "s").read_text().splitlines()) == 41
+
+
+def test_a_full_disk_is_said_and_costs_only_the_rows_that_did_not_fit(tmp_path: Path, experiment: Experiment) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+            with pytest.raises(HilError, match="s: cannot be written: File too large"):
+                run_sweep(experiment, range(20), ladder=ONE_CORE, store=store)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        assert 0 < len(store.rows) < 20
+
+
+def test_ctrl_c_keeps_what_is_done(tmp_path: Path, experiment: Experiment, plain: dict[str, Any]) -> None:
+    def interrupt(done: int) -> None:
+        if done >= 5:
+            raise KeyboardInterrupt
+
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        found = run_sweep(experiment, range(40), ladder=ONE_CORE, store=store, progress=interrupt)
+        assert found.interrupted
+        assert 5 <= found.values["seed"].size < 40
+        assert len(store.rows) == found.values["seed"].size
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        same(run_sweep(experiment, range(40), ladder=ONE_CORE, store=store).values, plain)
+
+
+@pytest.mark.parametrize(("number", "status", "send"), [(signal.SIGINT, 130, os.killpg), (signal.SIGTERM, 143, os.kill)])
+def test_a_signal_on_the_command_line_prints_and_exits_with_its_status(
+    tmp_path: Path, number: int, status: int, send: Callable[[int, int], None]
+) -> None:
+    kept = tmp_path / "kept"
+    words = ["sweep", "dc-motor-hinf", "--runs", "100000", "--jobs", "2", "--resume", str(kept), "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hil", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 60
+    while process.poll() is None and time.monotonic() < deadline and not (kept.exists() and kept.read_bytes().count(b"\n") > 10):
+        time.sleep(0.02)
+    send(process.pid, number)  # a terminal sends Ctrl-C to the workers too
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == status, err
+    found = json.loads(out)
+    assert 10 <= found["runs"] < 100000
+    assert found["runs"] == kept.read_bytes().count(b"\n") - 1
+    assert "the same command goes on" in err
+    assert "Traceback" not in err
+
+
+def test_it_stops_when_the_interval_is_narrow_enough(experiment: Experiment, plain: dict[str, Any]) -> None:
+    rule = StopRule(half_width=1.0, first_look=30)
+    found = run_sweep(experiment, range(40), ladder=ONE_CORE, until=("sse", rule))
+    assert found.reached
+    assert found.values["seed"].size == 30
+    np.testing.assert_array_equal(found.values["sse"], plain["sse"][:30])
+    never = run_sweep(experiment, range(40), ladder=ONE_CORE, until=("sse", StopRule(half_width=1e-9, first_look=30)))
+    assert not never.reached
+    assert never.interval is not None
+    assert never.interval.n == 40
+    same(never.values, plain)
+
+
+def test_a_cluster_of_two_workers_gives_the_same_numbers(experiment: Experiment, plain: dict[str, Any]) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs=50
+    ) as cluster:
+        ladder = Ladder(backend="dask", scheduler=cluster.scheduler_address)
+        same(run_sweep(experiment, range(40), ladder=ladder).values, plain)
+
+
+def test_a_file_of_another_sweep_is_refused(tmp_path: Path, experiment: Experiment) -> None:
+    SweepStore(tmp_path / "s", experiment, COLUMNS).close()
+    SweepStore(tmp_path / "s", load_experiment("dc-motor-hinf", ["duration=3", "seed=9"]), COLUMNS).close()
+    with pytest.raises(HilError, match="with another digest"):
+        SweepStore(tmp_path / "s", load_experiment("dc-motor-hinf", ["duration=2"]), COLUMNS)
+    (tmp_path / "note").write_text("buy milk")
+    with pytest.raises(HilError, match="is not the file of a sweep"):
+        SweepStore(tmp_path / "note", experiment, COLUMNS)
+    assert (tmp_path / "note").read_text() == "buy milk"
+    (tmp_path / "bad").write_bytes((tmp_path / "s").read_bytes() + b"[1]\n")
+    with pytest.raises(HilError, match="line 2 is not a row"):
+        SweepStore(tmp_path / "bad", experiment, COLUMNS)
+    with pytest.raises(HilError, match=r"^--resume: "):
+        SweepStore(tmp_path / "no" / "such", experiment, COLUMNS)
+
+
+def test_two_sweeps_cannot_share_a_file(tmp_path: Path, experiment: Experiment) -> None:
+    with SweepStore(tmp_path / "s", experiment, COLUMNS), pytest.raises(HilError, match="in use"):
+        SweepStore(tmp_path / "s", experiment, COLUMNS)
+
+
+def test_undefined_metrics_survive_the_file(tmp_path: Path, experiment: Experiment) -> None:
+    row = dict.fromkeys(COLUMNS, 1.25) | {"settling_time_s": float("nan"), "seed": 3}
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        store.add([row])
+    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
+        np.testing.assert_equal(store.rows, {3: row})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("speed=1", "'speed' is not one of"), ("sse", "'' is not a number"), ("sse=0", "half_width"), ("max:sse=1", "statistic")],
+)
+def test_a_stopping_rule_that_cannot_be_is_refused(text: str, message: str) -> None:
+    with pytest.raises(HilError, match=rf"^--until: .*{message}"):
+        stop_rule(text, 0.95, METRICS)
+
+
+def test_status_is_1_when_the_runs_did_not_suffice() -> None:
+    words = ["dc-motor-hinf", "--set", "duration=3", "--runs", "31", "--jobs", "1", "--until", "sd:sse=1e-9", "--json"]
+    done = CliRunner().invoke(command, words)
+    assert done.exit_code == 1
+    wanted = json.loads(done.stdout)["until"]
+    assert wanted["statistic"] == "sd"
+    assert not wanted["reached"]
+    refused = CliRunner().invoke(command, ["dc-motor-hinf", "--backend", "dask"])
+    assert isinstance(refused.exception, HilError)
+    assert "--scheduler" in str(refused.exception)

@@ -1,0 +1,112 @@
+"""Every plant of ours keeps to the contract, and the check notices one that does not."""
+
+import dataclasses
+import hashlib
+import struct
+import subprocess
+import sys
+
+import msgspec
+import numpy as np
+import pytest
+
+import plants
+from plants import DCMotor, DelayedVTOL, FaultyVTOL, Omni, PlantError, SwitchedExample, check_plant
+from plants.parts.linear import LinearRun, Signal
+
+OURS = {
+    "dc-motor": DCMotor(),
+    "dc-motor-experimental": DCMotor.experimental(),
+    "vtol": plants.VTOL(),
+    "omni": Omni(),
+    "smjls": SwitchedExample(),
+    "smjls-sampled": SwitchedExample(uncertainty="sampled"),
+    "vtol-delayed": DelayedVTOL(),
+    "vtol-fault": FaultyVTOL(),
+}
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_our_plants_keep_to_the_contract(name):
+    check_plant(OURS[name])
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_parameters_survive_the_way_through_plain_values(name):
+    """What an experiment writes down as its resolved form gives the same plant again."""
+    plant = OURS[name]
+    assert msgspec.convert(msgspec.json.decode(msgspec.json.encode(plant)), type(plant)) == plant
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_every_parameter_is_documented(name):
+    plant = type(OURS[name])
+    for field in dataclasses.fields(plant):
+        assert field.name in plant.__doc__.split("Args:")[1], field.name
+
+
+class Integrator:
+    """A plant that keeps to the contract, to be broken in one rule each."""
+
+    inputs = outputs = states = (Signal("x", "1"),)
+
+    def model(self):
+        return plants.StateSpace(A=[[0.0]], B=[[1.0]], C=[[1.0]])
+
+    def start(self, rng):
+        return LinearRun(self.model(), (rng.normal(),))
+
+
+def test_a_plant_that_is_not_ours_can_be_checked():
+    check_plant(Integrator(), tolerance=1e-15)
+
+
+class Unseeded(Integrator):
+    def start(self, rng):
+        return LinearRun(self.model(), (np.random.default_rng().normal(),))
+
+
+class Twins(Integrator):
+    states = (Signal("x", "1"), Signal("x", "1"))
+
+
+class Wide(Integrator):
+    inputs = (Signal("a", "V"), Signal("b", "V"))
+
+
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        (Unseeded(), "Unseeded.start: same seed, another state"),
+        (Twins(), "Twins.states: a name comes twice"),
+        (Wide(), "Wide.model: 1 inputs, expected 2"),
+    ],
+)
+def test_a_plant_that_breaks_a_rule_is_named(plant, message):
+    with pytest.raises(PlantError, match=message):
+        check_plant(plant)
+
+
+def test_plants_load_nothing_that_is_slow():
+    """A rig imports its plant: no scipy, no control, no matplotlib may come with it."""
+    code = "import sys, plants; plants.VTOL().model().discretise(0.01); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"scipy", "control", "cvxpy", "matplotlib"} & set(loaded)
+    assert "plants.dc_motor" in loaded
+
+
+@pytest.mark.parametrize(
+    ("plant", "digest"),
+    [
+        (DCMotor(), "7a738910c6601d2a"),
+        (DCMotor.experimental(), "df6e640da947bdcb"),
+        (plants.VTOL(initial_state=(1.0, 0.5, -0.2, 0.3)), "72550cfe4a70cc38"),
+    ],
+)
+def test_states_are_the_same_bits_on_every_machine(plant, digest):
+    """The digests were taken on one machine; integers and IEEE operations leave no other outcome."""
+    run, h = plant.start(np.random.default_rng(0)), hashlib.sha256()
+    for k in range(400):
+        run.advance(10_000_000, (0.01 * ((k * 7919) % 13 - 6),) * len(plant.inputs))
+        h.update(struct.pack(f"<{len(run.state)}d", *run.state))
+    assert h.hexdigest()[:16] == digest

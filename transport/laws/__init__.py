@@ -1,0 +1,1 @@
+"""Network laws: how old the newest packet is, or what happens to each packet."""

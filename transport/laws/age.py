@@ -1,0 +1,318 @@
+"""Age laws with at most one step of memory: constant, iid and Markov (the thesis's model, (7.34))."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transport.laws.stochastic_matrix import (
+    Row,
+    checked_matrix,
+    checked_row,
+    cumulative,
+    stationary_row,
+    uniforms,
+)
+
+Initial = Literal["stationary", "uniform"] | tuple[float, ...]
+LARGEST_AGE = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class AgePath:
+    """A running age law as an endless iterator of (mode, age); `draw` is the iterator's own `__next__`, hence fast."""
+
+    draw: Callable[[], tuple[int, int]]
+
+    @classmethod
+    def of(cls, states: Iterator[tuple[int, int]]) -> AgePath:
+        """Return the path over these states. The first is drawn now: slot 0 does not pay for what a law does once."""
+        return cls(chain((next(states),), states).__next__)
+
+
+def checked_age(path: str, age: object) -> int:
+    """Return an age in slots, 0 to `LARGEST_AGE` (it bounds the memory of the impairment).
+
+    >>> checked_age("age", -1)
+    Traceback (most recent call last):
+    ValueError: age: got -1, expected a whole number of slots, 0 to 100000
+    """
+    if isinstance(age, (bool, np.bool_)) or not isinstance(age, (int, np.integer)) or not 0 <= age <= LARGEST_AGE:
+        raise ValueError(f"{path}: got {age!r}, expected a whole number of slots, 0 to {LARGEST_AGE}")
+    return int(age)
+
+
+def checked_ages(ages: object, modes: int) -> tuple[int, ...] | None:
+    """Return the mapping mode -> age, or None for the identity; `modes` entries."""
+    if ages is None:
+        return None
+    if isinstance(ages, str) or not isinstance(ages, Sequence):
+        raise ValueError(f"ages: got {ages!r}, expected one age per mode")
+    if len(ages) != modes:
+        raise ValueError(f"ages: has {len(ages)} entries, expected one age per mode, {modes}")
+    return tuple(checked_age(f"ages[{i}]", age) for i, age in enumerate(ages))
+
+
+def refuse_gaps(matrix: Sequence[Row], ages: Sequence[int]) -> None:
+    """Refuse a chain in which an age can grow by more than one per slot.
+
+    A receiver that keeps the newest packet ages by exactly one per slot when nothing newer comes, so `age[j] > age[i]
+    + 1` with P_ij > 0 describes no packet link.
+
+    Raises:
+        ValueError: names the offending entry.
+
+    >>> refuse_gaps([(0.6, 0.3, 0.1), (1, 0, 0), (1, 0, 0)], [0, 1, 2])
+    Traceback (most recent call last):
+    ValueError: matrix[0][2]: 0.1 lets the age grow from 0 to 2, at most 1 per slot is possible (allow_gaps permits it)
+    """
+    for i, row in enumerate(matrix):
+        for j, p in enumerate(row):
+            if p > 0.0 and ages[j] > ages[i] + 1:
+                raise ValueError(
+                    f"matrix[{i}][{j}]: {p:g} lets the age grow from {ages[i]} to {ages[j]}, "
+                    "at most 1 per slot is possible (allow_gaps permits it)"
+                )
+
+
+def checked_initial(initial: object, modes: int) -> Initial:
+    """Return the initial law: "stationary", "uniform", or one probability per mode."""
+    if initial == "stationary":
+        return "stationary"
+    if initial == "uniform":
+        return "uniform"
+    if isinstance(initial, str):
+        raise ValueError(f'initial: got {initial!r}, expected "stationary", "uniform" or a list of probabilities')
+    return checked_row("initial", initial, modes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConstantAge:
+    """Every packet is `age` slots old when it is used.
+
+    Args:
+        age: slots.
+
+    Raises:
+        ValueError: `age` is no whole number of slots.
+
+    >>> ConstantAge(age=2).start(np.random.default_rng(0)).draw()
+    (0, 2)
+    """
+
+    kind: ClassVar[str] = "constant"
+    family: ClassVar[Literal["age"]] = "age"
+    allow_gaps: ClassVar[bool] = False
+
+    age: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "age", checked_age("age", self.age))
+
+    @property
+    def max_age(self) -> int:
+        """The age itself."""
+        return self.age
+
+    @property
+    def mode_ages(self) -> tuple[int, ...]:
+        """Age of every mode, in slots."""
+        return (self.age,)
+
+    def start(self, rng: np.random.Generator) -> AgePath:
+        """Return the process; it draws nothing from `rng`."""
+        state = (0, self.age)
+        return AgePath(lambda: state)
+
+    def transition_matrix(self) -> NDArray[np.float64]:
+        """Return the one-mode chain, (1, 1)."""
+        return np.ones((1, 1))
+
+    def stationary(self) -> NDArray[np.float64]:
+        """Return the stationary law over modes, (1,)."""
+        return np.ones(1)
+
+    def mean_bursts(self) -> NDArray[np.float64]:
+        """Return the mean number of slots that a mode lasts, (1,): without end."""
+        return np.array([np.inf])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IidAge:
+    """Independent ages: Pr(age_k = i) = probabilities[i].
+
+    With more than two adjacent ages in its support this describes no link that keeps the newest packet, see
+    `refuse_gaps`.
+
+    Args:
+        probabilities: of ages 0, 1, ..., sum 1.
+        allow_gaps: accept an age that can grow by more than one per slot.
+
+    Raises:
+        ValueError: names the entry.
+
+    Reference: the iid case of section 7.2.
+    """
+
+    kind: ClassVar[str] = "iid"
+    family: ClassVar[Literal["age"]] = "age"
+
+    probabilities: tuple[float, ...]
+    allow_gaps: bool = False
+
+    def __post_init__(self) -> None:
+        row = checked_row("probabilities", self.probabilities)
+        support = [i for i, p in enumerate(row) if p > 0.0]
+        if support[-1] > support[0] + 1 and not self.allow_gaps:
+            i, j = support[0], next(j for j in support if j > support[0] + 1)
+            raise ValueError(
+                f"probabilities[{j}]: {row[j]:g} lets the age grow from {i} to {j}, "
+                "at most 1 per slot is possible (allow_gaps permits it)"
+            )
+        checked_age("probabilities", len(row) - 1)
+        object.__setattr__(self, "probabilities", row)
+
+    @property
+    def max_age(self) -> int:
+        """Largest age of positive probability, in slots."""
+        return max(i for i, p in enumerate(self.probabilities) if p > 0.0)
+
+    @property
+    def mode_ages(self) -> tuple[int, ...]:
+        """Age of every mode, in slots: the mode itself."""
+        return tuple(range(len(self.probabilities)))
+
+    def start(self, rng: np.random.Generator) -> AgePath:
+        """Return the process: one uniform number per slot."""
+        return AgePath.of(self._path(rng))
+
+    def _path(self, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
+        row = cumulative(self.probabilities)
+        states = [(age, age) for age in self.mode_ages]
+        for u in uniforms(rng):
+            yield states[bisect_right(row, u)]
+
+    def transition_matrix(self) -> NDArray[np.float64]:
+        """Return the chain with equal rows, (n, n)."""
+        return np.tile(self.probabilities, (len(self.probabilities), 1))
+
+    def stationary(self) -> NDArray[np.float64]:
+        """Return the stationary law over modes, (n,)."""
+        return np.array(self.probabilities)
+
+    def mean_bursts(self) -> NDArray[np.float64]:
+        """Return the mean number of slots that a mode lasts, (n,): 1/(1 - p_i)."""
+        return mean_holding(self.transition_matrix())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChainAge:
+    """What Markov and semi-Markov age laws share: a chain over modes, each with an age."""
+
+    matrix: tuple[tuple[float, ...], ...]
+    initial: Initial = "stationary"
+    ages: tuple[int, ...] | None = None
+    allow_gaps: bool = False
+
+    def __post_init__(self) -> None:
+        matrix = checked_matrix("matrix", self.matrix)
+        object.__setattr__(self, "matrix", matrix)
+        self._check_modes()
+        object.__setattr__(self, "ages", checked_ages(self.ages, len(matrix)))
+        object.__setattr__(self, "initial", checked_initial(self.initial, len(matrix)))
+        if not self.allow_gaps:
+            refuse_gaps(matrix, self.mode_ages)
+        if self.initial == "stationary":
+            try:
+                stationary_row(matrix)
+            except ValueError as fault:
+                raise ValueError(f'initial: {fault}; give "uniform" or a list') from None
+
+    def _check_modes(self) -> None:
+        """Refuse a mode that the law cannot have."""
+
+    @property
+    def max_age(self) -> int:
+        """Largest age of any mode, in slots."""
+        return max(self.mode_ages)
+
+    @property
+    def mode_ages(self) -> tuple[int, ...]:
+        """Age of every mode, in slots."""
+        return tuple(range(len(self.matrix))) if self.ages is None else self.ages
+
+    def stationary(self) -> NDArray[np.float64]:
+        """Return the share of slots spent in every mode, (n,)."""
+        return stationary_row(self.matrix)
+
+    def initial_law(self) -> NDArray[np.float64]:
+        """Return the law of the mode in slot 0, (n,)."""
+        if self.initial == "stationary":
+            return self.stationary()
+        if self.initial == "uniform":
+            return np.full(len(self.matrix), 1.0 / len(self.matrix))
+        return np.array(self.initial, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MarkovAge(ChainAge):
+    """Ages driven by a Markov chain: Pr(mode_{k+1} = j | mode_k = i) = matrix[i][j].
+
+    Args:
+        matrix: (n, n) row-stochastic.
+        initial: law of the mode in slot 0: "stationary", "uniform", or one probability per mode.
+        ages: age of every mode in slots; the mode's own number by default.
+        allow_gaps: accept an age that can grow by more than one per slot.
+        allow_absorbing: accept a mode that is never left.
+
+    Raises:
+        ValueError: names the row or the entry.
+
+    Reference: section 7.2, (7.34).
+
+    >>> law = MarkovAge(matrix=((0.5, 0.5), (0.7, 0.3)))
+    >>> law.mean_bursts().round(4).tolist()
+    [2.0, 1.4286]
+    """
+
+    kind: ClassVar[str] = "markov"
+    family: ClassVar[Literal["age"]] = "age"
+
+    allow_absorbing: bool = False
+
+    def _check_modes(self) -> None:
+        for i, row in enumerate(self.matrix):
+            if row[i] == 1.0 and len(self.matrix) > 1 and not self.allow_absorbing:
+                raise ValueError(f"matrix[{i}]: mode {i} is never left (allow_absorbing permits it)")
+
+    def start(self, rng: np.random.Generator) -> AgePath:
+        """Return the process: one uniform number per slot."""
+        return AgePath.of(self._path(rng))
+
+    def _path(self, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
+        rows = [cumulative(row) for row in self.matrix]
+        states = list(enumerate(self.mode_ages))
+        row = cumulative(self.initial_law().tolist())
+        for u in uniforms(rng):
+            mode = bisect_right(row, u)
+            yield states[mode]
+            row = rows[mode]
+
+    def transition_matrix(self) -> NDArray[np.float64]:
+        """Return the chain, (n, n)."""
+        return np.array(self.matrix)
+
+    def mean_bursts(self) -> NDArray[np.float64]:
+        """Return the mean number of slots that a mode lasts, (n,): 1/(1 - p_ii)."""
+        return mean_holding(self.transition_matrix())
+
+
+def mean_holding(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean number of slots that every mode of a chain lasts, (n,): 1/(1 - p_ii)."""
+    return np.array([1.0 / (1.0 - p) if p < 1.0 else np.inf for p in np.diag(matrix).tolist()])

@@ -1,0 +1,296 @@
+"""Latencies of packets in seconds: a constant, any scipy.stats law, a quantile table, or a recorded trace.
+
+Whatever the source, a law of latencies becomes a piecewise linear quantile function: level u of [0, 1] to seconds.
+Drawing is one bisection then, and only the process that composes a run ever loads scipy.stats.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transport.laws.stochastic_matrix import checked_row
+from transport.laws.trace import read_column
+
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+EARLY = 1e-6
+SMALLEST_LEVEL = 2.0**-33
+MOST_ATOMS = 100_000
+
+
+def seconds(path: str, value: object) -> float:
+    """Return a duration in seconds from a number (seconds) or a number with a unit.
+
+    >>> seconds("scale", "3 ms"), seconds("scale", 2)
+    (0.003, 2.0)
+    """
+    if isinstance(value, str):
+        number, _, unit = value.strip().partition(" ")
+        try:
+            return float(number) * UNITS[unit.strip() or "s"]
+        except (ValueError, KeyError):
+            pass
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    raise ValueError(f"{path}: got {value!r}, expected a duration: a number of seconds, or one with a unit of {', '.join(UNITS)}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QuantileTable:
+    """Law of a latency by its quantile function, linear between knots.
+
+    Equal values at two levels are an atom, two values at one level a gap in the support.
+
+    Args:
+        levels: (n,) rising from 0 to 1.
+        values_s: (n,) not falling, seconds.
+    """
+
+    levels: tuple[float, ...]
+    values_s: tuple[float, ...]
+
+    def sampler(self) -> Callable[[float], float]:
+        """Return the quantile function, level of [0, 1) to seconds, 0.2 us per call."""
+        levels, values = list(self.levels), list(self.values_s)
+        slopes = [
+            (v1 - v0) / (l1 - l0) if l1 > l0 else 0.0
+            for l0, l1, v0, v1 in zip(levels, levels[1:], values, values[1:], strict=False)
+        ]
+
+        def quantile(u: float) -> float:
+            i = bisect_right(levels, u) - 1
+            return values[i] + (u - levels[i]) * slopes[i]
+
+        return quantile
+
+    def in_order(self) -> Callable[[float], float]:
+        """Return what gives one packet after the other its latency: here the quantile function."""
+        return self.sampler()
+
+    def cdf(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return Pr(latency <= x), same shape; x in seconds."""
+        levels, values = np.array(self.levels), np.array(self.values_s)
+        below = np.searchsorted(values, x, side="right")
+        i = np.clip(below, 1, len(values) - 1)
+        step = values[i] - values[i - 1]
+        share = np.divide(x - values[i - 1], step, out=np.zeros(np.shape(x)), where=step > 0)
+        inside = levels[i - 1] + share * (levels[i] - levels[i - 1])
+        return np.asarray(np.where(below == 0, 0.0, np.where(below == len(values), 1.0, inside)), dtype=np.float64)
+
+    @property
+    def mean_s(self) -> float:
+        """Mean latency in seconds."""
+        return float(np.trapezoid(self.values_s, self.levels))
+
+    @property
+    def lost(self) -> float:
+        """Share of packets without a latency: none."""
+        return 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatencyTrace:
+    """Recorded latencies, one per slot from slot 0; infinite where the packet was lost. Copies draw any recorded
+    latency.
+
+    Args:
+        values_s: (n,) seconds.
+        repeat: begin again after the last one.
+    """
+
+    values_s: tuple[float, ...]
+    repeat: bool
+
+    def sampler(self) -> Callable[[float], float]:
+        """Return the map from a level of [0, 1) to any recorded latency of a packet that arrived."""
+        values = sorted(v for v in self.values_s if math.isfinite(v)) or [math.inf]
+        return lambda u: values[int(u * len(values))]
+
+    def in_order(self) -> Callable[[float], float]:
+        """Return what gives one packet after the other its recorded latency; the argument is not used."""
+        following = self._values().__next__
+        return lambda u: following()
+
+    def _values(self) -> Iterator[float]:
+        yield from cycle(self.values_s) if self.repeat else self.values_s
+        raise ValueError(f"latency.trace: has {len(self.values_s)} entries, and the run asks for more (past_end = 'refuse')")
+
+    def cdf(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the recorded share of latencies <= x among the packets that arrived, same shape; x in seconds."""
+        values = np.sort([v for v in self.values_s if math.isfinite(v)])
+        return np.asarray(np.searchsorted(values, x, side="right") / max(len(values), 1), dtype=np.float64)
+
+    @property
+    def mean_s(self) -> float:
+        """Mean latency in seconds of the packets that arrived."""
+        values = [v for v in self.values_s if math.isfinite(v)]
+        return math.fsum(values) / len(values) if values else math.nan
+
+    @property
+    def lost(self) -> float:
+        """Share of lost packets."""
+        return sum(math.isinf(v) for v in self.values_s) / len(self.values_s)
+
+
+Latency = QuantileTable | LatencyTrace
+LatencySpec = float | str | dict[str, Any]
+
+
+def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None, path: str = "latency") -> Latency:
+    """Return the law that an experiment describes.
+
+    Args:
+        spec: a duration (constant); `{dist, ...}`: name and parameters of a scipy.stats law, `loc` and `scale`
+            durations; `{table = [[level, duration], ...]}`: quantiles; `{trace = [duration or "lost", ...]}` or `{file
+            = "x.csv"}` with the column `latency_s` (or the first one), both with `past_end = "repeat" | "refuse"`.
+        directory: where a relative file name starts.
+        path: field path that starts every message.
+
+    Raises:
+        ValueError: names the entry.
+
+    >>> latency({"table": [[0, "1 ms"], [1, "3 ms"]]}).mean_s
+    0.002
+    """
+    if not isinstance(spec, Mapping):
+        value = _positive(path, spec)
+        return QuantileTable(levels=(0.0, 1.0), values_s=(value, value))
+    sources = [key for key in ("dist", "table", "trace", "file") if key in spec]
+    if len(sources) != 1:
+        raise ValueError(f"{path}: got the keys {list(spec)}, expected exactly one of dist, table, trace, file")
+    if sources[0] == "dist":
+        return _from_scipy(spec, path)
+    _known(spec, ("table",) if sources[0] == "table" else (sources[0], "past_end"), path)
+    if sources[0] == "table":
+        return _from_table(spec["table"], path + ".table")
+    past_end = spec.get("past_end", "repeat")
+    if past_end not in ("repeat", "refuse"):
+        raise ValueError(f'{path}.past_end: got {past_end!r}, expected "repeat" or "refuse"')
+    entries = spec.get("trace")
+    if sources[0] == "file":
+        path += ".file"
+        try:
+            entries = read_column(Path(directory or ".") / str(spec["file"]), "latency_s")
+        except ValueError as fault:
+            raise ValueError(f"{path}{str(fault).removeprefix('file')}") from None
+    else:
+        path += ".trace"
+    if isinstance(entries, str) or not isinstance(entries, Sequence) or not entries:
+        raise ValueError(f'{path}: got {entries!r}, expected a list of durations (or "lost")')
+    values = tuple(math.inf if v == "lost" else _positive(f"{path}[{k}]", v) for k, v in enumerate(entries))
+    return LatencyTrace(values_s=values, repeat=past_end == "repeat")
+
+
+def described(law: Latency) -> dict[str, Any]:
+    """Return the experiment's description of a law, without files or names: the inverse of `latency`."""
+    if isinstance(law, QuantileTable):
+        return {"table": tuple(zip(law.levels, law.values_s, strict=True))}
+    entries = tuple("lost" if math.isinf(v) else v for v in law.values_s)
+    return {"trace": entries, "past_end": "repeat" if law.repeat else "refuse"}
+
+
+def _positive(path: str, value: object) -> float:
+    result = seconds(path, value)
+    if not 0.0 <= result < math.inf:
+        raise ValueError(f"{path}: got {result:g} s, expected a finite duration >= 0")
+    return result
+
+
+def _known(spec: Mapping[str, Any], names: Sequence[str], path: str) -> None:
+    for key in spec:
+        if key not in names:
+            near = difflib.get_close_matches(str(key), names, n=1)
+            raise ValueError(f"{path}.{key}: unknown; expected {', '.join(names)}" + (f" ({near[0]}?)" if near else ""))
+
+
+def _from_table(rows: object, path: str) -> QuantileTable:
+    if isinstance(rows, str) or not isinstance(rows, Sequence) or len(rows) < 2:
+        raise ValueError(f"{path}: got {rows!r}, expected at least two rows [level, duration]")
+    knots: list[tuple[float, float]] = []
+    for i, row in enumerate(rows):
+        if isinstance(row, str) or not isinstance(row, Sequence) or len(row) != 2:
+            raise ValueError(f"{path}[{i}]: got {row!r}, expected [level, duration]")
+        level, value = seconds(f"{path}[{i}][0]", row[0]), _positive(f"{path}[{i}][1]", row[1])
+        if (i == 0 and level != 0.0) or (i == len(rows) - 1 and level != 1.0):
+            raise ValueError(f"{path}[{i}][0]: got {level:g}, expected levels from 0 to 1")
+        if knots and not (level >= knots[-1][0] and value >= knots[-1][1]):
+            raise ValueError(f"{path}[{i}]: [{level:g}, {value:g} s] falls below the row before, expected rising rows")
+        knots.append((level, value))
+    return QuantileTable(levels=tuple(level for level, _ in knots), values_s=tuple(value for _, value in knots))
+
+
+def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
+    from scipy import stats  # over a second of imports: only where a run is composed
+
+    name = spec["dist"]
+    family = getattr(stats, name, None) if isinstance(name, str) else None
+    if not isinstance(family, (stats.rv_continuous, stats.rv_discrete)):
+        laws = [n for n, law in vars(stats).items() if isinstance(law, (stats.rv_continuous, stats.rv_discrete))]
+        near = difflib.get_close_matches(str(name), laws, n=1)
+        raise ValueError(f"{path}.dist: {name!r} is no law of scipy.stats" + (f"; did you mean {near[0]!r}?" if near else ""))
+    shapes = [shape.strip() for shape in (family.shapes or "").split(",") if shape.strip()]
+    _known(spec, ["dist", *shapes, "loc", "scale"], path)
+    arguments: dict[str, float] = {}
+    for shape in shapes:
+        if shape not in spec:
+            raise ValueError(f"{path}.{shape}: missing; {name} has the parameters {', '.join([*shapes, 'loc', 'scale'])}")
+        value = spec[shape]
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError(f"{path}.{shape}: got {value!r}, expected a number")
+        arguments[shape] = float(value)
+    loc, scale = seconds(f"{path}.loc", spec.get("loc", 0.0)), seconds(f"{path}.scale", spec.get("scale", 1.0))
+    if not scale > 0.0:
+        raise ValueError(f"{path}.scale: got {scale:g} s, expected a positive duration")
+    frozen = family(**arguments)
+    described_as = f"{name}({', '.join(f'{k}={v:g}' for k, v in arguments.items())})"
+    discrete = isinstance(family, stats.rv_discrete)
+    levels, standard = _atoms(frozen, path) if discrete else _knots(frozen)
+    values = loc + scale * standard
+    if not np.isfinite(values).all() or (np.diff(values) < 0).any():
+        raise ValueError(f"{path}: {described_as} is no law with these parameters")
+    early = float(np.interp(0.0, values, levels)) if values[0] < 0.0 else 0.0
+    if early > EARLY:
+        raise ValueError(f"{path}: by {described_as} a share of {early:.2g} arrives before it is sent; shift it by loc")
+    return QuantileTable(levels=tuple(levels.tolist()), values_s=tuple(np.maximum(values, 0.0).tolist()))
+
+
+def _knots(frozen: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Knots of a continuous law: 512 steps in the middle, 16 per factor 2 in the tails down to 2^-33.
+
+    Level 0 and 1 belong to the ends of the support, or to the last knots where that is infinite: one packet in 10^10
+    is cut.
+    """
+    tail = 2.0 ** np.arange(-33.0, -5.0, 1.0 / 16.0)
+    inner = np.concatenate([tail, np.linspace(2.0**-5, 1.0 - 2.0**-5, 513), (1.0 - tail)[::-1]])
+    values = np.concatenate([frozen.ppf(inner[: len(tail) + 513]), frozen.isf(tail[::-1])])
+    ends = np.array(frozen.support(), dtype=np.float64)
+    ends = np.where(np.isfinite(ends), ends, values[[0, -1]])
+    return np.concatenate([[0.0], inner, [1.0]]), np.concatenate([ends[:1], values, ends[1:]])
+
+
+def _atoms(frozen: Any, path: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Knots of a discrete law: every atom is a flat piece."""
+    mean = float(frozen.mean())
+    middle = mean if math.isfinite(mean) else frozen.support()[0]
+    # Asked before the quantiles are, which scipy seeks atom by atom: under zipf(1.2) for hours.
+    if frozen.sf(middle + MOST_ATOMS) > SMALLEST_LEVEL:
+        raise ValueError(f"{path}: has more than {MOST_ATOMS} possible values, expected fewer")
+    low, high = frozen.ppf([SMALLEST_LEVEL, 1.0 - SMALLEST_LEVEL])
+    if not high - low < MOST_ATOMS:
+        raise ValueError(f"{path}: has {high - low:g} possible values, expected fewer than {MOST_ATOMS}")
+    atoms = np.arange(low, high + 1.0)
+    row = np.asarray(frozen.pmf(atoms), dtype=np.float64)
+    checked_row(path, (row / row.sum()).tolist())
+    reached = np.concatenate([[0.0], np.cumsum(row / row.sum())])
+    reached[-1] = 1.0
+    return np.repeat(reached, 2)[1:-1], np.repeat(atoms, 2)

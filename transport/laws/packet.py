@@ -1,0 +1,202 @@
+"""Packet laws: every packet has its own latency, may be lost, copied, and overtaken by a later one."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import ClassVar, Literal
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from transport.laws.age import mean_holding
+from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
+from transport.laws.stochastic_matrix import BLOCK, cumulative, stationary_row
+from transport.medium.draws import COPIED, LOST, NO_MODE, SENT, Draw
+
+SLOT_TOLERANCE = 1e-9
+LATEST = 1_000_000_000  # slots; heavy tails reach further, the log's 32-bit ages do not
+
+
+class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Loss in bursts: a channel that is good (mode 0) or bad (mode 1), a Markov chain over packets.
+
+    Args:
+        p_gb: probability of good to bad, per slot.
+        p_bg: probability of bad to good, per slot.
+        loss_good: loss probability while good.
+        loss_bad: loss probability while bad.
+
+    Reference: Gilbert (1960), Elliott (1963), Bell System Technical Journal.
+    """
+
+    p_gb: float
+    p_bg: float
+    loss_good: float = 0.0
+    loss_bad: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("p_gb", "p_bg", "loss_good", "loss_bad"):
+            _probability(name, getattr(self, name))
+        if self.p_gb == 0.0 == self.p_bg:
+            raise ValueError("p_gb: 0, and p_bg is 0 too: the channel never changes, expected one of them positive")
+        if self.p_bg == 0.0:
+            raise ValueError("p_bg: 0, so that the channel once bad stays so for ever, expected more")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PacketLaw:
+    """Independent latencies, with loss, duplication and reordering.
+
+    A packet sent in slot k with latency L arrives in slot k + j, j the smallest j >= 0 with L <= deadline + j T. Every
+    slot takes the same five random numbers, so that a change of one parameter leaves the draws of the others as they
+    are.
+
+    Args:
+        latency: see `transport.laws.latency.latency`: a duration, a scipy.stats law, a table of quantiles, or a recorded
+            trace.
+        loss: probability of losing a packet, or a Gilbert-Elliott channel.
+        duplication: probability that a packet that is not lost is followed by a copy with a latency of its own.
+        reordering: whether a packet may overtake an earlier one; otherwise it waits (first in, first out).
+        queue: packets in flight at most; what comes on top is dropped and booked as overflow.
+
+    Raises:
+        ValueError: names the field.
+
+    Reference: section 7.2 (clock-driven nodes).
+
+    >>> PacketLaw(latency={"dist": "gamma", "a": 2.0, "scale": "3 ms"}, loss=0.1).loss_probability
+    0.1
+    """
+
+    kind: ClassVar[str] = "packet"
+    family: ClassVar[Literal["packet"]] = "packet"
+
+    latency: LatencySpec
+    loss: float | GilbertElliott = 0.0
+    duplication: float = 0.0
+    reordering: bool = True
+    queue: int = 1024
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.latency, dict) or "file" not in self.latency:
+            latency(self.latency)
+        if not isinstance(self.loss, GilbertElliott):
+            _probability("loss", self.loss)
+        _probability("duplication", self.duplication)
+        if isinstance(self.queue, bool) or not 1 <= self.queue <= 1_000_000:
+            raise ValueError(f"queue: got {self.queue!r}, expected 1 to 1000000 packets")
+
+    def loaded(self, directory: str | PathLike[str] | None = None) -> PacketLaw:
+        """Return the law with its file of latencies read.
+
+        Raises:
+            ValueError: the file is missing or faulty; the message starts with "latency.file".
+        """
+        return self._described("file", directory)
+
+    def prepared(self) -> PacketLaw:
+        """Return the law with its latencies tabulated: it needs neither files nor scipy.stats any more."""
+        return self.loaded()._described("dist", None)
+
+    def _described(self, source: str, directory: str | PathLike[str] | None) -> PacketLaw:
+        if not isinstance(self.latency, dict) or source not in self.latency:
+            return self
+        return replace(self, latency=described(latency(self.latency, directory)))
+
+    @property
+    def max_age(self) -> None:
+        """No bound: loss in a row may last."""
+        return
+
+    @property
+    def length(self) -> int | None:
+        """Number of slots that the law serves, None for without end."""
+        law = latency(self.latency)
+        return len(law.values_s) if isinstance(law, LatencyTrace) and not law.repeat else None
+
+    def start(self, rng: np.random.Generator, period_s: float, deadline_s: float) -> PacketDraws:
+        """Return the process for slots of `period_s` seconds that close `deadline_s` after they begin.
+
+        Raises:
+            ValueError: a period that is not positive, a negative deadline.
+        """
+        if not 0.0 < period_s < math.inf:
+            raise ValueError(f"period_s: got {period_s:g}, expected a positive number of seconds")
+        if not 0.0 <= deadline_s < math.inf:
+            raise ValueError(f"deadline_s: got {deadline_s:g}, expected a number of seconds >= 0")
+        return PacketDraws(self, rng, period_s, deadline_s)
+
+    def transition_matrix(self) -> NDArray[np.float64]:
+        """Return the chain of the channel's modes: (1, 1), or (2, 2) good and bad."""
+        if not isinstance(self.loss, GilbertElliott):
+            return np.ones((1, 1))
+        return np.array([[1.0 - self.loss.p_gb, self.loss.p_gb], [self.loss.p_bg, 1.0 - self.loss.p_bg]])
+
+    def channel_losses(self) -> tuple[float, ...]:
+        """Return the channel's loss probability in every mode, (modes,), without what a recorded trace loses."""
+        if isinstance(self.loss, GilbertElliott):
+            return self.loss.loss_good, self.loss.loss_bad
+        return (self.loss,)
+
+    def stationary(self) -> NDArray[np.float64]:
+        """Return the stationary law over the channel's modes, (modes,)."""
+        return stationary_row(self.transition_matrix())
+
+    def mean_bursts(self) -> NDArray[np.float64]:
+        """Return the mean number of slots that a mode of the channel lasts, (modes,)."""
+        return mean_holding(self.transition_matrix())
+
+    @property
+    def loss_probability(self) -> float:
+        """Share of packets that are lost, in the long run."""
+        recorded = latency(self.latency).lost
+        return recorded + (1.0 - recorded) * float(self.stationary() @ self.channel_losses())
+
+
+class PacketDraws:
+    """A running packet law."""
+
+    def __init__(self, law: PacketLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> None:
+        latencies = latency(law.latency)
+        self._latency = latencies.in_order()
+        self._copy_latency = latencies.sampler()
+        self._losses = law.channel_losses()
+        self._rows = [cumulative(row) for row in law.transition_matrix().tolist()]
+        self._row = cumulative(law.stationary().tolist())
+        self._duplication = law.duplication
+        self._period_s = period_s
+        self._deadline_s = deadline_s
+        self._numbers: Callable[[], list[float]] = _fives(rng).__next__
+
+    def draw(self, k: int) -> list[Draw]:
+        """Return what becomes of the packet of slot k: sent or lost, and copied."""
+        u_mode, u_loss, u_latency, u_copy, u_copy_latency = self._numbers()
+        mode = bisect_right(self._row, u_mode)
+        self._row = self._rows[mode]
+        latency_s = self._latency(u_latency)
+        if u_loss < self._losses[mode] or latency_s == math.inf:
+            return [Draw(k, k, mode, -1, math.nan, LOST)]
+        draws = [Draw(k, k, mode, self._slots(latency_s), latency_s, SENT)]
+        if u_copy < self._duplication:
+            latency_s = self._copy_latency(u_copy_latency)
+            draws.append(Draw(k, k, NO_MODE, self._slots(latency_s), latency_s, COPIED))
+        return draws
+
+    def _slots(self, latency_s: float) -> int:
+        slots = math.ceil((latency_s - self._deadline_s) / self._period_s - SLOT_TOLERANCE)
+        return min(max(0, slots), LATEST)
+
+
+def _fives(rng: np.random.Generator) -> Iterator[list[float]]:
+    while True:
+        yield from rng.random((BLOCK, 5)).tolist()
+
+
+def _probability(path: str, value: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
+        raise ValueError(f"{path}: got {value!r}, expected a probability, 0 to 1")

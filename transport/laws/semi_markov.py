@@ -1,0 +1,130 @@
+"""Semi-Markov ages: an embedded chain says where to go next, a sojourn law per mode says for how long to stay."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transport.laws.age import AgePath, ChainAge
+from transport.laws.sojourn import SojournLaw, hazards, mean_sojourn, remaining_sampler
+from transport.laws.stochastic_matrix import cumulative, stationary_row, uniforms
+
+
+class AugmentedChain(NamedTuple):
+    """A semi-Markov chain as a Markov chain on (mode, slots spent in it).
+
+    Attributes:
+        matrix: (N, N) row-stochastic.
+        modes: mode of every state, (N,).
+        slots: slots spent in the mode, this one included, (N,); the last of a mode may stand for all longer ones.
+    """
+
+    matrix: NDArray[np.float64]
+    modes: NDArray[np.int64]
+    slots: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SemiMarkovAge(ChainAge):
+    """Ages driven by a semi-Markov chain.
+
+    A mode i lasts h slots, h drawn from sojourn[i], then mode j follows with probability matrix[i][j]. Modes may share
+    an age.
+
+    Args:
+        matrix: (n, n) embedded chain: row-stochastic, zero diagonal.
+        sojourn: one sojourn law per mode.
+        initial: slot 0 is met in a long run ("stationary", in the midst of a sojourn), or begins a sojourn in a mode drawn
+            from "uniform" or from one probability per mode.
+        ages: age of every mode in slots; the mode's own number by default.
+        allow_gaps: accept an age that can grow by more than one per slot.
+
+    Raises:
+        ValueError: names the row or the entry.
+
+    Reference: section 8.2.1.
+    """
+
+    kind: ClassVar[str] = "semi-markov"
+    family: ClassVar[Literal["age"]] = "age"
+
+    sojourn: tuple[SojournLaw, ...]
+
+    def _check_modes(self) -> None:
+        for i, row in enumerate(self.matrix):
+            if row[i] != 0.0:
+                fault = f"mode {i} is never left" if row[i] == 1.0 else f"mode {i} follows itself"
+                raise ValueError(f"matrix[{i}][{i}]: {row[i]:g}, {fault}; expected 0, the sojourn law says how long")
+        object.__setattr__(self, "sojourn", tuple(self.sojourn))
+        if len(self.sojourn) != len(self.matrix):
+            raise ValueError(f"sojourn: has {len(self.sojourn)} laws, expected one per mode, {len(self.matrix)}")
+
+    def start(self, rng: np.random.Generator) -> AgePath:
+        """Return the process: two uniform numbers per sojourn."""
+        return AgePath.of(self._path(rng))
+
+    def _path(self, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
+        uniform = uniforms(rng).__next__
+        rows = [cumulative(row) for row in self.matrix]
+        states = list(enumerate(self.mode_ages))
+        samplers = [law.sampler() for law in self.sojourn]
+        mode = bisect_right(cumulative(self.initial_law().tolist()), uniform())
+        first = remaining_sampler(self.sojourn[mode]) if self.initial == "stationary" else samplers[mode]
+        slots = first(uniform())
+        while True:
+            state = states[mode]
+            for _ in range(slots):
+                yield state
+            mode = bisect_right(rows[mode], uniform())
+            slots = samplers[mode](uniform())
+
+    def stationary(self) -> NDArray[np.float64]:
+        """Return the share of slots spent in every mode, (n,): nu_i E h_i / sum_j nu_j E h_j, nu P = nu."""
+        weights = stationary_row(self.matrix) * self.mean_bursts()
+        return np.asarray(weights / weights.sum(), dtype=np.float64)
+
+    def mean_bursts(self) -> NDArray[np.float64]:
+        """Return the mean number of slots that a mode lasts, (n,)."""
+        return np.array([mean_sojourn(law) for law in self.sojourn])
+
+
+def augmented_chain(law: SemiMarkovAge, longest: int = 1000) -> AugmentedChain:
+    """Return the Markov chain on (mode, slots spent in it) that a semi-Markov law is.
+
+    From (i, h) the chain leaves to (j, 1) with probability hazard_i(h) matrix[i][j] and else goes on to (i, h+1). A
+    constant hazard needs one state. The last state of a mode goes on to itself with its own hazard: exact where the
+    sojourn law ends or its hazard is constant from there on, otherwise an approximation beyond `longest` slots.
+
+    Args:
+        law: the semi-Markov law, n modes.
+        longest: largest number of states per mode.
+
+    Reference: section 8.2.1.
+
+    >>> from transport.laws.sojourn import Geometric, Uniform
+    >>> law = SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Geometric(p=0.25), Uniform(low=1, high=2)))
+    >>> augmented_chain(law).matrix.tolist()
+    [[0.75, 0.25, 0.0], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]]
+    """
+    rows = [_distinct(hazards(sojourn, min(sojourn.support, longest))) for sojourn in law.sojourn]
+    first = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    matrix = np.zeros((first[-1], first[-1]))
+    for i, row in enumerate(rows):
+        for h, leaving in enumerate(row):
+            state = first[i] + h
+            matrix[state, first[:-1]] = leaving * np.array(law.matrix[i])
+            matrix[state, min(state + 1, first[i + 1] - 1)] += 1.0 - leaving
+    modes = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
+    slots = np.concatenate([np.arange(1, len(row) + 1) for row in rows])
+    return AugmentedChain(matrix, modes, slots)
+
+
+def _distinct(hazard: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cut the tail in which the hazard no longer changes."""
+    changes = np.flatnonzero(np.abs(np.diff(hazard)) > 1e-12)
+    return hazard[: 1 if not len(changes) else changes[-1] + 2]

@@ -1,0 +1,231 @@
+"""Sojourn laws: for how many slots a mode of a semi-Markov chain lasts, Pr(h = 1), Pr(h = 2), ...
+
+Every law is given by its survival function S(n) = Pr(h > n), S(0) = 1. All else follows from it: the hazard
+Pr(h = n | h >= n) = 1 - S(n)/S(n-1), the mean sum_{n>=0} S(n), the draw h = smallest n with S(n) <= 1 - u.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from transport.laws.stochastic_matrix import checked_row
+
+LONGEST = 100_000
+TAIL = 1e-12
+
+
+class Sojourn(Protocol):
+    """Law of a sojourn time in slots, at least one."""
+
+    def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return S(n) = Pr(h > n) for an array of n >= 0, same shape."""
+        ...
+
+    def sampler(self) -> Callable[[float], int]:
+        """Return the map from a uniform number of [0, 1) to a sojourn time."""
+        ...
+
+    @property
+    def support(self) -> int:
+        """Largest sojourn time, or the one beyond which the probability is below 1e-12."""
+        ...
+
+
+class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="geometric"):
+    """Pr(h = n) = p (1-p)^(n-1): the memoryless law of a Markov chain.
+
+    Args:
+        p: probability of leaving in a slot, 0 < p <= 1.
+
+    >>> mean_sojourn(Geometric(p=0.25))
+    4.0
+    """
+
+    p: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.p <= 1.0:
+            raise ValueError(f"p: got {self.p:g}, expected 0 < p <= 1")
+        _refuse_longest("p", self.support)
+
+    @property
+    def support(self) -> int:
+        """Sojourn time beyond which the probability is below 1e-12."""
+        return 1 if self.p == 1.0 else math.ceil(math.log(TAIL) / math.log1p(-self.p))
+
+    def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return S(n) = (1-p)^n."""
+        return np.asarray((1.0 - self.p) ** slots, dtype=np.float64)
+
+    def sampler(self) -> Callable[[float], int]:
+        """Return the inverse of the distribution function."""
+        if self.p == 1.0:
+            return lambda u: 1
+        scale = 1.0 / math.log1p(-self.p)
+        return lambda u: int(math.log1p(-u) * scale) + 1
+
+
+class DiscreteWeibull(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="discrete-weibull"
+):
+    """S(n) = q^(n^beta), discrete Weibull law of type I (Nakagawa and Osaki, 1975).
+
+    The hazard falls with time for beta < 1 (long bursts get longer) and rises for beta > 1; beta = 1 is geometric, p =
+    1 - q.
+
+    Args:
+        q: probability of staying at least two slots, 0 < q < 1.
+        beta: shape, > 0.
+    """
+
+    q: float
+    beta: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.q < 1.0:
+            raise ValueError(f"q: got {self.q:g}, expected 0 < q < 1")
+        if not 0.0 < self.beta < math.inf:
+            raise ValueError(f"beta: got {self.beta:g}, expected a positive number")
+        _refuse_longest("beta", self.support)
+
+    @property
+    def support(self) -> int:
+        """Sojourn time beyond which the probability is below 1e-12."""
+        slots = _root(math.log(TAIL) / math.log(self.q), self.beta)
+        return math.ceil(slots) if slots <= LONGEST else LONGEST + 1
+
+    def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return S(n) = q^(n^beta)."""
+        return np.asarray(self.q ** (slots.astype(np.float64) ** self.beta), dtype=np.float64)
+
+    def sampler(self) -> Callable[[float], int]:
+        """Return the inverse of the distribution function."""
+        scale, power = 1.0 / math.log(self.q), 1.0 / self.beta
+        return lambda u: max(1, math.ceil((math.log1p(-u) * scale) ** power))
+
+
+class Uniform(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="uniform"):
+    """Every length from `low` to `high` slots is equally likely.
+
+    Args:
+        low: slots, >= 1.
+        high: slots, >= low.
+    """
+
+    low: int
+    high: int
+
+    def __post_init__(self) -> None:
+        if self.low < 1:
+            raise ValueError(f"low: got {self.low}, expected at least 1 slot")
+        if self.high < self.low:
+            raise ValueError(f"high: got {self.high}, expected at least low, {self.low}")
+        _refuse_longest("high", self.high)
+
+    @property
+    def support(self) -> int:
+        """Largest sojourn time."""
+        return self.high
+
+    def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return S(n) = (high - n)/(high - low + 1), within 0 and 1."""
+        return np.clip((self.high - slots) / (self.high - self.low + 1), 0.0, 1.0)
+
+    def sampler(self) -> Callable[[float], int]:
+        """Return the inverse of the distribution function."""
+        low, count = self.low, self.high - self.low + 1
+        return lambda u: low + int(u * count)
+
+
+class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="table"):
+    """Pr(h = n) = probabilities[n - 1].
+
+    Args:
+        probabilities: of 1, 2, ... slots, sum 1.
+    """
+
+    probabilities: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        checked_row("probabilities", self.probabilities)
+        _refuse_longest("probabilities", self.support)
+
+    @property
+    def support(self) -> int:
+        """Largest sojourn time of positive probability."""
+        return 1 + max(n for n, p in enumerate(self.probabilities) if p > 0.0)
+
+    def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return S(n) = sum of the probabilities of more than n slots."""
+        kept = np.array(self.probabilities[: self.support])
+        tails = np.append(np.cumsum(kept[::-1])[::-1] / kept.sum(), 0.0)
+        return np.asarray(tails[np.minimum(slots, len(kept))], dtype=np.float64)
+
+    def sampler(self) -> Callable[[float], int]:
+        """Return the inverse of the distribution function, by bisection."""
+        return _bisector(self)
+
+
+SojournLaw = Geometric | DiscreteWeibull | Uniform | Table
+
+
+def _root(value: float, power: float) -> float:
+    try:
+        return float(value ** (1.0 / power))
+    except OverflowError:
+        return math.inf
+
+
+def _refuse_longest(field: str, slots: int) -> None:
+    if slots > LONGEST:
+        raise ValueError(f"{field}: sojourns beyond {LONGEST} slots are likelier than {TAIL:g}, expected shorter ones")
+
+
+def _bisector(law: Sojourn) -> Callable[[float], int]:
+    reached = (1.0 - law.survival(np.arange(1, law.support + 1))).tolist()
+    reached[-1] = 1.0
+    return lambda u: bisect_right(reached, u) + 1
+
+
+def probabilities(law: Sojourn) -> NDArray[np.float64]:
+    """Return Pr(h = n), n = 1 .. support, (support,); sums to 1 up to the tail of 1e-12.
+
+    >>> probabilities(Uniform(low=1, high=2)).tolist()
+    [0.5, 0.5]
+    """
+    return -np.diff(law.survival(np.arange(law.support + 1)))
+
+
+def hazards(law: Sojourn, longest: int | None = None) -> NDArray[np.float64]:
+    """Return Pr(h = n | h >= n) = 1 - S(n)/S(n-1), n = 1 .. longest (default: support), (longest,); 1 where S(n-1) is
+    0.
+
+    >>> hazards(Geometric(p=0.25), 3).tolist()
+    [0.25, 0.25, 0.25]
+    """
+    survival = law.survival(np.arange((law.support if longest is None else longest) + 1))
+    before, after = survival[:-1], survival[1:]
+    return 1.0 - np.divide(after, before, out=np.zeros_like(after), where=before > 0.0)
+
+
+def mean_sojourn(law: Sojourn) -> float:
+    """Return E h = sum_{n>=0} S(n), slots."""
+    return float(law.survival(np.arange(law.support + 1)).sum()) if not isinstance(law, Geometric) else 1.0 / law.p
+
+
+def remaining_sampler(law: Sojourn) -> Callable[[float], int]:
+    """Return the sampler of the slots that are left, this one included, when a mode is met at any slot of a long run.
+
+    Pr(remaining = n) = S(n-1)/E h: long sojourns are met more often (renewal theory, equilibrium distribution).
+    """
+    weights = law.survival(np.arange(law.support))
+    reached = (np.cumsum(weights) / weights.sum()).tolist()
+    reached[-1] = 1.0
+    return lambda u: bisect_right(reached, u) + 1

@@ -1,0 +1,273 @@
+"""Does a run's record agree with its law? Counts of modes and transitions, and p-values of chi-square tests.
+
+Every test is conditional on the past: at each slot the law says with which probability each mode follows, so that
+neither the length of the run nor a sojourn cut off by its end biases anything. Cells in which too little is expected
+are pooled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transport.laws.age import ConstantAge
+from transport.laws.latency import LatencyTrace, latency
+from transport.laws.packet import PacketLaw
+from transport.laws.semi_markov import SemiMarkovAge
+from transport.laws.sojourn import hazards
+from transport.laws.trace import TraceAge
+from transport.medium.draws import COPIED, DUPLICATED, LOST, OVERFLOW, REASONS, SENT, Draw
+
+EXPECTED = 5.0
+LATENCY_BINS = 10
+
+Modes = NDArray[np.int64]
+
+
+class Evidence(NamedTuple):
+    """Chi-square statistic with its degrees of freedom.
+
+    `possible` is False when something of probability 0 was seen; `scarce` is True when chance decides, but too seldom to test.
+    """
+
+    statistic: float
+    freedom: int
+    possible: bool = True
+    scarce: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkStatistics:
+    """What one direction of the network did in a run.
+
+    Attributes:
+        law: kind of the law.
+        mode_counts: slots spent in every mode, (n,).
+        transition_counts: how often mode j followed mode i, (n, n).
+        p_value: probability of a record at least as unlike the law if the law is right; NaN for a law that cannot be
+            tested, and for a record too short to test it.
+        lost: packets that the law lost or its queue dropped.
+        duplicated: copies that arrived.
+        reasons: number of records of every reason that occurred.
+    """
+
+    law: str
+    mode_counts: list[int]
+    transition_counts: list[list[int]]
+    p_value: float
+    lost: int
+    duplicated: int
+    reasons: dict[str, int]
+
+
+def network_statistics(law: Any, draws: Any) -> NetworkStatistics:
+    """Return the statistics of one direction.
+
+    Args:
+        law: parameters of the law.
+        draws: the records of the whole run from slot 0: a list of `Draw`, or a structured array with its fields `tick`,
+            `mode`, `latency_s` and `reason`.
+    """
+    table = _columns(draws)
+    drawn = table["mode"] >= 0
+    modes = table["mode"][drawn]
+    size = max(_mode_number(law), int(modes.max(initial=0)) + 1)
+    reasons = np.bincount(table["reason"], minlength=len(REASONS))
+    return NetworkStatistics(
+        law=str(getattr(law, "kind", type(law).__name__)),
+        mode_counts=mode_counts(modes, size).tolist(),
+        transition_counts=transition_counts(modes, size).tolist(),
+        p_value=law_p_value(law, modes, draws),
+        lost=int((drawn & np.isin(table["reason"], (LOST, OVERFLOW))).sum()),
+        duplicated=int(reasons[DUPLICATED]),
+        reasons={name: int(count) for name, count in zip(REASONS, reasons, strict=False) if count},
+    )
+
+
+def mode_counts(modes: Modes, size: int | None = None) -> NDArray[np.int64]:
+    """Return the number of slots in every mode, (size,).
+
+    >>> mode_counts(np.array([0, 1, 1]), 3).tolist()
+    [1, 2, 0]
+    """
+    return np.bincount(modes, minlength=size or 0)
+
+
+def transition_counts(modes: Modes, size: int | None = None) -> NDArray[np.int64]:
+    """Return how often mode j followed mode i, (size, size).
+
+    >>> transition_counts(np.array([0, 1, 1, 0])).tolist()
+    [[0, 1], [1, 1]]
+    """
+    size = size or int(modes.max(initial=-1)) + 1
+    pairs = np.bincount(modes[:-1] * size + modes[1:], minlength=size * size)
+    return pairs.reshape(size, size)
+
+
+def law_p_value(law: Any, modes: Modes, draws: Any = None) -> float:
+    """Return the p-value of a record under its law: uniform on [0, 1] if the law is right, up to the chi-square
+    approximation.
+
+    Markov and iid laws are tested by the rows of their transition counts; semi-Markov laws by the hazard of leaving a
+    mode at every sojourn time, and by the embedded chain; a constant or a trace agrees (1.0) or does not (0.0); packet
+    laws by their channel's transitions, and with `draws` by losses and latencies too. A plug-in is tested if it has
+    `transition_matrix()`. NaN where there is no test (see `is_testable`), or too little was drawn for one.
+
+    Args:
+        law: parameters of the law.
+        modes: mode of every slot from slot 0, (slots,).
+        draws: packet laws only: all records, see `network_statistics`.
+    """
+    from scipy.special import gammaincc
+
+    found = list(_evidence(law, modes, draws))
+    if not found:
+        return float("nan")
+    if not all(evidence.possible for evidence in found):
+        return 0.0
+    freedom = sum(evidence.freedom for evidence in found)
+    statistic = sum(evidence.statistic for evidence in found)
+    if freedom == 0:  # nothing was left to chance, or too little to judge by
+        return float("nan") if any(evidence.scarce for evidence in found) else 1.0
+    return float(gammaincc(freedom / 2.0, statistic / 2.0))
+
+
+def is_testable(law: Any) -> bool:
+    """Return whether a record that is long enough can be tested against the law."""
+    return isinstance(law, ConstantAge | TraceAge | SemiMarkovAge) or hasattr(law, "transition_matrix")
+
+
+def _evidence(law: Any, modes: Modes, draws: Any) -> Iterator[Evidence]:
+    if isinstance(law, ConstantAge):
+        yield Evidence(0.0, 0, bool((modes == 0).all()))
+    elif isinstance(law, TraceAge):
+        ages = np.array(law.loaded().ages)
+        served = law.past_end == "repeat" or len(modes) <= len(ages)
+        yield Evidence(0.0, 0, served and bool((modes == np.resize(ages, len(modes))).all()))
+    elif isinstance(law, SemiMarkovAge):
+        yield from _sojourn_evidence(law, modes)
+    elif hasattr(law, "transition_matrix"):
+        matrix = law.transition_matrix()
+        if modes.max(initial=0) >= len(matrix):
+            yield Evidence(0.0, 0, False)
+            return
+        yield from _row_evidence(transition_counts(modes, len(matrix)), matrix)
+        if isinstance(law, PacketLaw) and draws is not None:
+            yield from _packet_evidence(law, draws)
+
+
+def _row_evidence(counts: NDArray[np.int64], matrix: NDArray[np.float64]) -> Iterator[Evidence]:
+    for observed, row in zip(counts, matrix, strict=True):
+        yield _cells_evidence(observed, row)
+
+
+def _cells_evidence(observed: NDArray[np.int64], probabilities: NDArray[np.float64]) -> Evidence:
+    """Pearson's statistic of one multinomial, cells of small expectation pooled with the next larger ones."""
+    expected = observed.sum() * probabilities
+    possible = not observed[probabilities == 0.0].any()
+    pools: list[list[float]] = []
+    for i in np.argsort(expected, kind="stable"):
+        if expected[i] == 0.0:
+            continue
+        if pools and pools[-1][1] < EXPECTED:
+            pools[-1][0] += observed[i]
+            pools[-1][1] += expected[i]
+        else:
+            pools.append([observed[i], expected[i]])
+    if len(pools) < 2:
+        return Evidence(0.0, 0, possible, scarce=int(np.count_nonzero(probabilities)) > 1)
+    return Evidence(float(sum((o - e) ** 2 / e for o, e in pools)), len(pools) - 1, possible)
+
+
+def _sojourn_evidence(law: SemiMarkovAge, modes: Modes) -> Iterator[Evidence]:
+    size = len(law.matrix)
+    if modes.max(initial=0) >= size:
+        yield Evidence(0.0, 0, False)
+        return
+    starts = np.flatnonzero(np.diff(modes)) + 1
+    lengths = np.diff(np.append(starts, len(modes)))
+    complete = np.arange(len(starts)) < len(starts) - 1  # the first sojourn has no known start, the last no known end
+    jumps = transition_counts(np.concatenate([modes[:1], modes[starts]]), size)
+    yield from _row_evidence(jumps, np.array(law.matrix))
+    for i, sojourn in enumerate(law.sojourn):
+        here = modes[starts] == i
+        if not here.any():
+            yield Evidence(0.0, 0, scarce=True)
+            continue
+        longest = int(lengths[here].max())
+        left = np.bincount(lengths[here & complete], minlength=longest + 1)[1:]
+        cut = np.bincount(lengths[here & ~complete], minlength=longest + 1)[1:]
+        # A sojourn of length n is at risk of ending in its slots 1..n; one cut off by the end of the run in 1..n-1.
+        at_risk = (left + cut)[::-1].cumsum()[::-1] - cut
+        yield from _hazard_evidence(left, at_risk, hazards(sojourn, longest))
+
+
+def _hazard_evidence(left: NDArray[np.int64], at_risk: NDArray[np.int64], hazard: NDArray[np.float64]) -> Iterator[Evidence]:
+    """One squared standard score per bin of sojourn times; the scores of a martingale are uncorrelated."""
+    possible = not (left[hazard == 0.0].any() or (at_risk - left)[hazard == 1.0].any())
+    excess = left - at_risk * hazard
+    variance = at_risk * hazard * (1.0 - hazard)
+    bins: list[list[float]] = []
+    for more, spread in zip(excess.tolist(), variance.tolist(), strict=True):
+        if bins and bins[-1][1] < EXPECTED:
+            bins[-1][0] += more
+            bins[-1][1] += spread
+        else:
+            bins.append([more, spread])
+    if len(bins) > 1 and bins[-1][1] < EXPECTED:
+        more, spread = bins.pop()
+        bins[-1][0] += more
+        bins[-1][1] += spread
+    usable = [(more, spread) for more, spread in bins if spread >= EXPECTED]
+    chance = bool(((hazard > 0.0) & (hazard < 1.0)).any())
+    yield Evidence(float(sum(more**2 / spread for more, spread in usable)), len(usable), possible, scarce=chance and not usable)
+
+
+def _packet_evidence(law: PacketLaw, draws: Any) -> Iterator[Evidence]:
+    table = _columns(draws)
+    fate = (table["mode"] >= 0) & np.isin(table["reason"], (SENT, LOST))
+    sent = fate & (table["reason"] == SENT)
+    recorded = latency(law.latency)
+    if isinstance(recorded, LatencyTrace):
+        due = np.resize(recorded.values_s, int(table["tick"].max(initial=0)) + 1)[table["tick"]]
+        yield Evidence(0.0, 0, bool((table["latency_s"][sent] == due[sent]).all() and not sent[np.isinf(due)].any()))
+        fate &= np.isfinite(due)  # the others are lost by the trace, whatever the channel does
+    losses = law.channel_losses()
+    for mode, loss in enumerate(losses):
+        here = fate & (table["mode"] == mode)
+        gone = int((here & ~sent).sum())
+        yield _cells_evidence(np.array([gone, int(here.sum()) - gone]), np.array([loss, 1.0 - loss]))
+    copied = int((table["reason"] == COPIED).sum())
+    if not (table["reason"] == OVERFLOW).any():
+        row = np.array([law.duplication, 1.0 - law.duplication])
+        yield _cells_evidence(np.array([copied, int(sent.sum()) - copied]), row)
+    if not isinstance(recorded, LatencyTrace):
+        observed = table["latency_s"][sent]
+        low, high = recorded.values_s[0], recorded.values_s[-1]
+        yield Evidence(0.0, 0, bool(((observed >= low) & (observed <= high)).all()))
+        quantile = recorded.sampler()
+        edges = np.unique([quantile(level / LATENCY_BINS) for level in range(1, LATENCY_BINS)])
+        reached = np.concatenate([[0.0], recorded.cdf(edges), [1.0]])
+        yield _cells_evidence(np.bincount(np.searchsorted(edges, observed), minlength=len(edges) + 1), np.diff(reached))
+
+
+def _columns(draws: Any) -> dict[str, NDArray[Any]]:
+    if isinstance(draws, np.ndarray):
+        columns = {name: draws[name].astype(np.int64) for name in ("tick", "mode", "reason")}
+        return columns | {"latency_s": draws["latency_s"].astype(np.float64)}
+    rows: Sequence[Draw] = draws
+    return {
+        "tick": np.array([draw.tick for draw in rows], dtype=np.int64),
+        "mode": np.array([draw.mode for draw in rows], dtype=np.int64),
+        "latency_s": np.array([draw.latency_s for draw in rows], dtype=np.float64),
+        "reason": np.array([draw.reason for draw in rows], dtype=np.int64),
+    }
+
+
+def _mode_number(law: Any) -> int:
+    stationary = getattr(law, "stationary", None)
+    return 1 if stationary is None else len(stationary())

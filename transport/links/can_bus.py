@@ -1,0 +1,235 @@
+"""The `hil` interface of python-can: a CAN (FD) bus between processes, without root, kernel module or broker.
+
+``can.Bus(interface="hil", channel="rig0")`` joins the bus `rig0` of this user, as do `can_logger -i hil -c rig0`,
+`can_player` and `cantools monitor`. Frames travel over Unix sockets (see `transport.links.unix_mesh`) in the directory
+``/tmp/hil-can-<uid>/<channel>``, or under `HIL_CAN_DIR` if that is set.
+
+Every frame carries the sender's time stamp, the same for all who hear it. There is no arbitration and no bit time. A
+frame is lost only for a participant that has `transport.links.unix_mesh.QUEUE_LIMIT` unread frames waiting, and the loss is
+counted at both ends (`dropped`, `lost`).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from struct import Struct
+from time import time
+from typing import TYPE_CHECKING, Any, Final
+
+import can
+
+from transport.links.link import TransportError
+from transport.links.unix_mesh import Mesh
+
+if TYPE_CHECKING:
+    from can.typechecking import AutoDetectedConfig, CanFilters, Channel
+
+FRAME: Final = Struct("<dHIBB")
+"""Time stamp, frames lost before (see `transport.links.unix_mesh.HEAD`); identifier with flags, length, FD flags; then data."""
+
+# The bits of <linux/can.h>.
+EXTENDED, REMOTE, ERROR, ID_MASK = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
+BITRATE_SWITCH, ERROR_STATE, FD_FRAME, OWN = 0x01, 0x02, 0x04, 0x80
+
+_SKIPPED: Final = 64
+"""So many frames that a filter keeps out are passed over in one call, lest a flood of them holds it for ever."""
+
+_CHANNEL = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,31}")
+
+
+def bus_directory() -> Path:
+    """Return the directory that holds the buses of this user.
+
+    It does not depend on the login session, so that a service, a cron job and a shell of one user meet.
+    """
+    return Path(os.environ.get("HIL_CAN_DIR") or f"/tmp/hil-can-{os.geteuid()}")
+
+
+class HilBus(can.BusABC):
+    """One participant of a bus.
+
+    Args:
+        channel: name of the bus, letters, digits, ``_.-``.
+        can_filters: as in `can.BusABC.set_filters`; error frames always pass.
+        receive_own_messages: hear one's own frames, marked ``is_rx=False``.
+        fd: send and hear CAN FD frames; without it the bus is a classic one, to which FD frames are invisible.
+        kwargs: bit rates and timings are taken and ignored.
+
+    Raises:
+        can.CanInitializationError: the name is not allowed, or the directory cannot be had.
+    """
+
+    def __init__(
+        self,
+        channel: Channel = "rig0",
+        can_filters: CanFilters | None = None,
+        receive_own_messages: bool = False,
+        fd: bool = True,
+        **kwargs: object,
+    ) -> None:
+        name = str(channel)
+        if not _CHANNEL.fullmatch(name):
+            raise can.CanInitializationError(f"hil: channel {name!r}: expected up to 32 letters, digits, '_', '-', '.'")
+        try:
+            self._mesh = Mesh(bus_directory() / name, echo=receive_own_messages)
+        except (TransportError, OSError) as error:
+            raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
+        self.channel = name
+        self.channel_info = f"hil channel '{name}'"
+        self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
+        self._fd = fd
+        self._own = receive_own_messages
+        self._matches: tuple[tuple[int, int], ...] | None = None
+        super().__init__(channel=channel, can_filters=can_filters, **kwargs)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that a participant with a full queue did not get from us."""
+        return self._mesh.dropped
+
+    @property
+    def lost(self) -> int:
+        """Frames that we did not get from others because our queue was full."""
+        return self._mesh.lost
+
+    @property
+    def participants(self) -> int:
+        """Number of participants known, this one included."""
+        return self._mesh.participants
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame to everybody on the bus.
+
+        Args:
+            msg: the frame.
+            timeout: how long to wait for room in each full queue, s; None does not wait. A frame that found none is
+                dropped there and counted.
+
+        Raises:
+            can.CanOperationError: the bus is shut down, or the frame is none this bus can carry.
+        """
+        data = msg.data
+        length = msg.dlc if msg.is_remote_frame else len(data)
+        if self._is_shutdown or length > (64 if msg.is_fd else 8) or (msg.is_fd and not self._fd):
+            raise can.CanOperationError(self._refusal(msg, length))
+        identifier = msg.arbitration_id & ID_MASK
+        if msg.is_extended_id:
+            identifier |= EXTENDED
+        if msg.is_remote_frame:
+            identifier |= REMOTE
+        elif msg.is_error_frame:
+            identifier |= ERROR
+        flags = 0
+        if msg.is_fd:
+            flags = FD_FRAME | msg.bitrate_switch | msg.error_state_indicator << 1
+        self._put(identifier, length, flags, data, timeout or 0.0)
+
+    def _put(self, identifier: int, length: int, flags: int, data: bytes | bytearray, wait_s: float) -> None:
+        now = time()
+        self._mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
+        if self._own:
+            self._mesh.echo(FRAME.pack(now, 0, identifier, length, flags | OWN) + data)
+
+    def send_frame(self, identifier: int, data: bytes) -> None:
+        """Send without a `can.Message`, which halves the cost: standard identifier, FD with bit rate switch where `fd`.
+
+        Args:
+            identifier: of 11 bits.
+            data: of a length that such a frame has.
+        """
+        if self._is_shutdown:
+            raise can.CanOperationError(f"{self.channel_info} is shut down")
+        self._put(identifier, len(data), FD_FRAME | BITRATE_SWITCH if self._fd else 0, data, 0.0)
+
+    def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
+        """Receive without a `can.Message`: identifier with the flags of <linux/can.h>, whether FD, data; or None.
+
+        Args:
+            timeout: s; None may come earlier, when somebody joined or left.
+        """
+        taken = self._take(timeout)
+        return None if taken is None else (taken[0][2], bool(taken[0][4] & FD_FRAME), taken[1])
+
+    def _refusal(self, msg: can.Message, length: int) -> str:
+        if self._is_shutdown:
+            return f"{self.channel_info} is shut down"
+        if msg.is_fd and not self._fd:
+            return f"{self.channel_info} was opened with fd=False and carries no CAN FD frame"
+        return f"{length} bytes do not fit into a {'CAN FD' if msg.is_fd else 'classic CAN'} frame"
+
+    def _take(self, timeout: float | None) -> tuple[tuple[Any, ...], bytes] | None:
+        """Return the fields of `FRAME` and the data of the next frame that no filter keeps out."""
+        if self._is_shutdown:
+            raise can.CanOperationError(f"{self.channel_info} is shut down")
+        for _ in range(_SKIPPED):
+            frame = self._mesh.receive(timeout)
+            if frame is None:
+                return None
+            if len(frame) >= FRAME.size:
+                fields = FRAME.unpack_from(frame)
+                if (self._fd or not fields[4] & FD_FRAME) and (self._matches is None or self._wanted(fields[2])):
+                    return fields, frame[FRAME.size :]
+            timeout = 0
+        return None
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        taken = self._take(timeout)
+        if taken is None:
+            return None, True
+        (time_stamp, _, identifier, length, flags), data = taken
+        message = can.Message(
+            timestamp=time_stamp,
+            arbitration_id=identifier & ID_MASK,
+            is_extended_id=bool(identifier & EXTENDED),
+            is_remote_frame=bool(identifier & REMOTE),
+            is_error_frame=bool(identifier & ERROR),
+            channel=self.channel,
+            dlc=length,
+            data=bytearray(data),
+            is_fd=bool(flags & FD_FRAME),
+            is_rx=not flags & OWN,
+            bitrate_switch=bool(flags & BITRATE_SWITCH),
+            error_state_indicator=bool(flags & ERROR_STATE),
+        )
+        return message, True
+
+    def _wanted(self, identifier: int) -> bool:
+        for can_id, mask in self._matches or ():
+            if not (identifier ^ can_id) & mask:
+                return True
+        return bool(identifier & ERROR)
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        if filters is None:
+            self._matches = None
+            return
+        matches = []
+        for rule in filters:
+            can_id, mask = rule["can_id"] & ID_MASK, rule["can_mask"] & ID_MASK
+            if "extended" in rule:
+                can_id |= EXTENDED if rule["extended"] else 0
+                mask |= EXTENDED
+            matches.append((can_id, mask))
+        self._matches = tuple(matches)
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable while frames wait."""
+        return self._mesh.fileno()
+
+    def shutdown(self) -> None:
+        """Leave the bus; frames already sent still arrive."""
+        super().shutdown()
+        mesh: Mesh | None = getattr(self, "_mesh", None)
+        if mesh is not None:
+            mesh.close()
+
+    @staticmethod
+    def _detect_available_configs() -> list[Any]:
+        try:
+            names = sorted(path.name for path in bus_directory().iterdir() if path.is_dir())
+        except OSError:
+            names = []
+        found: list[AutoDetectedConfig] = [{"interface": "hil", "channel": name} for name in names]
+        return found

@@ -1,0 +1,259 @@
+"""A link over any python-can interface: ``can:<interface>:<channel>[?fd=0&base=0x200&...]``.
+
+=============== ===================== ====================================================
+identifier      CAN FD (``fd=1``)     carries
+=============== ===================== ====================================================
+base + 0x00 + i sensor packet         bytes 64 i to 64 i + 63, in most cases i = 0 alone
+base + 0x40 + i control packet        the same
+=============== ===================== ====================================================
+
+=============== ===================== ====================================================
+identifier      classic (``fd=0``)    carries
+=============== ===================== ====================================================
+base + 0x80 + i sensor packet         bytes 8 i to 8 i + 7
+base + 0xC0 + i control packet        the same
+=============== ===================== ====================================================
+
+Fragments have one identifier each, as CANopen's TPDO1 to TPDOn have, and are sent in order; what is put together is checked
+by the packet's CRC. Sensor frames win the arbitration. `transport/hilrig.dbc` names every signal for the default base 0x100.
+A frame is as short as its packet allows; with ``pad=1`` every FD frame has 64 bytes, for tools that insist on the DBC's length.
+
+Each role hears the other's identifiers only. Error frames, foreign frames and faults of the bus are counted; the link works
+again when the interface does.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from errno import EBADF, ENODEV, ENXIO
+from time import monotonic
+from typing import Final, Protocol
+
+import can
+
+from transport.links.can_bus import ERROR, EXTENDED, REMOTE, HilBus
+from transport.links.link import Closing, LinkCounters, Role
+from transport.packets import decode, frame_length, packet_size
+
+BASE: Final = 0x100
+FRAGMENTS: Final = 64
+CLASSIC_OFFSET: Final = 0x80
+CONTROL_OFFSET: Final = 0x40
+
+_FAULTS: Final = (can.CanError, OSError, ValueError)
+_GONE: Final = (ENODEV, ENXIO, EBADF)  # the socket is bound to nothing any more
+_REOPEN_EVERY: Final = 10
+_FAULT_PAUSE_S: Final = 0.01
+_SKIPPED: Final = 2 * FRAGMENTS
+"""So many frames that complete no packet are taken in one call, lest a flood of them holds it for ever."""
+
+
+
+class _Frames(Protocol):
+    """A bus as the link uses it; `HilBus` is one."""
+
+    @property
+    def dropped(self) -> int: ...
+
+    @property
+    def lost(self) -> int: ...
+
+    def send_frame(self, identifier: int, data: bytes) -> None: ...
+
+    def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None: ...
+
+    def shutdown(self) -> None: ...
+
+
+class _MessageFrames:
+    """Frames over any python-can bus, by way of its messages."""
+
+    __slots__ = ("_bus", "_fd", "shutdown")
+
+    dropped = lost = 0  # no other bus says so
+
+    def __init__(self, bus: can.BusABC, fd: bool) -> None:
+        self._bus, self._fd = bus, fd
+        self.shutdown = bus.shutdown
+
+    def send_frame(self, identifier: int, data: bytes) -> None:
+        fd = self._fd
+        message = can.Message(arbitration_id=identifier, is_extended_id=False, is_fd=fd, bitrate_switch=fd, data=data)
+        self._bus.send(message, 0.0)
+
+    def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
+        message = self._bus.recv(timeout)
+        if message is None:
+            return None
+        flags = message.is_error_frame * ERROR | message.is_remote_frame * REMOTE | message.is_extended_id * EXTENDED
+        return message.arbitration_id | flags, message.is_fd, bytes(message.data)
+
+
+def _frames_of(bus: can.BusABC, fd: bool) -> _Frames:
+    return bus if isinstance(bus, HilBus) else _MessageFrames(bus, fd)
+
+
+class CanLink(Closing):
+    """One end of a link on a CAN bus.
+
+    A packet counts as dropped where a listener, be it a logger, had no room for it (`can:hil` says so), and where we had none.
+
+    Args:
+        uri: for messages.
+        role: the rig sends sensor packets and hears control packets, the controller the other way round.
+        join: opens the bus with the given filters; called again when the interface has vanished.
+        base: first of 256 identifiers.
+        fd: one CAN FD frame of up to 64 bytes, or classic frames of 8.
+        pad: fill every FD frame up to 64 bytes.
+        claim: closed with the link.
+    """
+
+    __slots__ = ("_bus", "_claim", "_closed", "_counters", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step",
+                 "uri")  # fmt: skip
+
+    def __init__(
+        self,
+        uri: str,
+        role: Role,
+        join: Callable[[], can.BusABC],
+        *,
+        base: int = BASE,
+        fd: bool = True,
+        pad: bool = False,
+        claim: socket.socket | None = None,
+    ) -> None:
+        self.uri = uri
+        self._counters = LinkCounters()
+        self._say, self._hear = (f := identifiers(base, fd))[role == "controller"], f[role == "rig"]
+        self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
+        self._claim, self._join = claim, join
+        self._bus = _frames_of(join(), fd)
+        self._closed = False
+        self._parts = b""
+        self._row = 0  # tries to reopen, one after the other, since the interface vanished
+
+    @property
+    def counters(self) -> LinkCounters:
+        return replace(self._counters, dropped=self._counters.dropped + self._bus.lost)
+
+    def send(self, packet: bytes) -> None:
+        step, identifier, size, bus = self._step, self._say, len(packet), self._bus
+        if self._closed or size > FRAGMENTS * step:
+            self._counters.dropped += 1
+            return
+        dropped = bus.dropped
+        try:
+            for start in range(0, size, step):
+                data = packet[start : start + step]
+                if self._fd and (length := 64 if self._pad else frame_length(len(data))) != len(data):
+                    data += bytes(length - len(data))
+                bus.send_frame(identifier, data)
+                identifier += 1
+        except _FAULTS as error:
+            self._counters.dropped += 1
+            self._fault(error, 0.0)
+        else:
+            if bus.dropped == dropped:
+                self._counters.sent += 1
+            else:
+                self._counters.dropped += 1
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        wait = timeout_s if timeout_s > 0 else 0.0
+        begin = monotonic()  # what is left to wait after a fragment; no link tells the time of anything
+        for _ in range(_SKIPPED):
+            if self._closed:
+                return None
+            try:
+                frame = self._bus.recv_frame(wait)
+            except _FAULTS as error:
+                self._fault(error, wait)
+                return None
+            if frame is not None:
+                self._row = 0
+                packet = self._packet(*frame)
+                if packet is not None:
+                    self._counters.received += 1
+                    return packet
+            elif self._row:  # a socket whose interface has vanished says so once, then it is silent
+                self._reopen()
+                return None
+            if wait <= 0 and frame is None:
+                return None
+            wait = max(0.0, timeout_s - (monotonic() - begin))
+        return None
+
+    def _packet(self, identifier: int, fd: bool, data: bytes) -> bytes | None:
+        """Return the packet that this frame is or completes."""
+        index = identifier - self._hear  # far out of range with any flag set
+        if not 0 <= index < FRAGMENTS:
+            if identifier & ERROR:
+                self._counters.errors += 1
+            elif identifier & REMOTE:
+                self._counters.malformed += 1
+            return None  # foreign, on an interface that cannot filter
+        if fd != self._fd:
+            self._counters.malformed += 1
+            return None
+        if index == 0:
+            self._counters.malformed += bool(self._parts)  # the one before was never completed
+            size = packet_size(data)
+            if self._fd and size is not None and size <= len(data):
+                self._parts = b""
+                return data[:size] if self._pad else data  # alone in one frame; the receiver's decoder judges it
+        elif not self._parts or index * self._step != len(self._parts):
+            self._counters.malformed += 1  # one before it is missing
+            self._parts = b""
+            return None
+        else:
+            data = self._parts + data
+            size = packet_size(data)
+        self._parts = data if size is None or size > len(data) else b""
+        if self._parts:
+            return None
+        if size is None or decode(data[:size]) is None:
+            self._counters.malformed += 1
+            return None
+        return data[:size]
+
+    def _fault(self, error: BaseException, wait_s: float) -> None:
+        """Count a fault of the bus; pause, so that a loop that polls does not spin; reopen what has vanished."""
+        self._counters.errors += 1
+        self._parts = b""
+        code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
+        if code in _GONE or isinstance(error, ValueError):
+            self._reopen()
+        if wait_s > 0:
+            select.poll().poll(1e3 * min(wait_s, _FAULT_PAUSE_S))
+
+    def _reopen(self) -> None:
+        """Join the bus anew, if it is there again; every tenth call tries."""
+        self._row += 1
+        if self._row % _REOPEN_EVERY == 1:
+            with suppress(*_FAULTS):
+                bus = _frames_of(self._join(), self._fd)
+                old, self._bus = self._bus, bus
+                self._row = 0
+                old.shutdown()
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            with suppress(*_FAULTS):
+                self._bus.shutdown()
+            if self._claim is not None:
+                self._claim.close()
+
+
+def identifiers(base: int = BASE, fd: bool = True) -> tuple[int, int]:
+    """Return the first identifier of the sensor and of the control frames.
+
+    >>> [hex(i) for i in identifiers(0x100, fd=False)]
+    ['0x180', '0x1c0']
+    """
+    first = base + (0 if fd else CLASSIC_OFFSET)
+    return first, first + CONTROL_OFFSET

@@ -1,0 +1,313 @@
+"""Processes of one user that hear each other's datagrams, over Unix sockets, without a broker.
+
+Every participant listens on a socket in one directory and is connected to every other participant. A newcomer connects to
+all sockets that it finds there, removes those that nobody answers (their owners were killed), and raises a shared count;
+a sender that sees the count changed lets the newcomers in first. Hence everyone hears whatever is sent after it joined.
+
+The kernel queues up to `QUEUE_LIMIT` datagrams from each sender at each receiver. Beyond that a datagram is lost for this
+receiver only: the sender counts it as dropped, and the next datagram that gets through tells the receiver how many it
+missed. Nobody ever waits for another participant, be it slow, stopped or dead.
+
+A datagram begins with `HEAD`: the time it was sent, by which a receiver merges its senders, and the number of datagrams
+missed before it, which is the mesh's to fill in.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import select
+import socket
+from contextlib import suppress
+from errno import ENOBUFS
+from pathlib import Path
+from socket import MSG_NOSIGNAL
+from struct import Struct
+from threading import Lock
+from typing import Final
+
+from transport.links.link import Closing, TransportError
+from transport.links.private_directory import locked
+
+HEAD: Final = Struct("<dH")
+"""Time stamp, s; datagrams lost before this one."""
+
+QUEUE_LIMIT: Final = 256
+"""So many datagrams of up to 80 bytes wait at least at a receiver, from each sender."""
+
+LOOKS: Final = 600
+"""How often a short wait looks for an answer before it sleeps: about 200 us."""
+_VAIN: Final = 8
+
+_SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds more than QUEUE_LIMIT, see the tests
+_LARGEST: Final = 128
+_JOIN_TIMEOUT_S: Final = 2.0
+_COARSE_S: Final = 0.05  # epoll rounds up to milliseconds: good enough for a wait as long as this
+
+
+class _Peer:
+    """One connection, and how many datagrams it missed since the last one that got through."""
+
+    __slots__ = ("_send", "missed", "socket")
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        with suppress(OSError):
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        self.socket = connection
+        self._send = connection.send
+        self.missed = 0
+
+    def offer(self, datagram: bytes) -> None:
+        """Send, or raise `OSError`; never wait."""
+        if not self.missed:
+            self._send(datagram, MSG_NOSIGNAL)
+            return
+        told = min(self.missed, 0xFFFF)
+        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], told) + datagram[HEAD.size :], MSG_NOSIGNAL)
+        self.missed -= told
+
+
+class Mesh(Closing):
+    """One participant.
+
+    Args:
+        directory: where the participants' sockets are; made if missing, removed by the last one to leave.
+        echo: hear one's own datagrams too (those given to `echo`).
+
+    Attributes:
+        dropped: datagrams this participant could not hand to another one whose queue was full.
+        lost: datagrams others could not hand to this one.
+
+    Raises:
+        TransportError: no such directory can be had, or it belongs to somebody else.
+    """
+
+    def __init__(self, directory: Path, *, echo: bool = False) -> None:
+        self.directory = directory
+        self.dropped = self.lost = 0
+        self._lock = Lock()
+        self._peers: tuple[_Peer, ...] = ()  # whom we send to
+        self._sources: dict[int, _Peer] = {}  # whom we hear, by file descriptor
+        self._epoll = select.epoll()
+        self._own: _Peer | None = None
+        self._closed = False
+        self._knows_all = True
+        self._rest = self._vain = 0  # short waits that will not look first; looks in vain, one after the other
+        try:
+            with locked(directory.parent, _JOIN_TIMEOUT_S):
+                self._join()
+        except BaseException:
+            self._epoll.close()
+            for peer in self._sources.values():
+                peer.socket.close()
+            raise
+        if echo:
+            ours, heard = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            self._own = _Peer(ours)
+            self._add(_Peer(heard))
+
+    def _join(self) -> None:
+        self.directory.mkdir(mode=0o700, exist_ok=True)
+        peers = []
+        for path in sorted(self.directory.glob("*.sock")):
+            connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            connection.setblocking(False)
+            try:
+                connection.connect(str(path))
+            except BlockingIOError:  # alive, stopped, and thousands have knocked already
+                connection.close()
+                self._knows_all = False
+            except (ConnectionRefusedError, FileNotFoundError):
+                connection.close()
+                path.unlink(missing_ok=True)
+            else:
+                peers.append(_Peer(connection))
+                self._add(peers[-1])
+        self._peers = tuple(peers)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener.setblocking(False)
+        number = 0
+        while (path := self.directory / f"{os.getpid()}-{number}.sock").exists():
+            number += 1
+        try:
+            self._listener.bind(str(path))
+        except OSError as error:
+            self._listener.close()
+            raise TransportError(f"{path}: {error.strerror or error}; a Unix socket's path has at most 107 bytes") from error
+        self._listener.listen(socket.SOMAXCONN)
+        self._path = path
+        self._epoll.register(self._listener, select.EPOLLIN)
+        descriptor = os.open(self.directory / "joined", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            os.ftruncate(descriptor, 8)
+            self._joined = mmap.mmap(descriptor, 8)
+        finally:
+            os.close(descriptor)
+        self._seen = (int.from_bytes(self._joined[:8], "little") + 1).to_bytes(8, "little")
+        self._joined[:8] = self._seen
+
+    def _add(self, peer: _Peer) -> None:
+        self._sources[peer.socket.fileno()] = peer
+        self._epoll.register(peer.socket, select.EPOLLIN)
+
+    def _admit(self) -> None:
+        """Let in whoever has connected since."""
+        with self._lock:
+            self._seen = self._joined[:8]
+            while not self._closed:
+                try:
+                    connection, _ = self._listener.accept()
+                except OSError:  # nobody left, or gone again
+                    return
+                peer = _Peer(connection)
+                self._add(peer)
+                self._peers += (peer,)
+
+    def _remove(self, peer: _Peer, *, unread: bool) -> None:
+        """Send no more to a participant that has left; what it had sent before stays to be read."""
+        with self._lock:
+            self._peers = tuple(other for other in self._peers if other is not peer)
+            if not unread and self._sources.pop(peer.socket.fileno(), None) is not None:
+                with suppress(OSError, ValueError):
+                    self._epoll.unregister(peer.socket)
+                peer.socket.close()
+
+    def send(self, datagram: bytes, wait_s: float = 0.0) -> None:
+        """Send to everyone.
+
+        Args:
+            datagram: `HEAD` and up to 70 bytes.
+            wait_s: how long to wait for room in a full queue, s.
+        """
+        if self._joined[:8] != self._seen:
+            self._admit()
+        for peer in self._peers:
+            try:
+                peer.offer(datagram)
+            except OSError as error:
+                self._not_sent(peer, datagram, error, wait_s)
+
+    def _not_sent(self, peer: _Peer, datagram: bytes, error: OSError, wait_s: float) -> None:
+        if isinstance(error, BlockingIOError) or error.errno == ENOBUFS:
+            if wait_s > 0 and select.select((), (peer.socket,), (), wait_s)[1]:
+                with suppress(OSError):
+                    peer.offer(datagram)
+                    return
+            peer.missed += 1
+            self.dropped += 1
+            return
+        try:
+            unread = bool(peer.socket.recv(1, socket.MSG_PEEK))
+        except ConnectionResetError:
+            unread = True  # it left without reading all of ours; its own may still be here
+        except OSError:
+            unread = False
+        self._remove(peer, unread=unread)
+
+    def echo(self, datagram: bytes) -> None:
+        """Hand a datagram to oneself."""
+        if self._own is not None:
+            try:
+                self._own.socket.send(datagram)
+            except OSError:
+                self.dropped += 1
+
+    def receive(self, timeout_s: float | None) -> bytes | None:
+        """Return the next datagram, of all that wait the one sent first, or None.
+
+        None may come before the time is up, when nothing but a coming or going happened.
+
+        Args:
+            timeout_s: s; None waits for ever.
+        """
+        while ready := self._wait(timeout_s):
+            descriptor = ready[0][0] if len(ready) == 1 else min(ready, key=self._time)[0]
+            peer = self._sources.get(descriptor)
+            if peer is None:
+                self._admit()
+            else:
+                try:
+                    datagram = peer.socket.recv(_LARGEST)
+                except OSError:  # another thread took it, or the other end has left: what it sent is read next
+                    datagram = None
+                if datagram:
+                    if len(datagram) >= HEAD.size:
+                        self.lost += datagram[8] | datagram[9] << 8
+                        return datagram
+                elif datagram is not None:
+                    self._remove(peer, unread=False)
+            timeout_s = 0
+        return None
+
+    def _wait(self, timeout_s: float | None) -> list[tuple[int, int]]:
+        look = self._epoll.poll
+        if timeout_s is None or timeout_s >= _COARSE_S or timeout_s <= 0:
+            return look(timeout_s)
+        # Who waits this briefly waits for an answer, and waking up from a sleep would double its way. Where looking does
+        # not help, as when both ends share one CPU, it is given up, and tried again ever more rarely.
+        if self._rest == 0:
+            for _ in range(LOOKS):
+                ready = look(0)
+                if ready:
+                    self._vain = 0
+                    return ready
+            self._vain += 1
+            if self._vain >= _VAIN:
+                self._rest = 1 << min(self._vain, 14)
+        else:
+            self._rest -= 1
+        with suppress(ValueError):  # more than 1024 open files
+            if not select.select((self._epoll,), (), (), timeout_s)[0]:
+                return []
+            timeout_s = 0
+        return look(timeout_s)
+
+    def _time(self, event: tuple[int, int]) -> float:
+        peer = self._sources.get(event[0])
+        if peer is None:
+            return float("-inf")  # newcomers first
+        try:
+            head = peer.socket.recv(HEAD.size, socket.MSG_PEEK)
+        except OSError:
+            return float("-inf")
+        return float(HEAD.unpack(head)[0]) if len(head) == HEAD.size else float("-inf")
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable while something waits; -1 after `close`."""
+        return -1 if self._closed else self._epoll.fileno()
+
+    @property
+    def participants(self) -> int:
+        """Number of participants, this one included, as far as known."""
+        return len(self._peers) + 1
+
+    def close(self) -> None:
+        """Leave; what was sent stays readable for the others. The last one alive clears the directory away."""
+        if self._closed:
+            return
+        with suppress(TransportError, OSError), locked(self.directory.parent, 0.2):
+            self._path.unlink(missing_ok=True)
+            if self._last():
+                for path in (*self.directory.glob("*.sock"), self.directory / "joined"):
+                    path.unlink(missing_ok=True)
+                self.directory.rmdir()
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            sources, self._sources, self._peers = self._sources, {}, ()
+        self._path.unlink(missing_ok=True)  # where the lock was not to be had
+        self._epoll.close()
+        self._listener.close()
+        for peer in [*sources.values(), *([self._own] if self._own else [])]:
+            peer.socket.close()
+        self._joined.close()
+
+    def _last(self) -> bool:
+        """Return whether all others have left or were killed; nobody can join while the lock is held."""
+        self._admit()
+        poll = select.poll()
+        for peer in self._peers:
+            poll.register(peer.socket, 0)
+        return self._knows_all and sum(bool(event & select.POLLHUP) for _, event in poll.poll(0)) == len(self._peers)

@@ -1,0 +1,179 @@
+"""A link over zenoh, peer to peer: ``zenoh:tcp/127.0.0.1:7447[?name=rig0&lan=1]``, or ``zenoh:unixsock-stream//run/rig0``.
+
+The rig listens at the endpoint and the controller connects to it; there is no router, no multicast and no gossip. Sensor
+packets are published under ``hil/<name>/sensor``, control packets under ``hil/<name>/control``, so that any zenoh program
+that connects to the rig's endpoint can watch, or be the controller.
+
+A packet for which zenoh's queue has no room is lost; zenoh does not say so, the gap in `seq` does.
+
+Only this machine is reachable unless the URI says ``lan=1``: whoever reaches the endpoint can command the plant.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from contextlib import suppress
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Final
+
+from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
+
+if TYPE_CHECKING:
+    import zenoh
+
+QUEUE_LIMIT: Final = 256
+"""Packets that wait for `receive`; what comes on top is dropped and counted."""
+
+_NETWORKED: Final = ("tcp", "udp", "ws")
+_LOCAL: Final = ("unixsock-stream",)
+_LOOPBACK: Final = re.compile(r"(127\.\d+\.\d+\.\d+|\[::1\]|localhost)")
+_SOURCE: Final = re.compile(r" at \S+\.rs:\d+\.?")  # where in zenoh's source an error arose
+_NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+
+class ZenohLink(Closing):
+    """One end of a link over zenoh.
+
+    Args:
+        uri: for messages.
+        role: the rig listens, the controller connects (and connects again when the rig comes back).
+        endpoint: zenoh endpoint, as in ``tcp/127.0.0.1:7447``.
+        name: second part of the key expressions.
+
+    Raises:
+        zenoh.ZError: the endpoint cannot be had.
+    """
+
+    __slots__ = ("_closed", "_error", "_get", "_publish", "_queue", "_session", "counters", "uri")
+
+    def __init__(self, uri: str, role: Role, endpoint: str, name: str) -> None:
+        import zenoh
+
+        self.uri = uri
+        self.counters = LinkCounters()
+        self._error = zenoh.ZError
+        self._closed = False
+        # A queue in C: the callback runs in a thread of zenoh, whose waking of ours is most of a round trip.
+        self._queue: SimpleQueue[bytes] = SimpleQueue()
+        self._get = self._queue.get
+        self._session = zenoh.open(_config(role, endpoint))
+        says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
+        try:
+            publisher = self._session.declare_publisher(
+                f"hil/{name}/{says}",
+                express=True,  # no batching
+                priority=zenoh.Priority.REAL_TIME,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            # indirect=False: no Python thread in between, which would keep the process alive for ever if left open.
+            heard = zenoh.handlers.Callback(partial(_take, self._queue, self.counters), indirect=False)
+            self._session.declare_subscriber(f"hil/{name}/{hears}", heard)
+        except BaseException:
+            self._session.close()  # type: ignore[no-untyped-call]
+            raise
+        self._publish = publisher.put
+
+    def send(self, packet: bytes) -> None:
+        if self._closed:
+            self.counters.dropped += 1
+            return
+        try:
+            self._publish(packet)
+        except self._error:
+            self.counters.errors += 1
+            self.counters.dropped += 1
+        else:
+            self.counters.sent += 1
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        if self._closed:
+            return None
+        try:
+            packet = self._get(True, timeout_s) if timeout_s > 0 else self._get(False)
+        except Empty:
+            return None
+        self.counters.received += 1
+        return packet
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            with suppress(self._error):
+                self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _take(queue: SimpleQueue[bytes], counters: LinkCounters, sample: zenoh.Sample) -> None:
+    if queue.qsize() < QUEUE_LIMIT:
+        queue.put(sample.payload.to_bytes())
+    else:
+        counters.dropped += 1
+
+
+def _config(role: Role, endpoint: str) -> zenoh.Config:
+    import zenoh
+
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        # A peer listens on all interfaces unless it is told where, also one that only connects.
+        "listen/endpoints": [endpoint] if role == "rig" else [],
+        "connect/endpoints": [] if role == "rig" else [endpoint],
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
+        "transport/link/tx/lease": 1000,
+        # `transport/unicast/lowlatency` is a quarter faster, but there a peer that is stopped (SIGSTOP) blocks `put` for ever.
+        "transport/link/tx/queue/size/real_time": 16,  # the default of 2 is less than the frames of one slot may be
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def open_zenoh(uri: str, role: Role) -> ZenohLink:
+    """Open one end of a link over zenoh.
+
+    Args:
+        uri: ``zenoh:<endpoint>``, with the options ``name`` (default rig0) and ``lan`` (1 allows other machines).
+        role: "rig" listens, "controller" connects.
+
+    Raises:
+        TransportError: a bad URI, an endpoint that other machines reach, or one that is taken.
+
+    >>> open_zenoh("zenoh:tcp/127.0.0.1", "rig")
+    Traceback (most recent call last):
+    transport.links.link.TransportError: link 'zenoh:tcp/127.0.0.1': address '127.0.0.1', expected host:port, as in 127.0.0.1:7447
+    """
+    _, endpoint, options = split_uri(uri)
+    protocol, _, address = endpoint.partition("/")
+    if protocol not in _NETWORKED + _LOCAL or not address:
+        expected = ", ".join(f"{p}/" for p in _NETWORKED + _LOCAL)
+        raise TransportError(
+            f"link {uri!r}: endpoint {endpoint!r}, expected one that begins with {expected} as in tcp/127.0.0.1:7447"
+        )
+    name, lan = options.pop("name", "rig0"), options.pop("lan", "0")
+    if options:
+        raise TransportError(f"link {uri!r}: no option is called {next(iter(options))!r}, expected name or lan")
+    if lan not in ("0", "1"):
+        raise TransportError(f"link {uri!r}: lan={lan}, expected 1 (other machines may connect) or 0")
+    if not _NAME.fullmatch(name):
+        raise TransportError(f"link {uri!r}: name {name!r}, expected up to 64 letters, digits, '_', '-', '.'")
+    if protocol in _NETWORKED:
+        host, _, port = address.partition("#")[0].rpartition(":")
+        if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+            raise TransportError(f"link {uri!r}: address {address!r}, expected host:port, as in 127.0.0.1:7447")
+        if lan != "1" and not _LOOPBACK.fullmatch(host):
+            raise TransportError(
+                f"link {uri!r}: {host} is not this machine alone, and who reaches it can command the plant; "
+                "use 127.0.0.1, or append ?lan=1"
+            )
+    import zenoh
+
+    try:
+        return ZenohLink(uri, role, endpoint, name)
+    except zenoh.ZError as error:
+        said = _SOURCE.sub("", str(error))
+        hint = "; is another rig running there?" if "in use" in said else ""
+        raise TransportError(f"link {uri!r}: {said}{hint}") from error

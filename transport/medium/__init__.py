@@ -1,0 +1,1 @@
+"""What takes offered packets and says what arrives where."""

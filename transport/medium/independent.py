@@ -1,0 +1,265 @@
+"""The emulated network of one direction: packets are offered in the slot of sending, collected in that of arrival."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from dataclasses import dataclass
+from math import nan
+from typing import Protocol, cast
+
+import numpy as np
+
+from transport.laws.protocols import AgeFamily, AgeProcess, PacketFamily, PacketProcess
+from transport.medium.draws import (
+    ABSENT,
+    COPIED,
+    DELIVERED,
+    DISORDERED,
+    DUPLICATED,
+    NO_MODE,
+    NONE_YET,
+    OVERFLOW,
+    REASONS,
+    REPEATED,
+    SENT,
+    SUPERSEDED,
+    Draw,
+)
+
+__all__ = ["REASONS", "AgeImpairment", "Draw", "Impairment", "PacketImpairment", "impair"]
+
+Arrivals = list[tuple[int, object]]
+
+
+class Impairment(Protocol):
+    """One direction of an emulated network."""
+
+    @property
+    def pending(self) -> int:
+        """Number of offered packets that may still arrive for the first time."""
+        ...
+
+    def offer(self, k: int, packet: object) -> None:
+        """Send a packet in slot k, before `collect(k)`; at most one per slot. One that came too late is not offered.
+
+        Raises:
+            ValueError: slot k has been collected, or has a packet already: a fault of the caller.
+        """
+        ...
+
+    def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
+        """Return the decisions of slot k, and its arrivals as (packet_tick, packet) in order of arrival.
+
+        Slots that were skipped are drawn too, so that the mode sequence depends on nothing but the law and its stream.
+
+        Raises:
+            ValueError: slot k has been collected before.
+        """
+        ...
+
+
+@dataclass(slots=True)
+class _Held:
+    """A packet that the receiver may still use."""
+
+    tick: int
+    packet: object
+    used: bool = False
+
+
+class AgeImpairment:
+    """Apply an age law: exactly one packet in every slot, the one of slot k - age.
+
+    Where that packet was never offered, the next older one stands in for it, and an "absent" row says so. A packet is
+    forgotten as soon as no later slot can ask for it, so that at most `max_age + 2` are held.
+    """
+
+    def __init__(self, process: AgeProcess, *, period_s: float, max_age: int, gaps: bool) -> None:
+        self._draw = process.draw
+        self._period_s = period_s
+        self._max_age = max_age
+        self._gaps = gaps
+        self._held: deque[_Held] = deque()
+        self._newest = -1
+        self._next = 0
+
+    @property
+    def pending(self) -> int:
+        """Number of offered packets that may still arrive for the first time."""
+        return sum(not held.used for held in self._held)
+
+    def offer(self, k: int, packet: object) -> None:
+        """Send a packet in slot k, see `Impairment.offer`."""
+        _check_offer(k, self._next, self._held[-1].tick if self._held else -1)
+        self._held.append(_Held(k, packet))
+
+    def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
+        """Return the decisions of slot k and its one arrival (none before the first), see `Impairment.collect`."""
+        _check_collect(k, self._next)
+        draws: list[Draw] = []
+        for slot in range(self._next, k):
+            self._step(slot, draws)
+        arrivals = self._step(k, draws)
+        self._next = k + 1
+        return draws, arrivals
+
+    def _step(self, k: int, draws: list[Draw]) -> Arrivals:
+        mode, age = self._draw()
+        target = k - age
+        if target < 0:
+            draws.append(Draw(k, -1, mode, age, nan, NONE_YET))
+            return []
+        # Ages grow by at most one, so k - age never falls and older packets are done with; a law with gaps may come
+        # back to them.
+        self._forget(k, k - self._max_age if self._gaps else target, draws)
+        held = self._newest_until(target)
+        if held is None or held.tick != target:
+            draws.append(Draw(k, target, mode, age, nan, ABSENT))
+            if held is None:
+                return []
+            mode = NO_MODE
+        if held.used:
+            reason = REPEATED
+        else:
+            reason = DELIVERED if held.tick > self._newest else DISORDERED
+            held.used = True
+        self._newest = max(self._newest, held.tick)
+        age = k - held.tick
+        draws.append(Draw(k, held.tick, mode, age, age * self._period_s, reason))
+        return [(held.tick, held.packet)]
+
+    def _forget(self, k: int, floor: int, draws: list[Draw]) -> None:
+        held = self._held
+        while len(held) > 1 and held[1].tick <= floor:
+            old = held.popleft()
+            if not old.used:
+                draws.append(Draw(k, old.tick, NO_MODE, k - old.tick, nan, SUPERSEDED))
+
+    def _newest_until(self, target: int) -> _Held | None:
+        for held in reversed(self._held) if self._gaps else list(self._held)[:1]:
+            if held.tick <= target:
+                return held
+        return None
+
+
+@dataclass(slots=True)
+class _Parcel:
+    """A packet and its copy share one parcel: whichever arrives second is the duplicate."""
+
+    tick: int
+    packet: object
+    arrived: bool = False
+
+
+class PacketImpairment:
+    """Apply a packet law: every packet arrives in the slot that its own latency leads to.
+
+    A packet sent in slot k with latency L arrives in slot k + j, j the smallest j >= 0 with L <= deadline + j T: nodes
+    are driven by the clock (section 7.2). Within a slot the arrivals come in order of time. Without reordering a
+    packet waits for those sent before it.
+    """
+
+    def __init__(self, process: PacketProcess, *, period_s: float, reordering: bool, queue: int) -> None:
+        self._process = process
+        self._period_s = period_s
+        self._reordering = reordering
+        self._queue = queue
+        self._offered: deque[_Parcel] = deque()
+        self._flying: list[tuple[int, float, int, float, _Parcel]] = []  # slot, arrival s, order, latency s
+        self._order = 0
+        self._last = (0, 0.0)
+        self._newest = -1
+        self._next = 0
+
+    @property
+    def pending(self) -> int:
+        """Number of offered packets that may still arrive for the first time."""
+        flying = {entry[4].tick for entry in self._flying if not entry[4].arrived}
+        return len(flying) + len(self._offered)
+
+    def offer(self, k: int, packet: object) -> None:
+        """Send a packet in slot k, see `Impairment.offer`."""
+        _check_offer(k, self._next, self._offered[-1].tick if self._offered else -1)
+        self._offered.append(_Parcel(k, packet))
+
+    def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
+        """Return the decisions of slot k and its arrivals, see `Impairment.collect`."""
+        _check_collect(k, self._next)
+        draws: list[Draw] = []
+        arrivals: Arrivals = []
+        for slot in range(self._next, k + 1):
+            self._send(slot, draws)
+            while self._flying and self._flying[0][0] <= slot:
+                arrivals.append(self._arrive(slot, draws))
+        self._next = k + 1
+        return draws, arrivals
+
+    def _send(self, k: int, draws: list[Draw]) -> None:
+        parcel = self._offered.popleft() if self._offered and self._offered[0].tick == k else None
+        for draw in self._process.draw(k):
+            if parcel is None:
+                if draw.mode != NO_MODE:
+                    draws.append(draw._replace(age=-1, latency_s=nan, reason=ABSENT))
+                continue
+            if draw.reason in (SENT, COPIED):
+                if len(self._flying) >= self._queue:
+                    draws.append(draw._replace(age=-1, latency_s=nan, reason=OVERFLOW))
+                    continue
+                self._fly(draw, parcel)
+            draws.append(draw)
+
+    def _fly(self, draw: Draw, parcel: _Parcel) -> None:
+        sent_s = draw.tick * self._period_s
+        due = (draw.tick + draw.age, sent_s + draw.latency_s)
+        if not self._reordering:
+            due = self._last = max(due, self._last)
+        heapq.heappush(self._flying, (*due, self._order, due[1] - sent_s, parcel))
+        self._order += 1
+
+    def _arrive(self, k: int, draws: list[Draw]) -> tuple[int, object]:
+        *_, latency_s, parcel = heapq.heappop(self._flying)
+        if parcel.arrived:
+            reason = DUPLICATED
+        else:
+            reason = DELIVERED if parcel.tick > self._newest else DISORDERED
+            parcel.arrived = True
+        self._newest = max(self._newest, parcel.tick)
+        draws.append(Draw(k, parcel.tick, NO_MODE, k - parcel.tick, latency_s, reason))
+        return parcel.tick, parcel.packet
+
+
+def impair(law: AgeFamily | PacketFamily, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:
+    """Return the emulated network of one direction under a law.
+
+    Args:
+        law: parameters of an age law or a packet law.
+        rng: the stream of this direction; nothing else may draw from it.
+        period_s: length T of a slot, seconds.
+        deadline_s: seconds after the start of a slot at which it closes; packet laws only.
+
+    Raises:
+        ValueError: `law.family` is neither "age" nor "packet".
+    """
+    if law.family == "age":
+        age_law = cast(AgeFamily, law)
+        # A foreign law that does not say is taken to have gaps: that is safe, it only holds packets for longer.
+        gaps = bool(getattr(law, "allow_gaps", True))
+        return AgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age, gaps=gaps)
+    if law.family == "packet":
+        packet_law = cast(PacketFamily, law)
+        process = packet_law.start(rng, period_s, deadline_s)
+        return PacketImpairment(process, period_s=period_s, reordering=packet_law.reordering, queue=packet_law.queue)
+    raise ValueError(f'family: got {law.family!r} from law {type(law).__name__}, expected "age" or "packet"')
+
+
+def _check_offer(k: int, collected: int, last: int) -> None:
+    if k < collected:
+        raise ValueError(f"k: slot {k} is offered a packet after it was collected")
+    if k <= last:
+        raise ValueError(f"k: slot {k} is offered a packet after slot {last}, expected one packet per slot in order")
+
+
+def _check_collect(k: int, expected: int) -> None:
+    if k < expected:
+        raise ValueError(f"k: slot {k} is collected again, expected {expected} or later")
