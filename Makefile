@@ -24,11 +24,12 @@ run: $(INSTALLED) ## the networked DC motor in real time for 10 s; says where lo
 
 # One thread of linear algebra per test process: there are as many processes as cores.
 test: export OMP_NUM_THREADS = 1
-test: $(INSTALLED) ## lint, types, import rules, tests and doctests
+test: $(INSTALLED) ## lint, types, import rules, tests and doctests; what keeps time runs alone, last
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n auto $(PYTEST_ARGS)
+	$(BIN)/pytest -n auto -m "not realtime" $(PYTEST_ARGS)
+	$(BIN)/pytest -n 0 -m realtime $(PYTEST_ARGS)
 
 # Only the files with vcan tests: importing all the others inside a user-mode kernel takes longer than the tests.
 VCAN_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.vcan' tests)

@@ -72,7 +72,8 @@ def debian() -> Kernel:
 
 def cache_directory() -> Path:
     """Where built kernels are kept: outside the repository, so that every clone uses the same."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hilrig"
+    base = os.environ.get("HILRIG_KERNEL_CACHE") or os.environ.get("XDG_CACHE_HOME")  # the first: tests have a cache of their own
+    return Path(base or Path.home() / ".cache") / "hilrig"
 
 
 def _cached() -> Path:

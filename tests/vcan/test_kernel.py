@@ -49,7 +49,7 @@ def place(tmp_path: Path) -> Path:
 def builder(place: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-c", SMALL, str(HERE.parent), str(place)],
-        env={**os.environ, "XDG_CACHE_HOME": str(place / "cache")},
+        env={**os.environ, "XDG_CACHE_HOME": str(place / "cache"), "HILRIG_KERNEL_CACHE": ""},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -132,6 +132,7 @@ def test_missing_package_without_root_names_the_command(tmp_path: Path) -> None:
 
 
 def test_no_place_for_the_cache_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("HILRIG_KERNEL_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/no-such-place")
     with pytest.raises(RunnerError, match="XDG_CACHE_HOME"):
         kernel.small()

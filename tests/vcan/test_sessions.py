@@ -14,10 +14,10 @@ import can
 import numpy as np
 import pytest
 
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.log.read import Run
+from hil.log.read.run import Run
 from hil.replay import verify
-from hil.runtime.loop import compose
 from hil.session import Session, run_session, simulate
 
 pytestmark = pytest.mark.vcan
