@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from hil.log.read.run import Run
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import OK, Rig, row_index
+from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport.links.link import open_link
 from transport.packets import ControlPacket, decode
@@ -59,6 +60,38 @@ def _answers(loop: Loop, run: Run) -> dict[int, bytes]:
     return out
 
 
+class Recorded:
+    """The link of a replay: what was recorded answers, and our controller says whether it would have said the same.
+
+    Args:
+        loop: the composed experiment.
+        heard: slot to the control packet that arrived in time.
+        foreign: somebody else's controller answered; ours is not asked.
+    """
+
+    def __init__(self, loop: Loop, heard: Mapping[int, bytes], foreign: bool) -> None:
+        self._node, self._heard, self._foreign = ControlNode(loop), heard, foreign
+        self._period_ns = loop.experiment.period_ns
+        self._answer: bytes | None = None
+        self.difference: tuple[int, str] | None = None
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Ask our controller."""
+        answers = [answer for answer in map(self._node.hear, frames) if answer is not None]
+        self._answer = answers[-1] if answers else None
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
+        """Hand over what was recorded, and compare."""
+        k = t_ns // self._period_ns
+        recorded = self._heard.get(k)
+        if recorded is None:
+            return
+        hear(recorded)
+        if not self._foreign and self._answer != recorded:
+            text = f"control packet of slot {k}: {_words(recorded)} recorded, {_words(self._answer)} now"
+            self.difference = (k, text)
+
+
 def verify(run: Run, source: str = "log") -> Verdict:
     """Run controller and rig again on the recorded control packets; compare every record, bit for bit.
 
@@ -79,22 +112,15 @@ def verify(run: Run, source: str = "log") -> Verdict:
     heard = dict(zip(control["tick"].tolist(), map(bytes, control["data"])))
 
     again = MemorySink(loop.channels())
-    frames: list[bytes] = []
-    rig = Rig(loop, int(run.metadata["seed"]), again, loop.channels(), frames.append, lambda: None)
-    node = ControlNode(loop)
-    differences: list[tuple[int, str]] = []
+    rig = Rig(loop, int(run.metadata["seed"]), again, loop.channels(), lambda: None)
+    recorded = Recorded(loop, heard, foreign)
+    slot = Slot(rig, recorded, stopped=lambda: recorded.difference is not None)
     for k in range(slots):
-        rig.sense(k * experiment.period_ns)
-        answers = [answer for answer in map(node.hear, frames) if answer is not None]
-        frames.clear()
-        if k in heard:
-            rig.hear(heard[k])
-            answer = answers[-1] if answers else None
-            if not foreign and answer != heard[k]:
-                differences.append((k, f"control packet of slot {k}: {_words(heard[k])} recorded, {_words(answer)} now"))
-                slots = k
-                break
-        rig.actuate(k * experiment.period_ns)
+        slot.run(k * experiment.period_ns)
+        if recorded.difference is not None:
+            slots = k
+            break
+    differences = [] if recorded.difference is None else [recorded.difference]
     now = Run.from_memory(again).arrays
     for topic in sorted(now):
         if topic != "/timing/tick":

@@ -2,15 +2,38 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from hil.compose.loop import Loop
 from hil.log.write.sinks import Sink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
+from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import VirtualClock
-from hil.runtime.time.kernel import Kernel, Phase
+from hil.runtime.time.kernel import Kernel
+
+
+class DirectExchange:
+    """The controller node in the rig's own process: it answers at once.
+
+    Args:
+        node: answers the sensor frames.
+    """
+
+    def __init__(self, node: ControlNode) -> None:
+        self._node = node
+        self._frames: Sequence[bytes] = ()
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Keep the frames for :meth:`answer`."""
+        self._frames = frames
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
+        """Let the node take every frame, and hand over what it answers."""
+        for frame in self._frames:
+            answer = self._node.hear(frame)
+            if answer is not None:
+                hear(answer)
 
 
 def run_virtual(
@@ -27,22 +50,8 @@ def run_virtual(
     e = loop.experiment
     kernel = Kernel(VirtualClock())
     stoppable(kernel.stop)
-    frames: deque[bytes] = deque()
-    rig = Rig(loop, seed, sink, loop.channels(), frames.append, kernel.stop)
-    node = ControlNode(loop)
-
-    def exchange(t_ns: int) -> None:
-        while frames:
-            answer = node.hear(frames.popleft())
-            if answer is not None:
-                rig.hear(answer)
-
-    def actuate(t_ns: int) -> None:
-        rig.actuate(t_ns)
-        sink.commit()
-
-    kernel.every(e.period_ns, e.ticks, Phase.SENSE, rig.sense)
-    kernel.every(e.period_ns, e.ticks, Phase.EXCHANGE, exchange)
-    kernel.every(e.period_ns, e.ticks, Phase.ACTUATE, actuate)
+    rig = Rig(loop, seed, sink, loop.channels(), kernel.stop)
+    slot = Slot(rig, DirectExchange(ControlNode(loop)), lambda t_ns: sink.commit(), lambda: kernel.stopped)
+    kernel.every(e.period_ns, e.ticks, slot.run)
     kernel.run()
     return rig

@@ -1,7 +1,8 @@
 """The rig node: the emulated hardware and the emulated network on both sides of it.
 
-Nothing here does I/O or reads a clock: frames leave through ``send``, come in through :meth:`Rig.hear`, records go to a
-sink, and time is the nominal time that the kernel hands over. So virtual and real time run the same lines.
+Nothing here does I/O or reads a clock: :meth:`Rig.sense` returns the frames that leave, :meth:`Rig.hear` takes those that
+come, records go to a sink, and time is the nominal time that the kernel hands over. The order of a slot stands in
+:mod:`hil.runtime.slot`.
 """
 
 from __future__ import annotations
@@ -52,7 +53,6 @@ class Rig:
         seed: seed of the run.
         sink: where records go.
         channels: the table of what is logged.
-        send: puts one frame on the link.
         stop: ends the run (after a trip of the safety, once ``after_trip`` has passed).
     """
 
@@ -62,7 +62,6 @@ class Rig:
         seed: int,
         sink: Sink,
         channels: dict[str, Channel],
-        send: Callable[[bytes], None],
         stop: Callable[[], None],
     ) -> None:
         e = loop.experiment
@@ -73,6 +72,8 @@ class Rig:
         self._inputs = len(e.plant.inputs)
         self._samples = loop.samples
         self._sample: tuple[float, ...] = ()
+        self._y: Sequence[float] = ()
+        self._draws: Sequence[Draw] = ()
         self._zero = (0.0,) * self._inputs
         self._plant = e.plant.start(rng_for(seed, "plant"))
         self._sc = impair(loop.sc_law, rng_for(seed, "link.sc"), float(e.period), deadline_s)
@@ -83,7 +84,7 @@ class Rig:
         )
         self._after_trip = round(e.limits.after_trip / e.period)
         self._end: int | None = None
-        self._send, self._stop, self._sink = send, stop, sink
+        self._stop, self._sink = stop, sink
         self._log = {topic: (sink.channel(topic), c.schema.pack) for topic, c in channels.items()}
         self._log_state, self._pack_state = self._log["/plant/state"]
         self._log_y, self._pack_y = self._log["/plant/measurement"]
@@ -112,30 +113,35 @@ class Rig:
         """Why safety stopped the run, None if it did not."""
         return self._safety.tripped
 
-    def sense(self, t_ns: int) -> None:
-        """Advance the plant to t_k, measure, and put on the link what the S-C law lets arrive in this slot."""
+    def sense(self, t_ns: int) -> list[bytes]:
+        """Advance the plant to t_k, measure, and return the frames of what the S-C law lets arrive in this slot."""
         k = self.k = t_ns // self._period_ns
         plant = self._plant
         if k:
             plant.advance(self._period_ns, self._u, self._w)
-        y = plant.measure()
+        y = self._y = plant.measure()
         # What a packet carries: this measurement, and those of the slots before as far as the controller takes them.
         self._sample = (y + self._sample)[: len(y) * self._samples] if k else y * self._samples
         self._answer = None
         self._sc.offer(k, self._sample)
-        draws, arrivals = self._sc.collect(k)
-        frames = self._frames(k, arrivals)
-        for frame in frames:
-            self._send(frame)
+        self._draws, arrivals = self._sc.collect(k)
+        return self._frames(k, arrivals)
 
-        state = plant.state
+    def record(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Record what was sensed and sent, and trip on a state beyond its limit.
+
+        Args:
+            t_ns: nominal time of the slot, ns.
+            frames: what :meth:`sense` returned.
+        """
+        k, state = self.k, self._plant.state
         if self._log_state:
             self._log_state(t_ns, self._pack_state(*state, k))
         if self._log_y:
-            self._log_y(t_ns, self._pack_y(*y, k))
+            self._log_y(t_ns, self._pack_y(*self._y, k))
         if self._log_r:
             self._log_r(t_ns, self._pack_r(*self._reference(k), k))
-        self._record_draws("/network/sc", t_ns, draws)
+        self._record_draws("/network/sc", t_ns, self._draws)
         log, pack = self._log["/link/sensor"]
         if log:
             for frame in frames:

@@ -10,7 +10,7 @@ import math
 import pickle
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from types import FrameType
 
@@ -20,8 +20,9 @@ from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import HELLO
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
-from hil.runtime.time.kernel import Kernel, Phase
+from hil.runtime.time.kernel import Kernel
 from transport.links.link import Link, TransportError, open_link
 from transport.packets import EMPTY, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 
@@ -66,37 +67,36 @@ def await_controller(link: Link, timeout_s: float, stopped: Callable[[], bool]) 
 
 
 class RealLoop:
-    """The three phases of every slot on a real link, timed."""
+    """The slots of a rig on a real link, timed."""
 
     def __init__(self, job: Job, link: Link, sink: PipeSink) -> None:
         e = job.loop.experiment
         channels = job.loop.channels()
         self.clock = RealClock(monotonic_ns() + SETTLE_NS)
         self.kernel = Kernel(self.clock)
-        self.rig = Rig(job.loop, job.seed, sink, channels, self._send, self.kernel.stop)
+        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop)
         self.overruns = 0
         self._link, self._sink = link, sink
         self._period_ns = e.period_ns
         self._deadline_ns = round(e.timing.deadline * e.period_ns)
         self._put, self._pack = sink.channel("/timing/tick"), channels["/timing/tick"].schema.pack
-        self._woken_ns = self._sent_ns = 0
+        self._woken_ns = self._sent_ns = self._late = 0
         self._round_trip_us = math.nan
-        for phase, handler in (
-            (Phase.SENSE, self._sense),
-            (Phase.EXCHANGE, self._exchange),
-            (Phase.ACTUATE, self._actuate),
-        ):
-            self.kernel.every(e.period_ns, e.ticks, phase, handler)
+        self._slot = Slot(self.rig, self, self._commit, lambda: self.kernel.stopped)
+        self.kernel.every(e.period_ns, e.ticks, self._run)
 
-    def _send(self, frame: bytes) -> None:
-        self._sent_ns = self.clock.now()
-        self._link.send(frame)
-
-    def _sense(self, t_ns: int) -> None:
+    def _run(self, t_ns: int) -> None:
         self._woken_ns = self.clock.now()
-        self.rig.sense(t_ns)
+        self._late = self.rig.late
+        self._slot.run(t_ns)
 
-    def _exchange(self, t_ns: int) -> None:
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Put the question on the link."""
+        for frame in frames:
+            self._sent_ns = self.clock.now()
+            self._link.send(frame)
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
         """Wait for the answer until the deadline, which runs from the moment the question left: a rig that woke up
         late does not make its controller late."""
         deadline = max(t_ns, self._sent_ns) + self._deadline_ns
@@ -109,40 +109,47 @@ class RealLoop:
                 if now >= deadline or self.kernel.stopped:
                     break
                 continue
-            if self.rig.hear(data):
+            if hear(data):
                 self._round_trip_us = (now - self._sent_ns) / 1e3
                 break
         self._waited_ns = now - self._waited_from_ns
 
-    def _actuate(self, t_ns: int) -> None:
-        rig = self.rig
-        before = rig.late
-        rig.actuate(t_ns)
-        end = self.clock.now()
+    def _commit(self, t_ns: int) -> None:
+        rig, end = self.rig, self.clock.now()
         overrun = end > t_ns + self._period_ns
         self.overruns += overrun
         if self._put is not None:
             lateness_us = (self._woken_ns - t_ns) / 1e3
             work_us = (end - self._woken_ns - self._waited_ns) / 1e3
             self._put(
-                t_ns, self._pack(lateness_us, self._round_trip_us, work_us, rig.k, rig.late - before, overrun)
+                t_ns, self._pack(lateness_us, self._round_trip_us, work_us, rig.k, rig.late - self._late, overrun)
             )
         self._sink.commit()
 
 
-def warm_up(loop: Loop) -> None:
-    """Run a rig through a few slots without a link, so that slot 0 does not pay for what is done once (tables, first calls).
+class Rehearsal:
+    """A link without a link: every question is answered with zeros, so that no line of a controller runs in this process."""
 
-    The answers are zeros: no line of a controller ever runs in this process.
-    """
+    def __init__(self, loop: Loop) -> None:
+        self._period_ns = loop.experiment.period_ns
+        self._selection = SELECTIONS.index(loop.selection)
+        self._rows = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Let the frames go."""
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
+        """Answer with zeros."""
+        hear(encode_control(ControlPacket(t_ns // self._period_ns, 0, 0, 0, self._selection, self._rows)))
+
+
+def warm_up(loop: Loop) -> None:
+    """Run a rig through a few slots without a link, so that slot 0 does not pay for what is done once (tables, first calls)."""
     e = loop.experiment
-    frames: list[bytes] = []
-    rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), frames.append, lambda: None)
-    rows = ((0.0,) * len(e.plant.inputs),) * loop.rows
+    rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), lambda: None)
+    slot = Slot(rig, Rehearsal(loop))
     for k in range(min(e.ticks, 50)):
-        rig.sense(k * e.period_ns)
-        rig.hear(encode_control(ControlPacket(k, 0, 0, 0, SELECTIONS.index(loop.selection), rows)))
-        rig.actuate(k * e.period_ns)
+        slot.run(k * e.period_ns)
 
 
 def main() -> None:

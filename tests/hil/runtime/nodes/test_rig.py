@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.rig import HOLD, NONE_YET, OK, SAFE, Rig
+from hil.runtime.slot import Slot
 from hil.runtime.time.clock import VirtualClock
 from hil.runtime.time.kernel import Kernel
 from hil.session import simulate
@@ -50,20 +51,28 @@ def test_loop_follows_the_recursion_of_the_thesis_on_the_drawn_delays(name: str)
         x = A @ x + B[:, 0] * (u + w[k])
 
 
+class Script:
+    """A controller that is a function of the slot: one frame, several, or none."""
+
+    def __init__(self, loop: Loop, answer: Callable[[int], bytes | list[bytes] | None]) -> None:
+        self.period_ns, self._answer = loop.experiment.period_ns, answer
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        assert frames
+
+    def answer(self, t_ns: int, hear: Callable[[bytes], bool]) -> None:
+        answer = self._answer(t_ns // self.period_ns)
+        for data in [answer] if isinstance(answer, bytes) else answer or []:
+            hear(data)
+
+
 def drive(loop: Loop, answer: Callable[[int], bytes | None], ticks: int) -> MemorySink:
     """Run a rig whose controller is a function of the slot."""
     sink = MemorySink(loop.channels())
     kernel = Kernel(VirtualClock())
-    rig = Rig(loop, 0, sink, loop.channels(), lambda frame: None, kernel.stop)
-    period = loop.experiment.period_ns
-    for k in range(ticks):
-        rig.sense(k * period)
-        data = answer(k)
-        if data is not None:
-            rig.hear(data)
-        rig.actuate(k * period)
-        if kernel.stopped:
-            break
+    rig = Rig(loop, 0, sink, loop.channels(), kernel.stop)
+    kernel.every(loop.experiment.period_ns, ticks, Slot(rig, Script(loop, answer)).run)
+    kernel.run()
     return sink
 
 
@@ -140,7 +149,7 @@ def test_late_answer_is_lost_and_logged_never_another_delay(loop: Loop) -> None:
 def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> None:
     rng = np.random.default_rng(0)
     sink = MemorySink(loop.channels())
-    rig = Rig(loop, 0, sink, loop.channels(), lambda frame: None, lambda: None)
+    rig = Rig(loop, 0, sink, loop.channels(), lambda: None)
     rig.sense(0)
     for _ in range(300):
         assert rig.hear(rng.bytes(int(rng.integers(0, 80)))) is False
@@ -152,7 +161,7 @@ def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> Non
 
 def test_a_second_controller_that_says_otherwise_is_told_once(loop: Loop) -> None:
     sink = MemorySink(loop.channels())
-    rig = Rig(loop, 0, sink, loop.channels(), lambda frame: None, lambda: None)
+    rig = Rig(loop, 0, sink, loop.channels(), lambda: None)
     one, other = ([encode_control(ControlPacket(k, 0, 0, 0, 1, ((u,), (u,)))) for k in range(4)] for u in (0.0, 0.5))
     for k in range(4):
         rig.sense(k * loop.experiment.period_ns)

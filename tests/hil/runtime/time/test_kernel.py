@@ -8,24 +8,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.runtime.time.clock import RealClock, VirtualClock
-from hil.runtime.time.kernel import Kernel, Phase
+from hil.runtime.time.kernel import Kernel
 
 
-@given(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(list(Phase))), max_size=40))
-def test_events_run_by_time_then_phase_then_order_of_scheduling(events: list[tuple[int, Phase]]) -> None:
+@given(st.lists(st.integers(0, 5), max_size=40))
+def test_events_run_by_time_then_order_of_scheduling(instants: list[int]) -> None:
     kernel, seen = Kernel(VirtualClock()), []
-    for i, (t_ns, phase) in enumerate(events):
-        kernel.at(t_ns, phase, lambda t, phase=phase, i=i: seen.append((t, phase, i)))  # type: ignore[misc]
+    for i, t_ns in enumerate(instants):
+        kernel.at(t_ns, lambda t, i=i: seen.append((t, i)))  # type: ignore[misc]
     kernel.run()
-    assert seen == sorted((t, phase, i) for i, (t, phase) in enumerate(events))
+    assert seen == sorted((t, i) for i, t in enumerate(instants))
 
 
-def test_periodic_events_keep_their_phases_at_every_instant() -> None:
+def test_periodic_events_keep_their_order_at_every_instant() -> None:
     kernel, seen = Kernel(VirtualClock()), []
-    for phase in (Phase.ACTUATE, Phase.SENSE, Phase.EXCHANGE):
-        kernel.every(10, 3, phase, lambda t, phase=phase: seen.append((t, phase)))  # type: ignore[misc]
+    for name in "abc":
+        kernel.every(10, 3, lambda t, name=name: seen.append((t, name)))  # type: ignore[misc]
     kernel.run()
-    assert seen == [(t, p) for t in (0, 10, 20) for p in (Phase.SENSE, Phase.EXCHANGE, Phase.ACTUATE)]
+    assert seen == [(t, name) for t in (0, 10, 20) for name in "abc"]
 
 
 def test_stop_ends_the_run_within_its_event() -> None:
@@ -36,7 +36,7 @@ def test_stop_ends_the_run_within_its_event() -> None:
         if t_ns == 20:
             kernel.stop()
 
-    kernel.every(10, 100, Phase.SENSE, handler)
+    kernel.every(10, 100, handler)
     kernel.run()
     assert seen == [0, 10, 20]
     assert kernel.stopped

@@ -1,0 +1,73 @@
+"""The order of a slot, written once: virtual time, real time, warm-up, replay and tests all run it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from hil.runtime.nodes.rig import Rig
+
+Hear = Callable[[bytes], bool]
+"""Takes one frame that came back; true when it answers the current slot."""
+
+
+class Exchange(Protocol):
+    """How the question of a slot reaches a controller, and how its answer comes back."""
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Put the sensor frames of the slot on their way.
+
+        Args:
+            t_ns: nominal time of the slot, ns.
+            frames: sensor frames, in order; the last one closes the slot.
+        """
+        ...
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
+        """Hand over what comes back, until one frame answers the slot or no more may come.
+
+        Args:
+            t_ns: nominal time of the slot, ns.
+            hear: takes one frame.
+        """
+        ...
+
+
+def nothing_more(t_ns: int) -> None:
+    """Close a slot of which nobody keeps a record."""
+
+
+class Slot:
+    """One slot of a rig: sense, ask, record, hear, actuate, commit.
+
+    Args:
+        rig: the emulated hardware and network.
+        exchange: the way to the controller and back.
+        commit: called with the nominal time once the slot is complete: its records may leave.
+        stopped: whether the run was ended from outside; a slot that is cut off is not completed.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        exchange: Exchange,
+        commit: Callable[[int], None] = nothing_more,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._rig, self._exchange, self._commit, self._stopped = rig, exchange, commit, stopped
+
+    def run(self, t_ns: int) -> None:
+        """Run the slot that begins at ``t_ns``.
+
+        Args:
+            t_ns: nominal time, ns; a multiple of the period.
+        """
+        rig, exchange = self._rig, self._exchange
+        frames = rig.sense(t_ns)  # the plant reaches t_k and is measured; the network says what arrives
+        exchange.ask(t_ns, frames)
+        rig.record(t_ns, frames)  # while the controller computes
+        exchange.answer(t_ns, rig.hear)
+        if self._stopped():
+            return
+        rig.actuate(t_ns)
+        self._commit(t_ns)

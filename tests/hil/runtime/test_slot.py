@@ -1,0 +1,75 @@
+"""The order of a slot, and the arrays that the motor of the thesis must keep giving."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.runtime.nodes.rig import Rig
+from hil.runtime.slot import Hear, Slot
+from hil.session import simulate
+
+
+class Spy:
+    """Rig and exchange in one, which write down who was called."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.cut = False
+
+    def sense(self, t_ns: int) -> list[bytes]:
+        self.calls.append("sense")
+        return [b"y"]
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        self.calls.append(f"ask {frames}")
+
+    def record(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        self.calls.append("record")
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
+        hear(b"u")
+
+    def hear(self, data: bytes) -> bool:
+        self.calls.append(f"hear {data!r}")
+        return True
+
+    def actuate(self, t_ns: int) -> None:
+        self.calls.append("actuate")
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_slot_is_sense_ask_record_hear_actuate_commit_and_one_cut_off_is_not_completed(cut: bool) -> None:
+    spy = Spy()
+    rig: Rig = spy  # type: ignore[assignment]
+    Slot(rig, spy, lambda t_ns: spy.calls.append(f"commit {t_ns}"), lambda: cut).run(7)
+    whole = ["sense", "ask [b'y']", "record", "hear b'u'", "actuate", "commit 7"]
+    assert spy.calls == (whole[:4] if cut else whole)
+
+
+def digest(name: str) -> str:
+    """SHA-256 of every field of states and inputs, seed 0."""
+    run = simulate(compose(load_experiment(name)), 0)
+    sha = hashlib.sha256()
+    for topic in ("/plant/state", "/actuator/applied"):
+        records = run.arrays[topic]
+        for field in records.dtype.names or ():
+            sha.update(field.encode())
+            sha.update(np.ascontiguousarray(records[field]).tobytes())
+    return sha.hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("dc-motor-hinf", "f997f3a05d42b8d2bcc383c47113e00b01efd2f5181941d2c73db2178278b7f6"),
+        ("dc-motor-packets", "44f812b338019c66b26c10153c24765d4ed472d0f33ab3c68d8af3cded88c02d"),
+    ],
+)
+def test_states_and_inputs_of_seed_0_are_those_of_the_first_release(name: str, expected: str) -> None:
+    assert digest(name) == expected
