@@ -8,7 +8,6 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.sweeps.seeds import COLUMNS, METRICS, run_sweep, sweep
 from hil.sweeps.store import SweepStore
+from tests.waiting import until
 
 ONE_CORE = Ladder()
 
@@ -95,11 +95,9 @@ def test_a_signal_on_the_command_line_prints_and_exits_with_its_status(
     process = subprocess.Popen(
         [sys.executable, "-m", "hil", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    deadline = time.monotonic() + 60
-    while process.poll() is None and time.monotonic() < deadline and not (kept.exists() and kept.read_bytes().count(b"\n") > 10):
-        time.sleep(0.02)
+    until(lambda: process.poll() is not None or (kept.exists() and kept.read_bytes().count(b"\n") > 10), "ten rows")
     send(process.pid, number)  # a terminal sends Ctrl-C to the workers too
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=120)
     assert process.returncode == status, err
     found = json.loads(out)
     assert 10 <= found["runs"] < 100000
