@@ -11,10 +11,15 @@ from typing import Any, Literal
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
+from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, Put, Sink, Taps, TeeSink
+from hil.measure.measure import measures_of, quantities_of
+from hil.measure.signals import signals_of
+from hil.measure.summary import summarise
+from hil.measure.view import view_of
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
@@ -24,7 +29,7 @@ from transport.packets import SELECTIONS
 ClockName = Literal["virtual", "real"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Session:
     """What a finished run leaves behind.
 
@@ -37,6 +42,24 @@ class Session:
     run: Run
     summary: dict[str, Any]
     status: int
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """The numbers of the experiment's measures, by name; ``summary["units"]`` has their units."""
+        found: dict[str, Any] = self.summary["metrics"]
+        return found
+
+    @property
+    def arrays(self) -> dict[str, StructuredArray]:
+        """Topic to records, a structured numpy array each; field ``t_ns`` is the session time."""
+        return self.run.arrays
+
+    def __repr__(self) -> str:
+        s, metrics = self.summary, self.summary["metrics"]
+        number, value = next(((k, v) for k, v in metrics.items() if isinstance(v, float)), ("", None))
+        told = "" if value is None else f", {number} {value:.5g}"
+        safety = ", stopped by safety" if s.get("safety") else ""
+        return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['ticks']} slots{told}{safety}>"
 
 
 def simulate(loop: Loop, seed: int, topics: Collection[str] | None = None) -> Run:
@@ -70,6 +93,7 @@ def run_session(
     """
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
     loop = compose(experiment)
+    quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are told now
     uri = "memory:" if clock == "virtual" else (link or experiment.links.uri)
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.
@@ -104,7 +128,7 @@ def run_session(
     if sink.error is not None:
         outcome["log_error"] = sink.error
     run = read_run(path, whole=sink.error is None)
-    return Session(run=run, summary=_summary(run, sink, outcome, wall_s), status=_status(run, sink, outcome))
+    return Session(run=run, summary=_summary(run, loop.experiment, sink, outcome, wall_s), status=_status(run, sink, outcome))
 
 
 def _run_in_virtual_time(loop: Loop, sink: Sink) -> dict[str, Any]:
@@ -156,10 +180,8 @@ def _run_real(
     return out
 
 
-def _summary(run: Run, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
-    from hil.measure.summary import summarise
-
-    summary: dict[str, Any] = summarise(run)
+def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
+    summary: dict[str, Any] = summarise(view_of(run, experiment))
     summary["wall_s"] = round(wall_s, 3)
     summary["log"] = {
         "path": str(sink.path),

@@ -31,8 +31,9 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     from hil.cli.sweep import check_jobs
     from hil.cli.tables import print_table
     from hil.experiment import load_experiment
-    from hil.report.compare import compare_page, paired
-    from hil.sweeps.seeds import METRICS, here, run_sweep, statistics
+    from hil.measure.signals import with_unit
+    from hil.report.compare import common_quantities, compare_page, paired
+    from hil.sweeps.seeds import here, quantities_in, run_sweep, statistics
 
     if runs < 2:
         raise HilError(f"--runs: {runs} is below 2")
@@ -42,6 +43,8 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     if len(set(experiments)) < len(experiments):
         raise HilError("the same experiment is named twice")
     checked = {name: load_experiment(name) for name in experiments}
+    quantities = common_quantities([quantities_in(experiment) for experiment in checked.values()])
+    names = [quantity.name for quantity in quantities]
     err = Console(stderr=True)
     found = {}
     with Progress(console=err, disable=not err.is_terminal) as bar:
@@ -58,21 +61,22 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
                 sys.exit(ran.interrupted)
             found[name] = ran.values
     if output is not None:
-        write_output(output, compare_page(found, runs, [experiment.plant for experiment in checked.values()]))
+        write_output(output, compare_page(found, runs, quantities))
     first = experiments[0]
     out: dict[str, Any] = {
         name: {
             "stopped_by_safety": int(values["stopped"].sum()),
-            "metrics": {m: statistics(values[m]) for m in METRICS},
-            "difference": {m: paired(found[first][m], values[m]) for m in METRICS},
+            "metrics": {m: statistics(values[m]) for m in names},
+            "difference": {m: paired(found[first][m], values[m]) for m in names},
         }
         for name, values in found.items()
     }
     if as_json:
         print(json.dumps({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None}, indent=2))
         return
-    for metric in METRICS:
-        table = Table(title=metric)
+    for quantity in quantities:
+        metric = quantity.name
+        table = Table(title=with_unit(metric, quantity.unit))
         for head in ("experiment", "runs", "mean", "sd", "difference", "95 % interval"):
             table.add_column(head, justify="left" if head == "experiment" else "right")
         for name, values in out.items():

@@ -21,7 +21,7 @@ def command(as_json: bool) -> None:
     }
     plugins = {
         group[4:]: {name: registry.provider(group, name) for name in registry.names(group)}
-        for group in ("hil.plants", "hil.controllers", "hil.laws", "hil.links")
+        for group in ("hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures")
     }
     if as_json:
         print(json.dumps({"experiments": experiments, "plugins": plugins}, indent=2))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, channels
-from hil.measure.units import PURE
+from hil.measure.signals import PURE, tracked_among
 from hil.report.html.numbers import text_of
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class LiveView:
         self._where = "virtual time" if clock == "virtual" else f"real time · {link or experiment.links.uri}"
         plant = experiment.plant
         self._plant = plant
-        self._tracked = getattr(plant, "tracked", [signal.name for signal in plant.outputs])
+        self._tracked = tracked_among(plant, [signal.name for signal in plant.outputs])
         self._name_width = min(max(10, *(len(signal.name) for signal in plant.outputs)), LONGEST_NAME)
         table = channels(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=1)
         self._dtypes = {topic: channel.schema.dtype for topic, channel in table.items()}

@@ -21,6 +21,7 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     from hil.cli.outputs import check_output, write_output
     from hil.log.read.run import read_run
     from hil.measure.summary import summarise
+    from hil.measure.view import view_of
     from hil.report.run.prediction import theory_section
     from hil.report.run.run_page import render_report
 
@@ -29,8 +30,9 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     if target.resolve() == file.resolve():
         raise HilError(f"{target}: is the log itself; choose another -o")
     check_output(target, page=True)
-    theory = theory_section(run)
-    page = render_report(run, {**summarise(run), **run.summary}, sections=[theory] if theory else [])
+    view = view_of(run)
+    theory = theory_section(view)
+    page = render_report(view, {**summarise(view), **run.summary}, sections=[theory] if theory else [])
     write_output(target, page)
     click.echo(f"written: {target} ({len(page.encode()) / 1e6:.1f} MB)")
     if show:

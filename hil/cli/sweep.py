@@ -57,7 +57,7 @@ def command(
 
     from design.monte_carlo.parallel import Ladder
     from hil.experiment import load_experiment
-    from hil.sweeps.seeds import COLUMNS, METRICS, here, run_sweep, statistics
+    from hil.sweeps.seeds import columns_of, here, run_sweep, statistics
     from hil.sweeps.store import SweepStore
 
     if runs < 1:
@@ -69,15 +69,17 @@ def command(
     check_jobs(jobs)
     if (scheduler is None) == (backend == "dask"):
         raise HilError("--scheduler: --backend dask needs the address of its scheduler, and nothing else does")
-    rule = stop_rule(until, level, METRICS) if until is not None else None
     checked = load_experiment(experiment, sets)
+    columns = columns_of(checked)
+    metrics = columns[1:]
+    rule = stop_rule(until, level, metrics) if until is not None else None
     ladder = Ladder(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     begun = time.perf_counter()
     err = Console(stderr=True)
     with ExitStack() as stack:
-        store = stack.enter_context(SweepStore(resume, checked, COLUMNS)) if resume is not None else None
-        columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
-        bar = stack.enter_context(Progress(*columns, console=err, disable=not err.is_terminal))
+        store = stack.enter_context(SweepStore(resume, checked, columns)) if resume is not None else None
+        shown = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
+        bar = stack.enter_context(Progress(*shown, console=err, disable=not err.is_terminal))
         task = bar.add_task(checked.name, total=runs)
         found = run_sweep(
             checked,
@@ -95,7 +97,7 @@ def command(
         "first_seed": first_seed,
         "wall_s": round(time.perf_counter() - begun, 3),
         "stopped_by_safety": int(values["stopped"].sum()),
-        "metrics": {name: statistics(values[name]) for name in METRICS},
+        "metrics": {name: statistics(values[name]) for name in metrics},
     }
     if rule is not None:
         seen = found.interval

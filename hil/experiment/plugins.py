@@ -9,7 +9,7 @@ from typing import Literal
 
 from hil.errors import HilError
 
-Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links"]
+Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]
 
 
 @cache

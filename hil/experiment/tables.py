@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 import msgspec
 
+from hil.errors import HilError
+from hil.experiment import plugins
 from transport.links.link import TransportError, find_link
 
 HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
@@ -184,6 +186,27 @@ class Timing(Table, frozen=True, kw_only=True):
             yield f"priority: {values['priority']} is not between 1 and 98"
 
 
+class Report(Table, frozen=True, kw_only=True):
+    """What a run is judged by.
+
+    Args:
+        measures: plug-ins whose numbers stand in summary, sweep, comparison and page, in this order.
+    """
+
+    measures: tuple[str, ...] = ("tracking",)
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        names = values.get("measures", ())
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                yield f"measures[{i}]: {name!r} is named twice"
+            try:
+                plugins.load("hil.measures", name)
+            except HilError as error:
+                yield f"measures[{i}]: {error}"
+
+
 class Experiment(Table, frozen=True, kw_only=True):
     """One experiment: plant, controller, links with their network laws, schedule, limits and seed.
 
@@ -201,6 +224,7 @@ class Experiment(Table, frozen=True, kw_only=True):
         links: the real link, and the network that is emulated on both sides of the rig.
         limits: what the rig allows, whatever the controller does.
         timing: how rig and controller run in real time.
+        report: what a run is judged by.
         kinds: name of the plug-in behind each table.
         text: the file as it was written.
         folder: where the file stands, for the files that it names.
@@ -219,6 +243,7 @@ class Experiment(Table, frozen=True, kw_only=True):
     links: Links
     limits: Limits = Limits()
     timing: Timing = Timing()
+    report: Report = Report()
     kinds: dict[str, str] = msgspec.field(default_factory=dict)
     text: str = ""
     folder: str = "."

@@ -5,106 +5,80 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hil.errors import HilError
-from hil.experiment import Experiment, experiment_from_resolved
+from hil.experiment import Experiment
 from hil.log.read.run import Run
-from hil.log.records import TIME_FIELD
+from hil.measure.measure import measured, measures_of, quantities_of
 from hil.measure.network import network_metrics
 from hil.measure.timing import timing_metrics
-from hil.measure.tracking import tracking_metrics
+from hil.measure.view import MEASUREMENT, TIMING, RunView, view_of
 from transport.medium.draws import REASONS
 
 
-def summarise(run: Run) -> dict[str, Any]:
+def summarise(view: RunView) -> dict[str, Any]:
     """Return the summary of a run as plain JSON values.
 
-    Keys: experiment, seed, clock, link, ticks, duration_s; metrics (see `tracking_metrics`; for more than one output
-    also `outputs`, the same per output); network.sc and network.ca (see `network_metrics`); timing (see
-    `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or None); certificate (mean
-    square radius and verdict, or None).
+    Keys: experiment, seed, clock, link, ticks, duration_s; metrics (the numbers of the experiment's measures, see
+    `hil.measure.measure.measured`) and units (of them, nothing for a pure number); network.sc and network.ca (see
+    `network_metrics`); timing (see `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or
+    None); certificate (what the log carries of it, or None).
 
     Args:
-        run: a log that was read, or a run kept in memory with `metadata` and `resolved`.
+        view: a log that was read, or a run kept in memory with `metadata` and `resolved`.
     """
-    experiment = experiment_of(run)
-    period_s = period_of(run)
+    run, experiment = view.run, view.experiment
     ticks = _ticks(run)
-    timing = run.arrays.get("/timing/tick")
-    timing = timing if timing is not None and len(timing) else None
-    measured = run_timing(run)
+    timing = run_timing(view)
     links = run.resolved.get("links", {})
     reasons = run.codes.get("reason") or REASONS
+    laws = laws_of(experiment)
     network = {}
     for side in ("sc", "ca"):
-        law = getattr(experiment.links, side).law if experiment is not None else None
         kind = str(links.get(side, {}).get("law", {}).get("kind", "?"))
-        late = measured["late"] if side == "ca" else 0
-        network[side] = network_metrics(run.arrays.get(f"/network/{side}"), law, kind, late=late, reasons=reasons)
+        late = timing["late"] if side == "ca" else 0
+        network[side] = network_metrics(run.arrays.get(f"/network/{side}"), laws[side], kind, late=late, reasons=reasons)
+    measures = measures_of(experiment)
     return {
         "experiment": run.metadata.get("experiment", ""),
         "seed": int(run.metadata.get("seed", 0)),
         "clock": run.metadata.get("clock", ""),
         "link": run.metadata.get("link", ""),
         "ticks": ticks,
-        "duration_s": round(ticks * period_s, 9),
-        "metrics": run_metrics(run, experiment),
+        "duration_s": round(ticks * view.period_s, 9),
+        "metrics": measured(view, measures),
+        "units": {q.name: q.unit for q in quantities_of(measures, view.signals)},
         "network": network,
-        "timing": measured,
+        "timing": timing,
         "safety": safety_of(run),
-        "certificate": certificate_of(run),
+        "certificate": dict(run.certificate) if run.certificate else None,
     }
 
 
+def laws_of(experiment: Experiment | None) -> dict[str, Any]:
+    """Return the network law of each direction, None where the experiment cannot be made again here."""
+    if experiment is None:
+        return {"sc": None, "ca": None}
+    return {"sc": experiment.links.sc.law, "ca": experiment.links.ca.law}
+
+
 def run_metrics(run: Run, experiment: Experiment | None = None) -> dict[str, Any]:
-    """Return the tracking metrics of a run; see `tracking_metrics`.
+    """Return the numbers of a run by name; see `hil.measure.measure.measured`.
 
     Args:
         run: needs the topics `/plant/measurement`, `/reference` and `/actuator/applied`.
-        experiment: what ran; None to take period and disturbances from `run.resolved`.
+        experiment: what ran, where it is known.
     """
-    period_s = float(experiment.period) if experiment is not None else period_of(run)
-    pulses = (
-        [float(p.at) for p in experiment.disturbance]
-        if experiment is not None
-        else [float(p["at"]) for p in run.resolved.get("disturbance", [])]
-    )
-    disturbed = min(pulses, default=None)
-    measurement, reference = run.arrays["/plant/measurement"], run.arrays["/reference"]
-    # A torn log may hold a sample without its reference: what belongs together has one tick.
-    _, i, j = np.intersect1d(measurement["tick"], reference["tick"], assume_unique=True, return_indices=True)
-    names = tracked_names(run, experiment)
-    t = measurement[TIME_FIELD][i] / 1e9
-    y, r = matrix(measurement, names)[i], matrix(reference, names)[j]
-    applied = run.arrays["/actuator/applied"]
-    u = matrix(applied, signal_names(run, "/actuator/applied"))
-    found: dict[str, Any] = dict(tracking_metrics(t, y, r, u, period_s, disturbed_at_s=disturbed))
-    if len(names) > 1:
-        found["outputs"] = {
-            name: {
-                key: value
-                for key, value in tracking_metrics(t, y[:, c], r[:, c], u, period_s, disturbed_at_s=disturbed).items()
-                if key != "max_abs_u"
-            }
-            for c, name in enumerate(names)
-        }
-    return found
+    view = view_of(run, experiment)
+    return measured(view, measures_of(view.experiment))
 
 
-def tracked_names(run: Run, experiment: Experiment | None) -> list[str]:
-    """Return the outputs that shall follow the reference: all, unless the plant names them (a measured mode does not)."""
-    names = signal_names(run, "/plant/measurement")
-    tracked = getattr(experiment.plant, "tracked", names) if experiment is not None else names
-    return [name for name in names if name in tracked]
-
-
-def run_timing(run: Run) -> dict[str, Any]:
+def run_timing(view: RunView) -> dict[str, Any]:
     """Return the timing metrics of a run; see `timing_metrics`."""
-    ticks = run.arrays.get("/timing/tick")
+    run = view.run
+    ticks = run.arrays.get(TIMING)
     empty = np.zeros(0)
     columns = [empty] * 4 if ticks is None else [ticks[n] for n in ("lateness_us", "round_trip_us", "late", "overrun")]
-    found = timing_metrics(*columns, period_s=period_of(run))
+    found = timing_metrics(*columns, period_s=view.period_s)
     if found["first_late_tick"] is not None and ticks is not None:
         found["first_late_tick"] = int(ticks["tick"][found["first_late_tick"]])
     if run.metadata.get("clock") == "real" and (ticks is None or not len(ticks)):
@@ -119,42 +93,6 @@ def safety_of(run: Run) -> str | None:
     return next((str(e["message"]) for e in run.events if e.get("kind") == "safety"), None)
 
 
-def certificate_of(run: Run) -> dict[str, Any] | None:
-    """Return what the design's certificate says of stability, None if the loop has none."""
-    return dict(run.certificate) if run.certificate else None
-
-
-def experiment_of(run: Run) -> Experiment | None:
-    """Return the experiment that ran, None if it cannot be made again here (a plug-in is gone)."""
-    try:
-        return experiment_from_resolved(run.resolved, run.experiment_text, "log") if run.resolved else None
-    except HilError:
-        return None
-
-
-def period_of(run: Run) -> float:
-    """Return the sample period in s, as resolved, or else as the records are spaced."""
-    if "period" in run.resolved:
-        return float(run.resolved["period"])
-    times = run.arrays["/plant/measurement"][TIME_FIELD]
-    return float(np.median(np.diff(times))) / 1e9 if len(times) > 1 else 1.0
-
-
-def signal_names(run: Run, topic: str) -> list[str]:
-    """Return the float fields of a topic that are signals (for the actuator: the inputs, not the disturbances).
-
-    For `/actuator/applied` a field `w_x` stands beside every `x`.
-    """
-    array = run.arrays[topic]
-    names = [n for n in array.dtype.names or () if array.dtype[n].kind == "f"]
-    return [n for n in names if not (n.startswith("w_") and n[2:] in names)]
-
-
-def matrix(array: npt.NDArray[np.void], names: list[str]) -> npt.NDArray[np.float64]:
-    """Return fields of a structured array as one array (n, len(names))."""
-    return np.column_stack([array[n] for n in names]).astype(np.float64) if names else np.zeros((len(array), 0))
-
-
 def _ticks(run: Run) -> int:
-    ticks = run.arrays["/plant/measurement"]["tick"]
+    ticks = run.arrays[MEASUREMENT]["tick"]
     return int(ticks[-1]) + 1 if len(ticks) else 0

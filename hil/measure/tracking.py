@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+
+from hil.measure.measure import Quantity
+from hil.measure.signals import Signals
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 
 Array: TypeAlias = npt.NDArray[np.floating[Any]]
 
@@ -17,6 +21,51 @@ STEADY_SHARE = 0.1
 
 AFTER_S = 5.0
 """Begin of `sse_after_5s`, session time in s."""
+
+
+class Tracking:
+    """The measure of the thesis: squared error, step response, largest input; see `tracking_metrics`."""
+
+    title: ClassVar[str] = "Tracking"
+    note: ClassVar[str] = (
+        "Before the first step the error counts against the value stepped to, as in Table 7.2. Overshoot and settling time are "
+        "judged up to the first disturbance."
+    )
+
+    topics: ClassVar[tuple[str, ...]] = (MEASUREMENT, REFERENCE, APPLIED)
+
+    def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
+        """Return the six numbers with their units, which are those of the tracked outputs and of the inputs."""
+        unit, squared = signals.tracked_unit() or "", squared_unit(signals)
+        return (
+            Quantity(name="sse", title="squared tracking error", unit=squared, note="whole run, × T"),
+            Quantity(name="sse_after_5s", title="squared tracking error after 5 s", unit=squared, note="× T"),
+            Quantity(name="overshoot", title="overshoot", share_of="the step", needs=REFERENCE_STEP),
+            Quantity(
+                name="settling_time_s", title="settling time", unit="s", note="to 2 %", absent="not settled to 2 %",
+                needs=REFERENCE_STEP,
+            ),
+            Quantity(name="steady_state_error", title="steady-state error", unit=unit, note="last tenth"),
+            Quantity(name="max_abs_u", title="largest input", unit=signals.input_unit() or "", per_output=False),
+        )  # fmt: skip
+
+    def of(self, view: RunView) -> dict[str, float | None]:
+        """Return the numbers of one run."""
+        t, y, r = view.tracking()
+        return tracking_metrics(t, y, r, view.applied(), view.period_s, disturbed_at_s=view.disturbed_at_s())
+
+
+def squared_unit(signals: Signals) -> str:
+    """Return the unit of a squared tracking error summed over time; nothing where the outputs have several units.
+
+    >>> squared_unit(Signals(outputs={"w": "deg/s"}, inputs={}, tracked=("w",)))
+    '(deg/s)² s'
+    """
+    unit = signals.tracked_unit()
+    if unit is None:
+        return ""
+    base = f"({unit})" if unit and not unit.isalpha() else unit
+    return f"{base}² s" if base else "s"
 
 
 def tracking_metrics(

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.measure.units import metric_units
+from hil.measure.measure import Quantity
 from hil.report.html.figures import Block, Figure, Section, Series, Table
 from hil.report.html.page import render_page
-
-TITLES = {
-    "sse": "squared tracking error",
-    "sse_after_5s": "squared tracking error after 5 s",
-    "overshoot": "overshoot",
-    "settling_time_s": "settling time",
-    "steady_state_error": "steady-state error",
-    "max_abs_u": "largest input",
-}
 
 
 def paired(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
@@ -33,19 +25,28 @@ def paired(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
     return {"n": int(gap.size), "mean": mean, "low": mean - half, "high": mean + half}
 
 
-def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: int, plants: Sequence[Any] = ()) -> str:
+def common_quantities(several: Sequence[Sequence[Quantity]]) -> tuple[Quantity, ...]:
+    """Return the quantities that all of several experiments have; one whose unit differs between them has none."""
+    first, *others = ({q.name: q for q in quantities} for quantities in several)
+    return tuple(
+        q if all(other[name].unit == q.unit for other in others) else replace(q, unit="")
+        for name, q in first.items()
+        if all(name in other for other in others)
+    )
+
+
+def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: int, quantities: Sequence[Quantity]) -> str:
     """Return the page: empirical distribution functions per metric, one curve per experiment, and the table.
 
     Args:
         found: mapping of experiment to metrics. What :func:`hil.sweeps.seeds.sweep` gives, per experiment, over the same seeds.
         runs: number of seeds.
-        plants: of the experiments: they state the units. A metric whose unit differs between them, or is not known, has none.
+        quantities: what is compared, with titles and units; see `common_quantities`.
     """
     names = list(found)
-    tracked = [s.unit for plant in plants for s in plant.outputs if s.name in getattr(plant, "tracked", (s.name,))]
-    units = metric_units(tracked, [s.unit for plant in plants for s in plant.inputs])
     sections = []
-    for metric, title in TITLES.items():
+    for quantity in quantities:
+        metric, title = quantity.name, quantity.title
         series = []
         for i, name in enumerate(names):
             values = np.sort(found[name][metric][np.isfinite(found[name][metric])])
@@ -70,7 +71,7 @@ def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: i
                 title=f"{title}: share of runs at or below",
                 series=tuple(series),
                 x_label=title,
-                x_unit=units[metric],
+                x_unit=f"share of {quantity.share_of}" if quantity.share_of else quantity.unit,
                 y_label="share",
                 y_range=(0.0, 1.0),
                 sync=None,

@@ -14,23 +14,32 @@ from design.monte_carlo.confidence import Interval, StopRule
 from design.monte_carlo.parallel import Ladder, spread
 from hil.compose.loop import Loop, compose
 from hil.experiment import Experiment
+from hil.measure.measure import Quantity, measures_of, quantities_of
+from hil.measure.signals import signals_of
+from hil.measure.summary import run_metrics
+from hil.session import simulate
 from hil.sweeps.store import SweepStore
 
-METRICS = ("sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u")
-COLUMNS = ("stopped", *METRICS)
-TOPICS = ("/plant/measurement", "/reference", "/actuator/applied", "/events")
+
+def quantities_in(experiment: Experiment) -> tuple[Quantity, ...]:
+    """Return what the experiment's measures give per run."""
+    return quantities_of(measures_of(experiment), signals_of(experiment.plant))
+
+
+def columns_of(experiment: Experiment) -> tuple[str, ...]:
+    """Return the columns of a sweep besides ``seed``: whether safety stopped the run, and every number of the measures."""
+    return ("stopped", *(quantity.name for quantity in quantities_in(experiment)))
 
 
 def run_seeds(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     """Run a loop for some seeds in this process; return one row of metrics per seed (NaN where undefined)."""
-    from hil.measure.summary import run_metrics
-    from hil.session import simulate
-
     rows = []
+    names = columns_of(loop.experiment)[1:]
+    topics = {"/events", *(topic for measure in measures_of(loop.experiment) for topic in measure.topics)}
     for seed in seeds:
-        run = simulate(loop, seed, TOPICS)
+        run = simulate(loop, seed, topics)
         found = run_metrics(run, loop.experiment)
-        row = {name: float("nan") if found[name] is None else float(found[name]) for name in METRICS}
+        row = {name: float("nan") if found[name] is None else float(found[name]) for name in names}
         row["seed"] = seed
         row["stopped"] = float(any(e["kind"] == "safety" for e in run.events))
         rows.append(row)
@@ -114,7 +123,7 @@ def run_sweep(
         interrupted = getattr(e, "status", 130)  # what is done is worth having
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]
-    values = {name: np.array([row[name] for row in rows]) for name in ("seed", *COLUMNS)}
+    values = {name: np.array([row[name] for row in rows]) for name in ("seed", *columns_of(experiment))}
     return Sweep(values, interrupted, interval, reached)
 
 

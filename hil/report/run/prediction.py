@@ -10,36 +10,34 @@ from design.controllers import StaticGains
 from hil.compose.delay_chains import delay_chains, gains_over
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
-from hil.log.read.run import Run
-from hil.measure.summary import experiment_of, matrix, signal_names
-from hil.measure.tracking import target_of
-from hil.measure.units import metric_units, with_unit
+from hil.measure.signals import with_unit
+from hil.measure.tracking import squared_unit, target_of
+from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.report.html.figures import Band, Block, Figure, Section, Series, Table
-from hil.report.run.time_panels import unit_of
+from hil.session import simulate
 
 RUNS = 100
 TICKS = 120_000  # of emulation that a page may cost: some 3 s
 FEWEST = 20
 
 
-def theory_section(run: Run) -> Section | None:
+def theory_section(view: RunView) -> Section | None:
     """Return the panels of predicted mean and spread, with the run and a Monte Carlo band over them.
 
     None where there is no prediction: a controller that is no table of gains, a network law without a chain, a reference that
     no input holds, or a log whose experiment cannot be made again here.
     """
-    experiment = experiment_of(run)
-    if experiment is None:
+    if view.experiment is None:
         return None
     try:
-        loop = compose(experiment, certify=False)
+        loop = compose(view.experiment, certify=False)
     except HilError:
         return None
     chains = delay_chains(loop.experiment)
     if not isinstance(loop.controller, StaticGains) or None in chains:
         return None
-    names = signal_names(run, "/plant/measurement")
-    y, r = (matrix(run.arrays[topic], names) for topic in ("/plant/measurement", "/reference"))
+    names = list(view.signals.outputs)
+    y, r = (matrix(view.run.arrays[topic], names) for topic in (MEASUREMENT, REFERENCE))
     ticks = min(len(y), len(r))
     if ticks < 2:
         return None
@@ -64,11 +62,11 @@ def theory_section(run: Run) -> Section | None:
                 ),
                 bands=tuple(bands),
                 y_label="error",
-                y_unit=unit_of(run, "/plant/measurement", name),
+                y_unit=view.signals.outputs[name],
                 height_px=280,
             )
         )
-    squared = metric_units([unit_of(run, "/plant/measurement", name) for name in names], [])["sse"]
+    squared = squared_unit(view.signals)
     sums: list[list[Any]] = []
     rows = zip(("whole run", "from 5 s on"), predicted.sum_mean, predicted.sum_sd, _starts(loop, ticks))
     for label, mean_sum, sd_sum, start in rows:
@@ -128,15 +126,13 @@ def _predict(loop: Loop, chains: tuple[Any, Any], r: np.ndarray[Any, Any]) -> An
 
 def _emulate(loop: Loop, names: list[str], ticks: int) -> np.ndarray[Any, Any] | None:
     """Return the errors of more runs, (runs, ticks, outputs); None if the runs are too long to make many."""
-    from hil.session import simulate
-
     count = min(RUNS, TICKS // ticks)
     if count < FEWEST:
         return None
     found = []
     for seed in range(count):
-        run = simulate(loop, 1_000_000 + seed, ("/plant/measurement", "/reference"))
-        y, r = (matrix(run.arrays[topic], names) for topic in ("/plant/measurement", "/reference"))
+        run = simulate(loop, 1_000_000 + seed, (MEASUREMENT, REFERENCE))
+        y, r = (matrix(run.arrays[topic], names) for topic in (MEASUREMENT, REFERENCE))
         if len(y) >= ticks:  # one that safety stopped has no error to show
             found.append((y - r)[:ticks])
     return np.array(found) if len(found) >= FEWEST else None

@@ -8,8 +8,10 @@ from typing import Any
 
 from hil.log.events import plain
 from hil.log.read.run import Run
-from hil.measure.summary import experiment_of, period_of, signal_names, tracked_names
-from hil.measure.units import metric_units, with_unit
+from hil.measure.measure import Quantity, measures_of, quantities_of
+from hil.measure.signals import with_unit
+from hil.measure.summary import laws_of
+from hil.measure.view import RunView
 from hil.report.html.figures import Badge, Block, Cell, Section, Table, Text, Tile
 from hil.report.html.numbers import text_of
 from hil.report.html.page import render_page
@@ -21,9 +23,7 @@ from hil.report.run.time_panels import (
     lateness_panel,
     markers,
     output_panels,
-    reference_steps,
     state_panels,
-    unit_of,
 )
 
 MOST_EVENTS = 300
@@ -32,7 +32,7 @@ STACKED = 2
 
 
 def render_report(
-    run: Run,
+    view: RunView,
     summary: Mapping[str, Any],
     *,
     predicted: Mapping[str, Prediction] | None = None,
@@ -41,12 +41,13 @@ def render_report(
     """Return the report of a run as one self-contained HTML page.
 
     Args:
-        run: the log.
+        view: the run.
         summary: what `hil.measure.summary.summarise` says of it (with or without the parts `log` and `problems`).
         predicted: curves and bands of a theory, by output, drawn behind the run.
         sections: further sections, set before the experiment.
     """
-    parts = [*run_sections(run, summary, predicted or {}), *sections, *_about(run)]
+    run = view.run
+    parts = [*run_sections(view, summary, predicted or {}), *sections, *_about(run)]
     description = str(run.resolved.get("description", ""))
     return render_page(
         str(summary["experiment"] or "Run"),
@@ -54,22 +55,20 @@ def render_report(
         kicker="hilrig · run report",
         subtitle=description,
         badges=verdicts(run, summary),
-        tiles=_tiles(run, summary["metrics"]),
-        facts=_facts(run, summary),
+        tiles=_tiles(view, summary["metrics"]),
+        facts=_facts(view, summary),
         footer=f"Written by hilrig {run.versions.get('hilrig', '')} from the log alone. Drag across a plot to zoom all "
         "time axes, double-click to reset.",
     )
 
 
-def run_sections(run: Run, summary: Mapping[str, Any], predicted: Mapping[str, Prediction]) -> list[Section]:
+def run_sections(view: RunView, summary: Mapping[str, Any], predicted: Mapping[str, Prediction]) -> list[Section]:
     """Return the sections that show what happened, in reading order; empty ones are left out."""
-    marks = markers(run)
-    experiment = experiment_of(run)
-    laws = {side: getattr(experiment.links, side).law if experiment is not None else None for side in ("sc", "ca")}
-    lateness = lateness_panel(run, marks)
-    tables = _summary_tables(run, summary)
-    outputs = output_panels(run, marks, predicted)
-    inside: tuple[Block, ...] = (*state_panels(run, marks), *input_panels(run, marks))
+    run, marks, laws = view.run, markers(view), laws_of(view.experiment)
+    lateness = lateness_panel(view, marks)
+    tables = _summary_tables(view, summary)
+    outputs = output_panels(view, marks, predicted)
+    inside: tuple[Block, ...] = (*state_panels(view, marks), *input_panels(view, marks))
     found = [
         Section(title="Tracking", blocks=(*outputs, *(inside if len(inside) <= STACKED else ()))),
         Section(title="States and inputs", columns=2, blocks=inside if len(inside) > STACKED else ()),
@@ -77,7 +76,7 @@ def run_sections(run: Run, summary: Mapping[str, Any], predicted: Mapping[str, P
             title="Delays",
             intro="What the emulated network drew lies broad beneath what the receiver measured from time stamps; "
             "where they part, a packet was late, lost or not yet there.",
-            blocks=(*delay_panels(run, marks), network_table(summary["network"], laws)),
+            blocks=(*delay_panels(view, marks), network_table(summary["network"], laws)),
         ),
         Section(title="Network against its law", columns=2, blocks=tuple(network_blocks(run, summary["network"], laws))),
         Section(title="Timing", blocks=() if lateness is None else (lateness,)),
@@ -121,33 +120,24 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
     return found
 
 
-def _tiles(run: Run, metrics: Mapping[str, Any]) -> list[Tile]:
-    units = _metric_units(run)
-    overshoot = metrics["overshoot"]
-    settling = metrics["settling_time_s"]
-    stepped = bool(reference_steps(run))
-    of_step = "of the step" if stepped else "no step"
-    error = _rounded(metrics["steady_state_error"])
-    return [
-        Tile(label="Squared error", value=metrics["sse"], unit=units["sse"], note="whole run, × T"),
-        Tile(label="Squared error after 5 s", value=metrics["sse_after_5s"], unit=units["sse"]),
-        Tile(label="Overshoot", value=None if overshoot is None else 100.0 * overshoot, unit="%", note=of_step),
-        Tile(
-            label="Settling time",
-            value=settling,
-            unit="s",
-            note="no step" if not stepped else "not settled to 2 %" if settling is None else "to 2 %",
-            state="warning" if stepped and settling is None else "neutral",
-        ),
-        Tile(label="Steady-state error", value=error, unit=units["steady_state_error"], note="last tenth"),
-        Tile(label="Largest input", value=metrics["max_abs_u"], unit=units["max_abs_u"]),
-    ]
+def _tiles(view: RunView, metrics: Mapping[str, Any]) -> list[Tile]:
+    return [_tile(view, quantity, metrics[quantity.name]) for quantity in _quantities(view)]
 
 
-def _metric_units(run: Run, mixed: str | None = None) -> dict[str, str]:
-    outputs = [unit_of(run, "/plant/measurement", name) for name in tracked_names(run, experiment_of(run))]
-    inputs = [unit_of(run, "/actuator/applied", name) for name in signal_names(run, "/actuator/applied")]
-    return metric_units(outputs, inputs, mixed)
+def _tile(view: RunView, quantity: Quantity, value: float | None) -> Tile:
+    label = quantity.title[:1].upper() + quantity.title[1:]
+    if value is None and quantity.needs and not any(mark.label == quantity.needs for mark in view.marks):
+        return Tile(label=label, value=None, unit=quantity.unit, note=f"no {quantity.needs.rpartition(' ')[2]}")
+    if value is None and quantity.absent:
+        return Tile(label=label, value=None, unit=quantity.unit, note=quantity.absent, state="warning")
+    if quantity.share_of:
+        share = None if value is None else 100.0 * value
+        return Tile(label=label, value=share, unit="%", note=f"of {quantity.share_of}")
+    return Tile(label=label, value=_rounded(value), unit=quantity.unit, note=quantity.note)
+
+
+def _quantities(view: RunView) -> tuple[Quantity, ...]:
+    return quantities_of(measures_of(view.experiment), view.signals)
 
 
 def _words(name: str) -> str:
@@ -156,18 +146,17 @@ def _words(name: str) -> str:
 
 def _rounded(value: float | None) -> float | str | None:
     # Below a millionth the digits say nothing; "1e-8" set large would look like a finding.
-    return value if value is None or abs(value) >= 1e-6 else "≈ 0"
+    return value if value is None or value == 0.0 or abs(value) >= 1e-6 else "≈ 0"
 
 
-def _facts(run: Run, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    resolved = run.resolved
-    period_s = period_of(run)
+def _facts(view: RunView, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    run, resolved = view.run, view.run.resolved
     found = [
         ("Plant", str(resolved.get("plant", {}).get("kind", ""))),
         ("Controller", str(resolved.get("controller", {}).get("kind", ""))),
         ("Clock", str(summary["clock"])),
         ("Link", str(summary["link"])),
-        ("Sample period", f"{text_of(1e3 * period_s)} ms"),
+        ("Sample period", f"{text_of(1e3 * view.period_s)} ms"),
         ("Duration", f"{text_of(float(summary['duration_s']))} s, {text_of(int(summary['ticks']))} ticks"),
         ("Seed", str(summary["seed"])),
     ]
@@ -176,33 +165,27 @@ def _facts(run: Run, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(name, value) for name, value in found if value]
 
 
-def _summary_tables(run: Run, summary: Mapping[str, Any]) -> list[Table]:
-    metrics = summary["metrics"]
-    names = {
-        "sse": "squared error, summed, × T",
-        "sse_after_5s": "… from 5 s on",
-        "overshoot": "overshoot",
-        "settling_time_s": "settling time to 2 %",
-        "steady_state_error": "steady-state error, last tenth",
-        "max_abs_u": "largest input",
-    }
+def _summary_tables(view: RunView, summary: Mapping[str, Any]) -> list[Table]:
+    metrics, signals = summary["metrics"], view.signals
     outputs: Mapping[str, Mapping[str, Any]] = metrics.get("outputs", {})
-    columns = [with_unit(_words(name), unit_of(run, "/plant/measurement", name)) for name in outputs]
-    units = _metric_units(run, mixed="unit")
-    several = units["steady_state_error"] == "unit"
-    rows: list[list[Cell]] = [
-        [with_unit(text, units[key]), metrics[key], *(o.get(key) for o in outputs.values())] for key, text in names.items()
-    ]
-    tables = [
-        Table(
-            title="Tracking",
-            columns=["metric", "all outputs" if outputs else "value", *columns],
-            rows=rows,
-            wide=bool(outputs),
-            note="Before the first step the error counts against the value stepped to, as in Table 7.2. Overshoot and "
-            "settling time are judged up to the first disturbance." + (" The unit is that of the column." if several else ""),
+    columns = [with_unit(_words(name), signals.outputs[name]) for name in outputs]
+    several = bool(outputs) and signals.tracked_unit() is None
+    measures = measures_of(view.experiment)
+    tables = []
+    for measure in measures:
+        quantities = measure.quantities(signals.in_unit("unit") if several else signals)
+        rows: list[list[Cell]] = [
+            [_row_label(q), metrics[q.name], *(o.get(q.name) for o in outputs.values())] for q in quantities
+        ]
+        tables.append(
+            Table(
+                title=measure.title,
+                columns=["metric", "all outputs" if outputs else "value", *columns],
+                rows=rows,
+                wide=bool(outputs),
+                note=measure.note + (" The unit is that of the column." if several else ""),
+            )
         )
-    ]
     certificate = summary.get("certificate")
     if certificate:
         tables.append(
@@ -216,6 +199,11 @@ def _summary_tables(run: Run, summary: Mapping[str, Any]) -> list[Table]:
     if log:
         tables.append(Table(title="Log", columns=["what", "value"], rows=[[k, _cell(v)] for k, v in log.items()]))
     return tables
+
+
+def _row_label(quantity: Quantity) -> str:
+    label = f"{quantity.title}, {quantity.note}" if quantity.note else quantity.title
+    return with_unit(label, f"share of {quantity.share_of}" if quantity.share_of else quantity.unit)
 
 
 def _events(run: Run) -> list[Block]:

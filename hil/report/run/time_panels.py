@@ -9,14 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log.read.run import Run
-from hil.log.records import TIME_FIELD
-from hil.measure.summary import experiment_of, matrix, signal_names, tracked_names
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
 from hil.report.html.figures import Band, Figure, LineStyle, Marker, Series, State
 
 MOST_MARKERS = 500
 DENSE = 1500
-_STATES: Mapping[str, State] = {"warning": "warning", "error": "bad"}
-_BOOKKEEPING = ("started", "outcome", "stop", "stopped")
+STATES: Mapping[Severity, State] = {"neutral": "neutral", "warning": "warning", "error": "bad"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,57 +30,21 @@ class Prediction:
     bands: tuple[Band, ...] = ()
 
 
-def seconds(array: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return the session time of every record, s."""
-    return np.asarray(array[TIME_FIELD] / 1e9, dtype=np.float64)
-
-
-def unit_of(run: Run, topic: str, name: str) -> str:
-    """Return the unit that the schema states for a field, nothing for a pure number."""
-    schema = run.schemas.get(topic)
-    found = next((f.unit for f in schema.fields if f.name == name), "") if schema is not None else ""
-    return "" if found == "1" else found
-
-
-def markers(run: Run) -> tuple[Marker, ...]:
-    """Return what happened when: reference steps, disturbances, events, late packets."""
-    found = [Marker(x=t, label="reference step") for t in reference_steps(run)]
-    applied = run.arrays["/actuator/applied"]
-    disturbances = [n for n in applied.dtype.names or () if n.startswith("w_")]
-    if disturbances and len(applied):
-        active = np.any(matrix(applied, disturbances) != 0.0, axis=1)
-        begins = np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
-        found += [Marker(x=float(t), label="disturbance") for t in seconds(applied)[begins]]
-    for event in run.events:
-        if event.get("kind") not in _BOOKKEEPING:
-            state = _STATES.get(str(event.get("severity")), "neutral")
-            found.append(Marker(x=float(event.get("t_s", 0.0)), label=str(event.get("kind", "event")), state=state))
-    timing = run.arrays.get("/timing/tick")
-    if timing is not None and len(timing):
-        named = {m.x for m in found if m.label == "late"}
-        late = seconds(timing)[timing["late"] != 0]
-        found += [Marker(x=float(t), label="", state="warning") for t in late if float(t) not in named]
+def markers(view: RunView) -> tuple[Marker, ...]:
+    """Return the marks of a run as lines on a time axis, labelled ones first."""
+    found = [Marker(x=mark.t_s, label=mark.label, state=STATES[mark.severity]) for mark in view.marks]
     return tuple(sorted(found, key=lambda m: (m.label == "", m.x))[:MOST_MARKERS])
 
 
-def reference_steps(run: Run) -> list[float]:
-    """Return the times at which the reference changed, s."""
-    array = run.arrays["/reference"]
-    values = matrix(array, signal_names(run, "/reference"))
-    changed = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1)) + 1
-    return [float(t) for t in seconds(array)[changed]]
-
-
-def output_panels(run: Run, marks: tuple[Marker, ...], predicted: Mapping[str, Prediction]) -> list[Figure]:
+def output_panels(view: RunView, marks: tuple[Marker, ...], predicted: Mapping[str, Prediction]) -> list[Figure]:
     """Return one panel per output: what was measured, the true state where it differs, and what was asked for.
 
     An output that does not follow the reference (a measured mode) has none, and holds its value between samples.
     """
-    measurement, reference = run.arrays["/plant/measurement"], run.arrays["/reference"]
-    state = run.arrays.get("/plant/state")
-    tracked = tracked_names(run, experiment_of(run))
+    arrays, tracked = view.run.arrays, view.signals.tracked
+    measurement, reference, state = arrays[MEASUREMENT], arrays[REFERENCE], arrays.get("/plant/state")
     panels: list[Figure] = []
-    for name in signal_names(run, "/plant/measurement"):
+    for name, unit in view.signals.outputs.items():
         theory = predicted.get(name, Prediction())
         style: LineStyle = "line" if name in tracked else "step"
         series = [Series(label=_words(name), x=seconds(measurement), y=measurement[name], style=style, colour=0)]
@@ -96,7 +58,7 @@ def output_panels(run: Run, marks: tuple[Marker, ...], predicted: Mapping[str, P
             Figure(
                 title=_title(name),
                 y_label=_words(name),
-                y_unit=unit_of(run, "/plant/measurement", name),
+                y_unit=unit,
                 series=(*([asked] if name in tracked else []), *theory.series, *series),
                 bands=theory.bands,
                 markers=marks,
@@ -106,31 +68,30 @@ def output_panels(run: Run, marks: tuple[Marker, ...], predicted: Mapping[str, P
     return panels
 
 
-def state_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
+def state_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     """Return one panel per state that is no output."""
-    state = run.arrays.get("/plant/state")
+    state = view.run.arrays.get("/plant/state")
     if state is None or not len(state):
         return []
-    outputs = signal_names(run, "/plant/measurement")
     return [
         Figure(
             title=_title(name),
             y_label=_words(name),
-            y_unit=unit_of(run, "/plant/state", name),
+            y_unit=view.unit("/plant/state", name),
             series=(Series(label=_words(name), x=seconds(state), y=state[name], colour=2),),
             markers=marks,
             height_px=190,
         )
-        for name in signal_names(run, "/plant/state")
-        if name not in outputs
+        for name in signal_names(view.run, "/plant/state")
+        if name not in view.signals.outputs
     ]
 
 
-def input_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
+def input_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     """Return one panel per input: what was applied, and the disturbance that was added where there is one."""
-    applied = run.arrays["/actuator/applied"]
+    applied = view.run.arrays[APPLIED]
     panels = []
-    for name in signal_names(run, "/actuator/applied"):
+    for name, unit in view.signals.inputs.items():
         series = [Series(label=f"{_words(name)}, commanded", x=seconds(applied), y=applied[name], style="step", colour=3)]
         w = f"w_{name}"
         if w in (applied.dtype.names or ()) and np.any(applied[w] != 0.0):
@@ -139,7 +100,7 @@ def input_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
             Figure(
                 title=f"Input: {_words(name)}",
                 y_label=_words(name),
-                y_unit=unit_of(run, "/actuator/applied", name),
+                y_unit=unit,
                 series=tuple(series),
                 markers=marks,
                 height_px=200,
@@ -148,9 +109,10 @@ def input_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
     return panels
 
 
-def delay_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
+def delay_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     """Return two panels: the age that each direction's law drew, and the age that the receiver measured."""
-    rows, applied = run.arrays.get("/controller/rows"), run.arrays["/actuator/applied"]
+    run = view.run
+    rows, applied = run.arrays.get("/controller/rows"), run.arrays[APPLIED]
     measured = {"sc": (rows, "tau", "τ"), "ca": (applied, "d", "d")}
     names = {"sc": "Sensor to controller", "ca": "Controller to actuator"}
     panels = []
@@ -188,9 +150,9 @@ def delay_panels(run: Run, marks: tuple[Marker, ...]) -> list[Figure]:
     return panels
 
 
-def lateness_panel(run: Run, marks: tuple[Marker, ...]) -> Figure | None:
+def lateness_panel(view: RunView, marks: tuple[Marker, ...]) -> Figure | None:
     """Return lateness and round trip over time, None for a run without measured times."""
-    timing = run.arrays.get("/timing/tick")
+    timing = view.run.arrays.get(TIMING)
     if timing is None or not len(timing):
         return None
     return Figure(

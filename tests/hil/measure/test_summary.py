@@ -10,13 +10,14 @@ from hil.log.write.sinks import MemorySink
 from hil.measure.network import network_metrics
 from hil.measure.summary import run_metrics, run_timing, summarise
 from hil.measure.timing import timing_metrics
+from hil.measure.view import view_of
 from hil.runtime.virtual import run_virtual
 from tests.hil.report.runs import run_of
 from transport.laws.age import MarkovAge
 
 
 def test_summary_is_plain_json_with_the_promised_keys() -> None:
-    summary = json.loads(json.dumps(summarise(run_of("dc-motor-hinf")), allow_nan=False))
+    summary = json.loads(json.dumps(summarise(view_of(run_of("dc-motor-hinf"))), allow_nan=False))
     assert {"experiment", "seed", "clock", "link", "ticks", "duration_s", "metrics", "network", "timing"} <= set(summary)
     assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
     for side in ("sc", "ca"):
@@ -44,7 +45,7 @@ def test_published_gains_reach_the_error_of_the_reference_computation() -> None:
 
 def test_counted_modes_add_up_to_the_slots() -> None:
     run = run_of("dc-motor-hinf")
-    network = summarise(run)["network"]
+    network = summarise(view_of(run))["network"]
     for side, modes in (("sc", 3), ("ca", 2)):
         assert len(network[side]["mode_counts"]) == modes and sum(network[side]["mode_counts"]) == 1000
         assert np.sum(network[side]["transition_counts"]) == 999
@@ -53,21 +54,21 @@ def test_counted_modes_add_up_to_the_slots() -> None:
 
 
 def test_run_stopped_by_safety_names_the_reason() -> None:
-    summary = summarise(run_of("dc-motor-local"))
+    summary = summarise(view_of(run_of("dc-motor-local")))
     assert summary["safety"] is not None and "limit" in summary["safety"]
     assert summary["ticks"] < 1000
 
 
 def test_summary_survives_a_run_that_ended_at_once() -> None:
     run = run_of("dc-motor-hinf", 'duration="50 ms"')
-    json.dumps(summarise(run), allow_nan=False)
+    json.dumps(summarise(view_of(run)), allow_nan=False)
 
 
 def test_summary_survives_a_log_torn_between_two_records_of_one_tick() -> None:
     run = run_of("dc-motor-hinf", 'duration="5 s"')
     run.arrays["/reference"] = run.arrays["/reference"][:-1]
     run.arrays["/actuator/applied"] = run.arrays["/actuator/applied"][:-3]
-    assert summarise(run)["metrics"]["sse"] > 9.0
+    assert summarise(view_of(run))["metrics"]["sse"] > 9.0
 
 
 def test_record_agrees_with_its_own_law_and_not_with_another() -> None:
@@ -98,4 +99,5 @@ def test_timing_verdict_names_every_reason() -> None:
 
 @pytest.mark.parametrize(("clock", "valid"), [("real", False), ("virtual", True)])
 def test_a_session_without_a_slot_has_no_valid_timing(clock: str, valid: bool) -> None:
-    assert run_timing(Run(arrays={}, schemas={}, metadata={"clock": clock}, resolved={"period": 0.05}))["valid"] is valid
+    run = Run(arrays={}, schemas={}, metadata={"clock": clock}, resolved={"period": 0.05})
+    assert run_timing(view_of(run))["valid"] is valid

@@ -21,11 +21,12 @@ from design.monte_carlo.parallel import Ladder
 from hil.cli.sweep import command, stop_rule
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
-from hil.sweeps.seeds import COLUMNS, METRICS, run_sweep, sweep
+from hil.sweeps.seeds import columns_of, run_sweep, sweep
 from hil.sweeps.store import SweepStore
 from tests.waiting import until
 
 ONE_CORE = Ladder()
+COLUMNS = columns_of(load_experiment("dc-motor-hinf"))
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +164,7 @@ def test_undefined_metrics_survive_the_file(tmp_path: Path, experiment: Experime
 )
 def test_a_stopping_rule_that_cannot_be_is_refused(text: str, message: str) -> None:
     with pytest.raises(HilError, match=rf"^--until: .*{message}"):
-        stop_rule(text, 0.95, METRICS)
+        stop_rule(text, 0.95, COLUMNS[1:])
 
 
 def test_status_is_1_when_the_runs_did_not_suffice() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.experiment import load_experiment
+from hil.measure.view import view_of
 from hil.report.html.figures import Figure, Table
 from hil.report.run.prediction import theory_section
 from hil.session import run_session
@@ -18,7 +19,7 @@ def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
     tmp_path: Path, name: str, mean: float, sd: float
 ) -> None:
     run = run_session(load_experiment(name), path=tmp_path / "a.mcap").run
-    section = theory_section(run)
+    section = theory_section(view_of(run))
     assert section is not None
     figure, table = section.blocks
     assert isinstance(figure, Figure) and isinstance(table, Table)
@@ -37,7 +38,7 @@ def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
 @pytest.mark.parametrize("name", ["dc-motor-smith", "dc-motor-packets", "smjls-robust"])
 def test_what_has_no_prediction_has_no_panel(tmp_path: Path, name: str) -> None:
     run = run_session(load_experiment(name, ["duration=2"]), path=tmp_path / "a.mcap").run
-    assert theory_section(run) is None
+    assert theory_section(view_of(run)) is None
 
 
 def test_prediction_starts_where_the_law_starts(tmp_path: Path) -> None:
@@ -46,7 +47,7 @@ def test_prediction_starts_where_the_law_starts(tmp_path: Path) -> None:
     sections = []
     for extra in ([], ["links.sc.law.initial=stationary"]):
         run = run_session(load_experiment("dc-motor-hinf", changes + extra), path=tmp_path / f"{len(extra)}.mcap").run
-        section = theory_section(run)
+        section = theory_section(view_of(run))
         assert section is not None and isinstance(section.blocks[0], Figure)
         sections.append(np.asarray(section.blocks[0].series[0].y))
     late, stationary = sections

@@ -4,24 +4,25 @@ import numpy as np
 import pytest
 
 from hil.cli import main
-from hil.experiment import load_experiment
+from hil.experiment import Experiment, load_experiment
 from hil.log.read.run import Run
 from hil.measure.summary import summarise
-from hil.report.compare import compare_page
+from hil.measure.view import view_of
+from hil.report.compare import common_quantities, compare_page
 from hil.report.html.figures import Band, Section, Series, Text
 from hil.report.run.run_page import render_report
 from hil.report.run.time_panels import Prediction, markers, output_panels
-from hil.sweeps.seeds import COLUMNS
+from hil.sweeps.seeds import columns_of, quantities_in
 from tests.hil.report.runs import run_of
 
 
 def report(run: Run) -> str:
-    return render_report(run, summarise(run))
+    return render_report(view_of(run), summarise(view_of(run)))
 
 
 def test_report_shows_verdicts_numbers_law_test_and_experiment_text() -> None:
     page = report(run_of("dc-motor-hinf"))
-    for part in ("virtual time", "safety not tripped", "mean-square stable", "agrees with its law", "Squared error"):
+    for part in ("virtual time", "safety not tripped", "mean-square stable", "agrees with its law", "Squared tracking error"):
         assert part in page
     assert "[[disturbance]]" in page and "reference step" in page
     assert "Lateness" not in page, "a virtual run has no measured times"
@@ -31,7 +32,7 @@ def test_report_of_a_timed_run_shows_lateness_and_marks_late_ticks() -> None:
     run = run_of("dc-motor-1khz", 'duration="11 s"', timed=True)
     page = report(run)
     assert "timing valid" in page and "Round trip" in page and "SCHED_FIFO 60" in page
-    late = [m for m in markers(run) if m.state == "warning"]
+    late = [m for m in markers(view_of(run)) if m.state == "warning"]
     assert [m.x for m in late] == pytest.approx([4.999, 9.999])
     assert [bool(m.label) for m in late] == [True, False], "the event names the first, ticks mark the others"
 
@@ -72,13 +73,13 @@ def test_predictions_and_further_sections_are_drawn_with_the_run() -> None:
         series=(Series(label="predicted mean", x=t, y=t),), bands=(Band(label="two sigma", x=t, lower=t - 1, upper=t + 1),)
     )
     more = Section(title="Theory", blocks=(Text(text="from the second moment"),))
-    page = render_report(run, summarise(run), predicted={"angle": theory}, sections=[more])
+    page = render_report(view_of(run), summarise(view_of(run)), predicted={"angle": theory}, sections=[more])
     assert "predicted mean" in page and "two sigma" in page and "from the second moment" in page
 
 
 def test_law_test_of_a_few_slots_gives_no_verdict() -> None:
     run = run_of("dc-motor-hinf", 'duration="0.3 s"')
-    assert summarise(run)["network"]["sc"]["p_value"] is None
+    assert summarise(view_of(run))["network"]["sc"]["p_value"] is None
     page = report(run)
     assert "too few slots" in page and "agrees with its law" not in page
 
@@ -90,7 +91,7 @@ def test_run_without_a_step_is_not_blamed_for_not_settling() -> None:
 
 
 def test_measured_mode_is_held_and_has_no_reference() -> None:
-    panels = {p.title: p for p in output_panels(run_of("vtol-fault", 'duration="1 s"'), (), {})}
+    panels = {p.title: p for p in output_panels(view_of(run_of("vtol-fault", 'duration="1 s"')), (), {})}
     assert [s.style for s in panels["Detected mode"].series] == ["step"]
     assert [s.label for s in panels["Pitch rate"].series] == ["reference", "pitch rate"]
 
@@ -117,11 +118,15 @@ def test_events_stand_in_the_order_of_time() -> None:
 
 
 def test_page_of_a_comparison_takes_its_units_from_the_plants() -> None:
-    found = {name: {m: np.arange(3.0) for m in COLUMNS} for name in ("a", "b")}
-    vtol, motor = (load_experiment(name).plant for name in ("vtol-hinf", "dc-motor-hinf"))
-    page = compare_page(found, 3, [vtol, vtol])
-    assert "squared tracking error (kn\\u00b2 s)" in page and "(rad" not in page and '"largest input"' in page
-    assert "(rad\\u00b2 s)" in compare_page(found, 3, [motor]) and "error (kn" not in compare_page(found, 3, [vtol, motor])
+    vtol, motor = (load_experiment(name) for name in ("vtol-hinf", "dc-motor-hinf"))
+    found = {name: {m: np.arange(3.0) for m in columns_of(motor)} for name in ("a", "b")}
+
+    def page(*of: Experiment) -> str:
+        return compare_page(found, 3, common_quantities([quantities_in(e) for e in of]))
+
+    assert "squared tracking error (kn\\u00b2 s)" in page(vtol, vtol) and "(rad" not in page(vtol, vtol)
+    assert '"largest input"' in page(vtol, vtol), "an input of a pure number has no unit"
+    assert "(rad\\u00b2 s)" in page(motor) and "error (kn" not in page(vtol, motor)
 
 
 def test_run_of_one_tick_and_torn_run_are_reported() -> None:

@@ -1,0 +1,117 @@
+"""What a measure is: the numbers of one kind that a run is judged by, a plug-in of the group `hil.measures`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from hil.errors import HilError
+from hil.experiment import Experiment
+from hil.experiment import plugins as registry
+from hil.experiment.tables import Report
+from hil.measure.signals import Signals
+from hil.measure.view import RunView
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """One number of a measure, as summaries, sweeps, tables, tiles and comparisons name it.
+
+    Args:
+        name: key in a summary and column of a sweep.
+        title: what people read.
+        unit: its unit; nothing for a pure number, or where the signals have several units.
+        share_of: of what it is a share, such as "the step"; shown in percent.
+        note: how it is judged, a few words.
+        absent: what None means in a run that has had what it `needs`.
+        needs: label of the mark without which it is not defined, such as "reference step".
+        per_output: whether it is also told for every tracked output.
+    """
+
+    name: str
+    title: str
+    unit: str = ""
+    share_of: str = ""
+    note: str = ""
+    absent: str = ""
+    needs: str = ""
+    per_output: bool = True
+
+
+@runtime_checkable
+class Measure(Protocol):
+    """Numbers of a run; `check_measure` tells an author whether his class is one.
+
+    The class is named by an entry point of the group `hil.measures`, made without arguments, and chosen by an experiment:
+    `[report] measures = ["tracking", "mine"]`.
+
+    Args:
+        title: heading of its table.
+        note: how its numbers are judged, a sentence or two; may be empty.
+        topics: of the log that it reads: a sweep keeps no others.
+    """
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def note(self) -> str: ...
+
+    @property
+    def topics(self) -> tuple[str, ...]: ...
+
+    def quantities(self, signals: Signals) -> Sequence[Quantity]:
+        """Return what it measures over these signals, in the order of a table."""
+        ...
+
+    def of(self, view: RunView) -> Mapping[str, float | None]:
+        """Return its numbers for one run, by name; None where one is not defined. Finite, whatever the run holds."""
+        ...
+
+
+def measures_of(experiment: Experiment | None) -> tuple[Measure, ...]:
+    """Return the measures that an experiment asks for, the default ones without an experiment.
+
+    Raises:
+        HilError: a plug-in that is no measure, or two that give one name to two numbers.
+    """
+    report = experiment.report if experiment is not None else Report()
+    found = []
+    for name in report.measures:
+        measure = registry.load("hil.measures", name)()
+        if not isinstance(measure, Measure):
+            lacks = "title, note, topics, quantities(signals) or of(view)"
+            raise HilError(f"report.measures: {name!r} is no measure: it lacks {lacks}")
+        found.append(measure)
+    return tuple(found)
+
+
+def quantities_of(measures: Sequence[Measure], signals: Signals) -> tuple[Quantity, ...]:
+    """Return what some measures measure over these signals.
+
+    Raises:
+        HilError: if two of them use one name.
+    """
+    found = tuple(quantity for measure in measures for quantity in measure.quantities(signals))
+    names = [quantity.name for quantity in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise HilError(f"report.measures: two of them give a number called {name!r}")
+    return found
+
+
+def measured(view: RunView, measures: Sequence[Measure]) -> dict[str, Any]:
+    """Return the numbers of a run by name; for more than one tracked output also `outputs`, the same per output."""
+    found: dict[str, Any] = {}
+    for measure in measures:
+        found |= measure.of(view)
+    names = view.signals.tracked
+    if len(names) > 1:
+        found["outputs"] = {name: {} for name in names}
+        for name in names:
+            alone = view.only(name)
+            for measure in measures:
+                keep = {q.name for q in measure.quantities(alone.signals) if q.per_output}
+                found["outputs"][name] |= {key: value for key, value in measure.of(alone).items() if key in keep}
+    return found

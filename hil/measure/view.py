@@ -1,0 +1,183 @@
+"""One run with what every number and every picture of it needs: made once, read by all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.errors import HilError
+from hil.experiment import Experiment, experiment_from_resolved
+from hil.log.read.run import Run
+from hil.log.records import TIME_FIELD
+from hil.measure.signals import Signals, bare, tracked_among
+
+MEASUREMENT, REFERENCE, APPLIED, TIMING = "/plant/measurement", "/reference", "/actuator/applied", "/timing/tick"
+REFERENCE_STEP, DISTURBANCE = "reference step", "disturbance"
+
+_BOOKKEEPING = ("started", "outcome", "stop", "stopped")
+
+Severity = Literal["neutral", "warning", "error"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """Something that happened at an instant.
+
+    Args:
+        t_s: session time, s.
+        label: what happened; empty for one of many late packets.
+        severity: how bad it is.
+    """
+
+    t_s: float
+    label: str
+    severity: Severity = "neutral"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunView:
+    """A run as measures and figures see it.
+
+    Args:
+        run: the log.
+        experiment: what ran; None if it cannot be made again here (a plug-in is gone).
+        period_s: sample period, s.
+        signals: outputs, tracked outputs and inputs, with their units.
+        marks: what happened when: reference steps, disturbances, events, late packets.
+    """
+
+    run: Run
+    experiment: Experiment | None
+    period_s: float
+    signals: Signals
+    marks: tuple[Mark, ...]
+
+    def unit(self, topic: str, name: str) -> str:
+        """Return the unit that the schema states for a field, nothing for a pure number."""
+        schema = self.run.schemas.get(topic)
+        return bare(next((f.unit for f in schema.fields if f.name == name), "")) if schema is not None else ""
+
+    def only(self, name: str) -> RunView:
+        """Return the same run with one tracked output."""
+        return replace(self, signals=self.signals.only(name))
+
+    def stepped(self) -> bool:
+        """Return whether the reference changed during the run."""
+        return any(mark.label == REFERENCE_STEP for mark in self.marks)
+
+    def disturbed_at_s(self) -> float | None:
+        """Return when the first input disturbance began as the experiment states it, s; None without one."""
+        if self.experiment is not None:
+            return min((float(p.at) for p in self.experiment.disturbance), default=None)
+        return min((float(p["at"]) for p in self.run.resolved.get("disturbance", [])), default=None)
+
+    def tracking(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return times in s (n,), tracked outputs (n, p) and their reference (n, p), of the slots that have both."""
+        measurement, reference = self.run.arrays[MEASUREMENT], self.run.arrays[REFERENCE]
+        # A torn log may hold a sample without its reference: what belongs together has one tick.
+        _, i, j = np.intersect1d(measurement["tick"], reference["tick"], assume_unique=True, return_indices=True)
+        names = list(self.signals.tracked)
+        return measurement[TIME_FIELD][i] / 1e9, matrix(measurement, names)[i], matrix(reference, names)[j]
+
+    def applied(self) -> npt.NDArray[np.float64]:
+        """Return the inputs that were applied, (n, m), without the disturbances."""
+        return matrix(self.run.arrays[APPLIED], list(self.signals.inputs))
+
+
+def view_of(run: Run, experiment: Experiment | None = None) -> RunView:
+    """Return the view of a run.
+
+    Args:
+        run: a log that was read, or a run kept in memory with the topics `/plant/measurement`, `/reference` and
+            `/actuator/applied`.
+        experiment: what ran, where it is known; else it is made again from what the log carries, once.
+    """
+    known = experiment if experiment is not None else _experiment_of(run)
+    outputs = {name: _unit(run, MEASUREMENT, name) for name in signal_names(run, MEASUREMENT)}
+    signals = Signals(
+        outputs=outputs,
+        inputs={name: _unit(run, APPLIED, name) for name in signal_names(run, APPLIED)},
+        tracked=tracked_among(known.plant if known is not None else None, outputs),
+    )
+    return RunView(run=run, experiment=known, period_s=_period_of(run, known), signals=signals, marks=_marks(run))
+
+
+def seconds(array: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
+    """Return the session time of every record, s."""
+    return np.asarray(array[TIME_FIELD] / 1e9, dtype=np.float64)
+
+
+def signal_names(run: Run, topic: str) -> list[str]:
+    """Return the float fields of a topic that are signals (for the actuator: the inputs, not the disturbances).
+
+    For `/actuator/applied` a field `w_x` stands beside every `x`.
+    """
+    if topic not in run.arrays:
+        return []
+    array = run.arrays[topic]
+    names = [n for n in array.dtype.names or () if array.dtype[n].kind == "f"]
+    return [n for n in names if not (n.startswith("w_") and n[2:] in names)]
+
+
+def matrix(array: npt.NDArray[np.void], names: list[str]) -> npt.NDArray[np.float64]:
+    """Return fields of a structured array as one array (n, len(names))."""
+    return np.column_stack([array[n] for n in names]).astype(np.float64) if names else np.zeros((len(array), 0))
+
+
+def _unit(run: Run, topic: str, name: str) -> str:
+    return bare(next((f.unit for f in run.schemas[topic].fields if f.name == name), ""))
+
+
+def _experiment_of(run: Run) -> Experiment | None:
+    """Return the experiment that ran, None if it cannot be made again here (a plug-in is gone)."""
+    try:
+        return experiment_from_resolved(run.resolved, run.experiment_text, "log") if run.resolved else None
+    except HilError:
+        return None
+
+
+def _period_of(run: Run, experiment: Experiment | None) -> float:
+    """Return the sample period in s, as the experiment or the log states it, or else as the records are spaced."""
+    if experiment is not None:
+        return float(experiment.period)
+    if "period" in run.resolved:
+        return float(run.resolved["period"])
+    times = run.arrays[MEASUREMENT][TIME_FIELD] if MEASUREMENT in run.arrays else np.zeros(0)
+    return float(np.median(np.diff(times))) / 1e9 if len(times) > 1 else 1.0
+
+
+def _marks(run: Run) -> tuple[Mark, ...]:
+    found = [Mark(t_s=t, label=REFERENCE_STEP) for t in _reference_steps(run)]
+    applied = run.arrays.get(APPLIED)
+    disturbances = [] if applied is None else [n for n in applied.dtype.names or () if n.startswith("w_")]
+    if applied is not None and disturbances and len(applied):
+        active = np.any(matrix(applied, disturbances) != 0.0, axis=1)
+        begins = np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
+        found += [Mark(t_s=float(t), label=DISTURBANCE) for t in seconds(applied)[begins]]
+    for event in run.events:
+        if event.get("kind") not in _BOOKKEEPING:
+            severity: Severity = "neutral"
+            if event.get("severity") == "warning":
+                severity = "warning"
+            elif event.get("severity") == "error":
+                severity = "error"
+            found.append(Mark(t_s=float(event.get("t_s", 0.0)), label=str(event.get("kind", "event")), severity=severity))
+    timing = run.arrays.get(TIMING)
+    if timing is not None and len(timing):
+        named = {m.t_s for m in found if m.label == "late"}
+        late = seconds(timing)[timing["late"] != 0]
+        found += [Mark(t_s=float(t), label="", severity="warning") for t in late if float(t) not in named]
+    return tuple(found)
+
+
+def _reference_steps(run: Run) -> list[float]:
+    """Return the times at which the reference changed, s."""
+    if REFERENCE not in run.arrays:
+        return []
+    array = run.arrays[REFERENCE]
+    values = matrix(array, signal_names(run, REFERENCE))
+    changed = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1)) + 1
+    return [float(t) for t in seconds(array)[changed]]
