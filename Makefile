@@ -9,7 +9,7 @@ RUN := runs/make-run
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test test-vcan .vcan-virtual .vcan-real bench clean
+.PHONY: help run test mutations test-vcan .vcan-virtual .vcan-real bench clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -30,6 +30,9 @@ test: $(INSTALLED) ## lint, types, import rules, tests and doctests; what keeps 
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n auto -m "not realtime" $(PYTEST_ARGS)
 	$(BIN)/pytest -n 0 -m realtime $(PYTEST_ARGS)
+
+mutations: $(INSTALLED) ## put every known fault in and see its tests fail (minutes)
+	$(BIN)/python -m tests.mutations
 
 # Only the files with vcan tests: importing all the others inside a user-mode kernel takes longer than the tests.
 VCAN_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.vcan' tests)

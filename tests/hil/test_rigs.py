@@ -49,3 +49,14 @@ def test_rig_with_random_modes_in_real_time_is_the_virtual_run_up_to_the_first_l
     late = real.summary["timing"]["first_late_tick"]
     end = 100 if late is None else late + 1
     np.testing.assert_array_equal(real.run.arrays["/plant/state"][:end], virtual.arrays["/plant/state"][:end])
+
+
+@pytest.mark.parametrize(("slots", "suffices"), [(40, True), (39, False)])
+def test_a_recording_that_just_suffices_is_taken(slots: int, suffices: bool) -> None:
+    law = f"links.sc.law={{kind='trace', ages={[0] * slots}, past_end='refuse'}}"
+    experiment = load_experiment("dc-motor-hinf", ["duration=2", law, "allow_uncertified=true"])
+    if suffices:
+        assert compose(experiment).experiment.ticks == 40
+    else:
+        with pytest.raises(HilError, match="serves 39 slots, the run has 40"):
+            compose(experiment)

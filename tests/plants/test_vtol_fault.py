@@ -152,3 +152,14 @@ def test_a_toml_table_becomes_a_plant():
 def test_parameters_out_of_range_are_refused_by_name(parameters, message):
     with pytest.raises(ValueError, match=message):
         FaultyVTOL(**parameters)
+
+
+def test_of_detection_and_failure_at_one_instant_detection_goes_first():
+    """The detector knows nothing of a failure that comes at the same time, so it jumps by the rates of before."""
+    run = FaultyVTOL(failure_restarts_detection_clock=True).start(np.random.default_rng(1))
+    instant = run._failure.next_ns
+    seen, fault = run.measure()[4], run.state[4]
+    run._detected.next_ns = instant
+    run.advance(instant, (0.0, 0.0))
+    assert run.state[4] != fault
+    assert run.measure()[4] != seen

@@ -8,6 +8,7 @@ from design.errors import DesignError
 from design.jump_linear.second_moment import congruence_matrices, forward, to_vector
 from design.networked_loop.prediction import predict_tracking
 from design.networked_loop.steady_state import steady_state
+from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve
 from tests.design.chapter7 import (
     LAMBDA,
@@ -195,3 +196,13 @@ def test_wrong_arguments_are_refused_by_name():
         predict_tracking(*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", r, initial=([1, 0, 0], [0.5, 0.6]), **good)
     with pytest.raises(DesignError, match="smallest singular value"):
         predict_tracking(np.eye(2), [[1.0], [0.0]], [[0.0, 1.0]], LAMBDA, PI, PRINTED_H2, "generated", r, **good)
+
+
+def test_before_the_first_sample_has_come_the_input_is_zero_and_not_the_held_one() -> None:
+    """x(k+1) = x(k)/2 + u(k), K = 0, r = 1: u* = 1/2, but for the slots in which nothing has come yet, where u = 0."""
+    two_late = DelayChain(transition=[[0, 1, 0], [0, 0, 1], [0, 0, 1]])
+    zero = np.zeros((3, 1, 1, 1))
+    found = predict_tracking(
+        [[0.5]], [[1.0]], [[1.0]], two_late, [[1.0]], zero, "constant", np.ones(5), period_s=0.1, initial=([0, 0, 1], [1])
+    )
+    assert found.error_mean[:, 0] == pytest.approx([-1.0, -1.0, -1.0, -0.5, -0.25])

@@ -101,3 +101,10 @@ def test_metrics_are_finite_or_undefined_for_any_values(seed: int, n: int) -> No
     r = rng.choice(np.array([0.0, 3.0]), (n, 2))
     for value in tracking_metrics(np.arange(n) * T, y, r, u, T, disturbed_at_s=1.0).values():
         assert value is None or math.isfinite(value)
+
+
+def test_the_steady_state_error_is_that_of_the_last_tenth() -> None:
+    t = np.arange(100) * 0.1
+    y, r = np.where(t >= 9.0 - 1e-9, 1.5, 1.0), np.ones(100)
+    y[80:90] = 3.0  # in the last fifth, and not in the last tenth
+    assert tracking_metrics(t, y, r, np.zeros(100), 0.1)["steady_state_error"] == pytest.approx(0.5)

@@ -295,6 +295,12 @@ def test_the_remaining_sojourn_of_a_geometric_law_is_geometric() -> None:
     assert [remaining(x) for x in u] == [fresh(x) for x in u]
 
 
+def test_a_mode_met_at_any_slot_of_a_fixed_sojourn_has_every_rest_equally_often() -> None:
+    """A law with memory: of a sojourn of four slots one, two, three or four are left, each a quarter of the time."""
+    remaining = remaining_sampler(Table(probabilities=(0.0, 0.0, 0.0, 1.0)))
+    assert [remaining(u) for u in (0.1, 0.3, 0.6, 0.9)] == [1, 2, 3, 4]
+
+
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_semi_markov_ages_never_grow_by_more_than_one(seed: int) -> None:

@@ -319,3 +319,9 @@ def test_memory_is_bounded_by_latency_and_queue() -> None:
         network.collect(k)
         assert len(network._flying) <= 102  # type: ignore[attr-defined]
         assert not network._offered  # type: ignore[attr-defined]
+
+
+def test_losses_of_a_recording_and_of_the_channel_combine_and_do_not_add() -> None:
+    """Half of the recording is lost, and half of what is left: three quarters, not all."""
+    law = PacketLaw(latency={"trace": ["1 ms", "lost"]}, loss=0.5)
+    assert law.loss_probability == pytest.approx(0.75)

@@ -235,3 +235,37 @@ def test_the_pump_can_be_stopped_though_the_pipe_stays_open(ends: Ends) -> None:
     count = record(sink, 10)
     report = pump(ends[0], MemorySink(TABLE), TABLE, stop=lambda: True)
     assert report == PumpReport(records=count)
+
+
+def test_a_tick_above_pipe_buf_leaves_in_pieces_that_the_system_never_cuts(ends: Ends, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, write = ends
+    sizes: list[int] = []
+    real = os.write
+
+    def counting(fd: int, data: bytes) -> int:
+        sizes.append(len(data))
+        return real(fd, data)
+
+    sink = PipeSink(write, TABLE)
+    put = sink.channel("/events")
+    assert put is not None
+    for _ in range(5):
+        put(0, bytes(1500))
+    monkeypatch.setattr(os, "write", counting)
+    sink.commit()
+    assert len(sizes) > 1 and max(sizes) <= select.PIPE_BUF and sum(sizes) > 5 * 1500
+
+
+def test_a_record_of_a_wrong_length_is_counted_and_not_kept(ends: Ends) -> None:
+    read, write = ends
+    memory = MemorySink(TABLE)
+    join = in_thread(read, memory)
+    sink = PipeSink(write, TABLE)
+    put = sink.channel("/reference")
+    assert put is not None
+    record(sink, 3)
+    put(0, b"short")
+    sink.close()
+    report = join()
+    assert report.malformed == 1 and report.complete
+    assert len(Run.from_memory(memory).arrays["/reference"]) == 3

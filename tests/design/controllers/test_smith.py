@@ -1,0 +1,27 @@
+"""The Smith predictor: the delay of the measurement is taken out by the model, so that a right model leaves no bias."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from design.controllers import LoopModel
+from design.controllers.smith import Smith
+
+
+def model(tau_max: int) -> LoopModel:
+    a = np.array([[0.9, 0.1], [0.0, 0.7]])
+    return LoopModel(A=a, B=np.array([[0.0], [1.0]]), C=np.array([[1.0, 0.0]]), period_s=0.1, tau_max=tau_max, d_max=1)
+
+
+@pytest.mark.parametrize("tau", [1, 3])
+def test_a_delayed_sample_of_a_plant_that_is_its_model_gives_the_rows_of_a_prompt_one(tau: int) -> None:
+    loop = model(tau)
+    prompt, delayed = (Smith(gain=((-0.3,),)).start(loop) for _ in range(2))
+    x, outputs = np.zeros(2), [0.0] * (tau + 1)
+    for k in range(30):
+        outputs.append(float(x[0]))
+        rows = prompt.rows(k, 0, (outputs[-1],), (1.0,))
+        assert delayed.rows(k, tau, (outputs[-1 - tau],), (1.0,)) == pytest.approx(np.array(rows), abs=1e-12)
+        x = loop.A @ x + loop.B @ np.array(rows[0])
+    assert abs(outputs[-1] - outputs[-1 - tau]) > 1e-3  # it still moves: an older sample is another one

@@ -1,0 +1,1 @@
+"""Faults that once survived the tests, as patches; `make mutations` shows each one killed."""
