@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Literal
 
 import msgspec
@@ -64,7 +63,7 @@ class Verdict:
     assumptions: tuple[str, ...] = ()
     method: str = ""
     digest: str = ""
-    details: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
+    details: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def certified(self) -> bool:

@@ -22,3 +22,7 @@ class ExperimentError(HilError):
         self.source = source
         self.faults = faults
         super().__init__("\n".join(f"{source}: {fault}" for fault in faults))
+
+
+class ForeignVerdict(Exception):
+    """A verdict whose digest is not that of the loop it is shown for: a fault of the program, never of the user."""

@@ -11,6 +11,7 @@ from plants.omni import Omni
 from plants.parts.actuators import Driver
 from plants.parts.check import check_plant
 from plants.parts.friction import Friction, RubbingAxis
+from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import DiscreteStateSpace, LinearRun, Signal, StateSpace
 from plants.parts.semi_markov import JumpProcess, TransitionRates
 from plants.parts.sensors import Encoder
@@ -31,7 +32,9 @@ __all__ = [
     "FaultyVTOL",
     "FaultyVTOLRun",
     "Friction",
+    "JumpModel",
     "JumpProcess",
+    "JumpRates",
     "LinearRun",
     "LoadTorque",
     "Omni",

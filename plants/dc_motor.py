@@ -115,6 +115,13 @@ class DCMotor:
         # period; the published gains and norms belong to this model (tests/plants/test_dc_motor.py).
         return StateSpace(A=[[0.0, 1.0], [0.0, -self.pole]], B=[[0.0], [self.gain]], C=[[1.0, 0.0]])
 
+    def beyond_model(self) -> tuple[str, ...]:
+        """Return what acts on this motor and is not in `model`; a load is, as it only moves the point of rest."""
+        found = [] if self.driver.ideal else ["a driver that saturates, rounds or has a dead zone"]
+        found += ["friction"] if self.friction != Friction() else []
+        found += ["an encoder that rounds"] if self.encoder.step_rad else []
+        return tuple(found)
+
     def start(self, rng: np.random.Generator) -> DCMotorRun:
         """Return the motor at time 0. It draws nothing from ``rng``."""
         return DCMotorRun(self)

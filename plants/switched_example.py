@@ -10,6 +10,7 @@ import numpy as np
 
 from plants.parts.events import Source, pass_time
 from plants.parts.exponential import Rows
+from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import NS_PER_S, Flow, Signal, StateSpace
 from plants.parts.semi_markov import NEVER_NS, JumpProcess, TransitionRates, check_clip, check_mode
 from plants.parts.validation import (
@@ -111,6 +112,25 @@ class SwitchedExample:
         """Return the nominal model of mode 1."""
         return self.models()[0]
 
+    def jump_system(self) -> JumpModel:
+        """Return both modes, with the hull of what sigma and rho can do over a run of this plant."""
+        scale = 0.0 if self.uncertainty == "none" else self.uncertainty_scale
+        free = [(-scale, scale) if fixed is None else (scale * fixed,) for fixed in (self.sigma, self.rho)]
+        corners = sorted({(sigma, rho) for sigma in free[0] for rho in free[1]})
+        nominal = [self.matrices(mode) for mode in (1, 2)]
+        if len(corners) == 1:
+            nominal, corners = [self.matrices(mode, *corners[0]) for mode in (1, 2)], []
+        changes = []
+        for corner in corners:
+            pairs = [zip(self.matrices(mode, *corner), nominal[mode - 1]) for mode in (1, 2)]
+            dA, dB = zip(*(tuple(_difference(there, here) for there, here in pair) for pair in pairs))
+            changes.append((dA, dB))
+        return JumpModel(A=tuple(A for A, _ in nominal), B=tuple(B for _, B in nominal), changes=tuple(changes))
+
+    def jump_process(self) -> JumpRates:
+        """Return the rates of the mode, which is measured."""
+        return JumpRates(rates=self.rates())
+
     def rates(self) -> TransitionRates:
         """Return the transition rates (2.26)."""
         return TransitionRates.clipped(low=self.rate_low, high=self.rate_high, slope=self.rate_slope)
@@ -118,6 +138,10 @@ class SwitchedExample:
     def start(self, rng: np.random.Generator) -> SwitchedExampleRun:
         """Return the plant at time 0; jumps and uncertainty are drawn from two streams spawned from ``rng``."""
         return SwitchedExampleRun(self, rng)
+
+
+def _difference(there: Rows, here: Rows) -> Rows:
+    return tuple(tuple(a - b for a, b in zip(*rows)) for rows in zip(there, here))
 
 
 class _Uncertainty:

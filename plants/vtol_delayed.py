@@ -12,6 +12,7 @@ import numpy as np
 
 from plants.parts.events import HeldNoise, Source, pass_time
 from plants.parts.exponential import Rows, drift, zero_order_hold
+from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.semi_markov import JumpProcess, TransitionRates, check_mode
 from plants.parts.validation import (
@@ -103,6 +104,20 @@ class DelayedVTOL:
     def model(self) -> StateSpace:
         """Return the model at 135 knots without delay."""
         return self.models()[0]
+
+    def jump_system(self) -> JumpModel:
+        """Return the three airspeeds with their delayed state; w enters through B, z is a tenth of the vertical velocity."""
+        A, B = zip(*(vtol_matrices(airspeed) for airspeed in AIRSPEEDS_KN))
+        share = self.delayed_share
+        return JumpModel(
+            A=A, B=B, E=B, C=(((0.0, 0.1, 0.0, 0.0),),) * 3,
+            Ad=tuple(tuple(tuple(share * a for a in row) for row in rows) for rows in A),
+            max_delay_s=self.max_delay_s, delay_slopes=self.delay_rates,
+        )  # fmt: skip
+
+    def jump_process(self) -> JumpRates:
+        """Return the rates of the airspeed, which is measured."""
+        return JumpRates(rates=self.rates)
 
     def delay_ns(self, mode: int, t_ns: int) -> int:
         """Return tau(t, i) of (3.43) in ns, for mode 1, 2 or 3."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from plants.parts.events import HeldNoise, Source, pass_time
 from plants.parts.exponential import Rows
+from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import NS_PER_S, Flow, Signal, StateSpace
 from plants.parts.semi_markov import JumpProcess, TransitionRates, check_mode
 from plants.parts.validation import require_finite, require_not_negative, require_vector, require_whole_nanoseconds
@@ -99,6 +100,18 @@ class FaultyVTOL:
     def model(self) -> StateSpace:
         """Return the model of the sound helicopter."""
         return self.models()[0]
+
+    def jump_system(self) -> JumpModel:
+        """Return both fault modes; w is omega, z the vertical velocity."""
+        A, B, E = zip(*(self.matrices(fault) for fault in (1, 2)))
+        return JumpModel(A=A, B=B, E=E, C=(((0.0, 1.0, 0.0, 0.0),),) * 2)
+
+    def jump_process(self) -> JumpRates:
+        """Return the rates of the fault, and those of the detected mode, which alone is measured."""
+        return JumpRates(
+            rates=self.failure, detection=self.detection,
+            failure_restarts_detection_clock=self.failure_restarts_detection_clock,
+        )  # fmt: skip
 
     def start(self, rng: np.random.Generator) -> FaultyVTOLRun:
         """Return the helicopter at time 0; faults, detection and noise are three streams spawned from ``rng``."""

@@ -1,19 +1,27 @@
 """What runs inside a loop. Importing this room imports numpy and nothing heavier, because a process that keeps time does."""
 
 from design.controllers.contract import (
+    Controller,
+    CountsSojourns,
     Gains,
+    GainTable,
+    IntegralAction,
     LoopModel,
+    ModeSchedule,
     Rows,
     RunningController,
     Selection,
-    StaticGains,
+    SeveralSamples,
+    integrates,
     packet_samples,
     row_count,
+    sojourns_told,
 )
 from design.controllers.published_motor import PublishedH2, PublishedHinf
 from design.controllers.send_all import Constant, GainIndex, Local, SendAll, feedforward, nested
 
 __all__ = [
-    "Constant", "GainIndex", "Gains", "Local", "LoopModel", "PublishedH2", "PublishedHinf", "Rows", "RunningController",
-    "Selection", "SendAll", "StaticGains", "feedforward", "nested", "packet_samples", "row_count",
+    "Constant", "Controller", "CountsSojourns", "GainIndex", "GainTable", "Gains", "IntegralAction", "Local", "LoopModel",
+    "ModeSchedule", "PublishedH2", "PublishedHinf", "Rows", "RunningController", "Selection", "SendAll", "SeveralSamples",
+    "feedforward", "integrates", "nested", "packet_samples", "row_count", "sojourns_told",
 ]  # fmt: skip

@@ -28,6 +28,8 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from design.controllers.scheduled_gain import ScheduledGain
+
 Selection = Literal["constant", "generated", "applied", "previous", "both"]
 Rows = tuple[tuple[float, ...], ...]
 Gains = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [tau][row][m][p]
@@ -73,17 +75,76 @@ class RunningController(Protocol):
         ...
 
 
+class Controller(Protocol):
+    """Parameters of a controller: a frozen dataclass that an experiment's ``[controller]`` table fills."""
+
+    def start(self, model: LoopModel) -> RunningController:
+        """Return the controller, ready for slot 0.
+
+        Raises:
+            ValueError: parameters that do not fit the loop; the message starts with the field.
+        """
+        ...
+
+
 @runtime_checkable
-class StaticGains(Protocol):
-    """A controller that is a table of gains, so that its loop has a certificate."""
+class GainTable(Protocol):
+    """A controller that is a table of gains; over delay chains its loop can be certified, predicted and designed for."""
 
     selection: Selection
+
+    def start(self, model: LoopModel) -> RunningController: ...
 
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         """Return K[tau, row, m, p]."""
         ...
 
 
+@runtime_checkable
+class ModeSchedule(Protocol):
+    """A state feedback that is scheduled by the measured mode and its sojourn time; over a jump plant it can be certified."""
+
+    def start(self, model: LoopModel) -> RunningController: ...
+
+    def schedule_of_modes(self) -> ScheduledGain:
+        """Return K(mode, h); the controller counts h from the sample that showed the mode first."""
+        ...
+
+
+@runtime_checkable
+class SeveralSamples(Protocol):
+    """A controller that is sent more than the newest sample."""
+
+    samples: int
+    """Samples in one sensor packet: the newest, and so many less one before it."""
+
+
+@runtime_checkable
+class IntegralAction(Protocol):
+    """A controller that may integrate the measured error: its gains have as many columns more as there are outputs."""
+
+    integral: bool | float
+    """Whether it integrates (a request: with which weight)."""
+
+
+@runtime_checkable
+class CountsSojourns(Protocol):
+    """A controller whose gains depend on how long the measured delay has lasted."""
+
+    sojourns: int | Sequence[int]
+    """How many lengths of stay it tells apart, in all or per delay 0, 1, ..."""
+
+
 def packet_samples(controller: object) -> int:
-    """Return how many samples one sensor packet carries for this controller: its field ``samples``, 1 without one."""
-    return int(getattr(controller, "samples", 1))
+    """Return how many samples one sensor packet carries for this controller: 1 unless it asks for `SeveralSamples`."""
+    return int(controller.samples) if isinstance(controller, SeveralSamples) else 1
+
+
+def integrates(controller: object) -> bool:
+    """Return whether the controller has `IntegralAction`, and uses it."""
+    return isinstance(controller, IntegralAction) and bool(controller.integral)
+
+
+def sojourns_told(controller: object) -> int | Sequence[int]:
+    """Return which lengths of stay the controller tells apart, see `CountsSojourns`; none: an empty tuple."""
+    return controller.sojourns if isinstance(controller, CountsSojourns) else ()

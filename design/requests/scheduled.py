@@ -9,7 +9,8 @@ own clock, from the slot in which the mode that it sees changed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -17,9 +18,11 @@ import numpy as np
 
 from design.controllers import LoopModel, Rows, RunningController, Selection
 from design.controllers.scheduled_gain import ScheduledGain
+from design.requests.task import DesignTask
 
 if TYPE_CHECKING:
-    from design.semi_markov_loop.certificate import JumpCertificate
+    from design.processes.partitions import Partition
+    from design.processes.semi_markov import SemiMarkov
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +44,10 @@ class Scheduled:
 
     def __post_init__(self) -> None:
         self._gain()
+
+    def schedule_of_modes(self) -> ScheduledGain:
+        """Return K(mode, h)."""
+        return self._gain()
 
     def _gain(self) -> ScheduledGain:
         try:
@@ -76,52 +83,83 @@ class _ScheduledRows:
         return (tuple(float(sum(g * v for g, v in zip(row, x))) for row in K.tolist()),)
 
 
-Example = Literal["ch2", "ch3", "ch4"]
+Method = Literal["by-plant", "robust", "delayed-hinf", "fault-tolerant"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobustScheduled:
-    """Our gains for the examples of Chapters 2 to 4, solved when the experiment is composed, with their certificate.
+    """Gains for a plant that jumps, solved for its own matrices and rates when the experiment is composed (Chapters 2 to 4).
 
     Args:
-        example: ``ch2`` robust feedback, ``ch3`` H-infinity under time-varying delays, ``ch4`` fault-tolerant, seeing r only.
+        method: ``robust`` (Chapter 2), ``delayed-hinf`` for a plant with a delay inside (Chapter 3), ``fault-tolerant`` for a
+            plant that shows the detected mode only (Chapter 4), or ``by-plant``: the one that the plant calls for.
         gain_bound: largest spectral norm of any gain; without one the best gamma is 0 and the gains have no bound.
-        decay: ``ch2`` only: demanded decay rate of E|x|^2, 1/s.
+        decay: ``robust`` only: demanded decay rate of E|x|^2, 1/s.
+        sections: into how many sections the sojourn axis of every mode is cut, with equal probability.
+        starts_s: nested tuple [mode][section], s. The sections themselves, the first of every mode at 0, instead of ``sections``.
     """
 
-    example: Example
+    method: Method = "by-plant"
     gain_bound: float = 5.0
     decay: float = 0.0
+    sections: int = 0
+    starts_s: tuple[tuple[float, ...], ...] = ()
 
-    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[Scheduled, dict[str, Any]]:
-        """Return the gains as the controller that runs, and the certificate that was computed from them."""
-        from design.as_printed import examples as p
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.gain_bound) and self.gain_bound > 0):
+            raise ValueError(f"gain_bound: {self.gain_bound!r}, expected a finite number above 0")
+        if not (math.isfinite(self.decay) and self.decay >= 0):
+            raise ValueError(f"decay: {self.decay!r}, expected a finite number, at least 0")
+        if self.sections < 0:
+            raise ValueError(f"sections: {self.sections}, expected at least 1, or 0 for what the method takes")
+        if self.sections and self.starts_s:
+            raise ValueError("sections: give either their number or their starts_s")
 
-        certificate: JumpCertificate
-        if self.example == "ch2":
+    def solve(self, task: DesignTask) -> Scheduled:
+        """Return the gains as the controller that runs."""
+        from design.processes.semi_markov import FaultDetection, SemiMarkov
+        from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+
+        system, process = task.jump_system, task.jump_process
+        if system is None or process is None:
+            raise ValueError("kind: needs a plant that jumps (a JumpPlant: jump_system() and jump_process())")
+        starts = self._starts(process.detection[0] if isinstance(process, FaultDetection) else process)
+        bound, asked = self.gain_bound, self.method
+        if isinstance(system, JumpSystem) and isinstance(process, SemiMarkov) and asked in ("by-plant", "robust"):
             from design.semi_markov_loop.robust_feedback import robust_feedback
 
-            system, process = p.chapter2_system("printed"), p.chapter2_process()
-            certificate = robust_feedback(system, process, gain_bound=self.gain_bound, decay=self.decay)
-        elif self.example == "ch3":
+            found = robust_feedback(system, process, gain_bound=bound, decay=self.decay, sections=starts or 2)
+        elif isinstance(system, DelayedJumpSystem) and isinstance(process, SemiMarkov) and asked in ("by-plant", "delayed-hinf"):
             from design.semi_markov_loop.delayed_hinf import delayed_hinf
 
-            sections = ((0.0, p.CHAPTER3_BOUNDARY_S),) * 3
-            certificate = delayed_hinf(
-                p.chapter3_system(), p.chapter3_process(), gain_bound=self.gain_bound, sections=sections
-            )
-        else:
+            found = delayed_hinf(system, process, gain_bound=bound, sections=starts)
+        elif isinstance(system, JumpSystem) and isinstance(process, FaultDetection) and asked in ("by-plant", "fault-tolerant"):
             from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 
-            faults = p.chapter4_process(failure_restarts_detection_clock=False)
-            certificate = fault_tolerant_feedback(p.chapter4_system(), faults, gain_bound=self.gain_bound)
-        assert certificate.gain is not None
-        return scheduled_of(certificate.gain), _stated(certificate)
+            found = fault_tolerant_feedback(system, process, gain_bound=bound, sections=starts)
+        else:
+            delay = "a delay" if isinstance(system, DelayedJumpSystem) else "no delay"
+            shown = "detected" if isinstance(process, FaultDetection) else "true"
+            raise ValueError(f"method: {asked!r} is not for this plant, which has {delay} inside and shows the {shown} mode")
+        if found.gain is None:
+            raise ValueError("kind: the design came back without gains")
+        return scheduled_of(found.gain)
+
+    def _starts(self, shown: SemiMarkov) -> Partition | None:
+        from design.processes.partitions import check_partition, equal_probability
+
+        if self.starts_s:
+            try:
+                check_partition(shown, self.starts_s)
+            except ValueError as error:
+                raise ValueError(f"starts_s: {error}") from None
+            return self.starts_s
+        return equal_probability(shown, self.sections) if self.sections else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedScheduled:
-    """The printed gains of Chapters 2 to 4, as an experiment can name them, with what can be certified of them.
+    """The printed gains of Chapters 2 to 4, as an experiment can name them; of the plant they say nothing.
 
     Args:
         gains: ``ch2`` (2.27), ``ch2-reference`` (those of [1, 2]), ``ch3``, ``ch4`` ((4.30), seen modes only) or
@@ -130,37 +168,18 @@ class PublishedScheduled:
 
     gains: Literal["ch2", "ch2-reference", "ch3", "ch4", "ch4-partitioned"]
 
-    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[Scheduled, dict[str, Any]]:
-        """Return the gains as the controller that runs, and the verdict on them; nothing is solved."""
+    def solve(self, task: DesignTask) -> Scheduled:
+        """Return the gains as the controller that runs; nothing is solved."""
         from design.as_printed import examples as p
 
-        certificate: JumpCertificate
-        if self.gains in ("ch2", "ch2-reference"):
-            from design.semi_markov_loop.stability import analyse
-
-            gain = p.chapter2_gain() if self.gains == "ch2" else p.chapter2_reference_gain()
-            certificate = analyse(p.chapter2_system("printed"), gain, p.chapter2_process())
-        elif self.gains == "ch3":
-            from design.semi_markov_loop.delayed_hinf import analyse_delayed
-
-            gain = p.chapter3_gain()
-            certificate = analyse_delayed(p.chapter3_system(), gain, p.chapter3_process())
-        else:
-            from design.semi_markov_loop.fault_tolerant_analysis import analyse_fault_tolerant
-
-            gain = p.chapter4_seen_gain(partitioned=self.gains == "ch4-partitioned")
-            faults = p.chapter4_process(failure_restarts_detection_clock=False)
-            certificate = analyse_fault_tolerant(p.chapter4_system(), gain, faults)
-        return scheduled_of(gain), _stated(certificate)
-
-
-def _stated(certificate: JumpCertificate) -> dict[str, Any]:
-    """Return the certificate as JSON, saying of what it is one: the loop samples what the theory lets act at every instant."""
-    stated: dict[str, Any] = dict(certificate.to_json())
-    assumptions: list[str] = list(certificate.assumptions)
-    stated["stable"] = certificate.certified and certificate.sound
-    stated["assumptions"] = [*assumptions, "the feedback acts at every instant; the loop samples it at T"]
-    return stated
+        tables: dict[str, Callable[[], ScheduledGain]] = {
+            "ch2": p.chapter2_gain,
+            "ch2-reference": p.chapter2_reference_gain,
+            "ch3": p.chapter3_gain,
+            "ch4": lambda: p.chapter4_seen_gain(partitioned=False),
+            "ch4-partitioned": lambda: p.chapter4_seen_gain(partitioned=True),
+        }
+        return scheduled_of(tables[self.gains]())
 
 
 def scheduled_of(gain: ScheduledGain) -> Scheduled:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from design.controllers import LoopModel, SendAll, nested
+from design.controllers import SendAll, nested
+from design.requests.task import DesignTask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,25 +50,24 @@ class Designed:
         if self.sojourns < 1:
             raise ValueError(f"sojourns: {self.sojourns}, expected at least 1")
 
-    def solve(self, model: LoopModel, sc: Any, ca: Any, folder: str) -> tuple[SendAll, None]:
-        """Return the gains for a loop; their certificate is computed like any other's, when the loop is composed.
+    def solve(self, task: DesignTask) -> SendAll:
+        """Return the gains for a loop.
 
         Args:
-            model: the plant and the largest delays.
-            sc, ca: the chains of both directions; None where a law has none.
-            folder: where relative file names begin.
+            task: the loop; its chains are None where a law has none.
 
         Raises:
             ValueError: the message starts with the field.
         """
+        model, sc, ca = task.model, task.sc, task.ca
         if self.file:
             from design.tracking.design_file import load_design
 
-            read = load_design(Path(folder) / self.file)
+            read = load_design(Path(task.folder) / self.file)
             return SendAll(
                 gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
                 sojourns=read.sojourns, samples=read.samples,  # type: ignore[arg-type]
-            ), None  # fmt: skip
+            )  # fmt: skip
         if sc is None or ca is None:
             raise ValueError("kind: a design needs age laws with a chain on both links, not packet laws or traces")
         from design.tracking.cache import solve_cached
@@ -83,4 +83,4 @@ class Designed:
         sojourns = sc.sojourns if self.sojourns > 1 else ()
         return SendAll(
             gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
-        ), None  # fmt: skip
+        )  # fmt: skip

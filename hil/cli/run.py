@@ -118,6 +118,7 @@ def command(
 def show(summary: dict[str, Any]) -> None:
     """Print a summary for people."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     def text(value: object) -> str:
@@ -147,6 +148,11 @@ def show(summary: dict[str, Any]) -> None:
         for name in ("lateness_us", "round_trip_us"):
             table.add_row(name, "  ".join(f"{q} {text(v)}" for q, v in timing[name].items()))
         table.add_row("overruns", f"{timing['overruns']}; first late tick: {'none' if late is None else late}")
+    claim = summary.get("certificate")
+    if claim:
+        state = str(claim.get("state", "no verdict"))
+        colour = {"certified": "green", "refused": "red"}.get(state, "yellow")
+        table.add_row("certificate", f"[{colour}]{state}[/{colour}], {claim.get('kind')}: {escape(str(claim.get('reason')))}")
     if summary.get("safety"):
         table.add_row("safety", f"[red]{summary['safety']}[/red]")
     for name, value in summary.get("problems", {}).items():

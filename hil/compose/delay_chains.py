@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import LoopModel, StaticGains
+from design.controllers import GainTable, LoopModel, sojourns_told
 from hil.experiment import Experiment
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
@@ -20,7 +20,7 @@ def delay_chains(e: Experiment) -> tuple[Any | None, Any | None]:
     Raises:
         ValueError: the controller asks for more than it can measure over this law.
     """
-    return delay_chain(e.links.sc.law, getattr(e.controller, "sojourns", ())), delay_chain(e.links.ca.law)
+    return delay_chain(e.links.sc.law, sojourns_told(e.controller)), delay_chain(e.links.ca.law)
 
 
 def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
@@ -57,7 +57,7 @@ def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
     return None
 
 
-def gains_over(controller: StaticGains, model: LoopModel, sc: Any, ca: Any) -> NDArray[np.float64]:
+def gains_over(controller: GainTable, model: LoopModel, sc: Any, ca: Any) -> NDArray[np.float64]:
     """Return K[tau, row, m, p] for the delays that two chains reach; a table may cover more (``max_age``)."""
     K = controller.table(model)[: int(sc.label.max()) + 1]
     return K[:, : ca.max_delay + 1] if controller.selection in ("generated", "applied", "previous") else K

@@ -11,11 +11,17 @@ import numpy as np
 from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
-from design.controllers import LoopModel, RunningController, StaticGains, packet_samples, row_count
+from design.controllers import Controller, LoopModel, RunningController, packet_samples, row_count
 from design.errors import DesignError
-from hil.compose.delay_chains import delay_chains, gains_over
-from hil.errors import ExperimentError
+from design.requests.task import DesignTask
+from design.verdict import Verdict
+from hil.compose.certifier import LoopToCertify
+from hil.compose.certify import certify, digest_of
+from hil.compose.delay_chains import delay_chains
+from hil.compose.jump_plant import process_of, system_of
+from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
+from hil.experiment.protocols import Designer, JumpPlant
 from hil.log.records import Channel, channels
 from transport.laws.protocols import load_files, prepare, slots_served
 from transport.packets import MAX_OUTPUTS
@@ -33,18 +39,27 @@ class Loop:
         rows: rows in one send-all packet.
         selection: how the actuator picks one of them.
         samples: samples in one sensor packet: the newest, and so many less one before it.
-        certificate: JSON form of the certificate of the closed loop, None if this kind of loop has none.
+        verdict: what is claimed of the closed loop, None if nobody asked.
     """
 
     experiment: Experiment
     model: LoopModel
-    controller: Any
+    controller: Controller
     sc_law: Any
     ca_law: Any
     rows: int
     selection: str
     samples: int
-    certificate: dict[str, Any] | None
+    verdict: Verdict | None
+
+    def __post_init__(self) -> None:
+        if self.verdict is not None and self.verdict.digest != digest_of(self.experiment, self.controller, self.model):
+            raise ForeignVerdict(f"verdict: it is on system {self.verdict.digest[:12]}, not on this loop")
+
+    @property
+    def certificate(self) -> dict[str, Any] | None:
+        """The verdict as JSON."""
+        return None if self.verdict is None else self.verdict.to_json()
 
     def start_controller(self) -> RunningController:
         """Return the control law, ready for slot 0."""
@@ -121,24 +136,21 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         tau_max=links.sc.max_age,
         d_max=links.ca.max_age,
     )
-    controller = experiment.controller
-    stated: dict[str, Any] | None = None
+    controller: Controller = experiment.controller
     try:
-        if hasattr(controller, "solve"):  # a design problem: what runs is its solution
-            controller, stated = controller.solve(model, *delay_chains(experiment), experiment.folder)
-            kinds = {**experiment.kinds, "controller": controller.kind}
-            experiment = replace(experiment, controller=controller, kinds=kinds)
+        if isinstance(controller, Designer):  # a design problem: what runs is its solution
+            solved = controller.solve(_task(experiment, model))
+            controller, kinds = solved, {**experiment.kinds, "controller": solved.kind}
+            experiment = replace(experiment, controller=solved, kinds=kinds)
         running = controller.start(model)
-        chains = delay_chains(experiment)
+        sc, ca = delay_chains(experiment)
         samples = packet_samples(controller)
         if not 1 <= samples * len(plant.outputs) <= MAX_OUTPUTS:
             raise ValueError(f"samples: {samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
     except (ValueError, DesignError) as e:
         field = isinstance(e, ValueError) and re.match(r"[\w.\[\]]+:", str(e))  # the message begins with a parameter's name
         raise ExperimentError(experiment.name, [f"controller.{e}" if field else f"controller: {e}"]) from e
-    certificate = None
-    if certify:
-        certificate = _certify(experiment, model, chains) if stated is None else _accept(experiment, stated)
+    verdict = _certified(experiment, controller, model, sc, ca) if certify else None
     return Loop(
         experiment=experiment,
         model=model,
@@ -148,7 +160,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         rows=row_count(running.selection, model.d_max),
         selection=running.selection,
         samples=samples,
-        certificate=certificate,
+        verdict=verdict,
     )
 
 
@@ -187,39 +199,28 @@ def _faults(e: Experiment) -> list[str]:
     return faults
 
 
-def _accept(e: Experiment, stated: dict[str, Any]) -> dict[str, Any]:
-    """Return the certificate that came with a design, or refuse the run."""
-    if not stated["stable"] and not e.allow_uncertified:
-        reason = stated.get("reason", "not stable")
-        raise ExperimentError(
-            e.name, [f"controller: no certificate of stability: {reason}; set allow_uncertified = true to run it all the same"]
-        )
-    return stated
+def _task(e: Experiment, model: LoopModel) -> DesignTask:
+    """Return what a design has to solve: the loop with the plant's own matrices and rates."""
+    plant, (sc, ca) = e.plant, delay_chains(e)
+    jumps: dict[str, Any] = {}
+    if isinstance(plant, JumpPlant):
+        try:
+            jumps = {"jump_system": system_of(plant.jump_system()), "jump_process": process_of(plant.jump_process())}
+        except ValueError as error:
+            raise ValueError(f"kind: no design covers this plant: {error}") from error
+    return DesignTask(model=model, sc=sc, ca=ca, folder=e.folder, **jumps)
 
 
-def _certify(e: Experiment, model: LoopModel, chains: tuple[Any | None, Any | None]) -> dict[str, Any] | None:
-    """Return the certificate of the closed loop, or refuse the run."""
-    controller, (sc, ca) = e.controller, chains
-    if not isinstance(controller, StaticGains) or sc is None or ca is None:
-        if not e.allow_uncertified:
-            what = "this kind of network law" if isinstance(controller, StaticGains) else "this kind of controller"
-            raise ExperimentError(
-                e.name, [f"controller: there is no certificate for {what}; set allow_uncertified = true to run it"]
-            )
-        return None
-    from design.jump_linear.certificate import certify_loop
-
-    K = gains_over(controller, model, sc, ca)
-    certificate = certify_loop(
-        model.A, model.B, model.C, sc, ca, K, controller.selection,
-        samples=packet_samples(controller), integral=float(getattr(controller, "integral", False)),
-    )  # fmt: skip
-    if not certificate.stable and not e.allow_uncertified:
+def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: Any, ca: Any) -> Verdict:
+    """Return the verdict on the loop that will run, or refuse the run."""
+    own = digest_of(e, controller, model)
+    verdict = certify(LoopToCertify(plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own))
+    if not verdict.certified and not e.allow_uncertified:
         raise ExperimentError(
             e.name,
             [
-                "controller: the loop is not mean-square stable over this network (second-moment radius "
-                f"{certificate.mean_square_radius:.4f}); set allow_uncertified = true to run it all the same"
+                f"controller: no certificate of {verdict.kind}, {verdict.state}: {verdict.reason}; "
+                "set allow_uncertified = true to run it all the same"
             ],
         )
-    return dict(certificate.to_json())
+    return verdict

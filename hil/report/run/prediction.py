@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from design.controllers import StaticGains
+from design.controllers import GainTable, integrates
 from hil.compose.delay_chains import delay_chains, gains_over
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
@@ -34,14 +34,14 @@ def theory_section(view: RunView) -> Section | None:
     except HilError:
         return None
     chains = delay_chains(loop.experiment)
-    if not isinstance(loop.controller, StaticGains) or None in chains:
+    if not isinstance(loop.controller, GainTable) or None in chains:
         return None
     names = list(view.signals.outputs)
     y, r = (matrix(view.run.arrays[topic], names) for topic in (MEASUREMENT, REFERENCE))
     ticks = min(len(y), len(r))
     if ticks < 2:
         return None
-    predicted = _predict(loop, chains, r[:ticks])
+    predicted = _predict(loop, loop.controller, chains, r[:ticks])
     if predicted is None:
         return None
     many = _emulate(loop, names, ticks)
@@ -100,17 +100,17 @@ def _initial(law: Any, chain: Any) -> np.ndarray[Any, Any]:
     return np.asarray(own if len(own) == chain.modes else chain.stationary)
 
 
-def _predict(loop: Loop, chains: tuple[Any, Any], r: np.ndarray[Any, Any]) -> Any | None:
+def _predict(loop: Loop, controller: GainTable, chains: tuple[Any, Any], r: np.ndarray[Any, Any]) -> Any | None:
     from design.errors import DesignError
     from design.networked_loop.prediction import predict_tracking
 
-    model, controller, at = loop.model, loop.controller, loop.disturbance()
+    model, at = loop.model, loop.disturbance()
     gains = gains_over(controller, model, *chains)
     common: dict[str, Any] = {
         "period_s": model.period_s,
         "disturbance": np.array([at(k) for k in range(len(r))]),
         "samples": loop.samples,
-        "integral": bool(getattr(controller, "integral", False)),
+        "integral": integrates(controller),
         "initial": tuple(map(_initial, (loop.sc_law, loop.ca_law), chains)),
     }
     arguments = (model.A, model.B, model.C, *chains, gains, controller.selection, r)

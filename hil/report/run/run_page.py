@@ -12,7 +12,7 @@ from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.signals import with_unit
 from hil.measure.summary import laws_of
 from hil.measure.view import RunView
-from hil.report.html.figures import Badge, Block, Cell, Section, Table, Text, Tile
+from hil.report.html.figures import Badge, Block, Cell, Section, State, Table, Text, Tile
 from hil.report.html.numbers import text_of
 from hil.report.html.page import render_page
 from hil.report.run.statistics import network_blocks, network_table, timing_blocks
@@ -87,6 +87,9 @@ def run_sections(view: RunView, summary: Mapping[str, Any], predicted: Mapping[s
     return [section for section in found if section.blocks]
 
 
+_COLOURS: Mapping[str, State] = {"certified": "good", "refused": "bad"}
+
+
 def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
     """Return the verdicts on a run: its timing, its safety, its certificate, its log."""
     timing, found = summary["timing"], []
@@ -103,13 +106,11 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
         found.append(Badge(label="safety not tripped", state="good"))
     certificate = summary.get("certificate")
     if certificate is None:
-        found.append(Badge(label="no certificate", state="warning", detail="none exists for this kind of loop"))
+        found.append(Badge(label="no certificate", state="warning", detail="nobody asked for one"))
     else:
-        radius = certificate.get("mean_square_radius")
-        detail = "" if radius is None else f"second-moment radius {text_of(float(radius))}"
-        stable = bool(certificate.get("stable"))
-        label = "certified mean-square stable" if stable else "not mean-square stable"
-        found.append(Badge(label=label, state="good" if stable else "bad", detail=detail))
+        state = str(certificate.get("state", "no verdict"))
+        label, detail = f"{state}: {certificate.get('kind', 'certificate')}", str(certificate.get("reason", ""))
+        found.append(Badge(label=label, state=_COLOURS.get(state, "warning"), detail=detail))
     dropped = summary.get("log", {}).get("dropped", 0)
     if dropped:
         found.append(Badge(label="log incomplete", state="warning", detail=f"{text_of(dropped)} records dropped"))

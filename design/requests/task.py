@@ -1,0 +1,33 @@
+"""What a design is asked to solve: the loop that will run, as plain matrices, chains and rates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from design.controllers import LoopModel
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
+    from design.processes.semi_markov import FaultDetection, SemiMarkov
+    from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignTask:
+    """The loop for which gains are wanted.
+
+    Args:
+        model: the nominal plant at the sample period, and the largest delays.
+        sc, ca: the delay chains of both directions; None where a law has none.
+        jump_system: the modes of a plant that jumps, None of one that does not.
+        jump_process: how its modes change.
+        folder: where relative file names begin.
+    """
+
+    model: LoopModel
+    sc: DelayChain | None = None
+    ca: DelayChain | None = None
+    jump_system: JumpSystem | DelayedJumpSystem | None = None
+    jump_process: SemiMarkov | FaultDetection | None = None
+    folder: str = "."

@@ -1,0 +1,56 @@
+"""The seam of the door: the loop that a certifier is handed, and what a certifier answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+from design.controllers import Controller, LoopModel
+from design.verdict import Kind, Verdict
+from hil.experiment.protocols import BeyondModel, Plant
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopToCertify:
+    """The loop that will run, as far as a claim can rest on it.
+
+    Args:
+        plant: the plant, with the parameters that it runs with.
+        controller: the controller that runs, with any design solved.
+        model: the plant's nominal model at the sample period, and the largest delays.
+        sc, ca: the delay chains of both directions; None where a law has none.
+        digest: SHA-256 of everything above, in the user's words; a verdict on this loop carries it.
+    """
+
+    plant: Plant
+    controller: Controller
+    model: LoopModel
+    sc: DelayChain | None
+    ca: DelayChain | None
+    digest: str
+
+
+class Certifier(Protocol):
+    """Says what can be claimed of one kind of loop. The door asks them in order; the first that knows the kind answers."""
+
+    def __call__(self, loop: LoopToCertify) -> Verdict | None:
+        """Return the verdict on a loop, None if loops of this kind are somebody else's."""
+        ...
+
+
+def undecided(loop: LoopToCertify, kind: Kind, reason: str, details: Mapping[str, object] | None = None) -> Verdict:
+    """Return the verdict of a theory that does not know."""
+    return Verdict(kind=kind, state="undecided", reason=reason, details=details or {}, digest=loop.digest)
+
+
+def limited_to_model(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on the plant's model as one on the plant: undecided where the plant has more than its model."""
+    beyond = loop.plant.beyond_model() if isinstance(loop.plant, BeyondModel) else ()
+    if not beyond or verdict.state == "undecided":
+        return verdict
+    reason = f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}"
+    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})

@@ -1,0 +1,52 @@
+"""The one door for certificates: what is claimed of the loop that will run, by what proof.
+
+Nothing else says whether a loop is certified: a design hands over gains, a plant its matrices and rates, and a certifier per
+kind of loop judges them as they run. To add a kind of loop, write a :class:`hil.compose.certifier.Certifier` over the
+protocols of its plant and controller, and put it into `CERTIFIERS`. A plant or controller of a user's own that fulfils the
+protocols is judged like ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from msgspec.structs import replace
+
+from design.controllers import Controller, LoopModel
+from design.verdict import Verdict, digest
+from hil.compose.certifier import Certifier, LoopToCertify, undecided
+from hil.compose.jump_loop import certify_jump_loop
+from hil.compose.send_all_loop import certify_send_all
+from hil.errors import ForeignVerdict
+from hil.experiment import Experiment
+
+CERTIFIERS: tuple[Certifier, ...] = (certify_send_all, certify_jump_loop)
+"""Asked in this order; the first that knows the kind of loop answers."""
+
+
+def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:
+    """Return the digest of the loop that will run: its plant, controller, network, period and model, not its seed or schedule."""
+    resolved = replace(experiment, controller=controller).resolved()
+    said = {name: resolved[name] for name in ("plant", "controller", "links", "period")}
+    said["links"] = {side: said["links"][side] for side in ("sc", "ca")}  # over which link its frames go is no part of it
+    law = f"{type(controller).__module__}.{type(controller).__qualname__}"  # two laws may have the same parameters
+    return digest({**said, "control law": law, "A": model.A, "B": model.B, "C": model.C})
+
+
+def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
+    """Return the verdict on a loop: ``undecided`` where no certifier knows its kind.
+
+    Args:
+        loop: the loop that will run.
+        certifiers: who is asked, in order.
+
+    Raises:
+        ForeignVerdict: a certifier answered for another loop than the one it was handed.
+    """
+    for certifier in certifiers:
+        verdict = certifier(loop)
+        if verdict is not None:
+            if verdict.digest != loop.digest:
+                raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
+            return verdict
+    return undecided(loop, "mean-square stability", "there is no certificate for this kind of controller")

@@ -1,0 +1,44 @@
+"""The certifier of Chapter 7: a table of gains over delay chains is a jump-linear system, whose second moments decide."""
+
+from __future__ import annotations
+
+from design.controllers import GainTable, integrates, packet_samples
+from design.verdict import State, Verdict
+from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
+from hil.compose.delay_chains import gains_over
+from hil.experiment.protocols import JumpPlant
+
+
+def certify_send_all(loop: LoopToCertify) -> Verdict | None:
+    """Return the verdict on a table of gains, exact over the delay chains; None if the controller is no `GainTable`.
+
+    Reference: thesis Theorem 7.1, (7.17).
+    """
+    controller = loop.controller
+    if not isinstance(controller, GainTable):
+        return None
+    if loop.sc is None or loop.ca is None:
+        return undecided(loop, "mean-square stability", "there is no certificate for this kind of network law")
+    if isinstance(loop.plant, JumpPlant):
+        return undecided(loop, "mean-square stability", "there is no certificate for a table of gains over a plant that jumps")
+    from design.jump_linear.certificate import certify_loop
+
+    certificate = certify_loop(
+        loop.model.A, loop.model.B, loop.model.C, loop.sc, loop.ca, gains_over(controller, loop.model, loop.sc, loop.ca),
+        controller.selection, samples=packet_samples(controller), integral=float(integrates(controller)),
+    )  # fmt: skip
+    radius = certificate.mean_square_radius
+    stable = f"second-moment radius {radius:.4f}"
+    state: State
+    if certificate.stable:
+        state, reason = "certified", f"the loop is mean-square stable over this network ({stable})"
+    elif radius > 1.0 + 1e-9:
+        state, reason = "refused", f"the loop is not mean-square stable over this network ({stable})"
+    else:
+        state, reason = "undecided", f"too close to the edge of stability for floating point ({stable})"
+    verdict = Verdict(
+        kind="mean-square stability", state=state, reason=reason, number=radius, quantity="second-moment radius per slot",
+        limit=1.0, method="second moments of the jump-linear loop (Theorem 7.1)", details=certificate.to_json(),
+        assumptions=("no packet is later than its law says", "no limit trips"), digest=loop.digest,
+    )  # fmt: skip
+    return limited_to_model(loop, verdict)
