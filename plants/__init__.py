@@ -13,6 +13,7 @@ from plants.parts.check import check_plant
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import DiscreteStateSpace, LinearRun, Signal, StateSpace
+from plants.parts.protocols import BeyondModel, JumpPlant, Plant, PlantRun
 from plants.parts.semi_markov import JumpProcess, TransitionRates
 from plants.parts.sensors import Encoder
 from plants.switched_example import SwitchedExample, SwitchedExampleRun
@@ -22,6 +23,7 @@ from plants.vtol_fault import FaultyVTOL, FaultyVTOLRun
 
 __all__ = [
     "VTOL",
+    "BeyondModel",
     "DCMotor",
     "DCMotorRun",
     "DelayedVTOL",
@@ -33,12 +35,15 @@ __all__ = [
     "FaultyVTOLRun",
     "Friction",
     "JumpModel",
+    "JumpPlant",
     "JumpProcess",
     "JumpRates",
     "LinearRun",
     "LoadTorque",
     "Omni",
+    "Plant",
     "PlantError",
+    "PlantRun",
     "RubbingAxis",
     "Signal",
     "StateSpace",

@@ -12,12 +12,29 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from design.controllers import LoopModel, packet_samples, row_count
+from design.controllers import (
+    Controller,
+    GainTable,
+    LoopModel,
+    ModeSchedule,
+    SeveralSamples,
+    integrates,
+    packet_samples,
+    row_count,
+)
 from transport.medium.independent import impair
 
 
-def check_controller(controller: Any, model: LoopModel) -> None:
-    """Check a controller: right number of rows and inputs, finite, reproducible from a fresh start."""
+def check_controller(controller: Controller, model: LoopModel) -> list[str]:
+    """Check a controller: right number of rows and inputs, finite, reproducible from a fresh start.
+
+    Returns:
+        Which protocols of :mod:`design.controllers` the controller fulfils and what each earns, a sentence each.
+
+    Raises:
+        AssertionError: naming the first rule that is broken.
+    """
+    name = type(controller).__name__
     m, p = model.B.shape[1], model.C.shape[0]
     seen = p * packet_samples(controller)
     assert pickle.loads(pickle.dumps(controller)) == controller, "parameters must survive pickling"
@@ -37,6 +54,24 @@ def check_controller(controller: Any, model: LoopModel) -> None:
         return out
 
     assert answers() == answers(), "a fresh start must give the same answers"
+    said = [f"{name} is a Controller: it can run in a loop"]
+    if isinstance(controller, GainTable):
+        table = np.asarray(controller.table(model))
+        rows = row_count(controller.selection, model.d_max)
+        width = seen + p * integrates(controller)
+        fits = table.ndim == 4 and table.shape[1:] == (rows, m, width)
+        assert fits, f"table of shape {table.shape}, expected (tau, {rows}, {m}, {width})"
+        assert np.isfinite(table).all(), "a gain is not finite"
+        said.append(f"{name} is a GainTable: its loop over delay chains is certified exactly, and its error is predicted")
+    if isinstance(controller, ModeSchedule):
+        shape = controller.schedule_of_modes().gain.shape[2:]
+        assert shape == (m, p - 1), f"gains of shape {shape}, expected ({m}, {p - 1}): the state without the mode"
+        said.append(f"{name} is a ModeSchedule: its loop over a JumpPlant is judged at the period that it runs with")
+    if len(said) == 1:
+        said.append(f"{name} is neither a GainTable nor a ModeSchedule: its loop runs with allow_uncertified only")
+    if isinstance(controller, SeveralSamples):
+        said.append(f"{name} takes SeveralSamples: {packet_samples(controller)} in one sensor packet")
+    return said
 
 
 def check_law(law: Any, slots: int = 400) -> None:

@@ -3,45 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
 from plants.errors import PlantError
-from plants.parts.linear import Signal, StateSpace
+from plants.parts.exponential import Rows
+from plants.parts.jump import JumpModel
+from plants.parts.linear import Signal
+from plants.parts.protocols import BeyondModel, JumpPlant, Plant
 
 _SEED = 20240229
 
 
-class _Run(Protocol):
-    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None: ...
-
-    def measure(self) -> tuple[float, ...]: ...
-
-    @property
-    def state(self) -> tuple[float, ...]: ...
-
-    @property
-    def applied(self) -> tuple[float, ...]: ...
-
-
-class _Plant(Protocol):
-    @property
-    def inputs(self) -> tuple[Signal, ...]: ...
-
-    @property
-    def outputs(self) -> tuple[Signal, ...]: ...
-
-    @property
-    def states(self) -> tuple[Signal, ...]: ...
-
-    def model(self) -> StateSpace: ...
-
-    def start(self, rng: np.random.Generator) -> _Run: ...
-
-
-def check_plant(plant: _Plant, *, period_s: float = 0.01, tolerance: float = 1e-6) -> None:
+def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6) -> list[str]:
     """Hold a plant to the contract of the rig, in virtual time.
 
     Signals have distinct names and units; the model has as many inputs and outputs as the plant; state, measurement and
@@ -52,6 +26,9 @@ def check_plant(plant: _Plant, *, period_s: float = 0.01, tolerance: float = 1e-
         plant: the plant with the parameters to be checked.
         period_s: sample period in s, at which the plant is advanced 100 times.
         tolerance: of the last point, relative to the size of the state; 0 where a plant is exact to the last bit.
+
+    Returns:
+        Which protocols of :mod:`plants.parts.protocols` the plant fulfils and what each earns, a sentence each.
 
     Raises:
         PlantError: naming the first rule that is broken.
@@ -86,6 +63,51 @@ def check_plant(plant: _Plant, *, period_s: float = 0.01, tolerance: float = 1e-
         size = max(1.0, *(abs(x) for x in state))
         apart = max(abs(a - b) for a, b in zip(cut.state, state))
         _demand(apart <= tolerance * size, f"{name}.advance: cut in two, the state differs by {apart:.3g} at tick {k}")
+    return [f"{name} is a Plant: a rig can run it, and a design can be made for its model", *_further(plant, name)]
+
+
+def _further(plant: Plant, name: str) -> list[str]:
+    said = []
+    if isinstance(plant, JumpPlant):
+        system, process = plant.jump_system(), plant.jump_process()
+        _check_jumps(system, name, inputs=len(plant.inputs), outputs=len(plant.outputs))
+        modes = len(system.A)
+        _demand(process.rates.modes == modes, f"{name}.jump_process: rates of {process.rates.modes} modes, expected {modes}")
+        seen = {table.modes for table in process.detection}
+        detections = len(process.detection)
+        _demand(detections in (0, modes), f"{name}.jump_process: {detections} detections, expected {modes}")
+        _demand(len(seen) <= 1, f"{name}.jump_process: detections of {sorted(seen)} modes, expected one number")
+        said.append(f"{name} is a JumpPlant: robust-scheduled gains can be solved for its modes, and their loop be judged")
+    else:
+        said.append(f"{name} is no JumpPlant (no jump_system and jump_process): its loops are judged by its linear model")
+    if isinstance(plant, BeyondModel):
+        beyond = plant.beyond_model()
+        _demand(
+            isinstance(beyond, tuple) and all(isinstance(each, str) and each for each in beyond),
+            f"{name}.beyond_model(): {beyond!r}, expected a tuple of noun phrases",
+        )
+        what = f"it has {', '.join(beyond)}, so a claim on its model is undecided for it" if beyond else "now it has nothing"
+        said.append(f"{name} is BeyondModel: it says what it has that its model lacks; {what}")
+    return said
+
+
+def _check_jumps(system: JumpModel, name: str, *, inputs: int, outputs: int) -> None:
+    modes, n = len(system.A), outputs - 1
+    expected = {"A": (n, n), "B": (n, inputs), "C": (None, n), "E": (n, None), "Ad": (n, n)}
+    tables: dict[str, tuple[Rows, ...]] = {"A": system.A, "B": system.B, "C": system.C, "E": system.E, "Ad": system.Ad}
+    for k, (dA, dB) in enumerate(system.changes):
+        tables |= {f"changes[{k}][0]": dA, f"changes[{k}][1]": dB}
+        expected |= {f"changes[{k}][0]": (n, n), f"changes[{k}][1]": (n, inputs)}
+    for what, matrices in tables.items():
+        optional = what in ("C", "E", "Ad")
+        _demand(len(matrices) == modes > 0 or (optional and not matrices), f"{name}.jump_system: {what} of {len(matrices)} modes")
+        for matrix in matrices:
+            shape = np.shape(matrix)
+            fits = len(shape) == 2 and all(e is None or e == s for e, s in zip(expected[what], shape))
+            _demand(fits, f"{name}.jump_system: {what} of shape {shape}; the plant measures {n} states and the mode")
+            _demand(bool(np.isfinite(matrix).all()), f"{name}.jump_system: {what} is not finite")
+    slopes = len(system.delay_slopes)
+    _demand(slopes == (modes if system.Ad else slopes), f"{name}.jump_system: {slopes} delay_slopes, expected {modes}")
 
 
 def _demand(kept: bool, message: str) -> None:

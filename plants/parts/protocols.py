@@ -1,0 +1,73 @@
+"""What a plant fulfils, as protocols: whoever fulfils them is run, designed for and certified like ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from plants.parts.jump import JumpModel, JumpRates
+from plants.parts.linear import Signal, StateSpace
+
+
+class PlantRun(Protocol):
+    """A plant that runs; its time is what it was advanced by."""
+
+    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
+        """Hold u + w for dt_ns."""
+        ...
+
+    def measure(self) -> tuple[float, ...]:
+        """Return the outputs now; measuring changes nothing."""
+        ...
+
+    @property
+    def state(self) -> tuple[float, ...]: ...
+
+    @property
+    def applied(self) -> tuple[float, ...]: ...
+
+
+@runtime_checkable
+class Plant(Protocol):
+    """Parameters of a plant: a frozen dataclass that an experiment's ``[plant]`` table fills."""
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]: ...
+
+    @property
+    def states(self) -> tuple[Signal, ...]: ...
+
+    def model(self) -> StateSpace:
+        """Return the linear model that a designer sees."""
+        ...
+
+    def start(self, rng: np.random.Generator) -> PlantRun:
+        """Return the plant at time 0; all randomness comes from ``rng``."""
+        ...
+
+
+@runtime_checkable
+class JumpPlant(Plant, Protocol):
+    """A plant whose matrices jump at random instants; it measures its state and, last, the mode seen (1, 2, ...)."""
+
+    def jump_system(self) -> JumpModel:
+        """Return the matrices of every mode, as they run."""
+        ...
+
+    def jump_process(self) -> JumpRates:
+        """Return the rates of the modes, as they run."""
+        ...
+
+
+@runtime_checkable
+class BeyondModel(Protocol):
+    """A plant that says what acts on it and is not in its model; a claim about the model is then undecided for the plant."""
+
+    def beyond_model(self) -> tuple[str, ...]:
+        """Return what it has beyond its model, each a noun phrase; empty: the model is the plant."""
+        ...
