@@ -1,0 +1,144 @@
+"""What is proved of a haptic loop: passivity for every passive hand, stability in contact for the hand that is there.
+
+Four questions, in this order. Is some contact unstable for the hand that is there? Then the loop is refused. Does the coupler
+meet the condition for every delay? Is it one delay that stays? Is the wall passive, also where materials change, and does the
+theory know all that the loop has? Where an answer is no, the verdict is undecided: the condition is sufficient, not necessary.
+
+Reference: findings B2, B3; `design.passivity.condition`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.coupler import Coupler
+from design.controllers.wall import Wall
+from design.passivity.condition import damping_needed, is_passive_over
+from design.passivity.device import HeldDevice
+from design.passivity.loop import HapticLoop
+from design.passivity.synthesis import ceiling_n_per_m
+from design.processes.delay_chain import DelayChain
+from design.verdict import State, Verdict
+
+METHOD = "passivity of the delayed coupler, decided exactly on the whole circle; spectral radii of every contact"
+QUANTITY = "damping that the coupler needs at its worst delay, N s/m"
+ASSUMPTIONS = (
+    "the hand is passive apart from its own bounded push, and is held rigidly",
+    "the device damps at least as much as its model says",
+    "the force is held over a sample and the wall takes backward differences",
+)
+
+
+def certify_wall(
+    *,
+    device: HeldDevice,
+    wall: Wall,
+    coupler: Coupler,
+    period_s: float,
+    sc: DelayChain | int | None,
+    ca: DelayChain | int | None,
+    equalised: bool = False,
+    material_chain: npt.ArrayLike | None = None,
+    unknown: Sequence[str] = (),
+) -> Verdict:
+    """Say what is proved of a wall that is felt through a network.
+
+    Args:
+        device: device and the hand that the claim may count on: its damping is the least that any hand has.
+        wall: materials and the rule for their change.
+        coupler: C.
+        period_s: T in s.
+        sc, ca: delays of position and force: a chain, a constant in samples, or None where no chain describes the law.
+        equalised: whether both ends wait until the largest delay has passed, so that the loop has that one delay.
+        material_chain: Lambda, for the second moment of the loop in contact; None leaves that number out.
+        unknown: what else the loop has that this theory does not know, in words.
+
+    Returns:
+        A verdict of kind ``passivity``, without a digest; every number is in its details.
+    """
+    beta = device.total_damping_n_s_per_m
+    if sc is None or ca is None:
+        return _verdict("undecided", "no delay chain describes this kind of network law", beta)
+    sides = [[d] if isinstance(d, int) else sorted({int(x) for x in d.delay}) for d in (sc, ca)]
+    if equalised:
+        sides = [side[-1:] for side in sides]
+        sc, ca = sides[0][0], sides[1][0]
+    delays = sorted({i + j for i in sides[0] for j in sides[1]})
+    varies = any(len(side) > 1 for side in sides)
+    loop = HapticLoop(device=device, coupler=coupler, period_s=period_s, sc_max=sides[0][-1], ca_max=sides[1][-1])
+    details: dict[str, object] = {
+        "delays": delays, "damping_n_s_per_m": beta, "static_compliance_m_per_n": coupler.static_compliance_m_per_n,
+        "ceiling_n_per_m": ceiling_n_per_m(period_s, beta, delays[-1]) if beta > 0.0 else 0.0,
+    }  # fmt: skip
+    places = [(i, d) for i in range(len(wall.materials)) for d in delays]
+    radii = {f"material {i + 1}, delay {d}": loop_radius(loop, i, d, sides, wall) for i, d in places}
+    where, radius = max(radii.items(), key=lambda item: item[1])
+    details |= {"spectral_radius": radius, "spectral_radius_at": where, "stable": radius < 1.0}
+    if material_chain is not None:
+        moment = loop.jump_system(wall.materials, material_chain, sc, ca).radius()
+        details |= {"mean_square_radius": moment, "stable": moment < 1.0 if varies else radius < 1.0}
+        if varies and moment >= 1.0:
+            reason = f"in contact the second moment grows (radius {moment:.4f}) under the delays and materials of this loop"
+            return _verdict("refused", reason, beta, moment, "second-moment radius in contact", 1.0, details)
+    if not varies and radius >= 1.0:
+        reason = f"the contact with {where} samples is not stable (spectral radius {radius:.4f}) for the hand that is there"
+        return _verdict("refused", reason, beta, radius, "spectral radius in contact", 1.0, details)
+    needed = damping_needed(coupler, period_s, delays)
+    held = [is_passive_over(coupler, period_s, beta, d) for d in delays]
+    number = min(needed.damping_n_s_per_m, beta) if all(held) else needed.damping_n_s_per_m  # the exact answer decides
+    details |= {"damping_needed_n_s_per_m": number, "worst_delay": needed.delay}
+    decided = (number, QUANTITY, beta, details)
+    if not all(held):
+        failed = [d for d, holds in zip(delays, held) if not holds]
+        reason = (
+            f"the coupler misses the condition at {_samples(failed)} of delay: it needs {number:.6g} N s/m, "
+            f"device and hand have {beta:.6g} N s/m"
+        )
+        return _verdict("undecided", reason, beta, *decided)
+    if varies:
+        reason = f"the delay varies over {_samples(delays)}; the condition is proved for each of them held, not for their change"
+        return _verdict("undecided", f"{reason}; coupler.equalise = true makes it one delay", beta, *decided)
+    if not wall.passive:
+        reason = 'the wall gives energy away where its stiffness changes under pressure; switching = "energy" makes it passive'
+        return _verdict("undecided", reason, beta, *decided)
+    if unknown:
+        return _verdict("undecided", f"the proof does not know {', '.join(unknown)}", beta, *decided)
+    reason = (
+        f"passive for every passive hand and wall at {_samples(delays)} of delay: needs {number:.6g} N s/m, "
+        f"device and hand have {beta:.6g} N s/m"
+    )
+    return _verdict("certified", reason, beta, *decided)
+
+
+def loop_radius(loop: HapticLoop, material: int, delay: int, sides: Sequence[Sequence[int]], wall: Wall) -> float:
+    """Return the spectral radius in contact with a material at a total delay: only the sum of both delays matters.
+
+    Args:
+        loop: device, hand, coupler.
+        material: index in the wall.
+        delay: nd in samples.
+        sides: the delays of position and force that occur.
+        wall: its materials.
+    """
+    sc = min(delay, sides[0][-1])
+    return loop.radius(wall.materials[material], sc, delay - sc)
+
+
+def _samples(delays: Sequence[int]) -> str:
+    return f"{', '.join(map(str, delays))} sample{'s' if list(delays) != [1] else ''}"
+
+
+def _verdict(
+    state: State, reason: str, beta: float, number: float | None = None, quantity: str = "", limit: float | None = None,
+    details: dict[str, object] | None = None,
+) -> Verdict:  # fmt: skip
+    if number is not None and not np.isfinite(number):
+        number = None
+    assumptions = (*ASSUMPTIONS, f"device and hand damp at least {beta:.6g} N s/m")
+    return Verdict(
+        kind="passivity", state=state, reason=reason, number=number, quantity=quantity, limit=limit, assumptions=assumptions,
+        method=METHOD, details=details or {},
+    )  # fmt: skip

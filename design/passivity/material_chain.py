@@ -1,0 +1,130 @@
+r"""How often the material changes under a hand that slides at constant speed: the published Lambda from geometry.
+
+    lambda_ij = nu T c_ij/(pi A_i)
+
+c_ij is the length of the boundary between materials i and j, A_i the area of i, both in one cell; nu the speed. It is the rate
+at which a point that moves in a uniformly random direction crosses the boundary (Cauchy and Crofton), to first order in T.
+
+DEVIATION: (6.3) prints a proportion without areas: it gives neither the factor nor the unequal rows of Lambda.
+
+References: Chapter 6, (6.3), Remark 6.1; Santalo, Integral Geometry and Geometric Probability, 1976.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.wall_pattern import Pattern
+
+Array = npt.NDArray[np.float64]
+
+
+def boundaries(pattern: Pattern, materials: int) -> tuple[Array, Array]:
+    """Return c (N, N), the boundary lengths in m in one cell, zero on the diagonal, and A (N,), the areas in m^2.
+
+    Args:
+        pattern: the cell.
+        materials: N.
+
+    Raises:
+        ValueError: the pattern has a material that the wall has not, or not all of the wall's.
+    """
+    areas, lengths = np.zeros(materials), np.zeros((materials, materials))
+    for i, p in enumerate(pattern.patches):
+        if p.material >= materials:
+            raise ValueError(f"patches[{i}].material: {p.material}, but the wall has {materials} materials (from 0)")
+        areas[p.material] += p.width_m * p.height_m
+    if not areas.all():
+        raise ValueError(f"patches: material {int(np.flatnonzero(areas == 0.0)[0])} has no area in the cell")
+    slack = 1e-9 * max(pattern.width_m, pattern.height_m)
+    for p in pattern.patches:
+        for q in pattern.patches:
+            # the right edge of p on the left edge of q, and the upper on the lower, here or in the next cell
+            for shift in (0.0, pattern.width_m):
+                if abs(p.y_m + p.width_m - q.y_m - shift) <= slack:
+                    shared = _overlap(p.z_m, p.height_m, q.z_m, q.height_m)
+                    lengths[p.material, q.material] += shared
+                    lengths[q.material, p.material] += shared
+            for shift in (0.0, pattern.height_m):
+                if abs(p.z_m + p.height_m - q.z_m - shift) <= slack:
+                    shared = _overlap(p.y_m, p.width_m, q.y_m, q.width_m)
+                    lengths[p.material, q.material] += shared
+                    lengths[q.material, p.material] += shared
+    np.fill_diagonal(lengths, 0.0)
+    return lengths, areas
+
+
+def _overlap(a: float, a_size: float, b: float, b_size: float) -> float:
+    return max(0.0, min(a + a_size, b + b_size) - max(a, b))
+
+
+def material_chain(pattern: Pattern, materials: int, step_m: float) -> Array:
+    """Return Lambda (N, N) of a hand that slides nu T in a sample.
+
+    Args:
+        pattern: the cell.
+        materials: N.
+        step_m: nu T in m, at least 0.
+
+    Raises:
+        ValueError: see `boundaries`; or the step is so long that a row would leave [0, 1].
+    """
+    lengths, areas = boundaries(pattern, materials)
+    rates = step_m * lengths / (np.pi * areas[:, None])
+    leaving = rates.sum(axis=1)
+    if not (np.isfinite(leaving).all() and step_m >= 0.0 and leaving.max() <= 1.0):
+        raise ValueError(
+            f"step_m: {step_m!r} m in a sample leaves a material with probability {leaving.max():.6g}, expected 0 to 1"
+        )
+    return np.asarray(rates + np.diag(1.0 - leaving))
+
+
+def true_chain(pattern: Pattern, materials: int, step_m: float, *, directions: int = 64, points: int = 200) -> Array:
+    """Return the exact one-step matrix of a uniformly placed point that moves step_m in a uniformly random direction.
+
+    By the midpoint rule over directions and places: it shows how far the linear law of `material_chain` holds.
+
+    Args:
+        pattern: the cell.
+        materials: N.
+        step_m: nu T in m.
+        directions, points: midpoints over the circle, and over each side of the cell.
+    """
+    y = (np.arange(points) + 0.5) * pattern.width_m / points
+    z = (np.arange(points) + 0.5) * pattern.height_m / points
+    here = _materials_at(pattern, *np.meshgrid(y, z))
+    joint = np.zeros((materials, materials))
+    for angle in (np.arange(directions) + 0.5) * (2.0 * np.pi / directions):
+        there = _materials_at(pattern, *np.meshgrid(y + step_m * np.cos(angle), z + step_m * np.sin(angle)))
+        np.add.at(joint, (here, there), 1.0)
+    return np.asarray(joint / joint.sum(axis=1, keepdims=True))
+
+
+def _materials_at(pattern: Pattern, y: Array, z: Array) -> npt.NDArray[np.intp]:
+    y, z = y % pattern.width_m, z % pattern.height_m
+    out = np.zeros(y.shape, dtype=np.intp)
+    for p in pattern.patches:
+        inside = (p.y_m <= y) & (y < p.y_m + p.width_m) & (p.z_m <= z) & (z < p.z_m + p.height_m)
+        out[inside] = p.material
+    return out
+
+
+def memory_statistic(modes: npt.ArrayLike, materials: int) -> tuple[float, int]:
+    """Return G and its degrees of freedom for the hypothesis that a path of materials is a first-order Markov chain.
+
+    G = 2 sum n_hij log(n_hij n_i / (n_hi n_ij)) over triples; chi-square with N (N - 1)^2 degrees under the hypothesis.
+
+    Args:
+        modes: the material in every sample.
+        materials: N.
+
+    Reference: Anderson and Goodman, Statistical inference about Markov chains, 1957.
+    """
+    path = np.asarray(modes, dtype=np.intp)
+    counts = np.zeros((materials,) * 3)
+    np.add.at(counts, (path[:-2], path[1:-1], path[2:]), 1.0)
+    before, after, middle = counts.sum(axis=2), counts.sum(axis=0), counts.sum(axis=(0, 2))
+    expected = before[:, :, None] * after[None, :, :] / np.where(middle == 0.0, 1.0, middle)[None, :, None]
+    seen = counts > 0.0
+    return 2.0 * float(np.sum(counts[seen] * np.log(counts[seen] / expected[seen]))), materials * (materials - 1) ** 2

@@ -1,0 +1,168 @@
+r"""The stiffest coupler for a set of delays: least static compliance under the condition of every delay.
+
+    minimise C(1) = sum c_l   subject to   (1/T) sum_l c_l D_l(t) >= max_N F_N(t)/(2 beta)   for all t
+
+In units of T/(2 beta) neither period nor damping occurs: s_l = 2 beta c_l/T depends on the delays alone. It is a linear program
+with one row for every angle. It is solved over finitely many angles, to which the angles of the worst violations are added; the
+last, tiny violation is repaired by c_0, whose kernel D_0 is 1. What comes out is proved for the whole circle in whole numbers
+(`design.passivity.condition`), so neither the grid nor the solver is part of the proof.
+
+Integrating the rows over (0, pi) bounds every causal coupler, of any length, from below:
+C(1) >= (T/pi) int max_N F_N(t)/(2 beta) dt.
+
+Reference: findings B3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.coupler import MAX_TAPS, Coupler
+from design.errors import DesignError, Infeasible
+from design.passivity.condition import dirichlet, fejer, is_passive_over
+
+MARGIN = 1e-6  # of the smallest value on the circle, in units of T/(2 beta)
+ROUNDS = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CouplerDesign:
+    """The stiffest coupler that was found, and how far it is from what is possible.
+
+    Args:
+        coupler: the taps.
+        delays: the delays in samples, every one of which meets the condition, exactly.
+        period_s: T in s; damping_n_s_per_m: b + b_h that the condition counts on.
+        bound_m_per_n: no causal coupler that meets the condition for these delays has a smaller C(1), in m/N.
+    """
+
+    coupler: Coupler
+    delays: tuple[int, ...]
+    period_s: float
+    damping_n_s_per_m: float
+    bound_m_per_n: float
+
+    @property
+    def stiffness_n_per_m(self) -> float:
+        """1/C(1) in N/m: what the coupler leaves of a rigid wall."""
+        return 1.0 / self.coupler.static_compliance_m_per_n
+
+
+def ceiling_n_per_m(period_s: float, damping_n_s_per_m: float, delay: int) -> float:
+    """Return 2 b/((nd + 1) T), the static stiffness in N/m that no rendering exceeds which is safe for every passive hand.
+
+    Args:
+        period_s: T in s.
+        damping_n_s_per_m: damping of the device and least damping of the hand, N s/m.
+        delay: nd, samples.
+    """
+    return 2.0 * damping_n_s_per_m / ((delay + 1) * period_s)
+
+
+def stiffest_coupler(
+    delays: Iterable[int],
+    *,
+    period_s: float,
+    damping_n_s_per_m: float,
+    taps: int | None = None,
+    stiffness_n_per_m: float | None = None,
+) -> CouplerDesign:
+    """Return the coupler of least static compliance that meets the condition for every delay of a set.
+
+    Args:
+        delays: nd in samples, at least one, each at least 0.
+        period_s: T in s, above 0.
+        damping_n_s_per_m: damping of the device and least damping of the hand in N s/m, above 0.
+        taps: length of C; by default 2 nd + 8 for the largest delay, at least 24.
+        stiffness_n_per_m: a request in N/m; the design is refused if it cannot be reached.
+
+    Raises:
+        Infeasible: the request is above the ceiling 2 b/((nd + 1) T), or above what the set of delays allows; ``value`` is
+            the stiffness that can be reached.
+        DesignError: an argument out of range.
+    """
+    asked = tuple(sorted(set(delays)))
+    if not asked or asked[0] < 0:
+        raise DesignError(f"delays: {list(asked)}, expected at least one, each at least 0")
+    for name, given in (("period_s", period_s), ("damping_n_s_per_m", damping_n_s_per_m)):
+        if not (np.isfinite(given) and given > 0.0):
+            raise DesignError(f"{name}: {given!r}, expected a finite number above 0", value=given)
+    count = max(24, 2 * asked[-1] + 8) if taps is None else taps
+    if not asked[-1] + 1 <= count <= MAX_TAPS:
+        raise DesignError(f"taps: {count}, expected {asked[-1] + 1} (largest delay + 1) to {MAX_TAPS}", value=count)
+    unit = period_s / (2.0 * damping_n_s_per_m)
+    ceiling = ceiling_n_per_m(period_s, damping_n_s_per_m, asked[-1])
+    if stiffness_n_per_m is not None and stiffness_n_per_m > ceiling:
+        raise Infeasible(
+            f"stiffness_n_per_m: {stiffness_n_per_m:.6g} N/m is above the ceiling 2 b/((nd + 1) T) = {ceiling:.6g} N/m "
+            f"(b = {damping_n_s_per_m:.6g} N s/m, nd = {asked[-1]}, T = {period_s:.6g} s), which nothing exceeds that is "
+            "safe for every passive hand; more damping, a shorter period or a shorter delay raise it",
+            value=ceiling,
+        )
+    shape = _shape(asked, count)
+    coupler = Coupler(taps_m_per_n=tuple((unit * shape).tolist()))
+    for delay in asked:
+        if not is_passive_over(coupler, period_s, damping_n_s_per_m, delay):
+            raise DesignError(f"coupler: the taps found do not meet the condition for a delay of {delay} samples")
+    found = CouplerDesign(
+        coupler=coupler,
+        delays=asked,
+        period_s=period_s,
+        damping_n_s_per_m=damping_n_s_per_m,
+        bound_m_per_n=unit * least_sum(asked),
+    )
+    if stiffness_n_per_m is not None and stiffness_n_per_m > found.stiffness_n_per_m:
+        raise Infeasible(
+            f"stiffness_n_per_m: {stiffness_n_per_m:.6g} N/m; one coupler of {count} taps that is safe for every delay of "
+            f"{list(asked)} reaches {found.stiffness_n_per_m:.6g} N/m, and none exceeds {1.0 / found.bound_m_per_n:.6g} N/m",
+            value=found.stiffness_n_per_m,
+        )
+    return found
+
+
+@lru_cache(maxsize=64)
+def _shape(delays: tuple[int, ...], taps: int) -> npt.NDArray[np.float64]:
+    """Taps in units of T/(2 beta), with a margin on the whole circle."""
+    from scipy.optimize import linprog
+
+    def needed(t: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        return np.asarray(np.max([fejer(delay + 1, t) for delay in delays], axis=0))
+
+    fine = np.asarray(np.linspace(0.0, np.pi, 256 * taps + 1), dtype=np.float64)
+    kernels, wanted = dirichlet(taps, fine), needed(fine)
+    angles = np.arange(0, fine.size, 32)
+    shape, gap = np.zeros(taps), wanted
+    for _ in range(ROUNDS):
+        rows = -kernels[:, angles].T
+        result: Any = linprog(np.ones(taps), A_ub=rows, b_ub=-wanted[angles], bounds=[(None, None)] * taps, method="highs-ds")
+        if result.x is None:
+            raise DesignError(f"coupler: the linear program ended without an answer ({result.message})")
+        shape = np.asarray(result.x)
+        gap = wanted - shape @ kernels
+        inner = gap[1:-1]
+        peaks = 1 + np.flatnonzero((inner >= gap[:-2]) & (inner > gap[2:]) & (inner > 1e-9))
+        if not np.setdiff1d(peaks, angles).size:
+            break
+        angles = np.union1d(angles, peaks)
+    near = 1 + np.flatnonzero((gap[1:-1] >= gap[:-2]) & (gap[1:-1] > gap[2:]) & (gap[1:-1] > -1e-3 * shape.sum()))
+    pieces = [np.linspace(fine[i - 1], fine[i + 1], 129) for i in near]
+    between = np.asarray(np.concatenate([np.array([0.0, np.pi]), *pieces]), dtype=np.float64)
+    shape[0] += max(float((needed(between) - shape @ dirichlet(taps, between)).max()), 0.0) + MARGIN * float(shape.sum())
+    return shape
+
+
+def least_sum(delays: Iterable[int]) -> float:
+    """Return (1/pi) int_0^pi max_N F_N(t) dt: a lower bound of C(1) in units of T/(2 beta), by the midpoint rule."""
+    asked = sorted(set(delays))
+    count = 4096 * (asked[-1] + 1)
+    t = np.asarray((np.arange(count) + 0.5) * (np.pi / count), dtype=np.float64)
+    largest = fejer(asked[0] + 1, t)
+    for delay in asked[1:]:
+        largest = np.maximum(largest, fejer(delay + 1, t))
+    return float(largest.mean())

@@ -1,0 +1,122 @@
+r"""How far a rendered wall is from the wall that was meant: (6.12) with the delay in the state, for all materials at once.
+
+    z = W(z) ( G_i(z) - z^-nd G_i(z)/(1 + G_i(z) C(z)) ) omega,     G_i = K_i + B_i (z - 1)/(T z)
+
+is one jump-linear system over the materials. Its norm is exact (`design.jump_linear.bounded_real`), where (6.17) bounds another
+system: (6.14) leaves W undriven, and the printed inequality does not know how long the delay is.
+
+Reference: Chapter 6, (6.12)-(6.17); findings B4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.coupler import Coupler
+from design.controllers.wall import Material
+from design.jump_linear.mjls import MJLS
+
+Array = npt.NDArray[np.float64]
+
+
+def low_pass(cutoff_hz: float, period_s: float) -> tuple[float, float]:
+    """Return a and g of W(z) = g/(z - a), a first-order low-pass of gain 1 at zero frequency.
+
+    Args:
+        cutoff_hz: corner frequency in Hz.
+        period_s: T in s.
+    """
+    a = float(np.exp(-2.0 * np.pi * cutoff_hz * period_s))
+    return a, 1.0 - a
+
+
+def distortion(
+    materials: Sequence[Material],
+    transition: npt.ArrayLike,
+    coupler: Coupler,
+    *,
+    period_s: float,
+    delay: int,
+    cutoff_hz: float,
+) -> MJLS:
+    """Return the jump-linear system from the position omega in m to the weighted error z of the force in N.
+
+    State: (omega(k-1), x_v(k-1), f(k-1) .. f(k-M), w).
+
+    Args:
+        materials: one per mode.
+        transition: Lambda.
+        coupler: C, without an integrator.
+        period_s: T in s.
+        delay: nd in samples.
+        cutoff_hz: of the weight W, in Hz.
+
+    Raises:
+        ValueError: the coupler has an integrator.
+    """
+    if coupler.integrator_m_per_n:
+        raise ValueError("coupler: has an integrator, expected a finite impulse response")
+    taps, (pole, gain) = coupler.taps_m_per_n, low_pass(cutoff_hz, period_s)
+    memory = max(len(taps) - 1, delay)
+    n = 2 + memory + 1
+    A, B = np.zeros((len(materials), n, n)), np.zeros((len(materials), n, 1))
+    for i, m in enumerate(materials):
+        rate = m.damping_n_s_per_m / period_s
+        stiff = m.stiffness_n_per_m + rate
+        # f = stiff (omega - past - c_0 f) - rate x_v(k-1)
+        force, force_in = np.zeros(n), stiff / (1.0 + stiff * taps[0])
+        force[2 : 1 + len(taps)] = -stiff * np.asarray(taps[1:])
+        force[1] -= rate
+        force /= 1.0 + stiff * taps[0]
+        avatar = -taps[0] * force
+        avatar[2 : 1 + len(taps)] -= np.asarray(taps[1:])
+        B[i, 0, 0] = 1.0
+        A[i, 1], B[i, 1, 0] = avatar, 1.0 - taps[0] * force_in
+        if memory:
+            A[i, 2], B[i, 2, 0] = force, force_in
+        for j in range(1, memory):
+            A[i, 2 + j, 1 + j] = 1.0
+        error, error_in = np.zeros(n), stiff
+        error[0] -= rate
+        if delay:
+            error[1 + delay] -= 1.0
+        else:
+            error, error_in = error - force, error_in - force_in
+        A[i, -1] = gain * error
+        A[i, -1, -1] += pole
+        B[i, -1, 0] = gain * error_in
+    C = np.zeros((1, n))
+    C[0, -1] = 1.0
+    return MJLS(A=A, B=B, C=C, transition=transition)
+
+
+def distortion_bound(material: Material, *, period_s: float, delay: int, cutoff_hz: float) -> float:
+    """Return a bound in N/m below which no causal rendering brings (6.12): it can do nothing in the first nd samples.
+
+    The error's first nd samples are those of W G whatever the coupler; by Caratheodory and Fejer the norm of their Toeplitz
+    matrix is the least norm that a function with these samples can have.
+
+    Args:
+        material: K and B.
+        period_s: T in s.
+        delay: nd in samples.
+        cutoff_hz: of W, in Hz.
+    """
+    if delay == 0:
+        return 0.0
+    pole, gain = low_pass(cutoff_hz, period_s)
+    rate = material.damping_n_s_per_m / period_s
+    samples = np.zeros(delay)  # W without its own step: what counts is where the error begins
+    drive = np.zeros(delay)
+    drive[0] = material.stiffness_n_per_m + rate
+    if delay > 1:
+        drive[1] = -rate
+    state = 0.0
+    for k in range(delay):
+        state = pole * state + gain * drive[k]
+        samples[k] = state
+    toeplitz = np.array([[samples[i - j] if i >= j else 0.0 for j in range(delay)] for i in range(delay)])
+    return float(np.linalg.norm(toeplitz, 2))
