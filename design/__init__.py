@@ -19,7 +19,7 @@ _EXPORTS = {
     "DelayChain": "design.processes.delay_chain",
     "MJLS": "design.jump_linear.mjls",
     "Certificate": "design.jump_linear.certificate",
-    "certify_loop": "design.jump_linear.certificate",
+    "certify_loop": "design.networked_loop.certify",
     "certify_system": "design.jump_linear.certificate",
     "LoopStructure": "design.networked_loop.closed_loop",
     "loop_structure": "design.networked_loop.closed_loop",

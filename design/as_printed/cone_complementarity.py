@@ -57,7 +57,7 @@ def solve_ccl(problem: TrackingProblem, *, iterations: int = 60, progress: Progr
     if problem.objective == "mixed" or problem.gain_bound is not None:
         raise DesignError("method: ccl solves h2 and hinf problems without a gain bound; take method 'direct'")
     structure, space = problem.structure(), problem.space()
-    objective = LoopObjective(structure, space, problem.alpha(structure.base.shape[0]))
+    objective = LoopObjective(structure, space, problem.alpha(structure))
     v = stabilising(objective, space.coordinates(np.zeros(space.shape)))
     norm = objective.h2 if problem.objective == "h2" else objective.hinf
     reached, best = norm(v)[0], v
@@ -121,7 +121,7 @@ class _Programme:
         constraints: list[Any] = []
         cost: Any = 0
         eye = np.eye(n)
-        alpha = problem.alpha(N)
+        alpha = problem.alpha(s)
         for i in range(N):
             A = bases[i] + sum(self.free[e] * basis[e][i] for e in range(self.space.size) if basis[e][i].any())
             rows = C[i].shape[0]

@@ -11,11 +11,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers import Selection
-from design.jump_linear.mjls import MJLS
-from design.jump_linear.second_moment import Array, Resolvent, backward, expect
-from design.networked_loop.closed_loop import loop_structure
-from design.processes.delay_chain import DelayChain
+from design.jump_linear.mjls import MJLS, STABILITY_MARGIN
+from design.jump_linear.second_moment import Array, Resolvent, backward, expect, mean_square_radius
+from design.verdict import State
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +22,11 @@ class Certificate:
 
     Args:
         mean_square_radius: spectral radius of the second-moment operator; stable if and only if < 1 (Theorem 7.1).
-        stable: the radius is below 1 and (7.17), made strict, holds at the matrices found, beyond rounding.
+        tail_radius: the same radius over the upper bounds of the transition probabilities, where a mode stands for a tail that
+            is cut; None where the probabilities are exact. Below 1 it proves stability over the law without the cut.
+        state: ``certified``; ``refused``, a proof of the contrary; ``undecided``, where the tail that is cut decides.
+        reason: what decided, in one sentence.
+        stable: (7.17), made strict, holds at the matrices found, beyond rounding, whatever the tail that is cut does.
         h2_norm: H2 norm (7.20), z per unit impulse; None if not stable.
         hinf_norm: H-infinity norm (7.27); None if not asked for or not stable.
         lyapunov_margin: -largest eigenvalue of (7.17) at P found with right-hand side I; > 0 proves stability.
@@ -33,11 +35,15 @@ class Certificate:
         h2_residual: largest absolute eigenvalue of (7.21)'s residual, relative to the largest of S.
         hinf_margin: -largest eigenvalue of (7.28) at gamma (1 + 1e-6), relative; > 0 proves the norm.
         modes: number of modes; order: number of states.
+        initial: distribution of the mode at the impulse of the H2 norm: "uniform", "stationary" or "given".
         selection: information pattern; output: "stacked" or "sum" z.
     """
 
     mean_square_radius: float
     stable: bool
+    state: State
+    reason: str
+    tail_radius: float | None
     h2_norm: float | None
     hinf_norm: float | None
     lyapunov_margin: float | None
@@ -49,70 +55,54 @@ class Certificate:
     order: int
     selection: str
     output: str
+    initial: str
 
     def to_json(self) -> dict[str, object]:
         """Return the fields as a dictionary that `json.dumps` takes."""
         return asdict(self)
 
 
-def certify_loop(
-    A: npt.ArrayLike,
-    B: npt.ArrayLike,
-    C: npt.ArrayLike,
-    Lambda: DelayChain | npt.ArrayLike,
-    Pi: DelayChain | npt.ArrayLike,
-    gains: npt.ArrayLike,
-    selection: Selection | str = "generated",
-    Q: npt.ArrayLike | None = None,
-    R: npt.ArrayLike | None = None,
+def certify_system(
+    system: MJLS,
     *,
-    output: str = "stacked",
-    samples: int = 1,
-    integral: float = 0.0,
+    selection: str = "",
+    output: str = "",
     initial: npt.ArrayLike | None = None,
+    initial_law: str = "",
+    between: tuple[Array, Array] | None = None,
     hinf: bool = False,
 ) -> Certificate:
-    """Certify gains over a network: radius, norms and inequality margins of the loop (7.14).
+    """Certify a jump-linear system: radius, norms and inequality margins.
+
+    Where a mode stands for many whose transition probabilities differ, (7.17) is taken at the entrywise upper bounds:
+    P - A_i' sum_j high_ij P_j A_i >= I with P > 0 is a Lyapunov function of every chain below them, with any number of modes.
 
     Args:
-        A, B, C: (n, n), (n, m), (p, n) discrete plant.
-        Lambda, Pi: S-C and C-A transition matrices or delay chains.
-        gains: (tau labels, rows, m, p'), the convention u = u* + K[tau, row] (y - r).
-        selection: how the row is chosen, see `design.networked_loop.closed_loop`.
-        Q, R: weights of z; defaults C and the row 0.01 .. 0.01.
-        output, samples, integral: as in `design.networked_loop.closed_loop.loop_structure`.
-        initial: distribution of the mode at the impulse; default uniform.
-        hinf: compute the H-infinity norm too (some 10 ms more).
+        system: the system.
+        selection, output: named in the certificate.
+        initial: (N,) distribution of the mode at the impulse; default uniform.
+        initial_law: its name, in the certificate.
+        between: (N, N) entrywise lower and upper bounds of the transition probabilities; default exact.
+        hinf: compute the H-infinity norm too.
 
     Returns:
         The certificate; a loop that is not stable gives one with ``stable = False``.
-
-    Raises:
-        ValueError: wrong shapes; the message starts with the argument at fault.
     """
-    from threadpoolctl import threadpool_limits
-
-    structure = loop_structure(
-        A, B, C, Lambda, Pi, selection, Q=Q, R=R, output=output, samples=samples, integral=integral  # type: ignore[arg-type]
-    )  # fmt: skip
-    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
-        return certify_system(structure.system(gains), selection=selection, output=output, initial=initial, hinf=hinf)
-
-
-def certify_system(
-    system: MJLS, *, selection: str = "", output: str = "", initial: npt.ArrayLike | None = None, hinf: bool = False
-) -> Certificate:
-    """Certify any jump-linear system, see `certify_loop`."""
     A, B, C, D, transition = system.matrices
     alpha = system.alpha(initial)
     radius = system.radius()
+    tail_radius = None if between is None else mean_square_radius(A, between[1])
     h2 = residual = norm = hinf_margin = lyapunov = positivity = rounding = None
     stable = False
-    if radius < 1.0:
+    if radius < 1.0 and (tail_radius is None or tail_radius < 1.0):
         identity = np.broadcast_to(np.eye(system.order), A.shape)
         weight = C.transpose(0, 2, 1) @ C
-        P, S = Resolvent(A, transition).cost(np.stack([identity, weight]))
-        lyapunov = -_largest(backward(A, transition, P) - P)
+        worst = transition if between is None else between[1]
+        if between is None:
+            P, S = Resolvent(A, transition).cost(np.stack([identity, weight]))
+        else:
+            P, S = Resolvent(A, worst).cost(identity), Resolvent(A, transition).cost(weight)
+        lyapunov = -_largest(backward(A, worst, P) - P)
         positivity = -_largest(-P)
         scale = float(np.abs(P).max() * max(1.0, float((np.abs(A).sum(axis=2) ** 2).max())))
         rounding = 4.0 * system.order * system.modes * float(np.finfo(float).eps) * scale
@@ -121,17 +111,36 @@ def certify_system(
         gap = backward(A, transition, S) + weight - S
         residual = float(np.abs(np.linalg.eigvalsh(gap)).max() / max(float(np.abs(S).max()), 1e-300))
         stable = lyapunov > rounding and positivity > rounding
+    state, reason = _judge(A, radius, tail_radius, stable, between)
     if hinf and stable:
         from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
 
         norm = hinf_norm(system)
         hinf_margin = bounded_real_margin(system, norm * (1.0 + 1e-6))
     return Certificate(
-        mean_square_radius=radius, stable=stable, h2_norm=h2 if stable else None, hinf_norm=norm,
+        mean_square_radius=radius, stable=stable, state=state, reason=reason, tail_radius=tail_radius,
+        h2_norm=h2 if stable else None, hinf_norm=norm,
         lyapunov_margin=lyapunov, positivity_margin=positivity, rounding=rounding,
         h2_residual=residual, hinf_margin=hinf_margin, modes=system.modes, order=system.order, selection=selection,
-        output=output,
+        output=output, initial="given" if initial is not None and not initial_law else initial_law or "uniform",
     )  # fmt: skip
+
+
+def _judge(
+    A: Array, radius: float, tail_radius: float | None, stable: bool, between: tuple[Array, Array] | None
+) -> tuple[State, str]:
+    """What follows from the radii and the margins, in words."""
+    tail = "" if tail_radius is None else f", {tail_radius:.6g} over the bounds of the tail that is cut"
+    if stable:
+        return "certified", f"the second-moment radius is {radius:.6g}{tail}, below 1"
+    least = radius if between is None else mean_square_radius(A, between[0])
+    if least > 1.0 + STABILITY_MARGIN:
+        return "refused", f"the loop is not mean-square stable: the second-moment radius is {least:.6g}, expected below 1"
+    if tail_radius is None or (radius < 1.0 and tail_radius < 1.0):
+        return "undecided", f"the second-moment radius is {radius:.9g}{tail}: too close to 1 for floating point"
+    return "undecided", (
+        f"the tail of a sojourn law decides: the second-moment radius is {radius:.6g} where it is cut{tail}, expected below 1"
+    )
 
 
 def _largest(family: Array) -> float:

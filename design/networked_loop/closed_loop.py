@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from design.controllers import Selection, row_count
 from design.jump_linear.mjls import MJLS
+from design.networked_loop.initial_law import default_initial, initial_law
 from design.networked_loop.loop_shapes import check_gains, check_plant_shapes
 from design.networked_loop.packet_registers import packet_registers
 from design.networked_loop.performance_output import performance_output
@@ -51,6 +52,8 @@ class LoopStructure:
     """Everything of the closed loop but the gains. Made by `loop_structure`.
 
     Fields: `base` (N, n, n) matrices for zero gains; `B` (N, n, q); `C` (N, l, n); `transition` (N, N);
+    `between` entrywise lower and upper bounds (N, N) of the transition probabilities, None where these are exact;
+    `default_initial` (N,) and `initial_law`, the distribution of the mode at the H2 impulse and its name;
     `sc_mode`, `ca_mode`, `ca_before` (N,) indices of each mode's chains (`ca_before` is -1 unless the pattern is
     `previous`); `stored_outputs` samples lie behind x; `gain_shape` = (sc labels, rows, m, py);
     `used` (sc labels, rows) tells which gains can matter.
@@ -60,6 +63,9 @@ class LoopStructure:
     B: Array
     C: Array
     transition: Array
+    between: tuple[Array, Array] | None
+    default_initial: Array
+    initial_law: str
     entries: _Entries
     input_entries: _Entries
     input_base: Array
@@ -236,8 +242,11 @@ def loop_structure(
         B=np.repeat(drive[None], N, axis=0),
         C=np.repeat(weight[None], N, axis=0),
         transition=transition,
-        entries=_pack(entries),
-        input_entries=_pack(inputs),
+        between=_between(sc_chain, ca_chain, modes),
+        default_initial=default_initial(sc_chain, ca_chain, modes),
+        initial_law=initial_law(sc_chain, ca_chain),
+        entries=_pack(entries, order, m, known_size),
+        input_entries=_pack(inputs, order, m, known_size),
         input_base=input_base,
         gain_shape=(sc_labels, rows, m, known_size),
         sc_mode=index[:, 0],
@@ -251,22 +260,33 @@ def loop_structure(
 
 
 def _modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool) -> tuple[list[tuple[int, int, int]], Array]:
-    transition = np.asarray(np.kron(sc.matrix, ca.matrix), dtype=np.float64)
-    pairs = [(s, c) for s in range(sc.modes) for c in range(ca.modes)]
-    if not with_previous:
-        return [(s, c, -1) for s, c in pairs], transition
-    modes = [(s, c, b) for s, c in pairs for b in range(ca.modes) if ca.matrix[b, c] > 0]
-    index = {pair: i for i, pair in enumerate(pairs)}
-    full = np.zeros((len(modes), len(modes)))
-    for i, (s, c, _) in enumerate(modes):
-        for j, (s2, c2, b2) in enumerate(modes):
-            if b2 == c:
-                full[i, j] = transition[index[s, c], index[s2, c2]]
-    return modes, full
+    if with_previous:
+        triples = [
+            (s, c, b) for s in range(sc.modes) for c in range(ca.modes) for b in range(ca.modes) if ca.bounds[1][b, c] > 0
+        ]
+        return triples, _joint(triples, sc.matrix, ca.matrix)
+    pairs = [(s, c, -1) for s in range(sc.modes) for c in range(ca.modes)]
+    return pairs, _joint(pairs, sc.matrix, ca.matrix)
 
 
-def _pack(entries: list[tuple[int, int, int, Array, Array]]) -> _Entries:
-    if not entries:
-        raise ValueError("Pi: every packet must have a way to the actuator")
-    mode, sc, row, left, right = zip(*entries, strict=True)
-    return _Entries(np.array(mode), np.array(sc), np.array(row), np.stack(left), np.stack(right))
+def _joint(modes: list[tuple[int, int, int]], sc: Array, ca: Array) -> Array:
+    """Products of the two chains' entries; a mode that keeps the C-A mode before follows only where that fits."""
+    s, c, before = np.array(modes, dtype=np.int64).T
+    joint = np.asarray(sc[np.ix_(s, s)] * ca[np.ix_(c, c)], dtype=np.float64)
+    return joint if before[0] < 0 else np.where(before[None, :] == c[:, None], joint, 0.0)
+
+
+def _between(sc: DelayChain, ca: DelayChain, modes: list[tuple[int, int, int]]) -> tuple[Array, Array] | None:
+    """Entrywise bounds of the joint transition probabilities, where a mode of a chain stands for many."""
+    if sc.between is None and ca.between is None:
+        return None
+    (sc_low, sc_high), (ca_low, ca_high) = sc.bounds, ca.bounds
+    return _joint(modes, sc_low, ca_low), _joint(modes, sc_high, ca_high)
+
+
+def _pack(entries: list[tuple[int, int, int, Array, Array]], order: int, m: int, known: int) -> _Entries:
+    """The entries as arrays; none of them where no packet is ever applied in the slot in which it was generated."""
+    index = np.array([entry[:3] for entry in entries], dtype=np.int64).reshape(-1, 3)
+    left = np.array([entry[3] for entry in entries], dtype=np.float64).reshape(-1, order, m)
+    right = np.array([entry[4] for entry in entries], dtype=np.float64).reshape(-1, known, order)
+    return _Entries(index[:, 0], index[:, 1], index[:, 2], left, right)

@@ -33,12 +33,19 @@ class LowerBounds(NamedTuple):
 
 
 def lower_bounds(
-    A: Array, B: Array, Q: Array, sc: DelayChain, ca: DelayChain, initial: npt.ArrayLike | None = None
+    A: Array,
+    B: Array,
+    Q: Array,
+    sc: DelayChain,
+    ca: DelayChain,
+    initial: npt.ArrayLike | None = None,
+    present: npt.ArrayLike | None = None,
 ) -> LowerBounds:
     """Lower bounds for plant (A, B), weight Q (l, n) of the state, and the two delay chains.
 
     Args:
-        initial: (sc modes * ca modes,) distribution of the mode at the impulse; default uniform.
+        initial: (sc modes * ca modes,) distribution of the mode at the impulse, the same as the norm's; default uniform.
+        present: (sc modes * ca modes,) whether the norm knows the mode; default all. The H-infinity norm starts in these.
 
     The H-infinity norm is at least the square root of the energy of one impulse, in its worst direction and mode.
     """
@@ -46,6 +53,7 @@ def lower_bounds(
     cheap = _cheap_regulator(A, B, weight)
     modes = sc.modes * ca.modes
     alpha = np.full(modes, 1.0 / modes) if initial is None else np.asarray(initial, dtype=np.float64)
+    known = np.ones(modes, dtype=bool) if present is None else np.asarray(present, dtype=bool)
     full = B.T @ cheap @ B
     delayed = []
     for mode in range(modes):
@@ -60,7 +68,7 @@ def lower_bounds(
         h2_full_information=float(np.sqrt(np.trace(full))),
         h2_delayed_information=float(np.sqrt(mean)),
         hinf_full_information=float(np.sqrt(np.linalg.eigvalsh(full)[-1])),
-        hinf_delayed_information=float(np.sqrt(max(np.linalg.eigvalsh(e)[-1] for e in delayed))),
+        hinf_delayed_information=float(np.sqrt(max(np.linalg.eigvalsh(e)[-1] for e, here in zip(delayed, known) if here))),
     )
 
 

@@ -83,7 +83,8 @@ def robust_norms(
     if margin <= 1.0:
         raise Infeasible(f"uncertainty: the loop bears |Delta| up to {margin:.6g}, expected more than 1", value=margin)
     c = _channel(structure, gains, M, N1, N2)
-    alpha = MJLS(A=c.A, B=c.B, C=c.C, transition=c.transition).alpha(initial)
+    system = MJLS(A=c.A, B=c.B, C=c.C, transition=c.transition)
+    alpha = system.alpha(structure.default_initial if initial is None else initial)
     centre = float(np.log10(np.abs(c.C).max() ** 2 / max(np.abs(c.of_state).max() ** 2, 1e-300)))
     grid = centre + np.arange(-8.0, 12.5, 0.5)
     h2 = _search(grid, lambda exponent: _h2_bound(c, alpha, 10.0**exponent))

@@ -55,6 +55,8 @@ class DelayChain:
         transition: (N, N) row-stochastic matrix.
         delays: (N,) delay of each mode, in samples; default 0..N-1.
         labels: (N,) gain index of each mode; default: the delays. Modes of one label must have one delay.
+        between: lower and upper bound, (N, N) each, of every transition probability, where a mode stands for many whose
+            probabilities differ (a tail that is cut); default: the probabilities are exact.
 
     Raises:
         ValueError: message starts with the field at fault.
@@ -66,6 +68,7 @@ class DelayChain:
     transition: npt.ArrayLike
     delays: npt.ArrayLike | None = None
     labels: npt.ArrayLike | None = None
+    between: tuple[npt.ArrayLike, npt.ArrayLike] | None = None
 
     def __post_init__(self) -> None:
         matrix = check_transition(self.transition, "transition")
@@ -78,6 +81,13 @@ class DelayChain:
         for label in np.unique(labels):
             if np.unique(delays[labels == label]).size > 1:
                 raise ValueError(f"labels[{int(label)}]: modes of one label must have one delay")
+        if self.between is not None:
+            low, high = (np.array(bound, dtype=np.float64) for bound in self.between)
+            if low.shape != matrix.shape or high.shape != matrix.shape:
+                raise ValueError(f"between: shapes {low.shape} and {high.shape}, expected {matrix.shape}")
+            if not ((low >= 0.0) & (low <= matrix) & (matrix <= high) & (high <= 1.0)).all():
+                raise ValueError("between: expected 0 <= lower <= transition <= upper <= 1 in every entry")
+            object.__setattr__(self, "between", (low, high))
         object.__setattr__(self, "transition", matrix)
         object.__setattr__(self, "delays", delays.astype(np.int64))
         object.__setattr__(self, "labels", labels.astype(np.int64))
@@ -121,6 +131,17 @@ class DelayChain:
             return (1,) * (self.max_delay + 1)
         carried = self.label_delay
         return tuple(np.bincount(carried[carried >= 0]).tolist())
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether every mode has a delay of its own."""
+        return bool(np.unique(self.delay).size == self.modes)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Entrywise lower and upper bound, (N, N) each; both are the transition matrix where it is exact."""
+        low, high = (self.transition, self.transition) if self.between is None else self.between
+        return np.asarray(low), np.asarray(high)
 
     @property
     def stationary(self) -> Array:

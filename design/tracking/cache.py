@@ -16,7 +16,7 @@ from design.errors import DesignError
 from design.tracking.problem import TrackingProblem
 from design.tracking.synthesis import Design, Progress, certified, solve
 
-SOLVER_VERSION = 2
+SOLVER_VERSION = 3
 """Raise it whenever `design.tracking.synthesis.solve` may return other gains for the same problem."""
 
 

@@ -36,7 +36,7 @@ class TrackingProblem:
         gain_bound: bound on every |entry| of every gain; default none.
         samples: samples per sensor packet, 1 or 2.
         integral: weight of the integrated error in z, 0 for no integral.
-        initial: (modes,) distribution of the mode at the H2 impulse; default uniform.
+        initial: (modes,) distribution of the mode at the H2 impulse; default: uniform over plain chains, else stationary.
         seed, starts: of the multistart; `starts` 0 takes the objective's default.
         method: "direct", or "ccl" for the thesis's iterated linear matrix inequalities.
 
@@ -103,9 +103,9 @@ class TrackingProblem:
         """The free gains."""
         return gain_space(self.structure(), self.information, *self.chains, bound=self.gain_bound)
 
-    def alpha(self, modes: int) -> Array:
-        """Initial mode distribution."""
-        return np.full(modes, 1.0 / modes) if self.initial is None else np.asarray(self.initial, dtype=np.float64)
+    def alpha(self, structure: LoopStructure) -> Array:
+        """Distribution of the mode at the impulse of the H2 norm, (modes,)."""
+        return structure.default_initial if self.initial is None else np.asarray(self.initial, dtype=np.float64)
 
     def to_json(self) -> dict[str, object]:
         """Every number that decides the result, as plain data."""
@@ -119,6 +119,7 @@ class TrackingProblem:
         for name, chain in (("sc", sc), ("ca", ca)):
             plain[name] = {
                 "transition": chain.matrix.tolist(), "delays": chain.delay.tolist(), "labels": chain.label.tolist(),
+                **({} if chain.between is None else {"between": [bound.tolist() for bound in chain.bounds]}),
             }  # fmt: skip
         for name in (
             "objective", "information", "output", "hinf_bound", "gain_bound", "samples", "integral", "seed", "starts",

@@ -18,7 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from design.errors import Infeasible, NotStable
-from design.jump_linear.certificate import Certificate, certify_system
+from design.jump_linear.certificate import Certificate
+from design.networked_loop.certify import certify_structure
 from design.networked_loop.lower_bounds import LowerBounds, lower_bounds
 from design.processes.delay_chain import Array
 from design.tracking.bfgs import Descent, bfgs
@@ -97,7 +98,7 @@ def _solve(problem: TrackingProblem, progress: Progress | None) -> Design:
         gains, evaluations = found.gains, found.iterations
         values: tuple[float, ...] = (found.level,)
     else:
-        objective = LoopObjective(structure, space, problem.alpha(structure.base.shape[0]))
+        objective = LoopObjective(structure, space, problem.alpha(structure))
         best, values = _multistart(problem, objective, progress)
         gains, evaluations = space.gains(best.x), objective.evaluations
     return certified(problem, gains, starts=values, evaluations=evaluations)
@@ -113,24 +114,22 @@ def certified(problem: TrackingProblem, gains: Array, *, starts: tuple[float, ..
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):  # and one order of the sums: a cached design has the same certificate
-        certificate = certify_system(
-            problem.structure().system(gains),
-            selection=problem.selection,
-            output=problem.output,
-            initial=problem.initial,
-            hinf=True,
-        )
+        structure = problem.structure()
+        certificate = certify_structure(structure, gains, output=problem.output, initial=problem.initial, hinf=True)
     if not certificate.stable:
         raise NotStable(
-            f"the gains found have no certificate: radius {certificate.mean_square_radius:.9g}",
+            f"the gains found have no certificate: radius {certificate.mean_square_radius:.9g}; {certificate.reason}",
             value=certificate.mean_square_radius,
         )
     bounds = None
     if problem.output == "stacked":
         A, B, C = (np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C))
         Q = C if problem.Q is None else np.atleast_2d(np.asarray(problem.Q, dtype=np.float64))
-        initial = problem.initial if problem.selection != "previous" else None
-        bounds = lower_bounds(A, B, Q, *problem.chains, initial)
+        # the norm's own weights, of the pairs (tau, d): `previous` has modes that differ in the delay before only
+        sc, ca = problem.chains
+        pair, pairs = structure.sc_mode * ca.modes + structure.ca_mode, sc.modes * ca.modes
+        weights, present = np.bincount(pair, problem.alpha(structure), pairs), np.bincount(pair, minlength=pairs) > 0
+        bounds = lower_bounds(A, B, Q, sc, ca, weights, present)
     return Design(
         problem=problem, gains=gains, certificate=certificate, bounds=bounds, starts=starts, evaluations=evaluations
     )
@@ -180,8 +179,7 @@ def _other_start(
         if coarser.objective == "mixed":
             coarser = replace(coarser, objective="hinf")
         structure, free = coarser.structure(), coarser.space()
-        alpha = np.full(structure.base.shape[0], 1.0 / structure.base.shape[0])
-        best, _ = _multistart(coarser, LoopObjective(structure, free, alpha), None)
+        best, _ = _multistart(coarser, LoopObjective(structure, free, coarser.alpha(structure)), None)
         return space.coordinates(embed(free.gains(best.x), space.shape[1]))
     K = space.gains(centre)
     spread = float(np.abs(K).max()) * 2.0 ** (start % 4 - 1)  # some optima have gains ten times those of the H2 one

@@ -139,6 +139,7 @@ def _show(design: Design, document: dict[str, Any]) -> None:
     bounds = document["lower_bounds"]
     lines = [
         ("H2 norm", f"{c.h2_norm:.6g}", f"any causal controller: >= {bounds['h2_delayed_information']:.4g}" if bounds else ""),
+        ("mode at its impulse", c.initial, ""),
         (
             "H-infinity norm",
             f"{c.hinf_norm:.6g}",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from design.controllers import GainTable, integrates, packet_samples
-from design.verdict import State, Verdict
+from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
 from hil.compose.delay_chains import gains_over
 from hil.experiment.protocols import JumpPlant
@@ -21,7 +21,7 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
         return undecided(loop, "mean-square stability", "there is no certificate for this kind of network law")
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", "there is no certificate for a table of gains over a plant that jumps")
-    from design.jump_linear.certificate import certify_loop
+    from design.networked_loop.certify import certify_loop
 
     certificate = certify_loop(
         loop.model.A, loop.model.B, loop.model.C, loop.sc, loop.ca, gains_over(controller, loop.model, loop.sc, loop.ca),
@@ -29,16 +29,18 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
     )  # fmt: skip
     radius = certificate.mean_square_radius
     stable = f"second-moment radius {radius:.4f}"
-    state: State
-    if certificate.stable:
-        state, reason = "certified", f"the loop is mean-square stable over this network ({stable})"
-    elif radius > 1.0 + 1e-9:
-        state, reason = "refused", f"the loop is not mean-square stable over this network ({stable})"
+    if certificate.state == "certified":
+        reason = f"the loop is mean-square stable over this network ({stable})"
+    elif certificate.state == "refused":
+        reason = f"the loop is not mean-square stable over this network ({stable})"
     else:
-        state, reason = "undecided", f"too close to the edge of stability for floating point ({stable})"
+        reason = certificate.reason
+    assumptions: tuple[str, ...] = ("no packet is later than its law says", "no limit trips")
+    if certificate.tail_radius is not None:
+        assumptions += ("a sojourn law's tail is as the law states it: the emulator ends every stay of probability below 1e-16",)
     verdict = Verdict(
-        kind="mean-square stability", state=state, reason=reason, number=radius, quantity="second-moment radius per slot",
-        limit=1.0, method="second moments of the jump-linear loop (Theorem 7.1)", details=certificate.to_json(),
-        assumptions=("no packet is later than its law says", "no limit trips"), digest=loop.digest,
+        kind="mean-square stability", state=certificate.state, reason=reason, number=radius,
+        quantity="second-moment radius per slot", limit=1.0, details=certificate.to_json(),
+        method="second moments of the jump-linear loop (Theorem 7.1)", assumptions=assumptions, digest=loop.digest,
     )  # fmt: skip
     return limited_to_model(loop, verdict)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from design.jump_linear.bounded_real import hinf_norm
-from design.jump_linear.certificate import certify_loop
 from design.jump_linear.h2 import h2_norm
+from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import Design, TrackingProblem, solve
 from hil.report.html.figures import BarGroup, Bars, Figure, Series

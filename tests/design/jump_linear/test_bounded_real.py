@@ -15,10 +15,10 @@ from design.jump_linear.bounded_real import (
     solve_bounded_real,
     worst_disturbance,
 )
-from design.jump_linear.certificate import certify_loop
 from design.jump_linear.h2 import h2_norm
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Resolvent, expect
+from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from tests.design.chapter7 import (
     LAMBDA,

@@ -5,7 +5,6 @@ import pytest
 import scipy.linalg
 
 from design.errors import NotStable
-from design.jump_linear.certificate import certify_loop
 from design.jump_linear.h2 import h2_derivative, h2_norm
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import (
@@ -17,6 +16,7 @@ from design.jump_linear.second_moment import (
     to_matrix,
     to_vector,
 )
+from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from tests.design.chapter7 import (
     LAMBDA,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from design.errors import DesignError, Infeasible, NotStable
-from design.jump_linear.certificate import certify_loop
+from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.steady_state import steady_state
 from design.processes.delay_chain import DelayChain
@@ -130,7 +130,7 @@ def test_norm_derivatives_in_every_gain_space_are_difference_quotients():
     for information in INFORMATION:
         for bound in (None, 0.5):
             p = problem("motor", information=information, gain_bound=bound)
-            objective = LoopObjective(p.structure(), p.space(), p.alpha(p.structure().base.shape[0]))
+            objective = LoopObjective(p.structure(), p.space(), p.alpha(p.structure()))
             v = p.space().coordinates(solve(problem("motor", information=information, starts=1)).gains) * 0.9
             for norm in (objective.h2, objective.hinf):
                 step = 1e-5 * rng.standard_normal(v.size)
