@@ -19,8 +19,9 @@ from hil.log.read.arrays import StructuredArray
 from hil.log.read.export import FRAME_TOPICS, measured_ns
 from hil.log.read.run import Run
 from hil.log.write.sinks import MemorySink
+from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.nodes.rig import OK, Rig, row_index
+from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport.links.link import open_link

@@ -27,6 +27,7 @@ from transport.medium.draws import REASONS
 from transport.packets import SELECTIONS
 
 ClockName = Literal["virtual", "real"]
+INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that somebody else sends on the link: exit status
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -36,7 +37,8 @@ class Session:
     Args:
         run: the log, read back.
         summary: what ``hil run --json`` prints.
-        status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety, 130 or 143 interrupted.
+        status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety,
+            5 a second controller answered too, 6 the link was flooded, 130 or 143 interrupted.
     """
 
     run: Run
@@ -189,7 +191,7 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
         "messages": sink.messages,
         "dropped": sink.dropped,
     }
-    problems = {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] == "second controller"}
+    problems = {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in INTRUSIONS}
     summary["problems"] = problems | {name: text for name, text in outcome.items() if text}
     return summary
 
@@ -199,4 +201,7 @@ def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
         return 128 + int(signal.Signals[outcome["interrupted"]])
     if "rig_lost" in outcome or sink.error is not None:
         return 1
-    return 3 if any(e["kind"] == "safety" for e in run.events) else 0
+    kinds = {event["kind"] for event in run.events}
+    if "second controller" in kinds:
+        return INTRUSIONS["second controller"]  # whatever it led to: the run is not that of our controller
+    return 3 if "safety" in kinds else INTRUSIONS["flood"] if "flood" in kinds else 0

@@ -66,7 +66,8 @@ def command(
     """Run EXPERIMENT (a shipped name or a TOML file), log it to MCAP, print its summary.
 
     Exit status: 0 done; 1 the rig died or the log is not whole; 2 bad input, nothing started or written; 3 stopped by
-    safety; 4 timing not valid (with --require-valid-timing); 130, 143 interrupted.
+    safety; 4 timing not valid (with --require-valid-timing); 5 a second controller answered too; 6 the link was flooded; 130, 143
+    interrupted.
     """
     from hil.experiment import load_experiment
     from hil.session import run_session

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -206,3 +207,34 @@ def test_the_first_disturbance_ends_the_window_of_the_step(tmp_path: Path) -> No
     )
     assert one["overshoot"] == both["overshoot"] and one["settling_time_s"] == both["settling_time_s"]
     assert both["sse_after_5s"] > 2 * 0.1  # the kicks are felt
+
+
+@pytest.mark.parametrize(
+    ("frames", "status", "problem"),
+    [("twice", 5, "second_controller"), ("often", 6, "flood"), ("once", 0, None)],
+)
+def test_somebody_else_on_the_link_has_an_exit_status_and_a_problem_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str, status: int, problem: str | None
+) -> None:
+    from hil.runtime.virtual import DirectExchange
+    from transport.packets import ControlPacket, decode, encode_control
+
+    ours = DirectExchange.answer
+
+    def answer(self: DirectExchange, t_ns: int, hear: Callable[[bytes], bool]) -> None:
+        def hear_and_more(data: bytes) -> bool:
+            packet = decode(data)
+            assert isinstance(packet, ControlPacket)
+            taken = hear(data)
+            if frames == "twice":
+                hear(encode_control(packet._replace(rows=((1.0,), (1.0,)))))
+            for _ in range(100 if frames == "often" else 0):
+                hear(b"junk")
+            return taken
+
+        ours(self, t_ns, hear_and_more)
+
+    monkeypatch.setattr(DirectExchange, "answer", answer)
+    session = run_session(load_experiment("dc-motor-hinf", ["duration=1", "reference.0.at=0.2"]), path=tmp_path / "a.mcap")
+    assert session.status == status
+    assert list(session.summary["problems"]) == ([problem] if problem else [])

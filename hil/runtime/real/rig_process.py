@@ -6,28 +6,25 @@ non-blocking pipe; nothing here writes a file.
 
 from __future__ import annotations
 
-import math
 import pickle
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from types import FrameType
 
 from hil.compose.loop import Loop
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import MemorySink
-from hil.runtime.nodes.controller_node import HELLO
 from hil.runtime.nodes.rig import Rig
+from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
 from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.runtime.time.kernel import Kernel
 from transport.links.link import Link, TransportError, open_link
-from transport.packets import EMPTY, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control, encode_sensor
+from transport.packets import SELECTIONS, ControlPacket, encode_control
 
-HELLO_S = 0.05
-REHEARSALS = 20
 SETTLE_NS = 5_000_000
 NOBODY = 3  # exit status: no controller answered
 
@@ -44,28 +41,6 @@ class Job:
     hello_timeout_s: float
 
 
-def await_controller(link: Link, timeout_s: float, stopped: Callable[[], bool]) -> bool:
-    """Ask "is anybody there" until a controller answers, then empty the link; False if nobody did.
-
-    A few more questions follow, so that slot 0 finds no cold link and no sleeping thread on its way.
-    """
-    hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, ()))
-    limit = monotonic_ns() + round(timeout_s * 1e9)
-    while not stopped() and monotonic_ns() < limit:
-        link.send(hello)
-        data = link.receive(HELLO_S)
-        packet = decode(data) if data is not None else None
-        if isinstance(packet, ControlPacket) and packet.seq == HELLO:
-            while link.receive(2 * HELLO_S) is not None:  # answers to earlier questions
-                pass
-            for _ in range(REHEARSALS):
-                link.send(hello)
-                if link.receive(HELLO_S) is None:
-                    break
-            return True
-    return False
-
-
 class RealLoop:
     """The slots of a rig on a real link, timed."""
 
@@ -76,54 +51,29 @@ class RealLoop:
         self.kernel = Kernel(self.clock)
         self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop)
         self.overruns = 0
-        self._link, self._sink = link, sink
+        self._sink = sink
         self._period_ns = e.period_ns
-        self._deadline_ns = round(e.timing.deadline * e.period_ns)
         self._put, self._pack = sink.channel("/timing/tick"), channels["/timing/tick"].schema.pack
-        self._woken_ns = self._sent_ns = self._late = 0
-        self._round_trip_us = math.nan
-        self._slot = Slot(self.rig, self, self._commit, lambda: self.kernel.stopped)
+        self._woken_ns = self._late = 0
+        deadline_ns = round(e.timing.deadline * e.period_ns)
+        self._exchange = LinkExchange(link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now)
+        self._slot = Slot(self.rig, self._exchange, self._commit, lambda: self.kernel.stopped)
         self.kernel.every(e.period_ns, e.ticks, self._run)
 
     def _run(self, t_ns: int) -> None:
         self._woken_ns = self.clock.now()
-        self._late = self.rig.late
+        self._late = self.rig.answers.late
         self._slot.run(t_ns)
 
-    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
-        """Put the question on the link."""
-        for frame in frames:
-            self._sent_ns = self.clock.now()
-            self._link.send(frame)
-
-    def answer(self, t_ns: int, hear: Hear) -> None:
-        """Wait for the answer until the deadline, which runs from the moment the question left: a rig that woke up
-        late does not make its controller late."""
-        deadline = max(t_ns, self._sent_ns) + self._deadline_ns
-        self._waited_from_ns = now = self.clock.now()
-        self._round_trip_us = math.nan
-        while True:
-            data = self._link.receive(max(deadline - now, 0) / 1e9)
-            now = self.clock.now()
-            if data is None:
-                if now >= deadline or self.kernel.stopped:
-                    break
-                continue
-            if hear(data):
-                self._round_trip_us = (now - self._sent_ns) / 1e3
-                break
-        self._waited_ns = now - self._waited_from_ns
-
     def _commit(self, t_ns: int) -> None:
-        rig, end = self.rig, self.clock.now()
+        rig, exchange, end = self.rig, self._exchange, self.clock.now()
         overrun = end > t_ns + self._period_ns
         self.overruns += overrun
         if self._put is not None:
             lateness_us = (self._woken_ns - t_ns) / 1e3
-            work_us = (end - self._woken_ns - self._waited_ns) / 1e3
-            self._put(
-                t_ns, self._pack(lateness_us, self._round_trip_us, work_us, rig.k, rig.late - self._late, overrun)
-            )
+            work_us = (end - self._woken_ns - exchange.waited_ns) / 1e3
+            late = rig.answers.late - self._late
+            self._put(t_ns, self._pack(lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun))
         self._sink.commit()
 
 
@@ -173,7 +123,10 @@ def main() -> None:
     scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None, timing.idle == "awake")
     with open_link(job.uri, "rig") as link:
         warm_up(job.loop)
-        if not await_controller(link, job.hello_timeout_s, lambda: stopped):
+        greeting = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns).greet()
+        if not greeting.answered:
+            if greeting.foreign:
+                sys.stderr.write(f"hil: {greeting.foreign} frames that are no answer came on {job.uri} meanwhile\n")
             sink.close()
             raise SystemExit(NOBODY)
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 
@@ -12,7 +11,9 @@ import pytest
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.write.sinks import MemorySink
-from hil.runtime.nodes.rig import HOLD, NONE_YET, OK, SAFE, Rig
+from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE
+from hil.runtime.nodes.answers import LOGGED
+from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import VirtualClock
 from hil.runtime.time.kernel import Kernel
@@ -153,23 +154,49 @@ def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> Non
     rig.sense(0)
     for _ in range(300):
         assert rig.hear(rng.bytes(int(rng.integers(0, 80)))) is False
-    assert rig.malformed == 300
+    assert rig.answers.malformed == 300
     rig.hear(answer(0))
     rig.actuate(0)
     assert rig.outcome()["refused"] == 0
 
 
-def test_a_second_controller_that_says_otherwise_is_told_once(loop: Loop) -> None:
+def control(k: int, u: float = 0.0) -> bytes:
+    return encode_control(ControlPacket(k, 0, 0, 0, 1, ((u,), (u,))))
+
+
+def test_second_controller_that_says_otherwise_is_told_once(loop: Loop) -> None:
+    # A copy of what was applied says nothing; what came to the same question from somebody else does.
+    sink = drive(loop, lambda k: [control(k - 1), control(k)] if k else control(0), 4)
+    assert "second controller" not in kinds(sink)
+    sink = drive(loop, lambda k: [control(k - 1, 0.5), control(k)] if k else control(0), 4)
+    assert kinds(sink).count("second controller") == 1
+
+
+def test_answer_to_a_slot_that_was_not_asked_is_never_applied_and_told(loop: Loop) -> None:
+    from hil.log.read.run import Run
+
+    sink = drive(loop, lambda k: [control(k + 1, 2.0), control(k)], 30)
+    assert kinds(sink).count("second controller") == 1
+    assert np.abs(Run.from_memory(sink).arrays["/actuator/applied"]["voltage"]).max() == 0.0
+
+
+def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_of_it(loop: Loop) -> None:
+    from hil.log.read.run import Run
+
     sink = MemorySink(loop.channels())
     rig = Rig(loop, 0, sink, loop.channels(), lambda: None)
-    one, other = ([encode_control(ControlPacket(k, 0, 0, 0, 1, ((u,), (u,)))) for k in range(4)] for u in (0.0, 0.5))
-    for k in range(4):
-        rig.sense(k * loop.experiment.period_ns)
-        if k:
-            rig.hear(one[k - 1])  # a copy of what was applied says nothing
-            assert rig.contradicted == (k > 1)
-            rig.hear(other[k - 1])  # what came to the same question from somebody else
-        rig.hear(one[k])
-        rig.actuate(k * loop.experiment.period_ns)
-    kinds = [json.loads(payload)["kind"] for payload in sink.payloads["/events"]]
-    assert kinds.count("second controller") == 1
+    frames = {0: [], 1: [control(0), control(0), b"junk", *[control(0, 0.1 * i) for i in range(100)], control(1)]}
+    slot = Slot(rig, Script(loop, lambda k: frames[k]))
+    for k in range(2):
+        slot.run(k * loop.experiment.period_ns)
+    outcome = rig.outcome()
+    # The first answer to slot 0 is late; all others were sent by somebody whom nobody asked.
+    assert (outcome["late"], outcome["malformed"], outcome["foreign"]) == (1, 1, 101)
+    assert kinds(sink).count("flood") == 1
+    assert Run.from_memory(sink).arrays["/link/control"]["late"].sum() == LOGGED
+    assert 1 in Run.from_memory(sink).arrays["/link/control"]["tick"][-1:]  # and the answer is found among them
+
+
+def test_answers_that_a_stalled_controller_sends_late_are_no_flood(loop: Loop) -> None:
+    sink = drive(loop, lambda k: [] if k < 60 else [control(g) for g in range(61)], 61)
+    assert "flood" not in kinds(sink) and "second controller" not in kinds(sink)

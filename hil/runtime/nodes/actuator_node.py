@@ -1,0 +1,117 @@
+"""The actuator node: holds the newest packet, chooses the row, keeps the watchdog and the safe state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, cast
+
+from hil.runtime.nodes.safety import Safety
+from transport.packets import SELECTIONS, ControlPacket
+
+OK, HOLD, NONE_YET, SAFE = range(4)  # the codes of /actuator/applied.status
+
+
+def row_index(selection: str, d: int, g: int, measured_d: Sequence[int], d_max: int) -> int:
+    """Return which row the actuator applies (see :mod:`design.controllers`).
+
+    Args:
+        selection: the rule that the packet names.
+        d, g: age of the packet now, and the slot in which it was generated.
+        measured_d: what the actuator measured in slots 0, 1, ...; -1 where there was no packet.
+        d_max: largest age that the rows cover.
+
+    >>> [row_index(s, 1, 2, [0, 1, 0, 1], 1) for s in ("constant", "generated", "applied", "previous", "both")]
+    [0, 0, 1, 1, 1]
+    """
+    if selection == "constant":
+        return 0
+    if selection == "applied":
+        return d
+    at = measured_d[max(g - 1, 0)] if selection == "previous" else measured_d[g]
+    seen = at if 0 <= at <= d_max else d_max  # nothing usable was there: the longest delay
+    return seen * (d_max + 1) + d if selection == "both" else seen
+
+
+class Applied(NamedTuple):
+    """What the actuator did in a slot.
+
+    Attributes:
+        u: input that is held until the next slot, shape (m,).
+        packet_tick: slot in which the packet was generated, -1 if none has come.
+        d: measured age of the packet, samples; -1 if none has come.
+        row: index of the row, -1 if none was applied.
+        status: OK, HOLD, NONE_YET or SAFE.
+        tripped: why safety tripped in this slot, None if it did not.
+    """
+
+    u: tuple[float, ...]
+    packet_tick: int
+    d: int
+    row: int
+    status: int
+    tripped: str | None
+
+
+class ActuatorNode:
+    """Applies one row of the newest packet in every slot, or zero once safety has tripped.
+
+    Args:
+        inputs: number m of inputs.
+        d_max: largest age of a packet that its rows cover, samples.
+        safety: limits and watchdog, latched.
+    """
+
+    def __init__(self, inputs: int, d_max: int, safety: Safety) -> None:
+        self._d_max, self._safety = d_max, safety
+        self._zero = (0.0,) * inputs
+        self._held: ControlPacket | None = None
+        self._held_tick = -1
+        self._measured_d: list[int] = []
+        self.u: tuple[float, ...] = self._zero
+
+    @property
+    def tripped(self) -> str | None:
+        """Why safety stopped the run, None if it did not."""
+        return self._safety.tripped
+
+    def watch(self, state: Sequence[float]) -> str | None:
+        """Trip on a plant state beyond its limit; return the reason when this call trips.
+
+        Args:
+            state: the plant's state.
+        """
+        return self._latch(self._safety.check_state(state))
+
+    def _latch(self, reason: str | None) -> str | None:
+        if reason is not None:
+            self.u = self._zero
+        return reason
+
+    def apply(self, k: int, arrivals: Iterable[tuple[int, object]]) -> Applied:
+        """Take what arrived in slot k, measure d_k, choose the row, and set the input for this slot.
+
+        Args:
+            k: slot.
+            arrivals: (slot of generation, control packet) each, in order of arrival.
+        """
+        for g, arrived in arrivals:
+            if g >= self._held_tick:
+                self._held_tick, self._held = g, cast(ControlPacket, arrived)
+        held, g = self._held, self._held_tick
+        d = k - g if held is not None else -1
+        self._measured_d.append(d)
+        row, status, reason = -1, SAFE, None
+        if self._safety.tripped is None:
+            if held is None or d > self._d_max:
+                status = HOLD if held is not None else NONE_YET
+                reason = self._safety.starved() if k > self._d_max else None
+            else:
+                row, status = row_index(SELECTIONS[held.selection], d, g, self._measured_d, self._d_max), OK
+                u = held.rows[row]
+                reason = self._safety.check_command(u)
+                if reason is None:
+                    self._safety.fed()
+                    self.u = u
+        if self._latch(reason) is not None:
+            row, status = -1, SAFE
+        return Applied(self.u, g, d, row, status, reason)

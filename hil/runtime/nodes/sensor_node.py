@@ -1,0 +1,54 @@
+"""A sensor node: measures named outputs, keeps a buffer of its last measurements, and decides whether to send."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+
+class Trigger(Protocol):
+    """Decides in every slot whether a sensor node sends."""
+
+    def sends(self, k: int, y: Sequence[float]) -> bool:
+        """Return whether the node sends in slot k; called once a slot, in order.
+
+        Args:
+            k: slot.
+            y: what the node has just measured, in the outputs' units.
+        """
+        ...
+
+
+class EverySlot:
+    """The node sends in every slot."""
+
+    def sends(self, k: int, y: Sequence[float]) -> bool:
+        """See `Trigger.sends`."""
+        return True
+
+
+class SensorNode:
+    r"""Carries :math:`(y_i(k), y_i(k-1), \ldots, y_i(k-n+1))` of the outputs i of this node.
+
+    Before slot 0 the plant was at rest in its first state: y(k) = y(0) for k < 0.
+
+    Args:
+        outputs: indices of the plant's outputs that this node measures, None for all of them.
+        buffer: samples n in one packet.
+        trigger: decides whether the node sends.
+    """
+
+    def __init__(self, outputs: Sequence[int] | None, buffer: int, trigger: Trigger) -> None:
+        self._outputs, self._samples, self._sends = outputs, buffer, trigger.sends
+        self._buffer: tuple[float, ...] = ()
+
+    def measure(self, k: int, y: tuple[float, ...]) -> tuple[float, ...] | None:
+        """Take the plant's measurement of slot k; return what the node sends, newest sample first, None if it does not.
+
+        Args:
+            k: slot.
+            y: all outputs of the plant, shape (p,).
+        """
+        own = y if self._outputs is None else tuple([y[i] for i in self._outputs])
+        self._buffer = (own + self._buffer)[: len(own) * self._samples] if k else own * self._samples
+        return self._buffer if self._sends(k, own) else None

@@ -1,0 +1,156 @@
+"""Question and answer over a real link: bounded in time and in frames, whatever arrives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from hil.runtime.nodes.controller_node import HELLO
+from hil.runtime.slot import Hear
+from transport.links.link import Link
+from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
+
+HELLO_S = 0.05
+REHEARSALS = 20
+MOST_FRAMES = 256
+"""Frames that a slot takes at most: what the queue of a link holds. The rest waits for the next slot."""
+
+Now = Callable[[], int]
+
+
+class Listener(Protocol):
+    """Who judges the frames that come back: the rig."""
+
+    def hear_late(self, data: bytes) -> None:
+        """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Greeting:
+    """What came of asking "is anybody there".
+
+    Args:
+        answered: a controller answered.
+        questions: how often it was asked, rehearsals included.
+        foreign: frames that came meanwhile and are no answer.
+    """
+
+    answered: bool
+    questions: int
+    foreign: int
+
+
+class Greeter:
+    """Asks "is anybody there" until a controller answers, rehearses the exchange, and empties the link.
+
+    The rehearsals make sure that slot 0 finds no cold link and no sleeping thread on its way.
+
+    Args:
+        link: the rig's end.
+        timeout_s: limit of time for all of it, s.
+        stopped: whether the run was ended from outside.
+        now: monotonic time, ns.
+    """
+
+    def __init__(self, link: Link, timeout_s: float, stopped: Callable[[], bool], now: Now) -> None:
+        self._link, self._stopped, self._now = link, stopped, now
+        self._limit = now() + round(timeout_s * 1e9)
+        self._questions = self._answers = self._foreign = 0
+        self._hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, ()))
+
+    def greet(self) -> Greeting:
+        """Return whether a controller answered, and what was counted."""
+        answered = False
+        while not answered and self._open(self._limit):
+            answered = self._ask()
+        if answered:
+            self._drain()
+            for _ in range(REHEARSALS):
+                if not self._ask():
+                    break
+            self._drain()
+        return Greeting(answered=answered, questions=self._questions, foreign=self._foreign)
+
+    def _open(self, limit: int) -> bool:
+        return not self._stopped() and self._now() < limit
+
+    def _ask(self) -> bool:
+        """Ask once; return whether an answer came within `HELLO_S`."""
+        self._questions += 1
+        self._link.send(self._hello)
+        limit = min(self._now() + round(HELLO_S * 1e9), self._limit)
+        while self._open(limit):
+            if self._take((limit - self._now()) / 1e9):
+                return True
+        return False
+
+    def _drain(self) -> None:
+        """Empty the link. Where answers are still due, wait until none has come for twice `HELLO_S`, or the time is up."""
+        silent_from = self._now()
+        while self._open(limit := min(silent_from + round(2 * HELLO_S * 1e9), self._limit)):
+            due = self._answers < self._questions
+            seen = self._answers + self._foreign
+            if self._take((limit - self._now()) / 1e9 if due else 0.0):
+                silent_from = self._now()
+            elif not due and self._answers + self._foreign == seen:
+                return
+
+    def _take(self, wait_s: float) -> bool:
+        """Take one frame; return whether it answers "is anybody there". A question has one answer: more are foreign."""
+        data = self._link.receive(max(wait_s, 0.0))
+        packet = decode(data) if data is not None else None
+        answer = isinstance(packet, ControlPacket) and packet.seq == HELLO and self._answers < self._questions
+        self._answers += answer
+        self._foreign += data is not None and not answer
+        return answer
+
+
+class LinkExchange:
+    """The exchange of a slot over a link.
+
+    The deadline runs from the moment the question left: a rig that woke up late does not make its controller late. Deadline,
+    stop and the number of frames are looked at before every frame, so that nothing that arrives can hold the rig in a slot.
+
+    Args:
+        link: the rig's end.
+        listener: takes what comes too late.
+        deadline_ns: how long the answer may take, ns.
+        stopped: whether the run was ended from outside.
+        now: session time, ns.
+    """
+
+    def __init__(
+        self, link: Link, listener: Listener, deadline_ns: int, stopped: Callable[[], bool], now: Now
+    ) -> None:
+        self._link, self._listener, self._deadline_ns, self._stopped, self._now = link, listener, deadline_ns, stopped, now
+        self._sent_ns = 0
+        self.round_trip_us = math.nan
+        self.waited_ns = 0
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Put the question on the link."""
+        for frame in frames:
+            self._sent_ns = self._now()
+            self._link.send(frame)
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
+        """Wait for the answer until the deadline; what is read after it is never applied."""
+        now = begin = self._now()
+        deadline = max(t_ns, self._sent_ns) + self._deadline_ns
+        self.round_trip_us = math.nan
+        frames = 0
+        while now < deadline and frames < MOST_FRAMES and not self._stopped():
+            data = self._link.receive((deadline - now) / 1e9)
+            now = self._now()
+            if data is None:
+                continue
+            frames += 1
+            if now > deadline:
+                self._listener.hear_late(data)
+            elif hear(data):
+                self.round_trip_us = (now - self._sent_ns) / 1e3
+                break
+        self.waited_ns = now - begin

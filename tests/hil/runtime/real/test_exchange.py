@@ -1,0 +1,168 @@
+"""The exchange over a link ends whatever arrives, and a link is warm and empty before slot 0. Time is a number here."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import pytest
+
+from hil.runtime.nodes.controller_node import HELLO
+from hil.runtime.real.exchange import MOST_FRAMES, REHEARSALS, Greeter, LinkExchange
+from transport.links.memory import MemoryLink
+from transport.packets import ControlPacket, SensorPacket, decode, encode_control
+
+MS = 1_000_000
+
+
+class Bench(MemoryLink):
+    """A link that counts, on a clock that moves only while somebody waits or takes a frame."""
+
+    def __init__(self, taking_ns: int = 1000) -> None:
+        super().__init__()
+        self.t_ns, self.taking_ns = 0, taking_ns
+        self.inbox: deque[tuple[int, bytes]] = deque()
+        self.asked: list[SensorPacket] = []
+        self.taken = 0
+        self.on_question: Callable[[], None] = lambda: None
+        self.endless: bytes | None = None
+
+    def now(self) -> int:
+        return self.t_ns
+
+    def send(self, packet: bytes) -> None:
+        question = decode(packet)
+        assert isinstance(question, SensorPacket)
+        self.asked.append(question)
+        self.on_question()
+
+    def arrive(self, after_ns: int, data: bytes) -> None:
+        self.inbox.append((self.t_ns + after_ns, data))
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        assert timeout_s >= 0
+        limit = self.t_ns + round(timeout_s * 1e9)
+        if self.inbox and self.inbox[0][0] <= limit:
+            at, data = self.inbox.popleft()
+            self.t_ns = max(self.t_ns, at) + self.taking_ns
+        elif self.endless is not None:
+            data, self.t_ns = self.endless, self.t_ns + self.taking_ns
+        else:
+            self.t_ns = limit
+            return None
+        self.taken += 1
+        return data
+
+
+class Ear:
+    """Takes what comes: the answer is called b'answer'."""
+
+    def __init__(self) -> None:
+        self.heard: list[bytes] = []
+        self.late: list[bytes] = []
+
+    def hear(self, data: bytes) -> bool:
+        self.heard.append(data)
+        return data == b"answer"
+
+    def hear_late(self, data: bytes) -> None:
+        self.late.append(data)
+
+
+def exchange(link: Bench, ear: Ear, stopped: Callable[[], bool] = lambda: False) -> LinkExchange:
+    return LinkExchange(link, ear, 30 * MS, stopped, link.now)
+
+
+def question() -> list[bytes]:
+    from transport.packets import encode_sensor
+
+    return [encode_sensor(SensorPacket(0, 0, 0, (1.0,)))]
+
+
+@pytest.mark.parametrize("taking_ns", [0, 1000, 7 * MS])
+def test_flood_never_holds_the_rig_beyond_the_deadline_or_the_most_frames(taking_ns: int) -> None:
+    link, ear = Bench(taking_ns), Ear()
+    link.endless = b"junk"
+    one = exchange(link, ear)
+    one.ask(0, question())
+    one.answer(0, ear.hear)
+    assert link.taken <= MOST_FRAMES
+    assert link.t_ns <= 30 * MS + taking_ns  # the frame that was being taken at the deadline
+    assert one.waited_ns == link.t_ns
+
+
+def test_stop_is_seen_between_two_frames() -> None:
+    link, ear = Bench(), Ear()
+    link.endless = b"junk"
+    one = exchange(link, ear, lambda: link.taken >= 5)
+    one.answer(0, ear.hear)
+    assert link.taken == 5
+
+
+def test_answer_in_time_is_found_behind_other_frames_and_one_after_the_deadline_is_never_heard() -> None:
+    link, ear = Bench(), Ear()
+    one = exchange(link, ear)
+    one.ask(0, question())
+    for _ in range(20):
+        link.arrive(MS, b"junk")
+    link.arrive(10 * MS, b"answer")
+    one.answer(0, ear.hear)
+    assert ear.heard[-1] == b"answer" and len(ear.heard) == 21 and not ear.late
+    assert one.round_trip_us == pytest.approx(10_001)
+
+    link, ear = Bench(taking_ns=2 * MS), Ear()
+    one = exchange(link, ear)
+    one.ask(0, question())
+    link.arrive(29 * MS, b"answer")  # taken 1 ms after the deadline
+    one.answer(0, ear.hear)
+    assert ear.heard == [] and ear.late == [b"answer"]
+
+
+def hello() -> bytes:
+    return encode_control(ControlPacket(HELLO, -1, 0, 0, 0, ((0.0,),)))
+
+
+def test_controller_is_asked_once_then_rehearsed_and_the_link_is_empty_before_slot_0() -> None:
+    link = Bench()
+    link.on_question = lambda: link.arrive(MS, hello())
+    greeting = Greeter(link, 15.0, lambda: False, link.now).greet()
+    assert greeting.answered
+    assert len(link.asked) == greeting.questions == 1 + REHEARSALS
+    assert {q.seq for q in link.asked} == {HELLO}
+    assert not link.inbox and link.taken == 1 + REHEARSALS
+
+
+def test_controller_that_joins_late_and_then_answers_everything_leaves_an_empty_link() -> None:
+    link = Bench()
+
+    def answer_from_the_fourth_on() -> None:
+        if len(link.asked) == 4:
+            for _ in range(4):
+                link.arrive(60 * MS, hello())
+        elif len(link.asked) > 4:
+            link.arrive(MS, hello())
+
+    link.on_question = answer_from_the_fourth_on
+    greeting = Greeter(link, 15.0, lambda: False, link.now).greet()
+    assert greeting.answered and not link.inbox
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_counted(answers: bool) -> None:
+    """Ten foreign frames a second made a session of 1 s last 46 s."""
+    link = Bench()
+    for i in range(1000):
+        link.arrive(i * 50 * MS, bytes(8))
+    if answers:
+        link.on_question = lambda: link.inbox.appendleft((link.t_ns + MS, hello()))
+    greeting = Greeter(link, 15.0, lambda: False, link.now).greet()
+    assert greeting.answered == answers
+    assert link.t_ns <= (1_000 * MS if answers else 15_001 * MS)
+    assert greeting.foreign > 0
+
+
+def test_stranger_who_repeats_the_answer_for_ever_does_not_hold_the_session() -> None:
+    link = Bench(taking_ns=MS)
+    link.endless = hello()
+    greeting = Greeter(link, 15.0, lambda: False, link.now).greet()
+    assert greeting.answered and link.t_ns < 400 * MS and greeting.foreign > 0
