@@ -143,7 +143,9 @@ def test_sweep_gives_the_same_numbers_for_every_number_of_jobs() -> None:
 
 def test_adding_a_disturbance_does_not_shift_the_delays() -> None:
     base = load_experiment("dc-motor-hinf", ["duration=5"])
-    other = load_experiment("dc-motor-hinf", ["duration=5", "disturbance.0.at=2", "plant.encoder.step_rad=0.01"])
+    other = load_experiment(
+        "dc-motor-hinf", ["duration=5", "disturbance.0.at=2", "plant.encoder.step_rad=0.01", "allow_uncertified=true"]
+    )
     a, b = (simulate(compose(e), 3).arrays["/network/sc"] for e in (base, other))
     np.testing.assert_array_equal(a["mode"], b["mode"])
 
