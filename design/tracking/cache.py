@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 from pathlib import Path
 
 import numpy as np
 
 from design.errors import DesignError
+from design.tracking.json_file import read_json
 from design.tracking.problem import TrackingProblem
 from design.tracking.synthesis import Design, Progress, certified, solve
 
@@ -20,10 +22,13 @@ SOLVER_VERSION = 3
 """Raise it whenever `design.tracking.synthesis.solve` may return other gains for the same problem."""
 
 
-def cache_directory() -> Path:
-    """$XDG_CACHE_HOME/hilrig/designs, or ~/.cache/hilrig/designs."""
+def cache_directory() -> Path | None:
+    """$XDG_CACHE_HOME/hilrig/designs, or ~/.cache/hilrig/designs; None for a user without a home."""
     root = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(root) if os.path.isabs(root) else Path.home() / ".cache") / "hilrig" / "designs"
+    try:
+        return (Path(root) if os.path.isabs(root) else Path.home() / ".cache") / "hilrig" / "designs"
+    except RuntimeError:  # neither HOME nor an entry in passwd: a container's unknown user
+        return None
 
 
 def solve_cached(
@@ -38,13 +43,16 @@ def solve_cached(
     Raises:
         NotStable, Infeasible: as `design.tracking.synthesis.solve`.
     """
-    entry = (directory or cache_directory()) / f"{problem.digest()}-{SOLVER_VERSION}.json"
+    directory = directory or cache_directory()
+    if directory is None:
+        return solve(problem, progress=progress)
+    entry = directory / f"{problem.digest()}-{SOLVER_VERSION}.json"
     try:
-        stored = json.loads(entry.read_text(encoding="utf-8"))
+        stored = read_json(entry)
         gains = np.array(stored["gains"], dtype=np.float64)
         starts = tuple(np.inf if v is None else float(v) for v in stored["starts"])
         return certified(problem, gains, starts=starts, evaluations=int(stored["evaluations"]))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, DesignError):
+    except (ValueError, KeyError, TypeError, OverflowError, np.linalg.LinAlgError, DesignError):
         pass
     design = solve(problem, progress=progress)
     document = {
@@ -53,10 +61,20 @@ def solve_cached(
         "evaluations": design.evaluations,
     }
     try:
-        entry.parent.mkdir(parents=True, exist_ok=True)
-        temporary = entry.with_suffix(f".{os.getpid()}.part")
-        temporary.write_text(json.dumps(document), encoding="utf-8")
-        temporary.replace(entry)
+        _keep(entry, json.dumps(document))
     except OSError:
         pass
     return design
+
+
+def _keep(entry: Path, text: str) -> None:
+    """Put an entry in its place in one step, through no link of anybody's, readable for its user alone."""
+    entry.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    part = entry.with_suffix(f".{secrets.token_hex(6)}.part")
+    try:
+        with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600), "w") as file:
+            file.write(text)
+        part.replace(entry)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise

@@ -124,10 +124,15 @@ def main(args: list[str] | None = None) -> Any:
         _close_stdout()
         print(f"hil: {e.filename or 'output'}: cannot be written: {e.strerror}", file=sys.stderr)
         sys.exit(2)
+    except MemoryError:
+        print("hil: this needs more memory than there is; nothing is wrong with what was asked or read", file=sys.stderr)
+        sys.exit(1)
     except Exception as e:
         if not isinstance(e, HilError) and not any(c.__name__ in ROOTS for c in type(e).__mro__):
             raise
-        for line in str(e).splitlines():
+        from hil.cli.terminal import message_lines
+
+        for line in message_lines(str(e)):
             print(f"hil: {line}", file=sys.stderr)
         sys.exit(2)
     finally:

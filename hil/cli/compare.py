@@ -24,12 +24,14 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     Streams of random numbers are named, so experiments with the same network laws meet the same delays.
     """
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
     from rich.table import Table
 
     from hil.cli.outputs import check_output, write_output
     from hil.cli.sweep import check_jobs
     from hil.cli.tables import print_table
+    from hil.cli.terminal import cell, visible
     from hil.experiment import load_experiment
     from hil.measure.signals import with_unit
     from hil.report.compare import common_quantities, compare_page, paired
@@ -49,7 +51,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     found = {}
     with Progress(console=err, disable=not err.is_terminal) as bar:
         for name, experiment in checked.items():
-            task = bar.add_task(name, total=runs)
+            task = bar.add_task(escape(visible(name)), total=runs)
             ran = run_sweep(
                 experiment,
                 range(runs),
@@ -83,9 +85,9 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
             s, d = values["metrics"][metric], values["difference"][metric]
             gap = name != first and d["mean"] is not None
             table.add_row(
-                name, str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in (s["mean"], s["sd"])),
+                cell(name), str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in (s["mean"], s["sd"])),
                 f"{d['mean']:+.4g}" if gap else "", f"{d['low']:.4g} to {d['high']:.4g}" if gap else "",
             )  # fmt: skip
         print_table(table)
     if output is not None:
-        print(f"page: {output}")
+        print(f"page: {visible(output)}")

@@ -85,7 +85,7 @@ def command(
         design, plant=where.plant, period_s=where.period_s, wall_s=wall_s, versions=package_versions()
     )
     if path is not None:
-        write_output(path, design_text(document))
+        write_output(path, design_text(document), replace=force)
         document["file"] = str(path)
     if as_json:
         print(json.dumps(document, indent=2))
@@ -124,6 +124,8 @@ def _show(design: Design, document: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from hil.cli.terminal import visible
+
     console, c, problem = Console(), design.certificate, design.problem
     table = Table(title=escape(f"gains K[tau][row], row by {design.selection!r}"))
     table.add_column("tau", justify="right")
@@ -153,4 +155,4 @@ def _show(design: Design, document: dict[str, Any]) -> None:
     for name, value, note in lines:
         console.print(f"{name:>22}  {value:<12} {note}", highlight=False)
     if "file" in document:
-        console.print(f"{'written':>22}  {document['file']}", highlight=False)
+        console.print(f"{'written':>22}  {visible(document['file'])}", highlight=False, markup=False)

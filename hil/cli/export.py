@@ -13,16 +13,18 @@ import click
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="Ends in .log, .blf, .csv or .npz."
 )
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may be given more than once.")
-def command(file: Path, output: Path, topics: tuple[str, ...]) -> None:
+@click.option("--force", is_flag=True, help="Replace files that are there.")
+def command(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> None:
     """Write the log FILE as a CAN log (candump .log, Vector .blf) or as tables (.csv, .npz).
 
     Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
     OUTPUT.topic.csv.
     """
     from hil.cli.outputs import check_output
+    from hil.cli.terminal import visible
     from hil.log.read.export import export
     from hil.log.read.run import read_run
 
-    check_output(output, fresh=True)
-    for path in export(read_run(file), output, topics):
-        print(path)
+    check_output(output, fresh=not force, remedy="choose another -o or add --force")
+    for path in export(read_run(file), output, topics, replace=force):
+        print(visible(path))

@@ -39,12 +39,16 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
 
 def _print(name: str, period_s: float, directions: dict[str, Any]) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
+
+    from hil.cli.terminal import visible
 
     console = Console()
     titles = {"sc": "sensor to controller (sc)", "ca": "controller to actuator (ca)"}
     for side, law in directions.items():
-        console.print(f"[bold]{name}[/bold], {titles[side]}: {law.kind} law, T = {period_s * 1e3:g} ms", highlight=False)
+        head = f"[bold]{escape(visible(name))}[/bold], {titles[side]}: {law.kind} law, T = {period_s * 1e3:g} ms"
+        console.print(head, highlight=False)
         if law.stationary:
             table = Table()
             for head in ("mode", "age", "share of slots", "mean burst", "mean burst"):

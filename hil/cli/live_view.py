@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.cli.terminal import visible
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, channels
 from hil.measure.signals import PURE, tracked_among
 from hil.report.html.numbers import text_of
@@ -125,7 +126,7 @@ class LiveView:
 
         e = self._experiment
         done_s = max(self._t_ns, 0) / 1e9
-        head = Text.assemble((e.name, "bold"), (f"  seed {e.seed} · {self._where}", "dim"))
+        head = Text.assemble((visible(e.name), "bold"), (f"  seed {e.seed} · {visible(self._where)}", "dim"))
         if self._t_ns < 0:
             return Group(head, Text("starting …" if "real" in self._where else "computing …", style="dim"))
         bar = Table.grid(padding=(0, 1), expand=True)
@@ -141,7 +142,7 @@ class LiveView:
         for row in (*self._tracking(), *self._input(), *self._delays(), *self._times()):
             lines.add_row(*row)
         events = [
-            Text(f"{event.get('t_s', 0.0):8.3f} s  {event.get('kind', '')}: {event.get('message', '')}",
+            Text(f"{event.get('t_s', 0.0):8.3f} s  {visible(event.get('kind', ''))}: {visible(event.get('message', ''))}",
                  style=_STYLES.get(str(event.get("severity")), "dim"), no_wrap=True, overflow="ellipsis")
             for event in self._events
         ]  # fmt: skip

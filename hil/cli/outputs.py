@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 
 from hil.errors import HilError
+from hil.exclusive_file import written_whole
 
 PAGE = b"<!doctype html"  # as our pages begin
 
@@ -51,8 +52,13 @@ def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy:
     return path
 
 
-def write_output(path: Path, text: str) -> None:
+def write_output(path: Path, text: str, *, replace: bool = True) -> None:
     """Write a file in one step: there is the old file or the new one, never half of it.
+
+    Args:
+        path: the file; a symbolic link is followed.
+        text: its content.
+        replace: whether one that is there may be replaced; `check_output` has looked before the work, this looks again.
 
     Raises:
         HilError: if it cannot be written, or is there and is no regular file.
@@ -60,17 +66,8 @@ def write_output(path: Path, text: str) -> None:
     target = _target(path)
     if target.exists() and not target.is_file():
         raise HilError(f"{path}: cannot be written: is no regular file")
-    part = target.with_name(f".hil-{os.getpid()}.part")  # short, as the name may be as long as a name can be
-    try:
-        with open(part, "x", encoding="utf-8") as file:
-            file.write(text)
-        part.replace(target)
-    except OSError as e:
-        part.unlink(missing_ok=True)
-        raise HilError(f"{path}: cannot be written: {e.strerror}") from e
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    with written_whole(target, replace=replace) as part, open(part, "w", encoding="utf-8") as file:
+        file.write(text)
 
 
 def _target(path: Path) -> Path:

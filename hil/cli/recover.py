@@ -15,8 +15,9 @@ def command(file: Path, output: Path | None) -> None:
 
     FILE itself is never changed, and no file is ever overwritten.
     """
+    from hil.cli.terminal import visible
     from hil.log.read.recover import recover
 
     target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")
-    print(recover(file, target).text)
-    print(f"written: {target}")
+    print("\n".join(map(visible, recover(file, target).text.splitlines())))
+    print(f"written: {visible(target)}")

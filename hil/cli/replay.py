@@ -101,7 +101,7 @@ def _what_if(
         np.savetxt(
             table, np.column_stack(list(series.values())), delimiter=",", header=",".join(series), comments="", fmt="%.9g"
         )
-        write_output(output, table.getvalue())
+        write_output(output, table.getvalue(), replace=False)
     if as_json:
         print(json.dumps({"controller": kind, "inputs": differences, "output": str(output) if output else None}, indent=2))
         return
@@ -115,13 +115,15 @@ def _what_if(
 
 def _onto(run: object, uri: str, speed: float, as_json: bool) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
+    from hil.cli.terminal import visible
     from hil.replay import onto
 
     err = Console(stderr=True)
     with Progress(console=err, disable=not err.is_terminal) as bar:
-        task = bar.add_task(f"onto {uri}", total=None)
+        task = bar.add_task(escape(f"onto {visible(uri)}"), total=None)
         done = onto(run, uri, speed, lambda i, n: bar.update(task, completed=i, total=n))  # type: ignore[arg-type]
     if as_json:
         print(json.dumps({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us}, indent=2))

@@ -19,6 +19,7 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     An existing page is replaced; the log is never changed.
     """
     from hil.cli.outputs import check_output, write_output
+    from hil.cli.terminal import visible
     from hil.log.read.run import read_run
     from hil.measure.summary import summarise
     from hil.measure.view import view_of
@@ -34,6 +35,6 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     theory = theory_section(view)
     page = render_report(view, {**summarise(view), **run.summary}, sections=[theory] if theory else [])
     write_output(target, page)
-    click.echo(f"written: {target} ({len(page.encode()) / 1e6:.1f} MB)")
+    click.echo(f"written: {visible(target)} ({len(page.encode()) / 1e6:.1f} MB)")
     if show:
         click.launch(str(target))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import stat
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -12,9 +15,17 @@ import click
 
 from hil.errors import HilError
 
+PRIVATE = 0o600  # a log tells what a plant did: its user's alone, unless asked otherwise
 
-def reserve(output: Path | None, stem: str, force: bool) -> Path:
+
+def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) -> Path:
     """Make the log's file, empty, so that no other run takes its name; by default the first free one below ``runs/``.
+
+    Args:
+        output: the file, or None.
+        stem: of the name below ``runs/``.
+        force: whether a file that is there may be overwritten.
+        mode: who may read and write the file.
 
     Raises:
         HilError: if it exists already (without ``force``) or cannot be created.
@@ -25,7 +36,14 @@ def reserve(output: Path | None, stem: str, force: bool) -> Path:
         number = 1
         while True:
             try:
-                path.touch(exist_ok=force and output is not None)
+                fresh = not (force and output is not None)
+                flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_EXCL if fresh else 0)
+                descriptor = os.open(path, flags, mode)
+                try:
+                    if stat.S_ISREG(os.fstat(descriptor).st_mode):  # a device is told where the log is opened
+                        os.fchmod(descriptor, mode)  # whatever the umask, and whoever could read the file before
+                finally:
+                    os.close(descriptor)
                 return path
             except FileExistsError:
                 if output is not None:
@@ -45,6 +63,7 @@ def reserve(output: Path | None, stem: str, force: bool) -> Path:
 @click.option("--duration", type=str, metavar="S", help="Length of the run: seconds, or '10 s', '2 min'.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
 @click.option("--force", is_flag=True, help="Overwrite an existing log.")
+@click.option("--log-mode", "log_mode", metavar="OCTAL", default="600", show_default=True, help="Who may read the log.")
 @click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link within 120 s.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
@@ -58,6 +77,7 @@ def command(
     duration: str | None,
     output: Path | None,
     force: bool,
+    log_mode: str,
     external: bool,
     require_valid_timing: bool,
     as_json: bool,
@@ -69,9 +89,12 @@ def command(
     safety; 4 timing not valid (with --require-valid-timing); 5 a second controller answered too; 6 the link was flooded; 130, 143
     interrupted.
     """
+    from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.session import run_session
 
+    if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
+        raise HilError(f"--log-mode: {log_mode!r:.20}; expected an octal mode with which you can read and write, such as 640")
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
@@ -82,12 +105,12 @@ def command(
         with open_link(uri, "rig"), open_link(uri, "controller"):  # what cannot be opened is said before anything starts
             pass
     if external and sys.stderr is not None:
-        print(f"waiting up to 120 s for your controller on {uri}", file=sys.stderr)
+        print(f"waiting up to 120 s for your controller on {visible(uri)}", file=sys.stderr)
     folder = output.parent if output else Path("runs")
     made = [each for each in (folder, *folder.parents) if not each.exists()]  # the innermost first
     path = None
     try:
-        path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force)
+        path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force, mode)
         if as_json or quiet or sys.stderr is None or not sys.stderr.isatty():
             session = run_session(checked, clock=clock, link=uri, path=path, external=external)  # type: ignore[arg-type]
         else:
@@ -119,25 +142,30 @@ def command(
 def show(summary: dict[str, Any]) -> None:
     """Print a summary for people."""
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
+
+    from hil.cli.terminal import cell
 
     def text(value: object) -> str:
         if isinstance(value, bool) or value is None:
             return {True: "yes", False: "no", None: "-"}[value]
         return f"{value:.5g}" if isinstance(value, float) else str(value)
 
+    def row(name: str, value: object, style: str = "") -> None:
+        table.add_row(cell(name), value if isinstance(value, Text) else cell(value, style))
+
     console = Console(highlight=False)
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="bold")
     table.add_column()
-    table.add_row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
-    table.add_row("ran", f"{summary['ticks']} ticks, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
+    row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
+    row("ran", f"{summary['ticks']} ticks, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
     for name, value in summary["metrics"].items():
-        table.add_row(name, text(value))
+        row(name, text(value))
     for side in ("sc", "ca"):
         n = summary["network"][side]
-        table.add_row(
+        row(
             f"network {side}",
             f"{n['law']}, modes {n['mode_counts']}, p = {text(n['p_value'])}, "
             f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}",
@@ -145,19 +173,19 @@ def show(summary: dict[str, Any]) -> None:
     timing = summary["timing"]
     if summary["clock"] == "real":
         late = timing.get("first_late_tick")
-        table.add_row("timing", ("valid" if timing["valid"] else "NOT VALID") + f", {timing['scheduler'] or 'no slot was run'}")
+        row("timing", ("valid" if timing["valid"] else "NOT VALID") + f", {timing['scheduler'] or 'no slot was run'}")
         for name in ("lateness_us", "round_trip_us"):
-            table.add_row(name, "  ".join(f"{q} {text(v)}" for q, v in timing[name].items()))
-        table.add_row("overruns", f"{timing['overruns']}; first late tick: {'none' if late is None else late}")
+            row(name, "  ".join(f"{q} {text(v)}" for q, v in timing[name].items()))
+        row("overruns", f"{timing['overruns']}; first late tick: {'none' if late is None else late}")
     claim = summary.get("certificate")
     if claim:
         state = str(claim.get("state", "no verdict"))
         colour = {"certified": "green", "refused": "red"}.get(state, "yellow")
-        table.add_row("certificate", f"[{colour}]{state}[/{colour}], {claim.get('kind')}: {escape(str(claim.get('reason')))}")
+        row("certificate", Text.assemble(cell(state, colour), cell(f", {claim.get('kind')}: {claim.get('reason')}")))
     if summary.get("safety"):
-        table.add_row("safety", f"[red]{summary['safety']}[/red]")
+        row("safety", summary["safety"], "red")
     for name, value in summary.get("problems", {}).items():
-        table.add_row(name.replace("_", " "), f"[red]{value}[/red]")
+        row(name.replace("_", " "), value, "red")
     log = summary["log"]
-    table.add_row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
+    row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
     console.print(table)

@@ -53,9 +53,11 @@ def command(
     130 (SIGTERM: 143); with --resume the same command goes on from there. If --runs did not suffice for --until, the status is 1.
     """
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress, TimeRemainingColumn
 
     from design.monte_carlo.parallel import Ladder
+    from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.sweeps.seeds import columns_of, here, run_sweep, statistics
     from hil.sweeps.store import SweepStore
@@ -80,7 +82,7 @@ def command(
         store = stack.enter_context(SweepStore(resume, checked, columns)) if resume is not None else None
         shown = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
         bar = stack.enter_context(Progress(*shown, console=err, disable=not err.is_terminal))
-        task = bar.add_task(checked.name, total=runs)
+        task = bar.add_task(escape(visible(checked.name)), total=runs)
         found = run_sweep(
             checked,
             range(first_seed, first_seed + runs),
@@ -147,15 +149,18 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
 
 
 def _show(out: dict[str, Any], as_json: bool) -> None:
+    from rich.markup import escape
     from rich.table import Table
 
     from hil.cli.tables import print_table
+    from hil.cli.terminal import visible
 
     if as_json:
         print(json.dumps(out, indent=2))
         return
+    name = escape(visible(out["experiment"]))
     table = Table(
-        title=f"{out['experiment']}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety"
+        title=f"{name}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety"
     )
     for head in ("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"):
         table.add_column(head, justify="left" if head == "metric" else "right")

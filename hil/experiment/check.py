@@ -172,8 +172,11 @@ class Checker:
             return None
 
     def finite(self, value: Any, at: str) -> None:
+        """Refuse numbers that are not finite, or beyond what any field holds, wherever they stand."""
         if isinstance(value, float) and not math.isfinite(value):
             self.faults.append(f"{at}: {value} {INFINITE}")
+        elif isinstance(value, int) and value.bit_length() > 64:
+            self.faults.append(f"{at}: an integer of {value.bit_length()} bits, at most 64 are allowed")
         elif isinstance(value, dict):
             for k, v in value.items():
                 self.finite(v, _join(at, str(k)))

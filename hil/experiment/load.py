@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import stat
 import tomllib
 import typing
 from importlib import resources
@@ -14,6 +13,8 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import plugins as registry
 from hil.experiment.check import Checker
 from hil.experiment.tables import Experiment, Seconds
+from hil.experiment.toml_text import DEEPEST, parse_toml
+from hil.regular_file import read_regular
 
 __all__ = [
     "Experiment", "Seconds", "experiment_from_resolved", "load_experiment", "parse_experiment", "parse_plugin", "shipped",
@@ -51,23 +52,15 @@ def load_experiment(
         raise HilError("no experiment is named; `hil list` shows the shipped ones")
     path = shipped().get(name, Path(source))
     try:
-        mode = path.stat().st_mode
+        path.stat()
     except (FileNotFoundError, NotADirectoryError):
         near = difflib.get_close_matches(name, shipped(), n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         hint += "`hil list` shows the shipped ones"
         raise HilError(f"no experiment {name!r}: neither a file nor a shipped name; {hint}") from None
-    except OSError as e:  # such as a name that is too long
-        raise HilError(f"{name}: cannot be read: {e.strerror}") from e
-    if not stat.S_ISREG(mode):  # a device has no end
-        raise HilError(f"{name}: is {'a folder' if stat.S_ISDIR(mode) else 'no regular file'}, not an experiment file")
-    try:
-        with open(path, "rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except OSError as e:
-        raise HilError(f"{name}: cannot be read: {e.strerror}") from e
-    if len(data) > MAX_BYTES:
-        raise HilError(f"{name}: more than {MAX_BYTES} bytes, which is the most an experiment file may have")
+    except (OSError, ValueError):  # such as a name that is too long: the reading says so
+        pass
+    data = read_regular(path, MAX_BYTES, "an experiment file")
     try:
         text = data.decode()
     except UnicodeDecodeError as e:
@@ -80,11 +73,9 @@ def parse_experiment(
 ) -> Experiment:
     """Check the text of an experiment; see :func:`load_experiment`."""
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as e:
+        raw = parse_toml(text)
+    except ValueError as e:
         raise HilError(f"{source}: not valid TOML: {e}") from e
-    except RecursionError as e:
-        raise HilError(f"{source}: not valid TOML: nested too deeply") from e
     for change in sets:
         _apply(raw, change)
     checker = Checker()
@@ -130,10 +121,14 @@ def _apply(raw: dict[str, Any], change: str) -> None:
     keys = path.strip().split(".")
     if not eq or not all(keys):
         raise HilError(f"--set {change!r}: expected path=value, such as plant.gain=170")
+    if len(keys) > DEEPEST:
+        raise HilError(f"--set {change!r:.60}: the key has {len(keys)} parts; at most {DEEPEST}")
     try:
-        parsed = tomllib.loads(f"v = {value}")["v"]
+        parsed = parse_toml(f"v = {value}")["v"]
     except tomllib.TOMLDecodeError:
         parsed = value.strip()
+    except ValueError as e:
+        raise HilError(f"--set {path}: {e}") from e
     node: Any = raw
     for i, key in enumerate(keys):
         at = ".".join(keys[:i])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import typing
 from typing import Any, Literal
 
@@ -16,6 +17,9 @@ HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
 
+LONGEST_S = 6e9  # 1e8 slots of 60 s; in nanoseconds it still is a number of 64 bits
+
+
 class Seconds(float):
     """A duration: a bare number in seconds or a string with a unit, ``"50 ms"``."""
 
@@ -27,17 +31,21 @@ class Seconds(float):
         (0.05, 2.0)
         """
         if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise ValueError(f"expected a duration such as '50 ms' or 0.05, got {value!r}")
+            raise ValueError(f"expected a duration such as '50 ms' or 0.05, got {value!r:.60}")
         if not isinstance(value, str):
-            return cls(value)
-        number, _, unit = value.strip().partition(" ")
-        scale = UNITS.get(unit.strip() or "s")
-        try:
-            if scale is None:
-                raise ValueError
-            return cls(float(number) * scale)
-        except ValueError:
-            raise ValueError(f"{value!r} is not a duration: write a number and one of {', '.join(UNITS)}") from None
+            seconds = float(value)
+        else:
+            number, _, unit = value.strip().partition(" ")
+            scale = UNITS.get(unit.strip() or "s")
+            try:
+                if scale is None:
+                    raise ValueError
+                seconds = float(number) * scale
+            except ValueError:
+                raise ValueError(f"{value!r:.60} is not a duration: write a number and one of {', '.join(UNITS)}") from None
+        if not math.isfinite(seconds):
+            raise ValueError(f"{value!r:.60} is not a finite number of seconds")
+        return cls(seconds)
 
 
 class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -55,6 +63,8 @@ class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def _not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
     if values.get(field, 0.0) < 0:
         yield f"{field}: {values[field]:g} s is negative"
+    elif values.get(field, 0.0) > LONGEST_S:
+        yield f"{field}: {values[field]:g} s is above {LONGEST_S:g} s"
 
 
 class Step(Table, frozen=True, kw_only=True):
@@ -252,7 +262,11 @@ class Experiment(Table, frozen=True, kw_only=True):
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         name, period, duration = values.get("name", "x"), values.get("period"), values.get("duration")
         if not name or any(c in name for c in "/\\\0"):
-            yield f"name: {name!r} is empty or holds a path separator"
+            yield f"name: {name!r:.60} is empty or holds a path separator"
+        elif not name.isprintable():
+            yield f"name: {name!r:.60} holds a control character"
+        elif len(name.encode()) > 200:
+            yield f"name: has {len(name.encode())} bytes; at most 200, for the log is named after it"
         if period is not None and not 1e-5 <= period <= 60:
             yield f"period: {period:g} s is not between 10 us and 60 s"
         elif period is not None and duration is not None:

@@ -6,6 +6,7 @@ import fcntl
 import hashlib
 import json
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hil.errors import HilError
 from hil.experiment import Experiment
 
 FORMAT = "hil-sweep/1"
+LONGEST_LINE = 1_000_000  # bytes; a row has some two hundred
 
 
 class SweepStore:
@@ -53,38 +55,47 @@ class SweepStore:
             raise
 
     def _load(self, head: dict[str, Any]) -> None:
-        self._file.seek(0)
-        text = self._file.read()
-        whole = text[: text.rfind(b"\n") + 1]
-        lines = whole.splitlines()
-        if lines:
-            self._check(lines[0], head)
-        elif text and not json.dumps(head).encode().startswith(text):  # a torn first line of ours is a new file
-            raise HilError(f"--resume: {self.path} is not the file of a sweep")
-        for number, line in enumerate(lines[1:], 2):
-            try:
-                row = json.loads(line)
-                found = {name: math.nan if row[name] is None else float(row[name]) for name in head["metrics"]}
-                self.rows[int(row["seed"])] = found | {"seed": int(row["seed"])}
-            except (ValueError, KeyError, TypeError) as e:
-                raise HilError(f"--resume: {self.path}: line {number} is not a row of this sweep") from e
-        if len(whole) < len(text):
-            self._file.truncate(len(whole))
-        if not lines:
+        number = size = 0
+        torn = b""
+        with open(os.dup(self._file.fileno()), "rb") as file:
+            file.seek(0)
+            while line := file.readline(LONGEST_LINE):
+                if not line.endswith(b"\n"):
+                    torn = line
+                    break
+                number += 1
+                size += len(line)
+                if number == 1:
+                    self._check(line, head)
+                else:
+                    self._row(line, number, head["metrics"])
+        if len(torn) >= LONGEST_LINE or (number == 0 and torn and not json.dumps(head).encode().startswith(torn)):
+            raise HilError(f"--resume: {self.path} is not the file of a sweep")  # a torn first line of ours is a new file
+        if torn:
+            self._file.truncate(size)
+        if number == 0:
             self._write(head)
+
+    def _row(self, line: bytes, number: int, metrics: Sequence[str]) -> None:
+        try:
+            row = json.loads(line)
+            found = {name: math.nan if row[name] is None else float(row[name]) for name in metrics}
+            self.rows[int(row["seed"])] = found | {"seed": int(row["seed"])}
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
+            raise HilError(f"--resume: {self.path}: line {number} is not a row of this sweep") from e
 
     def _check(self, line: bytes, head: dict[str, Any]) -> None:
         try:
             found = json.loads(line)
             ours = found["format"] == FORMAT
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             ours = False
         if not ours:
             raise HilError(f"--resume: {self.path} is not the file of a sweep")
         for key in ("experiment", "digest", "metrics"):
             if found.get(key) != head[key]:
                 raise HilError(
-                    f"--resume: {self.path} holds runs of {found.get('experiment')!r} with another {key}; "
+                    f"--resume: {self.path} holds runs of {found.get('experiment')!r:.60} with another {key}; "
                     f"expected {head['experiment']!r} as it is now"
                 )
 

@@ -180,13 +180,13 @@ def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None, pat
     if sources[0] == "file":
         path += ".file"
         try:
-            entries = read_column(Path(directory or ".") / str(spec["file"]), "latency_s")
+            entries = [*read_column(Path(directory or ".") / str(spec["file"]), "latency_s")]
         except ValueError as fault:
             raise ValueError(f"{path}{str(fault).removeprefix('file')}") from None
     else:
         path += ".trace"
     if isinstance(entries, str) or not isinstance(entries, Sequence) or not entries:
-        raise ValueError(f'{path}: got {entries!r}, expected a list of durations (or "lost")')
+        raise ValueError(f'{path}: got {entries!r:.60}, expected a list of durations (or "lost")')
     values = tuple(math.inf if v == "lost" else _positive(f"{path}[{k}]", v) for k, v in enumerate(entries))
     return LatencyTrace(values_s=values, repeat=past_end == "repeat")
 

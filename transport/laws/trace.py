@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from stat import S_ISREG
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from transport.laws.age import AgePath, checked_age
 
-MAX_BYTES = 100_000_000
+MAX_BYTES = 20_000_000
+MAX_ENTRIES = 2_000_000
+"""The most entries that a trace may have: more than half an hour at 1 kHz."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +101,8 @@ class TraceAge:
         return AgePath.of(self._path())
 
     def _path(self) -> Iterator[tuple[int, int]]:
-        states = [(age, age) for age in self.loaded().ages]
+        pairs = [(age, age) for age in self.mode_ages]
+        states = [pairs[age] for age in self.loaded().ages]
         yield from states
         while self.past_end == "repeat":
             yield from states
@@ -119,37 +123,61 @@ class TraceAge:
         return means
 
 
-def read_column(path: Path, column: str) -> list[str]:
-    """Return one column of a CSV file as text: the named one if there is a heading, else the first.
+def read_column(path: Path, column: str) -> Iterator[str]:
+    """Yield one column of a CSV file as text: the named one if there is a heading, else the first.
+
+    Args:
+        path: a regular file of at most `MAX_BYTES` and `MAX_ENTRIES`; it is read as it is asked for.
+        column: heading.
 
     Raises:
         ValueError: the file is missing, no regular one, no text, too large or empty; the message starts with "file".
     """
+    index = entries = 0
+    first = True
     try:
-        status = path.stat()
-        if not S_ISREG(status.st_mode):
-            raise ValueError(f"file: {path} is no regular file")
-        if status.st_size > MAX_BYTES:
-            raise ValueError(f"file: {path} has more than {MAX_BYTES} bytes")
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = [row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#")]
+        with _regular(path) as stream:
+            for row in csv.reader(stream):
+                if not row or row[0].lstrip().startswith("#"):
+                    continue
+                if first:
+                    first = False
+                    heading = [name.strip() for name in row]
+                    if column in heading:
+                        index = heading.index(column)
+                        continue
+                entries += 1
+                if entries > MAX_ENTRIES:
+                    raise ValueError(f"file: {path} has more than {MAX_ENTRIES} entries")
+                yield row[index].strip() if index < len(row) else ""
     except OSError as fault:
         raise ValueError(f"file: {path}: {fault.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as fault:
         raise ValueError(f"file: {path} is no CSV text: {fault}") from None
-    heading = [name.strip() for name in rows[0]] if rows else []
-    index = heading.index(column) if column in heading else 0
-    values = [row[index].strip() if index < len(row) else "" for row in rows[1 if column in heading else 0 :]]
-    if not values:
+    if not entries:
         raise ValueError(f"file: {path} has no entries")
-    return values
+
+
+def _regular(path: Path) -> TextIO:
+    """Open a regular file of bounded size as text; a pipe is not waited for."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        status = os.fstat(descriptor)
+        if not S_ISREG(status.st_mode):
+            raise ValueError(f"file: {path} is no regular file")
+        if status.st_size > MAX_BYTES:
+            raise ValueError(f"file: {path} has more than {MAX_BYTES} bytes")
+        return open(descriptor, newline="", encoding="utf-8")
+    except BaseException:
+        os.close(descriptor)
+        raise
 
 
 def read_ages(path: Path) -> tuple[int, ...]:
     """Return the ages in a CSV file; faults are named by entry, counted from 0."""
     ages = []
     for k, text in enumerate(read_column(path, "age")):
-        if not text.isdecimal():
-            raise ValueError(f"file: {path}: entry {k} is {text!r}, expected a whole number of slots")
+        if not (text.isdecimal() and len(text) < 10):
+            raise ValueError(f"file: {path}: entry {k} is {text!r:.60}, expected a whole number of slots")
         ages.append(checked_age(f"file: {path}: entry {k}", int(text)))
     return tuple(ages)

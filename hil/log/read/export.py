@@ -16,35 +16,40 @@ from __future__ import annotations
 import csv
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 
 from hil.errors import HilError
+from hil.exclusive_file import written_whole
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD, Schema
 
 FRAME_TOPICS: Final = ("/link/sensor", "/link/control")
 VIRTUAL_BEGIN: Final = "2000-01-01T00:00:00Z"
+ROWS: Final = 4096  # that are made Python numbers at a time
 
 
-def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = ()) -> list[Path]:
-    """Write a run in the format that the target's ending names; existing files are replaced when all went well.
+def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (), *, replace: bool = False) -> list[Path]:
+    """Write a run in the format that the target's ending names.
 
     Args:
         run: what to write.
         target: ``.log``, ``.blf``, ``.csv`` or ``.npz``. Tables of more than one topic make files ``name.topic.csv``.
         topics: only these; all by default. CAN logs hold ``/link/sensor`` and ``/link/control``.
+        replace: replace files that are there, each when it is whole. Otherwise none is touched where one is in the way.
 
     Returns:
         The files written.
 
     Raises:
-        HilError: if the ending or a topic is unknown, a frame cannot be a CAN frame, or a file cannot be written.
+        HilError: if the ending or a topic is unknown, a frame cannot be a CAN frame, a file exists already (without
+            ``replace``) or cannot be written.
     """
     target = Path(target)
     writers = {".log": _can_log, ".blf": _can_log, ".csv": _tables, ".npz": _npz}
@@ -55,34 +60,26 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = ())
     for topic in topics:
         if topic not in known:
             raise HilError(f"topic {topic!r}: not in the log, expected one of {', '.join(known)}")
-    return writer(run, target, topics or known)
-
-
-def _replace(target: Path, write: Callable[[Path], None]) -> Path:
-    """Write beside the target and move it there at the end: a failure leaves what was there."""
-    part = target.with_name(f".{target.stem}.part{target.suffix}")
-    try:
-        write(part)
-        part.replace(target)
-    except OSError as error:
-        raise HilError(f"{target}: cannot be written: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
-    return target
-
-
-def _tables(run: Run, target: Path, topics: Sequence[str]) -> list[Path]:
-    if len(topics) == 1:
-        paths = [target]
-    else:
-        paths = [target.with_suffix(f".{_plain_name(topic)}.csv") for topic in topics]
-    for topic, path in zip(topics, paths, strict=True):
-        if topic == EVENTS_TOPIC:
-            _replace(path, lambda part: _write_events(run, part))
-        else:
-            array, schema = run.arrays[topic], run.schemas[topic]
-            _replace(path, lambda part, array=array, schema=schema: _write_csv(array, schema, part))  # type: ignore[misc]
+    wanted = [*dict.fromkeys(topics or known)]
+    paths = [target] if target.suffix != ".csv" or len(wanted) == 1 else [_table_path(target, topic) for topic in wanted]
+    for path in paths:
+        if not replace and os.path.lexists(path):  # now, and not after half of the files
+            raise HilError(f"{path}: exists already; choose another -o, or add --force")
+    writer(run, paths, wanted, replace)
     return paths
+
+
+def _table_path(target: Path, topic: str) -> Path:
+    return target.with_suffix(f".{_plain_name(topic)}.csv")
+
+
+def _tables(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
+    for topic, path in zip(topics, paths, strict=True):
+        with written_whole(path, replace=replace) as part:
+            if topic == EVENTS_TOPIC:
+                _write_events(run, part)
+            else:
+                _write_csv(run.arrays[topic], run.schemas[topic], part)
 
 
 def _write_csv(array: StructuredArray, schema: Schema, path: Path) -> None:
@@ -90,8 +87,9 @@ def _write_csv(array: StructuredArray, schema: Schema, path: Path) -> None:
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
-        for row in array.tolist():  # plain floats print so that they read back the same
-            writer.writerow([value.hex() if isinstance(value, bytes) else value for value in row])
+        for start in range(0, len(array), ROWS):
+            for row in array[start : start + ROWS].tolist():  # plain floats print so that they read back the same
+                writer.writerow([value.hex() if isinstance(value, bytes) else value for value in row])
 
 
 def _write_events(run: Run, path: Path) -> None:
@@ -103,7 +101,7 @@ def _write_events(run: Run, path: Path) -> None:
             writer.writerow([*(event.get(name, "") for name in names), json.dumps(event.get("data", {}))])
 
 
-def _npz(run: Run, target: Path, topics: Sequence[str]) -> list[Path]:
+def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
     arrays: dict[str, np.ndarray[Any, np.dtype[Any]]] = {}
     for topic in topics:
         array, name = run.arrays[topic], _plain_name(topic)
@@ -114,29 +112,26 @@ def _npz(run: Run, target: Path, topics: Sequence[str]) -> list[Path]:
             for row, item in zip(matrix, data, strict=True):
                 row[: len(item)] = np.frombuffer(item, np.uint8)
             arrays[f"{name}_data"], arrays[f"{name}_length"] = matrix, lengths
-            array = array[[field for field in array.dtype.names or () if field != "data"]].copy()
+            # Packed again: a selection keeps the gap of the field that it leaves out, which a file cannot say.
+            array = repack_fields(array[[field for field in array.dtype.names or () if field != "data"]])
         arrays[name] = array
 
-    def write(part: Path) -> None:
-        with open(part, "wb") as file:  # a name would get a second ending
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-
-    return [_replace(target, write)]
+    with written_whole(paths[0], replace=replace) as part, open(part, "wb") as file:  # a name would get a second ending
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
-def _can_log(run: Run, target: Path, topics: Sequence[str]) -> list[Path]:
+def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
     import can
+
+    target = paths[0]
 
     messages = _can_messages(run, [topic for topic in FRAME_TOPICS if topic in topics])
     if not messages:
         raise HilError(f"{target}: no frames to write; a CAN log is made of the records of {' and '.join(FRAME_TOPICS)}")
 
-    def write(part: Path) -> None:
-        with can.Logger(part) as writer:  # python-can picks the writer by the ending
-            for message in messages:
-                writer.on_message_received(message)
-
-    return [_replace(target, write)]
+    with written_whole(target, replace=replace) as part, can.Logger(part) as writer:  # picks the writer by the ending
+        for message in messages:
+            writer.on_message_received(message)
 
 
 def _can_messages(run: Run, topics: Sequence[str]) -> list[Any]:

@@ -1,6 +1,7 @@
 """Design files and the cache: what is written is what is read, and what is damaged is refused or solved again."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -45,6 +46,11 @@ def test_written_design_is_read_back(design, tmp_path):
         (lambda d: d["problem"].update(samples=3), "problem.samples: 3"),
         (lambda d: d["problem"].update(sc={"delays": [0, 1, 2]}), "problem.sc: expected delays and labels"),
         (lambda d: d["problem"]["sc"].update(labels=[0, 2, 1]), "problem.sc: expected delays and labels"),
+        (lambda d: d["gains"][0][0][0].__setitem__(0, 10**400), "gains: a number is beyond"),
+        (lambda d: d["gains"][0][0][0].__setitem__(0, 1e308), "gains: shape .* at most"),
+        (lambda d: d.update(period_s=10**400), "period_s: 1000"),
+        (lambda d: d["problem"]["sc"].update(delays=[0, 10**400]), "problem.sc: expected delays and labels"),
+        (lambda d: d.update(selection=["applied"]), "selection: "),
         (lambda d: d.clear(), "no design file"),
     ],
 )
@@ -66,6 +72,27 @@ def test_garbage_is_refused_as_a_design_file(tmp_path, content):
         load_design(tmp_path / "absent.json")
 
 
+def test_what_has_no_end_or_no_beginning_is_no_design_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # a reader that waits for its writer would hang here
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for name in ("pipe", "zero"):
+        with pytest.raises(ValueError, match=rf"^design: .*{name}: is no regular file"):
+            load_design(tmp_path / name)
+    with open(tmp_path / "large", "wb") as file:
+        file.truncate(10**12)  # sparse
+    with pytest.raises(ValueError, match="has more than"):
+        load_design(tmp_path / "large")
+
+
+def test_user_without_a_home_has_no_cache_and_gets_a_design(design, monkeypatch):
+    def nowhere():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("design.tracking.cache.Path.home", nowhere)
+    assert np.array_equal(solve_cached(design.problem).gains, design.gains)
+
+
 def test_cached_design_is_the_solved_one_and_is_not_solved_again(design, tmp_path, monkeypatch):
     first = solve_cached(design.problem, directory=tmp_path)
     assert np.array_equal(first.gains, design.gains)
@@ -84,6 +111,10 @@ def test_cached_design_is_the_solved_one_and_is_not_solved_again(design, tmp_pat
         lambda text: "garbage",
         lambda text: text[: len(text) // 2],
         lambda text: json.dumps({"gains": [[1.0]], "starts": [], "evaluations": 1}),
+        lambda text: json.dumps(json.loads(text) | {"gains": [[[[10**400]]]]}),
+        lambda text: json.dumps(json.loads(text) | {"evaluations": "1e400"}),
+        lambda text: json.dumps(json.loads(text) | {"starts": [10**400]}),
+        lambda text: json.dumps(json.loads(text) | {"gains": (1e308 * np.ones((3, 2, 1, 1))).tolist()}),
         lambda text: json.dumps(json.loads(text) | {"gains": (100 * np.ones((3, 2, 1, 1))).tolist()}),  # unstable
     ],
 )

@@ -45,6 +45,27 @@ def same(a: dict[str, Any], b: dict[str, Any]) -> None:
         np.testing.assert_array_equal(a[name], b[name])
 
 
+@pytest.mark.parametrize(
+    "row",
+    ['{"seed": 1e999}', '{"seed": 0, "iae": 1' + "0" * 400 + "}", "[" * 100_000, '{"seed": ' + "9" * 5000 + "}", '"x"'],
+    ids=["infinite seed", "metric beyond a double", "nested", "long seed", "text"],
+)
+def test_a_row_that_is_none_is_one_message(experiment: Experiment, tmp_path: Path, row: str) -> None:
+    with SweepStore(tmp_path / "s", experiment, ("iae",)):
+        pass
+    with open(tmp_path / "s", "a") as file:
+        file.write(row + "\n")
+    with pytest.raises(HilError, match="line 2 is not a row of this sweep"):
+        SweepStore(tmp_path / "s", experiment, ("iae",))
+
+
+def test_a_line_without_end_is_no_sweep(experiment: Experiment, tmp_path: Path) -> None:
+    with open(tmp_path / "s", "wb") as file:
+        file.truncate(10**10)  # sparse: one line of zeros
+    with pytest.raises(HilError, match="is not the file of a sweep"):
+        SweepStore(tmp_path / "s", experiment, ("iae",))
+
+
 def test_a_resumed_sweep_has_the_numbers_of_one_that_was_never_interrupted(
     tmp_path: Path, experiment: Experiment, plain: dict[str, Any]
 ) -> None:

@@ -65,6 +65,36 @@ def test_numpy_reads_the_arrays_back(run: Run, tmp_path: Path) -> None:
     assert frames == run.arrays["/link/control"]["data"].tolist()
 
 
+def test_numpy_reads_every_array_whole(run: Run, tmp_path: Path) -> None:
+    export(run, tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz", allow_pickle=False) as found:
+        for topic, array in run.arrays.items():
+            read = found[topic.strip("/").replace("/", "_")]  # the header of one with a gap could not be read
+            assert read.dtype.names == tuple(name for name in array.dtype.names or () if name != "data")
+            for name in read.dtype.names or ():
+                np.testing.assert_array_equal(read[name], array[name])
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".log", ".blf"])
+def test_an_export_replaces_nothing_unasked(log: Path, run: Run, tmp_path: Path, ending: str) -> None:
+    mine = tmp_path / ("x.plant_state.csv" if ending == ".csv" else f"x{ending}")
+    mine.write_text("mine")
+    done = CliRunner().invoke(command, [str(log), "-o", str(tmp_path / f"x{ending}")])
+    assert isinstance(done.exception, HilError) and "exists already" in str(done.exception)
+    assert mine.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == [mine.name]
+    assert CliRunner().invoke(command, [str(log), "-o", str(tmp_path / f"x{ending}"), "--force"]).exit_code == 0
+    assert mine.read_bytes() != b"mine"
+
+
+def test_an_export_follows_no_link(run: Run, tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    for name in (".x.part.csv", "x.csv"):
+        (tmp_path / name).symlink_to(victim)
+    export(run, tmp_path / "x.csv", ["/plant/state"], replace=True)
+    assert victim.read_text() == "precious" and not (tmp_path / "x.csv").is_symlink()
+
+
 def packets(run: Run) -> list[tuple[float, int, bytes]]:
     """When, as what and what: a frame stands where its slot's lateness put it, an answer a round trip later."""
     sensor, control, timing = run.arrays["/link/sensor"], run.arrays["/link/control"], run.arrays["/timing/tick"]

@@ -1,0 +1,53 @@
+"""The one door through which a file of the user's is read: regular, of bounded size, never waited for."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from hil.errors import HilError
+
+
+def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
+    """Return the bytes of a regular file.
+
+    The type is asked of the open file, so that nobody can put a pipe in its place between the question and the reading; it
+    is opened without waiting, as a pipe that nobody writes would be waited for without end.
+
+    Args:
+        path: the file.
+        most_bytes: the most that it may have.
+        what: what it should be, for the message, with its article ("an experiment file").
+
+    Raises:
+        HilError: it cannot be read, is a folder, a pipe or a device, or has more bytes.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            refuse_irregular(path, os.fstat(descriptor).st_mode, what)
+            with open(descriptor, "rb", closefd=False) as file:
+                data = file.read(most_bytes + 1)
+        finally:
+            os.close(descriptor)
+    except (OSError, ValueError) as e:  # ValueError: a name with a zero byte
+        raise HilError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from e
+    if len(data) > most_bytes:
+        raise HilError(f"{path}: more than {most_bytes} bytes, which is the most {what} may have")
+    return data
+
+
+def refuse_irregular(path: str | Path, mode: int, what: str) -> None:
+    """Refuse what is no regular file: a device has no end, and a pipe may have no beginning.
+
+    Args:
+        path: for the message.
+        mode: `st_mode` of the file.
+        what: what it should be, with its article.
+
+    Raises:
+        HilError: it is no regular file.
+    """
+    if not stat.S_ISREG(mode):
+        raise HilError(f"{path}: is {'a folder' if stat.S_ISDIR(mode) else 'no regular file'}, not {what}")

@@ -1,0 +1,71 @@
+"""Names, keys and paths of strangers on a terminal are shown, never obeyed; a message never floods it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.cli.terminal import LONGEST, message_lines, visible
+from hil.experiment import shipped
+from tests.hil.cli.conftest import Hil
+
+GOOD = shipped()["dc-motor-hinf"].read_text()
+
+
+@given(st.text())
+def test_nothing_that_moves_a_cursor_gets_through(text: str) -> None:
+    shown = visible(text)
+    assert not any(ord(c) < 32 or 127 <= ord(c) < 160 or c in "\u2028\u2029\u202e" for c in shown)
+    assert visible(shown) == shown
+
+
+@given(st.lists(st.text(), min_size=1, max_size=50).map("\n".join), st.integers(0, 20_000))
+def test_a_message_has_at_most_2_kB_and_says_what_it_left_out(text: str, more: int) -> None:
+    shown = message_lines(text + "x" * more)
+    assert sum(len(f"hil: {line}\n".encode()) for line in shown) <= LONGEST
+
+
+def test_a_short_message_is_left_alone() -> None:
+    assert message_lines("period: missing\nname: missing") == ["period: missing", "name: missing"]
+    assert message_lines("\n".join(["x" * 500] * 10))[-1] == "... and 7 more of these"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('name = "dc-motor-hinf"', 'name = "a\\u001b]0;title\\u0007\\u001b[2J"'),
+        ("seed = 0", '"\\u001b[2Jseed" = 0'),
+        ('kind = "hinf"', 'kind = "\\u001b[2Jhinf"'),
+    ],
+    ids=["name", "key", "value"],
+)
+def test_an_experiment_cannot_write_to_the_terminal(cli: Hil, tmp_path: Path, old: str, new: str) -> None:
+    (tmp_path / "x.toml").write_text(GOOD.replace(old, new))
+    status, out, err = cli("run", "x.toml")
+    assert (status, out) == (2, "") and "\x1b" not in err and "x1b" in err and "Traceback" not in err
+
+
+def test_a_message_is_not_as_long_as_its_input(cli: Hil, tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_text("\n".join(f"key_{i} = 1" for i in range(45_000)))
+    status, _, err = cli("run", "x.toml")
+    assert status == 2 and len(err.encode()) <= LONGEST and "more of these" in err
+
+
+@pytest.mark.parametrize("name", ["x[bold]y.mcap", "x[/].mcap", "x\x1b[2Jy.mcap"])
+def test_a_log_with_markup_in_its_name_is_reported_under_its_name(cli: Hil, tmp_path: Path, name: str) -> None:
+    status, out, err = cli("run", "dc-motor-hinf", "--duration", "1 s", "-o", name)
+    assert (status, err) == (0, "") and visible(name) in out.replace("\n", "") and "\x1b" not in out
+    assert (tmp_path / name).stat().st_size > 0
+
+
+def test_a_log_is_its_users_alone_unless_asked_otherwise(cli: Hil, tmp_path: Path) -> None:
+    cli("run", "dc-motor-hinf", "--duration", "1 s", "-o", "a.mcap")
+    cli("run", "dc-motor-hinf", "--duration", "1 s", "-o", "b.mcap", "--log-mode", "644")
+    (tmp_path / "c.mcap").touch(mode=0o644)
+    cli("run", "dc-motor-hinf", "--duration", "1 s", "-o", "c.mcap", "--force")
+    assert [(tmp_path / f"{n}.mcap").stat().st_mode & 0o777 for n in "abc"] == [0o600, 0o644, 0o600]
+    status, _, err = cli("run", "dc-motor-hinf", "--log-mode", "477")
+    assert status == 2 and "--log-mode" in err
