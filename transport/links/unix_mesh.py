@@ -1,8 +1,9 @@
 """Processes of one user that hear each other's datagrams, over Unix sockets, without a broker.
 
 Every participant listens on a socket in one directory and is connected to every other participant. A newcomer connects to
-all sockets that it finds there, removes those that nobody answers (their owners were killed), and raises a shared count;
-a sender that sees the count changed lets the newcomers in first. Hence everyone hears whatever is sent after it joined.
+all sockets that it finds there, removes those that nobody answers (their owners were killed), and changes a shared mark;
+a sender that sees the mark changed lets the newcomers in first. Hence everyone hears whatever is sent after it joined.
+The mark is read and written, never mapped: whatever is done to its file costs a newcomer, not a life (SIGBUS).
 
 The kernel queues up to `QUEUE_LIMIT` datagrams from each sender at each receiver. Beyond that a datagram is lost for this
 receiver only: the sender counts it as dropped, and the next datagram that gets through tells the receiver how many it
@@ -14,23 +15,19 @@ missed before it, which is the mesh's to fill in.
 
 from __future__ import annotations
 
-import mmap
 import os
 import select
 import socket
+import stat
 from contextlib import suppress
-from errno import ENOBUFS
+from errno import EMFILE, ENFILE, ENOBUFS, ENOMEM
 from pathlib import Path
-from socket import MSG_NOSIGNAL
-from struct import Struct
 from threading import Lock
 from typing import Final
 
 from transport.links.link import Closing, TransportError
+from transport.links.mesh_peer import HEAD, Peer
 from transport.links.private_directory import locked
-
-HEAD: Final = Struct("<dH")
-"""Time stamp, s; datagrams lost before this one."""
 
 QUEUE_LIMIT: Final = 256
 """So many datagrams of up to 80 bytes wait at least at a receiver, from each sender."""
@@ -39,33 +36,11 @@ LOOKS: Final = 600
 """How often a short wait looks for an answer before it sleeps: about 200 us."""
 _VAIN: Final = 8
 
-_SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds more than QUEUE_LIMIT, see the tests
 _LARGEST: Final = 128
 _JOIN_TIMEOUT_S: Final = 2.0
+_OURS: Final = "[0-9]*-[0-9]*.sock"  # process and number; nothing else in the directory is touched
+_MARK_BYTES: Final = 8
 _COARSE_S: Final = 0.05  # epoll rounds up to milliseconds: good enough for a wait as long as this
-
-
-class _Peer:
-    """One connection, and how many datagrams it missed since the last one that got through."""
-
-    __slots__ = ("_send", "missed", "socket")
-
-    def __init__(self, connection: socket.socket) -> None:
-        connection.setblocking(False)
-        with suppress(OSError):
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-        self.socket = connection
-        self._send = connection.send
-        self.missed = 0
-
-    def offer(self, datagram: bytes) -> None:
-        """Send, or raise `OSError`; never wait."""
-        if not self.missed:
-            self._send(datagram, MSG_NOSIGNAL)
-            return
-        told = min(self.missed, 0xFFFF)
-        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], told) + datagram[HEAD.size :], MSG_NOSIGNAL)
-        self.missed -= told
 
 
 class Mesh(Closing):
@@ -78,39 +53,48 @@ class Mesh(Closing):
     Attributes:
         dropped: datagrams this participant could not hand to another one whose queue was full.
         lost: datagrams others could not hand to this one.
+        refused: how often a newcomer found no free file descriptor here. It is let in when one is free again.
 
     Raises:
-        TransportError: no such directory can be had, or it belongs to somebody else.
+        TransportError: no such directory can be had, it belongs to somebody else, or the disk or the descriptors are used up.
     """
 
     def __init__(self, directory: Path, *, echo: bool = False) -> None:
         self.directory = directory
-        self.dropped = self.lost = 0
+        self.dropped = self.lost = self.refused = 0
         self._lock = Lock()
-        self._peers: tuple[_Peer, ...] = ()  # whom we send to
-        self._sources: dict[int, _Peer] = {}  # whom we hear, by file descriptor
-        self._epoll = select.epoll()
-        self._own: _Peer | None = None
+        self._peers: tuple[Peer, ...] = ()  # whom we send to
+        self._sources: dict[int, Peer] = {}  # whom we hear, by file descriptor
+        self._own: Peer | None = None
+        self._listener: socket.socket | None = None
+        self._listening = False  # whether newcomers wake us up
+        self._joined = -1  # file descriptor of the mark
+        self._seen = b""
         self._closed = False
         self._knows_all = True
         self._rest = self._vain = 0  # short waits that will not look first; looks in vain, one after the other
         try:
-            with locked(directory.parent, _JOIN_TIMEOUT_S):
+            self._epoll = select.epoll()
+        except OSError as error:
+            raise TransportError(f"{directory}: {error.strerror}") from error
+        try:
+            with locked(directory, _JOIN_TIMEOUT_S):
                 self._join()
-        except BaseException:
-            self._epoll.close()
-            for peer in self._sources.values():
-                peer.socket.close()
+            if echo:
+                ours, heard = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                self._own = Peer(ours)
+                self._add(Peer(heard))
+        except BaseException as error:
+            self._release([*self._sources.values()])
+            if isinstance(error, OSError):  # no room, no descriptor
+                raise TransportError(f"{directory}: {error.strerror or error}") from error
             raise
-        if echo:
-            ours, heard = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            self._own = _Peer(ours)
-            self._add(_Peer(heard))
 
     def _join(self) -> None:
-        self.directory.mkdir(mode=0o700, exist_ok=True)
         peers = []
-        for path in sorted(self.directory.glob("*.sock")):
+        for path in sorted(self.directory.glob(_OURS)):
+            if not stat.S_ISSOCK(path.lstat().st_mode):
+                continue  # not ours, and not ours to remove
             connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             connection.setblocking(False)
             try:
@@ -121,8 +105,10 @@ class Mesh(Closing):
             except (ConnectionRefusedError, FileNotFoundError):
                 connection.close()
                 path.unlink(missing_ok=True)
+            except OSError:  # another kind of socket: nobody of ours
+                connection.close()
             else:
-                peers.append(_Peer(connection))
+                peers.append(Peer(connection))
                 self._add(peers[-1])
         self._peers = tuple(peers)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -133,38 +119,51 @@ class Mesh(Closing):
         try:
             self._listener.bind(str(path))
         except OSError as error:
-            self._listener.close()
             raise TransportError(f"{path}: {error.strerror or error}; a Unix socket's path has at most 107 bytes") from error
-        self._listener.listen(socket.SOMAXCONN)
         self._path = path
-        self._epoll.register(self._listener, select.EPOLLIN)
-        descriptor = os.open(self.directory / "joined", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
-            os.ftruncate(descriptor, 8)
-            self._joined = mmap.mmap(descriptor, 8)
-        finally:
-            os.close(descriptor)
-        self._seen = (int.from_bytes(self._joined[:8], "little") + 1).to_bytes(8, "little")
-        self._joined[:8] = self._seen
+            self._listener.listen(socket.SOMAXCONN)
+            self._listen()
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+            self._joined = os.open(self.directory / "joined", flags, 0o600)
+            self._seen = os.urandom(_MARK_BYTES)  # no mark comes twice, whoever cuts the file
+            os.pwrite(self._joined, self._seen, 0)  # where the disk is full it fails here, as an error
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            raise TransportError(f"{self.directory / 'joined'}: {error.strerror}") from error
 
-    def _add(self, peer: _Peer) -> None:
+    def _listen(self) -> None:
+        if self._listener is not None and not self._listening:
+            self._epoll.register(self._listener, select.EPOLLIN)
+            self._listening = True
+
+    def _mark(self) -> bytes:
+        return os.pread(self._joined, _MARK_BYTES, 0)
+
+    def _add(self, peer: Peer) -> None:
         self._sources[peer.socket.fileno()] = peer
         self._epoll.register(peer.socket, select.EPOLLIN)
 
     def _admit(self) -> None:
         """Let in whoever has connected since."""
         with self._lock:
-            self._seen = self._joined[:8]
-            while not self._closed:
+            self._seen = self._mark()
+            while not self._closed and self._listener is not None:
                 try:
                     connection, _ = self._listener.accept()
-                except OSError:  # nobody left, or gone again
+                except OSError as error:  # nobody left, or gone again
+                    if error.errno in (EMFILE, ENFILE, ENOMEM, ENOBUFS) and self._listening:
+                        # Nobody can be let in, and who waits would wake us up without end: look again when one has left.
+                        self._epoll.unregister(self._listener)
+                        self._listening = False
+                        self.refused += 1
                     return
-                peer = _Peer(connection)
+                peer = Peer(connection)
                 self._add(peer)
                 self._peers += (peer,)
+                self._listen()
 
-    def _remove(self, peer: _Peer, *, unread: bool) -> None:
+    def _remove(self, peer: Peer, *, unread: bool) -> None:
         """Send no more to a participant that has left; what it had sent before stays to be read."""
         with self._lock:
             self._peers = tuple(other for other in self._peers if other is not peer)
@@ -172,6 +171,8 @@ class Mesh(Closing):
                 with suppress(OSError, ValueError):
                     self._epoll.unregister(peer.socket)
                 peer.socket.close()
+                with suppress(OSError, ValueError):
+                    self._listen()
 
     def send(self, datagram: bytes, wait_s: float = 0.0) -> None:
         """Send to everyone.
@@ -180,7 +181,7 @@ class Mesh(Closing):
             datagram: `HEAD` and up to 70 bytes.
             wait_s: how long to wait for room in a full queue, s.
         """
-        if self._joined[:8] != self._seen:
+        if self._mark() != self._seen:
             self._admit()
         for peer in self._peers:
             try:
@@ -188,7 +189,7 @@ class Mesh(Closing):
             except OSError as error:
                 self._not_sent(peer, datagram, error, wait_s)
 
-    def _not_sent(self, peer: _Peer, datagram: bytes, error: OSError, wait_s: float) -> None:
+    def _not_sent(self, peer: Peer, datagram: bytes, error: OSError, wait_s: float) -> None:
         if isinstance(error, BlockingIOError) or error.errno == ENOBUFS:
             if wait_s > 0 and select.select((), (peer.socket,), (), wait_s)[1]:
                 with suppress(OSError):
@@ -286,11 +287,13 @@ class Mesh(Closing):
         """Leave; what was sent stays readable for the others. The last one alive clears the directory away."""
         if self._closed:
             return
-        with suppress(TransportError, OSError), locked(self.directory.parent, 0.2):
+        with suppress(TransportError, OSError), locked(self.directory, 0.2):
             self._path.unlink(missing_ok=True)
             if self._last():
-                for path in (*self.directory.glob("*.sock"), self.directory / "joined"):
-                    path.unlink(missing_ok=True)
+                for path in self.directory.glob(_OURS):
+                    if stat.S_ISSOCK(path.lstat().st_mode):
+                        path.unlink(missing_ok=True)
+                (self.directory / "joined").unlink(missing_ok=True)
                 self.directory.rmdir()
         with self._lock:
             if self._closed:
@@ -298,11 +301,17 @@ class Mesh(Closing):
             self._closed = True
             sources, self._sources, self._peers = self._sources, {}, ()
         self._path.unlink(missing_ok=True)  # where the lock was not to be had
+        self._release([*sources.values()])
+
+    def _release(self, peers: list[Peer]) -> None:
         self._epoll.close()
-        self._listener.close()
-        for peer in [*sources.values(), *([self._own] if self._own else [])]:
+        if self._listener is not None:
+            self._listener.close()
+        for peer in [*peers, *([self._own] if self._own else [])]:
             peer.socket.close()
-        self._joined.close()
+        if self._joined >= 0:
+            os.close(self._joined)
+            self._joined = -1
 
     def _last(self) -> bool:
         """Return whether all others have left or were killed; nobody can join while the lock is held."""

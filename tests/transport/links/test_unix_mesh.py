@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+import resource
 import select
+import signal
 import socket
 import tempfile
 from collections.abc import Iterator
@@ -78,12 +80,126 @@ def test_who_cannot_get_the_lock_says_that_somebody_stopped_in_mid_join(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("transport.links.unix_mesh._JOIN_TIMEOUT_S", 0.05)
-    held = os.open(directory.parent, os.O_RDONLY)
+    directory.mkdir(mode=0o700)
+    held = os.open(directory, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
-    with pytest.raises(TransportError, match="stopped while it joins"):
+    with pytest.raises(TransportError, match=r"mesh: locked for .* stopped while it joins; .* choose another channel"):
         Mesh(directory)
+    Mesh(directory.parent / "other").close()  # one channel bars no other
     os.close(held)
     Mesh(directory).close()
+
+
+def test_a_lock_on_all_channels_bars_none(directory: Path) -> None:
+    held = os.open(directory.parent, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    with Mesh(directory), Mesh(directory):
+        pass
+    os.close(held)
+
+
+@pytest.fixture
+def few_descriptors() -> Iterator[None]:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.usefixtures("few_descriptors")
+def test_without_a_free_descriptor_nobody_spins_and_a_newcomer_waits_for_one(directory: Path) -> None:
+    with Mesh(directory) as mesh, Mesh(directory) as first, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as newcomer:
+        assert mesh.receive(0) is None and mesh.participants == 2  # the first one is in
+        newcomer.connect(str(mesh._path))
+        _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        lowest_free = os.dup(0)
+        os.close(lowest_free)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free, hard))
+        counting = CountingEpoll(mesh._epoll)
+        mesh._epoll = counting  # type: ignore[assignment]
+        assert mesh.receive(0) is None and mesh.refused == 1
+        for _ in range(20):
+            assert mesh.receive(0) is None
+        assert counting.looks <= 22 and mesh.refused == 1  # it looped for ever
+        first.send(HEAD.pack(1.0, 0) + b"frame")
+        assert mesh.receive(0) == HEAD.pack(1.0, 0) + b"frame"  # and hears the others
+        first.close()
+        while not mesh._listening:  # until it has seen that the first one left
+            assert mesh.receive(0.01) is None
+        newcomer.send(HEAD.pack(2.0, 0) + b"hello")
+        assert mesh.receive(1) == HEAD.pack(2.0, 0) + b"hello"
+
+
+@pytest.mark.usefixtures("few_descriptors")
+def test_who_has_no_descriptor_to_join_says_so_and_leaves_none_open(directory: Path) -> None:
+    with Mesh(directory):
+        before = len(os.listdir("/proc/self/fd"))
+        _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        lowest_free = os.dup(0)
+        os.close(lowest_free)
+        for more in range(7):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free + more, hard))
+            with pytest.raises(TransportError, match="Too many open files"):
+                Mesh(directory, echo=True)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (before + 50, hard))
+        assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_mark_that_was_cut_costs_no_life(directory: Path) -> None:
+    with Mesh(directory) as mesh:
+        os.truncate(directory / "joined", 0)  # a mapped file would be SIGBUS from here on
+        mesh.send(HEAD.pack(0.0, 0))
+        with Mesh(directory) as newcomer:
+            mesh.send(HEAD.pack(1.0, 0) + b"frame")
+            assert newcomer.receive(1) == HEAD.pack(1.0, 0) + b"frame"
+        (directory / "joined").unlink()
+        with Mesh(directory) as newcomer:
+            assert mesh.receive(0.01) is None
+            mesh.send(HEAD.pack(2.0, 0) + b"frame")
+            assert newcomer.receive(1) == HEAD.pack(2.0, 0) + b"frame"
+
+
+@pytest.fixture
+def no_room() -> Iterator[None]:
+    """No file may grow, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.usefixtures("no_room")
+def test_a_full_disk_is_told_by_an_error(directory: Path) -> None:
+    with pytest.raises(TransportError, match="joined: File too large"):
+        Mesh(directory)
+    assert not list(directory.glob("*.sock"))
+
+
+@pytest.mark.parametrize("name", ["1-0.sock", "2-0.sock", "c.sock", "joined"])
+def test_what_is_not_ours_in_the_directory_is_neither_obeyed_nor_harmed(directory: Path, tmp_path: Path, name: str) -> None:
+    directory.mkdir(mode=0o700)
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    foreign = directory / name
+    if name == "1-0.sock":
+        foreign.write_text("mine")
+    elif name == "2-0.sock":
+        foreign.mkdir()
+    elif name == "c.sock":
+        stream = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        stream.bind(str(foreign))
+        stream.listen()
+    else:
+        foreign.symlink_to(victim)
+        with pytest.raises(TransportError, match="joined: Too many levels of symbolic links"):
+            Mesh(directory)
+        assert victim.read_text() == "precious"
+        return
+    with Mesh(directory) as mesh, Mesh(directory):
+        assert mesh.receive(0) is None and mesh.participants == 2
+    assert foreign.exists()
+    if name == "c.sock":
+        stream.close()
 
 
 def test_a_directory_that_is_a_link_is_refused(directory: Path, tmp_path: Path) -> None:

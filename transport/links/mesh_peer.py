@@ -1,0 +1,37 @@
+"""One connection of the mesh: what it carries, and what it missed."""
+
+from __future__ import annotations
+
+import socket
+from contextlib import suppress
+from socket import MSG_NOSIGNAL
+from struct import Struct
+from typing import Final
+
+HEAD: Final = Struct("<dH")
+"""Time stamp, s; datagrams lost before this one."""
+
+_SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds more than QUEUE_LIMIT, see the tests
+
+
+class Peer:
+    """One connection, and how many datagrams it missed since the last one that got through."""
+
+    __slots__ = ("_send", "missed", "socket")
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        with suppress(OSError):
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        self.socket = connection
+        self._send = connection.send
+        self.missed = 0
+
+    def offer(self, datagram: bytes) -> None:
+        """Send, or raise `OSError`; never wait."""
+        if not self.missed:
+            self._send(datagram, MSG_NOSIGNAL)
+            return
+        told = min(self.missed, 0xFFFF)
+        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], told) + datagram[HEAD.size :], MSG_NOSIGNAL)
+        self.missed -= told
