@@ -1,0 +1,165 @@
+"""Second moments over one sample period in which the mode of a jump system may change at any instant, any number of times.
+
+    z = (x, v_0, ..., v_-D),    dx/dt = A_l x + B_l v_-D,    v held,    l = mode
+
+From mode i, the second moment E z z' of the paths that end in mode l without a jump is e^(-int lambda) Psi_i Z Psi_i', and of the
+others the integral over the first jump, after which the constant-rate moment equation is solved exactly (matrix exponential):
+
+    J_il = sum_j int_0^T lambda_ij e^(-lambda_i s) F_jl(T - s) (Psi_i(s) (x) Psi_i(s)) ds.
+
+All are positive maps, so that a larger rate of jumps with a smaller rate of leaving gives a larger map, and the reverse a smaller
+one: the true map lies between the two. Symmetric matrices are vectors here (``svec``), maps are matrices.
+
+Reference: thesis (2.1), (2.16), sampled.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+
+from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class TooLarge(ValueError):
+    """The loop has too many states, too long sojourns or too long periods for this test."""
+
+
+STIFF = 16.0
+"""Largest 2 |generator| T for which the instant of the first jump is integrated."""
+
+
+@cache
+def isometry(n: int) -> FloatArray:
+    """U with vec X = U svec X and U'U = I, shape (n^2, n (n + 1) / 2)."""
+    rows, cols = np.tril_indices(n)
+    out = np.zeros((n, n, rows.size))
+    weight = np.where(rows == cols, 1.0, np.sqrt(0.5))
+    out[rows, cols, np.arange(rows.size)] = out[cols, rows, np.arange(rows.size)] = weight
+    return out.reshape(n * n, rows.size)
+
+
+def svec_size(n: int) -> int:
+    """Length of svec of an n x n matrix."""
+    return n * (n + 1) // 2
+
+
+def congruence(m: FloatArray) -> FloatArray:
+    """The map X -> M X M' on svec, shape (..., p', p), for M of shape (..., n', n)."""
+    after, before = isometry(m.shape[-2]), isometry(m.shape[-1])
+    product = np.einsum("...ij,...kl->...ikjl", m, m).reshape(*m.shape[:-2], after.shape[0], before.shape[0])
+    return np.asarray(after.T @ product @ before)
+
+
+def smat(vector: FloatArray) -> FloatArray:
+    """The symmetric matrix of svec ``vector``."""
+    n = round((np.sqrt(8 * vector.size + 1) - 1) / 2)
+    return np.asarray((isometry(n) @ vector).reshape(n, n))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Box:
+    """Bounds on the rates out of one mode over a stretch of its sojourn (1/s), each of shape (N,)."""
+
+    low: FloatArray
+    high: FloatArray
+
+    def jump(self, upper: bool) -> FloatArray:
+        """The rates of jumping that make the map larger (``upper``) or smaller."""
+        return self.high if upper else self.low
+
+    def leave(self, upper: bool) -> float:
+        """The total rate of leaving that goes with them."""
+        return float((self.low if upper else self.high).sum())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PeriodMoments:
+    """The maps of one period, from z at its start to xi = (x, v_0, ..., v_-(D-1)) at its end.
+
+    Args:
+        still: of the paths without a jump but for e^(-int lambda), shape (N, p, q).
+        jumped: congruence part of the first jump at node g from i to j, ending in l: shape (N i, N j, N l, G, p, q).
+        nodes_s, weights_s: instants of the first jump and their weights, shape (G,).
+        period_s: T.
+    """
+
+    still: FloatArray
+    jumped: FloatArray
+    nodes_s: FloatArray
+    weights_s: FloatArray
+    period_s: float
+
+
+def period_moments(
+    system: JumpSystem, fresh: list[Box], period_s: float, delay: int, upper: bool, slack: float = 0.0
+) -> PeriodMoments:
+    """The maps of one period.
+
+    Args:
+        system: an uncertain one has upper maps only, which bound every uncertainty that may vary freely in time.
+        fresh: per mode, bounds of its rates over the first period of a sojourn.
+        period_s: T (s).
+        delay: D, periods between a sample and the input computed from it.
+        upper: whether the maps bound from above or from below.
+        slack: epsilon of ``uncertain_moments`` (1/s).
+    """
+    modes, n, m = system.modes, system.states, system.inputs
+    size = n + m * (delay + 1)
+    generators = np.zeros((modes, size, size))
+    generators[:, :n, :n], generators[:, :n, size - m :] = system.a, system.b
+    nodes, weights = _first_jump(2.0 * float(np.linalg.norm(generators, 2, axis=(1, 2)).max()) * period_s, period_s)
+    q = svec_size(size)
+    basis, one = isometry(size), np.eye(size)
+    sums = np.einsum("lij,ab->laibj", generators, one) + np.einsum("lij,ab->liajb", generators, one)
+    blocks = basis.T @ sums.reshape(modes, size * size, size * size) @ basis
+    if system.uncertainty is not None:
+        if not upper:
+            raise ValueError("uncertainty: is bounded from above only")
+        blocks = blocks + np.array([uncertain_moments(system, i, size, slack) for i in range(modes)])
+    whole = np.zeros((modes, q, modes, q))
+    for j, box in enumerate(fresh):
+        whole[j, :, j, :] = blocks[j] - box.leave(upper) * np.eye(q)
+        for target, rate in enumerate(box.jump(upper)):
+            whole[target, :, j, :] += rate * np.eye(q)
+    flows = expm(np.multiply.outer(period_s - nodes, whole.reshape(modes * q, modes * q)))
+    flows = flows.reshape(nodes.size, modes, q, modes, q)
+    drop = congruence(one[: size - m])
+    first = expm(blocks[:, None] * nodes[:, None, None])
+    jumped = np.einsum("pr,glrjs,igsq->ijlgpq", drop, flows, first, optimize=True)
+    return PeriodMoments(still=drop @ expm(blocks * period_s), jumped=jumped, nodes_s=nodes, weights_s=weights, period_s=period_s)
+
+
+def _first_jump(stiffness: float, period_s: float) -> tuple[FloatArray, FloatArray]:
+    # Gauss-Legendre with k points errs by about (stiffness / 4 k)^(2 k): far below rounding for what is allowed here.
+    if stiffness > STIFF:
+        raise TooLarge(f"the matrices are too large for the period: 2 |A, B| T = {stiffness:.3g}, at most {STIFF:g} is decided")
+    points, weights = np.polynomial.legendre.leggauss(6 + math.ceil(stiffness))
+    return 0.5 * period_s * (points + 1.0), 0.5 * period_s * weights
+
+
+def uncertain_moments(system: JumpSystem, mode: int, size: int, slack: float) -> FloatArray:
+    r"""What an uncertainty may add to d/dt E z z' at most, shape (q, q) on svec.
+
+    With y = (dA x + dB u, 0): y z' + z y' <= eps z z' + y y' / eps, and y y' <= [E; 0][E; 0]' |F_A x + F_B u|^2 (norm-bounded)
+    or the sum of D_v z z' D_v' over the vertices.
+    """
+    doubt, n, m = system.uncertainty, system.states, system.inputs
+    total = slack * np.eye(svec_size(size))
+    if isinstance(doubt, NormBounded):
+        left, right = np.zeros((size, doubt.e.shape[2])), np.zeros((doubt.fa.shape[1], size))
+        left[:n], right[:, :n], right[:, size - m :] = doubt.e[mode], doubt.fa[mode], doubt.fb[mode]
+        u = isometry(size)
+        return np.asarray(total + np.outer(u.T @ (left @ left.T).ravel(), u.T @ (right.T @ right).ravel()) / slack)
+    if isinstance(doubt, VertexUncertainty):
+        change = np.zeros((doubt.da.shape[0], size, size))
+        change[:, :n, :n], change[:, :n, size - m :] = doubt.da[:, mode], doubt.db[:, mode]
+        return np.asarray(total + congruence(change).sum(axis=0) / slack)
+    return np.zeros_like(total)

@@ -1,0 +1,190 @@
+"""Is the semi-Markov jump loop that a rig runs mean-square stable: sampled, held, delayed, its modes seen at the samples?
+
+    dx/dt = A_i x + B_i u,    u(t) = K(r, h) x((k - tau) T) computed in slot k, held over [(k + d) T, (k + d + 1) T)
+
+The mode i jumps at any instant; the controller sees it (Chapter 2), or a detected mode r with a clock of its own (Chapter 4), at
+the samples only, and counts the sojourn h from its first sight in whole periods. Two proofs:
+
+- one process: ``sojourn_renewal``, the second moments from one seen change to the next, between two sides; certifies and refuses;
+- failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues.
+
+What neither decides is undecided, with the reason. References: thesis (2.16)-(2.17), (4.1)-(4.3), sampled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from design.controllers.scheduled_gain import ScheduledGain
+from design.processes.delay_chain import DelayChain
+from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop.period_moments import TooLarge
+from design.semi_markov_loop.sampled_detection import DetectionLoop, lyapunov_decrease, slowest_growth
+from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
+from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded
+from design.verdict import State, Verdict
+
+TOLERANCE = 1e-6
+"""How far from the limit a number must lie to decide: rounding and quadrature stay below it."""
+MARGIN = 1e-3
+"""The least fall of V per second that counts, for P up to 1e5 I: rounding and quadrature stay below it."""
+_SLACKS = (2.0, 1.0, 4.0, 0.5, 8.0, 0.25)
+_ASSUMED = ("the rates are as given, within their own bounds", "the periods are exact and no sample or packet is lost")
+
+
+def sampled_verdict(
+    system: JumpSystem | DelayedJumpSystem,
+    process: SemiMarkov | FaultDetection,
+    gain: ScheduledGain,
+    *,
+    period_s: float,
+    tau: int | DelayChain = 0,
+    d: int | DelayChain = 0,
+    initial: int | None = None,
+) -> Verdict:
+    """Return whether the sampled loop is mean-square stable; the digest is left empty.
+
+    Args:
+        system: matrices; an uncertainty may vary freely in time (only upper bounds then certify).
+        process: rates of the mode, or failure and detection (the gain then sees r, or nothing).
+        gain: K(mode, h); h is (count of samples in the mode + tau) T.
+        period_s: T (s).
+        tau: age of the samples at the controller, in periods.
+        d: age of the packets at the actuator, in periods.
+        initial: the mode at the start, counted from 0, where only the modes that can be reached count.
+
+    Raises:
+        ValueError: shapes that do not fit, a period or delay out of range.
+    """
+    if not math.isfinite(period_s) or period_s <= 0:
+        raise ValueError(f"period_s: {period_s!r} is not a finite positive time")
+    late = [_constant(name, delay) for name, delay in (("tau", tau), ("d", d))]
+    if late[0] is None or late[1] is None:
+        return _undecided("the delay is random; the sampled jump loop is decided under constant delays only")
+    if isinstance(system, DelayedJumpSystem):
+        if system.ad.any():
+            return _undecided("the state is delayed inside the plant; sampled feedback of such a plant is not decided")
+        system = JumpSystem(a=system.a, b=system.b)
+    try:
+        if isinstance(process, FaultDetection):
+            return _detection(system, process, gain, period_s, late[0], late[1])
+        return _renewal(system, process, gain, period_s, late[0], late[1], initial)
+    except TooLarge as error:
+        return _undecided(str(error))
+
+
+def _constant(name: str, delay: int | DelayChain) -> int | None:
+    if isinstance(delay, DelayChain):
+        values = np.unique(delay.delay)
+        return int(values[0]) if values.size == 1 else None
+    if delay < 0:
+        raise ValueError(f"{name}: {delay} periods, expected none or more")
+    return int(delay)
+
+
+def _undecided(reason: str) -> Verdict:
+    return Verdict(kind="mean-square stability", state="undecided", reason=reason, method="sampled jump loop")
+
+
+def _check(modes: int, system: JumpSystem, gain: ScheduledGain) -> None:
+    expected, got = (modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
+    if got != expected:
+        raise ValueError(f"gain: (modes, inputs, states) = {got}, expected {expected}")
+
+
+def _renewal(
+    system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, period_s: float, tau: int, d: int, initial: int | None
+) -> Verdict:
+    if process.modes != system.modes:
+        raise ValueError(f"process: {process.modes} modes, the system has {system.modes}")
+    _check(system.modes, system, gain)
+    for mode in range(process.modes):
+        if not np.isfinite(process.bounds(mode, 0.0, math.inf)[1]).all():
+            return _undecided(f"the rates out of mode {mode + 1} have no finite bound")
+    modes = sorted(_reached(process, initial)) if initial is not None else list(range(system.modes))
+    loop = SampledLoop(system=system, process=process, gain=gain, period_s=period_s, tau=tau, d=d)
+    assumed: tuple[str, ...] = _ASSUMED
+    if system.uncertainty is not None:
+        assumed = (*_ASSUMED, "the uncertainty is within its bounds and may vary freely in time")
+    if system.uncertainty is None:
+        upper = renewal_radius(loop, modes, upper=True)
+    else:
+        upper = math.inf
+        for slack in _slacks(system):
+            upper = min(upper, renewal_radius(loop, modes, upper=True, slack=slack))
+            if upper < 1.0 - TOLERANCE:
+                break
+    if upper < 1.0 - TOLERANCE:
+        return _decided("certified", f"second moments are multiplied by at most {upper:.6g}", upper, assumed, modes)
+    nominal = SampledLoop(system=JumpSystem(a=system.a, b=system.b), process=process, gain=gain, period_s=period_s, tau=tau, d=d)
+    lower = renewal_radius(nominal, modes, upper=False)
+    if lower > 1.0 + TOLERANCE:
+        which = "" if system.uncertainty is None else " of the nominal loop"
+        return _decided("refused", f"second moments{which} are multiplied by at least {lower:.6g}", lower, assumed, modes)
+    why = f"second moments{'' if system.uncertainty is None else ' of the nominal loop'} are multiplied by at least {lower:.6g}"
+    return _decided("undecided", f"{why}, and by at most {upper:.6g}", upper, assumed, modes)
+
+
+def _slacks(system: JumpSystem) -> list[float]:
+    doubt = system.uncertainty
+    if isinstance(doubt, NormBounded):
+        size = float(np.linalg.norm(doubt.e, 2, axis=(1, 2)).max() * np.linalg.norm(doubt.fa, 2, axis=(1, 2)).max())
+    else:
+        size = 0.0 if doubt is None else float(np.linalg.norm(doubt.da, 2, axis=(2, 3)).max())
+    return [factor * max(size, 1e-6) for factor in _SLACKS]
+
+
+def _reached(process: SemiMarkov, initial: int) -> set[int]:
+    if not 0 <= initial < process.modes:
+        raise ValueError(f"initial: mode {initial}, expected one of 0 to {process.modes - 1}")
+    reached, new = {initial}, [initial]
+    while new:
+        mode = new.pop()
+        can = set(np.flatnonzero(process.bounds(mode, 0.0, math.inf)[1] > 0).tolist()) - reached
+        reached |= can
+        new += can
+    return reached
+
+
+def _decided(state: State, what: str, number: float, assumed: tuple[str, ...], modes: Iterable[int]) -> Verdict:
+    return Verdict(
+        kind="mean-square stability", state=state, reason=f"{what} from one seen change of the mode to the next", number=number,
+        quantity="spectral radius of the second moments per seen sojourn", limit=1.0, assumptions=assumed,
+        method="sampled jump loop: sojourns between proved sides", details={"modes": [mode + 1 for mode in modes]},
+    )  # fmt: skip
+
+
+def _detection(system: JumpSystem, process: FaultDetection, gain: ScheduledGain, period_s: float, tau: int, d: int) -> Verdict:
+    if system.uncertainty is not None:
+        return _undecided("an uncertainty beside a detected mode is not decided")
+    if process.failure.modes != system.modes:
+        raise ValueError(f"process: {process.failure.modes} failure modes, the system has {system.modes}")
+    if gain.measured not in ((), ("r",)):
+        return _undecided(f"the gain depends on {' and '.join(gain.measured)}; a controller sees the detected mode only")
+    _check(process.detection[0].modes if gain.measured else 1, system, gain)
+    if gain.schedule != "hold":
+        return _undecided("a gain that is linear in the sojourn time is not decided beside a detected mode")
+    rows = [(process.failure, i) for i in range(system.modes)]
+    rows += [(one, k) for one in process.detection for k in range(one.modes)]
+    if not all(np.isfinite(one.bounds(mode, 0.0, math.inf)[1]).all() for one, mode in rows):
+        return _undecided("a rate has no finite bound")
+    loop = DetectionLoop.of(system, process, gain, period_s=period_s, tau=tau, d=d)
+    found = lyapunov_decrease(loop)
+    method = "sampled jump loop: Lyapunov function on failure, detection and section"
+    if found.holds and found.margin > MARGIN:
+        return Verdict(
+            kind="mean-square stability", state="certified", number=-found.margin, limit=0.0, method=method,
+            quantity="largest eigenvalue of the change of V per second, P >= I", assumptions=_ASSUMED,
+            reason=f"a Lyapunov function falls over every period: {found.explain()}",
+        )  # fmt: skip
+    growth = slowest_growth(loop)
+    state: State = "refused" if growth > 1.0 + TOLERANCE else "undecided"
+    reason = f"second moments are multiplied by at least {growth:.6g} per period"
+    return Verdict(
+        kind="mean-square stability", state=state, number=growth, limit=1.0, method=method, assumptions=_ASSUMED,
+        quantity="lower bound of the spectral radius of the second moments per period",
+        reason=reason if state == "refused" else f"{reason}; {found.explain()}",
+    )  # fmt: skip

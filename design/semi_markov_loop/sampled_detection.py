@@ -1,0 +1,177 @@
+"""A Lyapunov function for the sampled loop of Chapter 4: a failure that is not seen, and its late detection, with a clock each.
+
+    V = xi' P_ikb xi,    i = eta, k = r, b = the section of the gain that the count of samples in k selects,
+
+falls on average over one period, whatever the rates do within their bounds: with lambda_t any rate out of (i, k), mu_t its
+infimum over the period and delta_t the most that it varies within two periods,
+
+    e^(-|mu| T) Psi' P_ikb Psi + sum_t (mu_t + delta_t) (landing at t and what follows within the period) - P_ikb < 0,
+
+convex in mu, so that it is checked at the corners of the bounds. P falls where the count enters a new section. Where r was left
+and entered again between two samples nobody sees it: the bounds of section b hold for every younger age too.
+
+Reference: thesis (4.2), (4.14), sampled.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.scheduled_gain import ScheduledGain
+from design.lmi.program import Array, LmiProgram, LmiSolution
+from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop.growth import gain_mode
+from design.semi_markov_loop.period_moments import Box, PeriodMoments, congruence, isometry, period_moments, svec_size
+from design.semi_markov_loop.sojourn_renewal import SampledLoop, check_size, rates_by_age
+from design.semi_markov_loop.system import JumpSystem
+
+FloatArray = npt.NDArray[np.float64]
+CONDITION = 1e5
+"""Largest condition number of P that is searched."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DetectionLoop:
+    """The loop of Chapter 4 on pairs (eta, r), index eta N_r + r, with the gain of every pair.
+
+    Args:
+        pairs: matrices, gains (row of every pair), period and delays; its ``process`` is not used.
+        process: both processes.
+    """
+
+    pairs: SampledLoop
+    process: FaultDetection
+
+    @classmethod
+    def of(
+        cls, system: JumpSystem, process: FaultDetection, gain: ScheduledGain, *, period_s: float, tau: int, d: int
+    ) -> DetectionLoop:
+        """The loop with the gains that a controller has which sees ``gain.measured``."""
+        seen = process.detection[0].modes
+        both = list(itertools.product(range(system.modes), range(seen)))
+        eta = [i for i, _ in both]
+        rows = [gain_mode(gain, process, i, k) for i, k in both]
+        paired = JumpSystem(a=system.a[eta], b=system.b[eta])
+        table = replace(gain, gain=gain.gain[rows], starts_s=gain.starts_s[rows])
+        if gain.schedule != "hold":
+            raise ValueError("gain: a linear schedule is not covered with two processes, hold it")
+        loop = SampledLoop(system=paired, process=process.failure, gain=table, period_s=period_s, tau=tau, d=d)
+        check_size(loop)
+        return cls(pairs=loop, process=process)
+
+    @property
+    def seen(self) -> int:
+        """Number of detection modes."""
+        return self.process.detection[0].modes
+
+    def targets(self, pair: int) -> list[int]:
+        """The pairs that one jump leads to."""
+        i, k = divmod(pair, self.seen)
+        return [j * self.seen + k for j in self.process.failure.targets(i)] + [
+            i * self.seen + j for j in self.process.detection[i].targets(k)
+        ]
+
+    def box(self, pair: int, until_s: float) -> Box:
+        """Bounds of the rates out of a pair while r is younger than ``until_s``, by the pair that they lead to."""
+        i, k = divmod(pair, self.seen)
+        shape = (2, self.process.failure.modes, self.seen)
+        out = np.zeros(shape)
+        for side, (eta, r) in enumerate(
+            zip(self.process.failure.bounds(i, 0.0, math.inf), self.process.detection[i].bounds(k, 0.0, until_s))
+        ):
+            out[side, :, k] += eta
+            out[side, i, :] += r
+        if not np.isfinite(out).all():
+            raise ValueError(f"rates: no finite bound at eta = {i + 1}, r = {k + 1}; clip them")
+        return Box(low=out[0].ravel(), high=out[1].ravel())
+
+    def first(self, pair: int) -> int:
+        """The section of the gains at count 0."""
+        return int(np.searchsorted(self.pairs.gain.starts_s[pair], self.pairs.tau * self.pairs.period_s, side="right")) - 1
+
+    def variation(self, pair: int) -> FloatArray:
+        """The most that each rate out of a pair varies within two periods (1/s)."""
+        i, k = divmod(pair, self.seen)
+        out = np.zeros((self.process.failure.modes, self.seen))
+        out[:, k] += _variation(self.process.failure, i, self.pairs.period_s)
+        out[i, :] += _variation(self.process.detection[i], k, self.pairs.period_s)
+        return out.ravel()
+
+
+def _variation(process: SemiMarkov, mode: int, period_s: float) -> FloatArray:
+    ages = rates_by_age(process, mode, period_s)
+    boxes = [ages.over(c, c + 1) for c in range(ages.end + 1)]
+    return np.asarray(np.max([box.high - box.low for box in boxes], axis=0))
+
+
+def slowest_growth(loop: DetectionLoop) -> float:
+    """A lower bound of the growth of E|xi|^2 per period: of the paths on the last sections of the gains, at the least rates."""
+    pairs = loop.pairs
+    everywhere = [loop.box(pair, math.inf) for pair in range(pairs.system.modes)]
+    maps = period_moments(pairs.system, everywhere, pairs.period_s, pairs.delay, False)
+    p = svec_size(pairs.size)
+    out = np.zeros((pairs.system.modes, p, pairs.system.modes, p))
+    for pair, box in enumerate(everywhere):
+        lift = congruence(pairs.sampled_at(pairs.gain.gain[pair, -1]))
+        weights = maps.weights_s * np.exp(-float(box.high.sum()) * maps.nodes_s)
+        leaps = np.einsum("t,g,tlgpq->lpq", box.low, weights, maps.jumped[pair], optimize=True) @ lift
+        for end in range(pairs.system.modes):
+            if end % loop.seen == pair % loop.seen or loop.first(end) + 1 == pairs.gain.starts_s.shape[1]:
+                out[end, :, pair, :] += leaps[end]
+        out[pair, :, pair, :] += math.exp(-float(box.high.sum()) * pairs.period_s) * maps.still[pair] @ lift
+    size = pairs.system.modes * p
+    return float(np.abs(np.linalg.eigvals(out.reshape(size, size))).max())
+
+
+def lyapunov_decrease(loop: DetectionLoop) -> LmiSolution:
+    """Search P_ikb and check every inequality by its eigenvalues; raises ValueError as the rates' bounds do."""
+    pairs, T = loop.pairs, loop.pairs.period_s
+    everywhere = [loop.box(pair, math.inf) for pair in range(pairs.system.modes)]
+    maps = period_moments(pairs.system, everywhere, T, pairs.delay, True)
+    program = LmiProgram(reach=CONDITION)
+    size = pairs.size
+    for pair in range(pairs.system.modes):
+        starts = pairs.gain.starts_s[pair]
+        for b, stop in enumerate([*starts[1:].tolist(), math.inf]):
+            name = f"P[{pair},{b}]"
+            program.symmetric(name, size)
+            program.require(f"{name} >= I", lambda p: np.eye(size) - p, name, strict=False)
+            program.require(f"{name} bounded", lambda p: p - CONDITION * np.eye(size), name, strict=False)
+            box = loop.box(pair, stop + 2 * T)
+            _require_decrease(program, loop, maps, pair, b, box)
+            if b + 1 < starts.size:
+                program.require(f"{name} falls", lambda p, q: q - p, name, f"P[{pair},{b + 1}]", strict=False)
+    return program.solve()
+
+
+def _require_decrease(program: LmiProgram, loop: DetectionLoop, maps: PeriodMoments, pair: int, section: int, box: Box) -> None:
+    pairs, T = loop.pairs, loop.pairs.period_s
+    sampled = pairs.sampled_at(pairs.gain.gain[pair, section])
+    lift, own = congruence(sampled), f"P[{pair},{section}]"
+    weights = maps.weights_s * np.exp(-float(box.low.sum()) * maps.nodes_s)
+    basis = isometry(pairs.size)
+    targets, delta = loop.targets(pair), loop.variation(pair)
+    # seen to stay in r: the count goes on; seen to change: it starts anew. By the pair at the end of the period.
+    ends = list(range(pairs.system.modes))
+    landing = [own if j == pair else f"P[{j},{section if j % loop.seen == pair % loop.seen else loop.first(j)}]" for j in ends]
+    leaps = np.tensordot(weights, maps.jumped[pair][targets], axes=(0, 2)) @ lift  # (targets, end pair, p, p)
+    leaps, still = basis @ leaps @ basis.T, basis @ (maps.still[pair] @ lift) @ basis.T
+    corners = itertools.product(*({float(box.low[t]), float(box.high[t])} for t in targets))
+    for corner in corners:
+        arriving = np.tensordot(np.array(corner) + delta[targets], leaps, axes=(0, 0))
+        arriving[pair] += math.exp(-sum(corner) * T) * still
+        function = partial(_change, arriving=arriving, period_s=T)
+        program.require(f"decrease of {own} at rates {corner}", function, own, *landing)
+
+
+def _change(own: Array, *after: Array, arriving: FloatArray, period_s: float) -> Array:
+    n, value = own.shape[-1], -own
+    for p, leap in zip(after, arriving):
+        value = value + (p.reshape(*p.shape[:-2], 1, n * n) @ leap).reshape(p.shape)
+    return np.asarray(value / period_s)
