@@ -58,7 +58,7 @@ def command(
     from design.tracking.design_file import design_text, to_document
     from design.tracking.synthesis import solve
     from hil.cli.outputs import check_output, write_output
-    from hil.compose.design_problem import problem_for, site
+    from hil.compose.design_problem import problem_for, site, verdict_on
     from hil.log.write.provenance import package_versions
 
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
@@ -84,6 +84,7 @@ def command(
     document = to_document(
         design, plant=where.plant, period_s=where.period_s, wall_s=wall_s, versions=package_versions()
     )
+    document["verdict"] = verdict_on(where, design).to_json()
     if path is not None:
         write_output(path, design_text(document), replace=force)
         document["file"] = str(path)
@@ -147,6 +148,7 @@ def _show(design: Design, document: dict[str, Any]) -> None:
             f"{c.hinf_norm:.6g}",
             f"any causal controller: >= {bounds['hinf_delayed_information']:.4g}" if bounds else "",
         ),
+        ("verdict", document["verdict"]["state"], f"{document['verdict']['kind']}, of the plant's linear model"),
         ("second-moment radius", f"{c.mean_square_radius:.6f}", "mean-square stable" if c.stable else "NOT STABLE"),
         ("margin of (7.17)", f"{c.lyapunov_margin:.3g}", f"rounding {c.rounding:.1g}"),
         ("margin of (7.28)", "-" if c.hinf_margin is None else f"{c.hinf_margin:.3g}", "at gamma (1 + 1e-6)"),

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from design.controllers import LoopModel
 from design.processes.delay_chain import DelayChain
 from design.tracking.problem import TrackingProblem
+from design.verdict import Verdict, digest
+from hil.compose.send_all_loop import judge_gains
 from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from design.tracking.synthesis import Design
 
 LAMBDA = ((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1))
 PI = ((0.5, 0.5), (0.7, 0.3))
@@ -80,6 +86,20 @@ def site(name: str, period_s: float | None = None, sojourns: int = 1) -> Site:
     if name == "vtol" and period_s is None and not of_experiment:
         A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
     return Site(name, float(period), A, B, C, sc, ca)
+
+
+def verdict_on(place: Site, design: Design) -> Verdict:
+    """Return what the door says of a design over the network that it was made for."""
+    sc, ca = design.problem.chains
+    system = {"A": place.A, "B": place.B, "C": place.C, "gains": design.gains, "selection": design.selection}
+    system |= {"sc": sc.matrix, "sc delays": sc.delay, "ca": ca.matrix, "ca delays": ca.delay, "period": place.period_s}
+    model = LoopModel(
+        A=place.A, B=place.B, C=place.C, period_s=place.period_s, tau_max=sc.max_delay, d_max=ca.max_delay
+    )  # fmt: skip
+    return judge_gains(
+        model, sc, ca, design.gains, design.selection, samples=design.problem.samples,
+        integral=bool(design.problem.integral), digest=digest(system),
+    )  # fmt: skip
 
 
 def problem_for(place: Site, **options: Any) -> TrackingProblem:

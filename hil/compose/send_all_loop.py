@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from design.controllers import GainTable, integrates, packet_samples
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import GainTable, LoopModel, integrates, packet_samples
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
 from hil.compose.delay_chains import gains_over
 from hil.experiment.protocols import JumpPlant
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
 
 
 def certify_send_all(loop: LoopToCertify) -> Verdict | None:
@@ -21,11 +29,40 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
         return undecided(loop, "mean-square stability", "there is no certificate for this kind of network law")
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", "there is no certificate for a table of gains over a plant that jumps")
+    gains = gains_over(controller, loop.model, loop.sc, loop.ca)
+    verdict = judge_gains(
+        loop.model, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),
+        integral=integrates(controller), digest=loop.digest,
+    )  # fmt: skip
+    return limited_to_model(loop, verdict)
+
+
+def judge_gains(
+    model: LoopModel,
+    sc: DelayChain,
+    ca: DelayChain,
+    gains: NDArray[np.float64],
+    selection: str,
+    *,
+    samples: int = 1,
+    integral: bool = False,
+    digest: str = "",
+) -> Verdict:
+    """Return the verdict on a table of gains over a linear plant and two delay chains.
+
+    Args:
+        model: the plant at the sample period.
+        sc, ca: the delay chains.
+        gains: shape (labels of tau, rows, m, p').
+        selection: how the actuator picks a row.
+        samples: samples per sensor packet.
+        integral: whether the gains have columns for the integral of the error.
+        digest: of the loop that the verdict is on.
+    """
     from design.networked_loop.certify import certify_loop
 
     certificate = certify_loop(
-        loop.model.A, loop.model.B, loop.model.C, loop.sc, loop.ca, gains_over(controller, loop.model, loop.sc, loop.ca),
-        controller.selection, samples=packet_samples(controller), integral=float(integrates(controller)),
+        model.A, model.B, model.C, sc, ca, gains, selection, samples=samples, integral=float(integral)
     )  # fmt: skip
     radius = certificate.mean_square_radius
     stable = f"second-moment radius {radius:.4f}"
@@ -38,9 +75,8 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
     assumptions: tuple[str, ...] = ("no packet is later than its law says", "no limit trips")
     if certificate.tail_radius is not None:
         assumptions += ("a sojourn law's tail is as the law states it: the emulator ends every stay of probability below 1e-16",)
-    verdict = Verdict(
+    return Verdict(
         kind="mean-square stability", state=certificate.state, reason=reason, number=radius,
         quantity="second-moment radius per slot", limit=1.0, details=certificate.to_json(),
-        method="second moments of the jump-linear loop (Theorem 7.1)", assumptions=assumptions, digest=loop.digest,
+        method="second moments of the jump-linear loop (Theorem 7.1)", assumptions=assumptions, digest=digest,
     )  # fmt: skip
-    return limited_to_model(loop, verdict)

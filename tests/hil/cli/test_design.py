@@ -21,6 +21,7 @@ def test_json_is_one_object_with_gains_norms_and_certificate():
     found = json.loads(result.stdout)
     assert result.exit_code == 0
     assert found["norms"]["h2"] <= 3.4697 and found["certificate"]["stable"]
+    assert found["verdict"]["state"] == "certified" and found["verdict"]["number"] < found["verdict"]["limit"] == 1.0
     assert len(found["gains"]) == 3 and len(found["gains"][0]) == 2
     assert found["lower_bounds"]["h2_delayed_information"] < found["norms"]["h2"]
 
