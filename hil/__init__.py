@@ -1,1 +1,84 @@
+"""Test a networked controller without the hardware.
 
+    import hil
+
+    session = hil.run("dc-motor-hinf", seed=3, **{"plant.gain": 150})
+    session.metrics["sse"]                       # a number, session.summary["units"]["sse"] its unit
+    session.arrays["/plant/measurement"]         # a structured numpy array per topic of the log
+
+========================  =======================================================================
+`load_experiment`         a shipped name or a TOML file, checked: every fault is told at once
+`run`                     run it, in virtual or real time, with or without a log: a `Session`
+`simulate`                run it in virtual time, in memory only: a `Run`
+`read_run`                a log, read back: a `Run`
+`sweep`, `compare`        many seeds of one experiment; several experiments on the same delays
+`design`                  gains for a plant over a network, with their norms and bounds
+`HilError`                what all of them raise for what the caller can mend
+========================  =======================================================================
+
+Importing this package costs nothing: each name brings its module when it is first used. ``hil guide`` prints the guide.
+
+>>> import hil
+>>> hil.run("dc-motor-hinf", seed=3, duration=2)
+<Session dc-motor-hinf seed 3, virtual time, 40 slots, sse 11.407>
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from hil.errors import ExperimentError, HilError
+    from hil.experiment import Experiment
+    from hil.face import compare, design, load_experiment, run, simulate, sweep
+    from hil.log.read.run import Run, read_run
+    from hil.session import Session
+    from hil.sweeps.comparison import Comparison
+    from hil.sweeps.seeds import Sweep
+
+_HOMES: Final = {
+    "Comparison": "hil.sweeps.comparison",
+    "Experiment": "hil.experiment",
+    "ExperimentError": "hil.errors",
+    "HilError": "hil.errors",
+    "Run": "hil.log.read.run",
+    "Session": "hil.session",
+    "Sweep": "hil.sweeps.seeds",
+    "compare": "hil.face",
+    "design": "hil.face",
+    "load_experiment": "hil.face",
+    "read_run": "hil.log.read.run",
+    "run": "hil.face",
+    "simulate": "hil.face",
+    "sweep": "hil.face",
+}
+
+__all__ = [
+    "Comparison",
+    "Experiment",
+    "ExperimentError",
+    "HilError",
+    "Run",
+    "Session",
+    "Sweep",
+    "compare",
+    "design",
+    "load_experiment",
+    "read_run",
+    "run",
+    "simulate",
+    "sweep",
+]
+
+
+if not TYPE_CHECKING:  # a type checker shall tell a name that is not there
+
+    def __getattr__(name: str) -> object:
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

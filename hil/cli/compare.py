@@ -34,8 +34,9 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     from hil.cli.terminal import cell, visible
     from hil.experiment import load_experiment
     from hil.measure.signals import with_unit
-    from hil.report.compare import common_quantities, compare_page, paired
-    from hil.sweeps.seeds import here, quantities_in, run_sweep, statistics
+    from hil.report.compare import compare_page
+    from hil.sweeps.comparison import compare
+    from hil.sweeps.seeds import statistics
 
     if runs < 2:
         raise HilError(f"--runs: {runs} is below 2")
@@ -45,38 +46,29 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     if len(set(experiments)) < len(experiments):
         raise HilError("the same experiment is named twice")
     checked = {name: load_experiment(name) for name in experiments}
-    quantities = common_quantities([quantities_in(experiment) for experiment in checked.values()])
-    names = [quantity.name for quantity in quantities]
     err = Console(stderr=True)
-    found = {}
     with Progress(console=err, disable=not err.is_terminal) as bar:
-        for name, experiment in checked.items():
-            task = bar.add_task(escape(visible(name)), total=runs)
-            ran = run_sweep(
-                experiment,
-                range(runs),
-                ladder=here(jobs),
-                progress=lambda done, task=task: bar.update(task, completed=done),  # type: ignore[misc]
-            )
-            if ran.interrupted:
-                print("hil: interrupted", file=sys.stderr)
-                sys.exit(ran.interrupted)
-            found[name] = ran.values
+        tasks = {name: bar.add_task(escape(visible(name)), total=runs) for name in checked}
+        comparison = compare(checked, runs, jobs=jobs, progress=lambda name, done: bar.update(tasks[name], completed=done))
+    if comparison.interrupted:
+        print("hil: interrupted", file=sys.stderr)
+        sys.exit(comparison.interrupted)
+    names = [quantity.name for quantity in comparison.quantities]
     if output is not None:
-        write_output(output, compare_page(found, runs, quantities))
+        write_output(output, compare_page(comparison))
     first = experiments[0]
     out: dict[str, Any] = {
         name: {
             "stopped_by_safety": int(values["stopped"].sum()),
             "metrics": {m: statistics(values[m]) for m in names},
-            "difference": {m: paired(found[first][m], values[m]) for m in names},
+            "difference": {m: comparison.difference(name, m) for m in names},
         }
-        for name, values in found.items()
+        for name, values in comparison.values.items()
     }
     if as_json:
         print(json.dumps({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None}, indent=2))
         return
-    for quantity in quantities:
+    for quantity in comparison.quantities:
         metric = quantity.name
         table = Table(title=with_unit(metric, quantity.unit))
         for head in ("experiment", "runs", "mean", "sd", "difference", "95 % interval"):

@@ -1,51 +1,22 @@
-"""Several experiments under common random numbers: distributions of their metrics, and paired differences."""
+"""The page of a comparison: distributions of every quantity, and paired differences."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hil.measure.measure import Quantity
 from hil.report.html.figures import Block, Figure, Section, Series, Table
 from hil.report.html.page import render_page
+from hil.sweeps.comparison import Comparison
 
 
-def paired(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
-    """Return mean difference b - a over the seeds that both have, and its 95 % interval (normal, paired)."""
-    both = np.isfinite(a) & np.isfinite(b)
-    gap = (b - a)[both]
-    if gap.size < 2:
-        return {"n": int(gap.size), "mean": None, "low": None, "high": None}
-    half = 1.96 * float(gap.std(ddof=1)) / float(np.sqrt(gap.size))
-    mean = float(gap.mean())
-    return {"n": int(gap.size), "mean": mean, "low": mean - half, "high": mean + half}
-
-
-def common_quantities(several: Sequence[Sequence[Quantity]]) -> tuple[Quantity, ...]:
-    """Return the quantities that all of several experiments have; one whose unit differs between them has none."""
-    first, *others = ({q.name: q for q in quantities} for quantities in several)
-    return tuple(
-        q if all(other[name].unit == q.unit for other in others) else replace(q, unit="")
-        for name, q in first.items()
-        if all(name in other for other in others)
-    )
-
-
-def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: int, quantities: Sequence[Quantity]) -> str:
+def compare_page(comparison: Comparison) -> str:
     """Return the page: empirical distribution functions per metric, one curve per experiment, and the table.
-
-    Args:
-        found: mapping of experiment to metrics. What :func:`hil.sweeps.seeds.sweep` gives, per experiment, over the same seeds.
-        runs: number of seeds.
-        quantities: what is compared, with titles and units; see `common_quantities`.
     """
-    names = list(found)
+    found, names = comparison.values, list(comparison.values)
     sections = []
-    for quantity in quantities:
+    for quantity in comparison.quantities:
         metric, title = quantity.name, quantity.title
         series = []
         for i, name in enumerate(names):
@@ -59,7 +30,7 @@ def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: i
         for name in names:
             values = found[name][metric]
             finite = values[np.isfinite(values)]
-            gap = paired(found[names[0]][metric], values)
+            gap = comparison.difference(name, metric)
             rows.append([
                 name, int(finite.size), *([float(finite.mean()), float(finite.std(ddof=1)) if finite.size > 1 else 0.0,
                 *map(float, np.percentile(finite, (5, 50, 95)))] if finite.size else [None] * 5),
@@ -88,5 +59,5 @@ def compare_page(found: Mapping[str, Mapping[str, NDArray[np.float64]]], runs: i
         "Comparison of experiments",
         sections,
         subtitle=", ".join(names),
-        facts=(("runs of each", str(runs)), ("stopped by safety", stopped)),
+        facts=(("runs of each", str(comparison.runs)), ("stopped by safety", stopped)),
     )

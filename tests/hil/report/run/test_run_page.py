@@ -8,10 +8,11 @@ from hil.experiment import Experiment, load_experiment
 from hil.log.read.run import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.report.compare import common_quantities, compare_page
+from hil.report.compare import compare_page
 from hil.report.html.figures import Band, Section, Series, Text
 from hil.report.run.run_page import render_report
 from hil.report.run.time_panels import Prediction, markers, output_panels
+from hil.sweeps.comparison import Comparison, common_quantities
 from hil.sweeps.seeds import columns_of, quantities_in
 from tests.hil.report.runs import run_of
 
@@ -119,10 +120,10 @@ def test_events_stand_in_the_order_of_time() -> None:
 
 def test_page_of_a_comparison_takes_its_units_from_the_plants() -> None:
     vtol, motor = (load_experiment(name) for name in ("vtol-hinf", "dc-motor-hinf"))
-    found = {name: {m: np.arange(3.0) for m in columns_of(motor)} for name in ("a", "b")}
+    values = {name: {m: np.arange(3.0) for m in columns_of(motor)} for name in ("a", "b")}
 
     def page(*of: Experiment) -> str:
-        return compare_page(found, 3, common_quantities([quantities_in(e) for e in of]))
+        return compare_page(Comparison(runs=3, values=values, quantities=common_quantities([quantities_in(e) for e in of])))
 
     assert "squared tracking error (kn\\u00b2 s)" in page(vtol, vtol) and "(rad" not in page(vtol, vtol)
     assert '"largest input"' in page(vtol, vtol), "an input of a pure number has no unit"

@@ -1,0 +1,208 @@
+"""What a program or a notebook calls: the functions behind ``import hil``, each a few lines over the rooms."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from hil import experiment as asked
+from hil.compose.design_problem import problem_for, site
+from hil.compose.loop import Loop, compose
+from hil.errors import HilError
+from hil.experiment import Experiment
+from hil.log.read.run import Run
+from hil.session import ClockName, Session, run_session
+from hil.session import simulate as simulate_loop
+from hil.sweeps.comparison import Comparison
+from hil.sweeps.comparison import compare as compare_experiments
+from hil.sweeps.seeds import Sweep, here, run_sweep
+
+if TYPE_CHECKING:
+    from design.tracking.synthesis import Design
+
+Source = str | Path | Experiment
+
+
+def load_experiment(
+    source: str | Path, sets: Sequence[str] = (), *, seed: int | None = None, duration: str | float | None = None, **changes: Any
+) -> Experiment:
+    """Read and check an experiment.
+
+    Args:
+        source: name of a shipped experiment, or path of a TOML file.
+        sets: changes ``path=value`` in TOML notation, as ``hil run --set`` takes them.
+        seed: root of all random streams.
+        duration: length of a run: seconds, or text such as "2 min".
+        changes: path to value, as ``**{"plant.gain": 150, "links.sc.max_age": 4}``.
+
+    Raises:
+        HilError: with every fault found, each with the path of its field.
+    """
+    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in changes.items())]
+    return asked.load_experiment(source, said, seed=seed, duration=None if duration is None else str(duration))
+
+
+def run(
+    source: Source,
+    *,
+    seed: int | None = None,
+    duration: str | float | None = None,
+    clock: ClockName = "virtual",
+    link: str | None = None,
+    log: str | Path | None = None,
+    external: bool = False,
+    **changes: Any,
+) -> Session:
+    """Run an experiment and measure it.
+
+    Args:
+        source: name of a shipped experiment, path of a TOML file, or what `load_experiment` returned.
+        seed, duration: as in `load_experiment`.
+        clock: "virtual" (one process, reproducible) or "real" (separate processes over ``link``).
+        link: URI of the real link; the experiment's own by default.
+        log: where to keep the log, a new file; without it none is kept.
+        external: somebody else's controller answers on the link.
+        changes: path to value, as in `load_experiment`.
+
+    Returns:
+        the session: ``metrics``, ``arrays``, ``summary``, ``status``.
+
+    Raises:
+        HilError: if the experiment cannot be run, or the log exists already.
+    """
+    checked = _checked(source, seed, duration, changes)
+    if clock == "virtual" and (link is not None or external):
+        raise HilError("link and external need clock='real': virtual time runs in one process, without a link")
+    if log is not None:
+        path = Path(log)
+        if path.exists():
+            raise HilError(f"log {path}: exists already; choose another")
+        return run_session(checked, clock=clock, link=link, path=path, external=external)
+    with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
+        session = run_session(checked, clock=clock, link=link, path=Path(folder) / "run.mcap", external=external)
+    summary = session.summary | {"log": session.summary["log"] | {"path": None}}
+    return Session(run=session.run, summary=summary, status=session.status)
+
+
+def simulate(
+    source: Source | Loop,
+    *,
+    seed: int | None = None,
+    duration: str | float | None = None,
+    topics: Sequence[str] | None = None,
+    **changes: Any,
+) -> Run:
+    """Run an experiment in virtual time and keep its records in memory: no file, no summary, the quickest way.
+
+    Args:
+        source: as in `run`, or a loop that was composed once for many runs.
+        seed, duration: as in `load_experiment`.
+        topics: what to keep; everything by default.
+        changes: path to value, as in `load_experiment`.
+
+    Raises:
+        HilError: if the experiment cannot be run.
+    """
+    if isinstance(source, Loop):
+        if duration is not None or changes:
+            raise HilError("a composed loop takes no changes: give them to load_experiment")
+        return simulate_loop(source, source.experiment.seed if seed is None else seed, topics)
+    checked = _checked(source, seed, duration, changes)
+    return simulate_loop(compose(checked), checked.seed, topics)
+
+
+def sweep(source: Source, *, runs: int = 100, first_seed: int = 0, jobs: int = -1, **changes: Any) -> Sweep:
+    """Run an experiment for many seeds in virtual time.
+
+    Args:
+        source: as in `run`.
+        runs: how many; seeds ``first_seed``, ``first_seed + 1``, ...
+        first_seed: the first of them.
+        jobs: processes on this machine, -1 for one per core.
+        changes: path to value, as in `load_experiment`.
+
+    Returns:
+        ``values``: column to array, one entry per seed (``seed``, ``stopped`` and every number of the measures).
+
+    Raises:
+        HilError: if the experiment cannot be run.
+    """
+    if runs < 1 or first_seed < 0:
+        raise HilError(f"runs: {runs}, first_seed: {first_seed}; expected at least one run and no negative seed")
+    return run_sweep(_checked(source, None, None, changes), range(first_seed, first_seed + runs), ladder=here(jobs))
+
+
+def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -> Comparison:
+    """Run several experiments for the same seeds, so that those with the same network laws meet the same delays.
+
+    Args:
+        sources: as in `run`; differences are against the first.
+        runs: of each; seeds 0, 1, ...
+        jobs: processes on this machine, -1 for one per core.
+        changes: path to value, for all of them.
+
+    Raises:
+        HilError: if an experiment cannot be run, or two have one name.
+    """
+    checked = [_checked(source, None, None, changes) for source in sources]
+    named = {experiment.name: experiment for experiment in checked}
+    if not named or len(named) < len(checked):
+        raise HilError(f"compare: {len(checked)} experiments have {len(named)} names; expected one name each")
+    if runs < 2:
+        raise HilError(f"compare: {runs} runs of each; expected at least 2")
+    return compare_experiments(named, runs, jobs=jobs)
+
+
+def design(source: str, *, period: float | None = None, sojourns: int = 1, **options: Any) -> Design:
+    """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
+
+    Args:
+        source: name of a plant plug-in or of an experiment.
+        period: sample period in s; the thesis's, or the experiment's, by default.
+        sojourns: lengths of stay at the measured tau that a gain tells apart, over semi-Markov delays.
+        options: of `design.TrackingProblem`: objective ("h2", "hinf", "mixed"), information, R, samples, ...
+
+    Returns:
+        the design: ``gains``, ``certificate``, ``problem``.
+
+    Raises:
+        HilError: an option that does not fit, or no gains meet the request.
+    """
+    from design.errors import DesignError
+    from design.tracking.synthesis import solve
+
+    try:
+        return solve(problem_for(site(source, period, sojourns), **options))
+    except (DesignError, TypeError) as error:
+        raise HilError(f"design: {error}") from error
+
+
+def _checked(source: Source, seed: int | None, duration: str | float | None, changes: Mapping[str, Any]) -> Experiment:
+    if not isinstance(source, Experiment):
+        given = {"seed": seed, "duration": duration}
+        return load_experiment(source, **{key: value for key, value in given.items() if value is not None} | dict(changes))
+    if duration is not None or changes:
+        raise HilError("a loaded experiment takes no changes: give them to load_experiment")
+    return source if seed is None else msgspec.structs.replace(source, seed=seed)
+
+
+def _toml(value: Any, path: str) -> str:
+    """Return a value in TOML notation."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(v, path) for v in value)}]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_toml(str(k), path)} = {_toml(v, path)}" for k, v in value.items()) + "}"
+    raise HilError(f"{path}: {type(value).__name__} is no value of an experiment; expected a number, text, a list or a table")
