@@ -1,0 +1,166 @@
+r"""Theorem 5.1 with its functional put right, and a scheme that never leaves its feasible set.
+
+.. math:: V = x^T P x + \sum_{j=1}^{\tau} \sum_{h=-j}^{-1} x(k+h)^T Q_j x(k+h)
+
+proves J < V(0) if, for every phase i,
+
+.. math:: \begin{bmatrix} -P^{-1} & \bar A_c(i) \\ \bar A_c(i)^T & -\Omega \end{bmatrix} < 0,
+    \qquad \Omega = \mathrm{diag}(P - \textstyle\sum_j Q_j - \Xi, Q_1, \dots, Q_\tau)
+
+P^{-1} >= 2 X - X P X for every X, so that the inequality with 2 X - X P X in its place is sufficient, and convex in (P, Q, K).
+With X the inverse of the last P every iterate is feasible and the bound falls.
+
+DEVIATION: the printed functional sums h from j - tau - 1, which pairs Q_j with the lag tau + 1 - j (ERRATA).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from design.errors import Infeasible
+from design.historical_data.information import Mask
+from design.historical_data.lifted_loop import Array, DelayedPlant
+
+MARGIN = 1e-6
+
+
+class BlockDiagonalProof(NamedTuple):
+    """P, Q_1 ... Q_tau, the gains that they prove, and the bound of the cost after each iteration."""
+
+    P: Array
+    Q: Array
+    gains: Array
+    bounds: tuple[float, ...]
+
+
+def functional(P: Array, Q: Array, history: Sequence[Array]) -> float:
+    """Return V(0), the bound of the cost.
+
+    Args:
+        P: (n, n).
+        Q: (tau, n, n).
+        history: x(0), x(-1), ...; what is not given is zero.
+    """
+    x = [np.asarray(each, dtype=float) for each in history]
+    past = sum(x[h] @ Q[j - 1] @ x[h] for j in range(1, len(Q) + 1) for h in range(1, min(j + 1, len(x))))
+    return float(x[0] @ P @ x[0] + past)
+
+
+def largest_eigenvalue(plant: DelayedPlant, gains: Array, P: Array, Q: Array) -> float:
+    """Return the largest eigenvalue of (5.9) with X = P^-1 over all phases; below 0 the bound is proved."""
+    n, tau = len(P), len(Q)
+    size = n * (tau + 1)
+    omega = np.zeros((size, size))
+    omega[:n, :n] = P - Q.sum(axis=0) - plant.weight
+    for j in range(tau):
+        at = slice(n * (j + 1), n * (j + 2))
+        omega[at, at] = Q[j]
+    open_loop = np.concatenate([plant.A[None], plant.delayed])
+    worst = -np.inf
+    for K in gains:
+        closed = open_loop.copy()
+        closed[: len(K)] += np.einsum("np,jpm->jnm", plant.B, K)
+        row = np.concatenate(list(closed), axis=1)
+        block = np.block([[-np.linalg.inv(P), row], [row.T, -omega]])
+        worst = max(worst, float(np.linalg.eigvalsh(block)[-1]))
+    return worst
+
+
+def tangent_scheme(plant: DelayedPlant, mask: Mask, x0: Array, *, iterations: int = 8) -> BlockDiagonalProof:
+    """Return gains under a mask and a proof of their cost by the corrected Theorem 5.1, from x(0) with a zero history.
+
+    Args:
+        plant: the plant; without gains it must meet the theorem, as the scheme starts there.
+        mask: (phases, memory + 1, n) with memory <= tau.
+        x0: (n,).
+        iterations: at most so many semidefinite programmes.
+
+    Raises:
+        Infeasible: the theorem's conditions cannot be met without gains, or a step's answer fails its own check.
+    """
+    phases, columns, n = mask.shape
+    p = plant.B.shape[1]
+    K = np.zeros((phases, columns, p, n))
+    P, Q = _without_gains(plant, x0)
+    bounds = [functional(P, Q, [x0])]
+    for _ in range(iterations):
+        step = _tangent_step(plant, mask, x0, np.asarray(np.linalg.inv(P), dtype=np.float64))
+        if step is None:
+            break
+        bound = functional(step[0], step[1], [x0])
+        if largest_eigenvalue(plant, step[2], step[0], step[1]) >= 0.0 or bound >= bounds[-1]:
+            break
+        P, Q, K = step
+        bounds.append(bound)
+        if bounds[-2] - bounds[-1] < 1e-4 * bounds[-1]:
+            break
+    return BlockDiagonalProof(P, Q, K, tuple(bounds))
+
+
+def _without_gains(plant: DelayedPlant, x0: Array) -> tuple[Array, Array]:
+    """The theorem at K = 0 is linear in P and Q once (5.9) is multiplied out."""
+    import cvxpy as cp
+
+    n, tau = len(plant.A), plant.memory
+    P: Any = cp.Variable((n, n), symmetric=True)
+    Q: list[Any] = [cp.Variable((n, n), symmetric=True) for _ in range(tau)]
+    row = np.concatenate([plant.A, *plant.delayed], axis=1)
+    omega = _diagonal([P - sum(Q) - plant.weight, *Q])
+    rows = [row.T @ P @ row - omega + MARGIN * np.eye(n * (tau + 1)) << 0, P >> MARGIN * np.eye(n)]
+    _solve(cp.Problem(cp.Minimize(x0 @ P @ x0), rows))
+    if P.value is None:
+        raise Infeasible("Theorem 5.1 cannot be met without gains: the tangent scheme has nowhere to start")
+    found = np.asarray(P.value), np.array([q.value for q in Q])
+    worst = largest_eigenvalue(plant, np.zeros((1, 1, plant.B.shape[1], n)), *found)
+    if worst >= 0.0:
+        raise Infeasible("Theorem 5.1 cannot be met without gains: the tangent scheme has nowhere to start", value=worst)
+    return found
+
+
+def _tangent_step(plant: DelayedPlant, mask: Mask, x0: Array, X: Array) -> tuple[Array, Array, Array] | None:
+    import cvxpy as cp
+
+    compiler: Any = cp  # its re-exports have no types
+    phases, columns, n = mask.shape
+    p, tau = plant.B.shape[1], plant.memory
+    P: Any = cp.Variable((n, n), symmetric=True)
+    Q: list[Any] = [cp.Variable((n, n), symmetric=True) for _ in range(tau)]
+    K: list[list[Any]] = [[cp.Variable((p, n)) for _ in range(columns)] for _ in range(phases)]
+    omega = _diagonal([P - sum(Q) - plant.weight, *Q])
+    rows: list[Any] = [P >> MARGIN * np.eye(n)]
+    open_loop = [plant.A, *plant.delayed]
+    for i in range(phases):
+        closed = [M + plant.B @ K[i][j] if j < columns else M for j, M in enumerate(open_loop)]
+        row = compiler.hstack(closed)
+        block = compiler.bmat([[-(2 * X - X @ P @ X), row], [row.T, -omega]])
+        rows.append(0.5 * (block + block.T) + MARGIN * np.eye(n * (tau + 2)) << 0)
+        rows += [K[i][j][:, l] == 0 for j in range(columns) for l in range(n) if not mask[i, j, l]]
+    _solve(cp.Problem(cp.Minimize(x0 @ P @ x0), rows))
+    if P.value is None:
+        return None
+    gains = np.array([[k.value for k in row] for row in K]) * mask[:, :, None, :]
+    return np.asarray(P.value), np.array([q.value for q in Q]), gains
+
+
+def _diagonal(blocks: list[Any]) -> Any:
+    import cvxpy as cp
+
+    compiler: Any = cp
+    n = blocks[0].shape[0]
+    zero = np.zeros((n, n))
+    return compiler.bmat([[block if i == j else zero for j in range(len(blocks))] for i, block in enumerate(blocks)])
+
+
+def _solve(problem: Any) -> None:
+    import cvxpy as cp
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # whatever the solver says of its answer, the caller checks it
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.error.SolverError:
+            pass

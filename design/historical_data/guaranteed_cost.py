@@ -1,0 +1,290 @@
+r"""What scheduled gains cost, and the gains that cost least.
+
+.. math:: J = E \sum_k x(k)^T \Xi x(k) + u(k)^T \Xi_u u(k) = \sum_i \operatorname{tr}(S_i W_i)
+
+S is the cost-to-go of the lifted loop and W_i = Pr(phase i at 0) E X(0) X(0)'. With G_i the sum of E X X' over the slots of
+phase i,
+
+.. math:: \partial J / \partial K_i = 2 (\tilde B^T E_i(S) L_i + \Xi_u K_i) G_i
+
+DEVIATION: Theorem 5.1 bounds J by a functional that is block diagonal in the past; its conditions are infeasible on the chapter's
+own example (see `design.as_printed.guaranteed_cost`). The Lyapunov equation on the stacked state is necessary and sufficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+
+from design.errors import Infeasible, NotStable
+from design.historical_data.information import Information, Mask
+from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, close
+from design.verdict import Verdict
+
+STARTS = (0.0, 1.0)
+EASIER = 0.97  # the matrices of a loop that is not stable yet are scaled until they are, and this much less with every round
+ROUNDS = 400
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Start:
+    """Where a run begins: its second moment, with a zero history.
+
+    Args:
+        moment: E x(0) x(0)', (n, n).
+        phases: probability of each phase in slot 0.
+    """
+
+    moment: Array
+    phases: Array
+
+    def lifted(self, size: int) -> Array:
+        """Return Pr(phase) E X(0) X(0)', (phases, size, size)."""
+        n, W = len(self.moment), np.zeros((len(self.phases), size, size))
+        W[:, :n, :n] = self.phases[:, None, None] * self.moment
+        return W
+
+
+def average_start(states: int, phases: int) -> Start:
+    """Return the honest criterion: x(0) ~ N(0, I), every phase equally likely."""
+    return Start(moment=np.eye(states), phases=np.full(phases, 1.0 / phases))
+
+
+def start_at(x0: npt.ArrayLike, phases: int, phase: int) -> Start:
+    """Return the start from one state in one phase, counted from 0."""
+    x = np.asarray(x0, dtype=float)
+    return Start(moment=np.outer(x, x), phases=np.eye(phases)[phase])
+
+
+def cost(loop: LiftedLoop, start: Start) -> float:
+    """Return J exactly.
+
+    Raises:
+        NotStable: J is infinite.
+    """
+    return float(np.einsum("iab,iab->", loop.cost_to_go(), start.lifted(loop.L.shape[-1])))
+
+
+def certify_cost(plant: DelayedPlant, gains: Array, start: Start, transition: Array | None = None) -> Verdict:
+    """Return the verdict on scheduled gains: the growth of E|X|^2 per slot, and the cost.
+
+    Args:
+        plant: the plant (5.1) and its weights.
+        gains: (phases, memory + 1, p, n).
+        start: where the run begins.
+        transition: chain of the phases; default the cycle.
+    """
+    loop = close(plant, gains, transition)
+    radius = loop.radius()
+    margin = 64 * loop.L.shape[-1] * float(np.finfo(float).eps)
+    stable = radius < 1.0 - margin
+    details: dict[str, object] = {"phases": len(gains), "order": loop.L.shape[-1]}
+    if stable:
+        try:
+            S = loop.cost_to_go()
+        except NotStable:
+            stable = False
+        else:
+            details["cost"] = float(np.einsum("iab,iab->", S, start.lifted(loop.L.shape[-1])))
+            details["residual"] = _residual(loop, S)
+    return Verdict(
+        kind="guaranteed cost",
+        state="certified" if stable else "refused" if radius > 1.0 + margin else "undecided",
+        reason=f"E|X|^2 of the stacked state {'falls' if stable else 'does not fall'}: factor {radius:.6g} per slot",
+        number=radius, quantity="growth of E|X|^2 per slot", limit=1.0,
+        assumptions=(
+            "the history before slot 0 is zero",
+            "the phases follow the cycle" if transition is None else "the phases follow the chain", "no packet is lost",
+        ),
+        method="Lyapunov equation on the stacked state, exact", details=details,
+    )  # fmt: skip
+
+
+def _residual(loop: LiftedLoop, S: Array) -> float:
+    expected = np.einsum("ij,jab->iab", loop.transition, S)
+    gap = loop.Q + loop.L.transpose(0, 2, 1) @ expected @ loop.L - S
+    return float(np.abs(gap).max() / np.abs(S).max())
+
+
+def synthesise(
+    plant: DelayedPlant,
+    mask: Mask,
+    start: Start,
+    *,
+    transition: Array | None = None,
+    initial: Array | None = None,
+    progress: Callable[[float], None] = lambda value: None,
+) -> Array:
+    """Return gains of least cost under a mask, by quasi-Newton descent with the exact gradient.
+
+    Args:
+        plant: the plant (5.1) and its weights.
+        mask: (phases, memory + 1, n), which entries may differ from zero.
+        start: what the cost is averaged over.
+        transition: chain of the phases; default the cycle.
+        initial: gains to start from; default zero.
+        progress: told the cost of every iteration.
+
+    Returns:
+        K of shape (phases, memory + 1, p, n); a local optimum.
+
+    Raises:
+        Infeasible: no stable gains were found.
+    """
+    phases, columns, n = mask.shape
+    p = plant.B.shape[1]
+    free = np.broadcast_to(mask[:, :, None, :], (phases, columns, p, n))
+    zero = np.zeros(free.shape)
+    base = close(plant, zero, transition)
+    A, B, weight, input_weight = plant.matrices(max(columns - 1, plant.memory))
+    W = start.lifted(A.shape[0])
+
+    def gains_of(v: Array) -> Array:
+        K = np.zeros(free.shape)
+        K[free] = v
+        return K
+
+    def value(v: Array, scale: float) -> tuple[float, Array]:
+        K = gains_of(v)
+        flat = np.zeros((phases, p, A.shape[0]))
+        flat[:, :, : n * columns] = K.transpose(0, 2, 1, 3).reshape(phases, p, -1)
+        loop = LiftedLoop(
+            L=scale * (A + B @ flat), Q=weight + flat.transpose(0, 2, 1) @ input_weight @ flat, transition=base.transition
+        )
+        try:
+            S, G = loop.cost_to_go(), loop.gramian(W)
+        except NotStable:
+            return np.inf, np.zeros_like(v)
+        later = np.einsum("ij,jab->iab", base.transition, S)
+        gradient = 2.0 * (scale * B.T @ later @ loop.L + input_weight @ flat) @ G
+        shaped = gradient[:, :, : n * columns].reshape(phases, p, columns, n).transpose(0, 2, 1, 3)
+        return float(np.einsum("iab,iab->", S, W)), shaped[free]
+
+    v = (zero if initial is None else initial)[free]
+    scale = _stable_scale(value, v)
+    for _ in range(ROUNDS):
+        goal = min(1.0, scale)
+        v = _descend(lambda x, s=goal: value(x, s), v, progress if goal == 1.0 else (lambda _: None), goal == 1.0)  # type: ignore[misc]
+        if goal == 1.0:
+            return gains_of(v)
+        larger = _stable_scale(value, v) if np.isfinite(value(v, 1.0)[0]) else _largest_scale(value, v, goal)
+        if larger <= goal * (1 + 1e-6):
+            raise Infeasible("no gains of this information stabilise the plant over this schedule", value=goal)
+        scale = larger
+    raise Infeasible("no gains of this information stabilise the plant over this schedule", value=scale)
+
+
+def _stable_scale(value: Callable[[Array, float], tuple[float, Array]], v: Array) -> float:
+    scale = 1.0
+    while not np.isfinite(value(v, scale)[0]):
+        scale *= EASIER
+        if scale < 1e-6:
+            raise Infeasible("no scaling of the loop is stable: the gains to start from are too large", value=scale)
+    return scale
+
+
+def _largest_scale(value: Callable[[Array, float], tuple[float, Array]], v: Array, good: float) -> float:
+    """The largest scale up to 1 at which the loop has a finite cost, short of it by a share, so that descent has room."""
+    bad = 1.0
+    for _ in range(30):
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if np.isfinite(value(v, middle)[0]) else (good, middle)
+    return good * 0.999 if good < 1.0 else 1.0
+
+
+def _descend(
+    objective: Callable[[Array], tuple[float, Array]], v: Array, progress: Callable[[float], None], finish: bool
+) -> Array:
+    found = minimize(
+        objective, v, jac=True, method="BFGS", callback=lambda intermediate_result: progress(float(intermediate_result.fun)),
+        options={"maxiter": 1500 if finish else 40, "gtol": 1e-9},
+    )  # fmt: skip
+    return np.asarray(found.x) if np.isfinite(found.fun) else v
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CostBounds:
+    """What no controller can go below.
+
+    Args:
+        full_state: with the whole state known in every slot.
+        causal: for any causal controller that knows what the packets have brought, and where x(0) comes from.
+    """
+
+    full_state: float
+    causal: float
+
+
+def lower_bounds(plant: DelayedPlant, information: Information, start: Start) -> CostBounds:
+    """Return lower bounds of the cost over a fixed schedule.
+
+    The optimal causal controller is the linear quadratic regulator on the conditional mean of the stacked state (separation); its
+    cost is that of the full state plus tr(K'(Xi_u + B'SB)K Sigma(k)), summed, with Sigma(k) the error covariance in slot k.
+    """
+    memory = max(information.memory, plant.memory, information.buffer - 1 + information.delay)
+    A, B, weight, input_weight = plant.matrices(memory)
+    S = _riccati(A, B, weight, input_weight)
+    core = input_weight + B.T @ S @ B
+    K = np.linalg.pinv(core) @ B.T @ S @ A
+    price = K.T @ core @ K
+    size, n = A.shape[0], plant.A.shape[0]
+    full = float(np.trace(S[:n, :n] @ start.moment))
+    extra = 0.0
+    for phase, share in enumerate(start.phases):
+        if share == 0.0:
+            continue
+        sigma = np.zeros((size, size))
+        sigma[:n, :n] = start.moment
+        for k in range(2000):
+            sigma = _informed(sigma, _seen(information, (phase + k) % information.phases, k, n, memory))
+            added = float(np.trace(price @ sigma))
+            extra += share * added
+            sigma = A @ sigma @ A.T
+            if np.abs(sigma).max() < 1e-14:
+                break
+    return CostBounds(full_state=full, causal=full + extra)
+
+
+def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
+    """Cost-to-go of the regulator by value iteration, which takes a zero input weight as it is."""
+    S = Q
+    for _ in range(100_000):
+        core = R + B.T @ S @ B
+        new = Q + A.T @ S @ A - A.T @ S @ B @ np.linalg.pinv(core) @ B.T @ S @ A
+        new = 0.5 * (new + new.T)
+        if np.abs(new - S).max() <= 1e-13 * np.abs(new).max():
+            return np.asarray(new)
+        S = new
+    raise Infeasible("the regulator's Riccati equation has no solution: the plant cannot be stabilised")
+
+
+def _seen(information: Information, phase: int, k: int, n: int, memory: int) -> list[int]:
+    """Entries of the stacked state that the packet arriving in slot k holds (the packet sent `delay` slots ago)."""
+    if k < information.delay:
+        return []
+    node = information.order[(phase - information.delay) % information.phases]
+    ages = range(information.delay, min(information.delay + information.buffer, memory + 1))
+    return [j * n + state for j in ages for state, owner in enumerate(information.nodes) if owner == node]
+
+
+def _informed(sigma: Array, seen: list[int]) -> Array:
+    if not seen:
+        return sigma
+    cross = sigma[:, seen]
+    better = sigma - cross @ np.linalg.pinv(sigma[np.ix_(seen, seen)], rcond=1e-12, hermitian=True) @ cross.T
+    return np.asarray(0.5 * (better + better.T))
+
+
+def cyclic_orders(nodes: int) -> Iterator[tuple[int, ...]]:
+    """Yield every cyclic order of the nodes once, node 0 first.
+
+    >>> list(cyclic_orders(3))
+    [(0, 1, 2), (0, 2, 1)]
+    """
+    for rest in permutations(range(1, nodes)):
+        yield (0, *rest)

@@ -1,0 +1,192 @@
+r"""The delayed plant under scheduled gains as a jump-linear system on the stacked state.
+
+With X(k) = (x(k), x(k-1), ..., x(k-tau)) the loop (5.5) is X(k+1) = L_i X(k), where phase i follows a chain: a cycle for a
+fixed schedule, any stochastic matrix for a random one. Everything that follows from Lyapunov equations is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from design.errors import NotStable
+
+Array = npt.NDArray[np.float64]
+SWEEPS = 20_000
+TOLERANCE = 1e-13
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DelayedPlant:
+    """The plant (5.1) and the weights of its cost (5.3), (5.18).
+
+    Args:
+        A: (n, n).
+        delayed: (tau, n, n), the matrices of x(k - 1), ..., x(k - tau).
+        B: (n, p).
+        weight: Xi, (n, n).
+        input_weight: Xi_u, (p, p); default 0.
+
+    Raises:
+        ValueError: shapes that do not fit; the message begins with the field.
+    """
+
+    A: Array
+    delayed: Array
+    B: Array
+    weight: Array
+    input_weight: Array | None = None
+
+    def __post_init__(self) -> None:
+        n, p = self.A.shape[0], self.B.shape[-1]
+        expected = {"A": (n, n), "delayed": (len(self.delayed), n, n), "B": (n, p), "weight": (n, n)}
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name}: shape {list(getattr(self, name).shape)}, expected {list(shape)}")
+        if self.input_weight is not None and self.input_weight.shape != (p, p):
+            raise ValueError(f"input_weight: shape {list(self.input_weight.shape)}, expected {[p, p]}")
+
+    @property
+    def memory(self) -> int:
+        """tau, the largest state delay."""
+        return len(self.delayed)
+
+    def matrices(self, memory: int) -> tuple[Array, Array, Array, Array]:
+        """Return A~, B~, Xi~ and Xi_u on the stacked state of ``memory`` + 1 samples."""
+        n, p = self.B.shape
+        size = n * (memory + 1)
+        A, B, weight = np.zeros((size, size)), np.zeros((size, p)), np.zeros((size, size))
+        A[:n, :n] = self.A
+        for j, matrix in enumerate(self.delayed, start=1):
+            A[:n, n * j : n * (j + 1)] = matrix
+        A[n:, :-n] = np.eye(size - n)
+        B[:n], weight[:n, :n] = self.B, self.weight
+        return A, B, weight, np.zeros((p, p)) if self.input_weight is None else self.input_weight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LiftedLoop:
+    """A closed loop: one matrix a phase, the chain of the phases, and the cost per slot.
+
+    Args:
+        L: (phases, N, N).
+        Q: (phases, N, N), the cost of a slot, X' Q_i X.
+        transition: (phases, phases), row-stochastic.
+    """
+
+    L: Array
+    Q: Array
+    transition: Array
+
+    @property
+    def cyclic(self) -> bool:
+        """Whether phase i is followed by phase i + 1, and the last by the first."""
+        return bool(np.array_equal(self.transition, cycle(len(self.L))))
+
+    def radius(self) -> float:
+        """Return the growth of E|X|^2 per slot: below 1 the loop is (mean-square) stable, and only then."""
+        if self.cyclic:
+            return float(np.abs(np.linalg.eigvals(self._monodromy())).max() ** (2.0 / len(self.L)))
+        from design.jump_linear.second_moment import mean_square_radius
+
+        return mean_square_radius(self.L, self.transition)
+
+    def _monodromy(self) -> Array:
+        product = np.eye(self.L.shape[-1])
+        for matrix in self.L:
+            product = matrix @ product
+        return product
+
+    def cost_to_go(self) -> Array:
+        """Return S with E sum of X'Q X from a slot of phase i on = X' S_i X: S_i = Q_i + L_i' E_i(S) L_i.
+
+        Raises:
+            NotStable: the sum has no end.
+        """
+        if not self.cyclic:
+            return self._fixed_point(lambda S: self.Q + _quadratic(self.L, np.einsum("ij,jab->iab", self.transition, S)))
+        phases, S = len(self.L), np.zeros_like(self.Q)
+        product, total = np.eye(self.L.shape[-1]), np.zeros_like(self.Q[0])
+        for i in range(phases):
+            total = total + product.T @ self.Q[i] @ product
+            product = self.L[i] @ product
+        S[0] = _series(product, total)
+        for i in range(phases - 1, 0, -1):
+            S[i] = self.Q[i] + self.L[i].T @ S[(i + 1) % phases] @ self.L[i]
+        return S
+
+    def gramian(self, start: Array) -> Array:
+        """Return G_i, the sum over all slots of phase i of E X X'; ``start``: (phases, N, N), E X(0)X(0)' in each phase.
+
+        Raises:
+            NotStable: the sum has no end.
+        """
+        if not self.cyclic:
+            return self._fixed_point(
+                lambda G: start + np.einsum("ij,iab->jab", self.transition, self.L @ G @ self.L.transpose(0, 2, 1))
+            )
+        phases, G = len(self.L), np.zeros_like(start)
+        product, total = np.eye(self.L.shape[-1]), np.zeros_like(start[0])
+        for step in range(phases):  # what starts in phase -step comes to phase 0 after `step` slots
+            i = (-step) % phases
+            total = total + product @ start[i] @ product.T
+            product = product @ self.L[(i - 1) % phases]
+        G[0] = _series(product.T, total)
+        for i in range(1, phases):
+            G[i] = start[i] + self.L[i - 1] @ G[i - 1] @ self.L[i - 1].T
+        return G
+
+    def _fixed_point(self, step: Callable[[Array], Array]) -> Array:
+        value = np.zeros_like(self.Q)
+        for _ in range(SWEEPS):
+            new = step(value)
+            if not np.isfinite(new).all():
+                break
+            if np.abs(new - value).max() <= TOLERANCE * np.abs(new).max():
+                return new
+            value = new
+        raise NotStable("the cost has no finite sum: the loop is not mean-square stable")
+
+
+def close(plant: DelayedPlant, gains: Array, transition: Array | None = None) -> LiftedLoop:
+    """Return the loop (5.5) of a plant under gains.
+
+    Args:
+        plant: the plant.
+        gains: K, (phases, memory + 1, p, n): u(k) = sum_j K[i, j] x(k - j).
+        transition: chain of the phases; default the cycle (5.2).
+    """
+    phases, columns, p, n = gains.shape
+    A, B, weight, input_weight = plant.matrices(max(columns - 1, plant.memory))
+    K = np.zeros((phases, p, A.shape[0]))
+    K[:, :, : n * columns] = gains.transpose(0, 2, 1, 3).reshape(phases, p, n * columns)
+    L = A + B @ K
+    Q = weight + K.transpose(0, 2, 1) @ input_weight @ K
+    return LiftedLoop(L=L, Q=Q, transition=cycle(phases) if transition is None else np.asarray(transition, dtype=float))
+
+
+def cycle(phases: int) -> Array:
+    """Return the transition matrix of the cycle, Lambda of Remark 5.3."""
+    return np.roll(np.eye(phases), 1, axis=1)
+
+
+def _quadratic(L: Array, S: Array) -> Array:
+    return L.transpose(0, 2, 1) @ S @ L
+
+
+def _series(M: Array, W: Array) -> Array:
+    """Return the sum of M'^t W M^t over t >= 0, by doubling."""
+    total, power = W, M
+    with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers is not stable
+        for _ in range(64):
+            added = power.T @ total @ power
+            if not np.isfinite(added).all():
+                break
+            total = total + added
+            if np.abs(added).max() <= 1e-17 * np.abs(total).max():
+                return np.asarray(0.5 * (total + total.T))
+            power = power @ power
+    raise NotStable("the cost has no finite sum: the loop is not stable")
