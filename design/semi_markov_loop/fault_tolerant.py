@@ -40,9 +40,9 @@ from design.semi_markov_loop.fault_tolerant_analysis import (
     analyse_fault_tolerant,
     check_loop,
     loop_inequalities,
-    pair_cells,
     r_sections,
 )
+from design.semi_markov_loop.pair_cells import pair_cells
 from design.semi_markov_loop.stabilisability import check_stabilisable
 from design.semi_markov_loop.system import JumpSystem
 

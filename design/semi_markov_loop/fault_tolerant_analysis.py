@@ -14,8 +14,6 @@ References: thesis (4.6), (4.14), (4.23); findings items 17-20.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -29,8 +27,9 @@ from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, 
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop.certificate import JumpCertificate, Method, Verdict
-from design.semi_markov_loop.growth import gain_mode, worst_growth
-from design.semi_markov_loop.sojourn_grid import Lift, as_float, cells
+from design.semi_markov_loop.growth import gain_mode, proved_decay, worst_growth
+from design.semi_markov_loop.pair_cells import pair_cells
+from design.semi_markov_loop.sojourn_grid import Lift, as_float
 from design.semi_markov_loop.stability import gain_matrices
 from design.semi_markov_loop.system import JumpSystem
 
@@ -92,37 +91,6 @@ def check_loop(system: JumpSystem, process: FaultDetection, gain: ScheduledGain 
         raise ValueError("gain: linear schedules are not covered by the two-process conditions, hold them")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PairCell:
-    """One pair of sections: eta = i in section a of its clock, r = k in section b of its; rate vertices (1/s)."""
-
-    i: int
-    k: int
-    a: int
-    b: int
-    failure: tuple[tuple[float, ...], ...]
-    detection: tuple[tuple[float, ...], ...]
-    last_a: bool
-    last_b: bool
-
-    @property
-    def vertices(self) -> Iterator[tuple[tuple[float, ...], tuple[float, ...]]]:
-        """All pairs of rate vertices."""
-        return itertools.product(self.failure, self.detection)
-
-
-def pair_cells(process: FaultDetection, eta_nodes: Partition, r_nodes: Partition) -> list[PairCell]:
-    """All pairs of sections. Raises ValueError as ``design.semi_markov_loop.sojourn_grid.cells``."""
-    return [
-        PairCell(
-            i=one.mode, k=two.mode, a=one.index, b=two.index, failure=one.rates, detection=two.rates, last_a=one.last,
-            last_b=two.last,
-        )
-        for one in cells(process.failure, eta_nodes)
-        for two in cells(process.detection[one.mode], r_nodes)
-    ]  # fmt: skip
-
-
 def loop_inequalities(
     system: JumpSystem,
     process: FaultDetection,
@@ -133,7 +101,14 @@ def loop_inequalities(
     scale: float,
     lift: Lift = as_float,
 ) -> list[Inequality]:
-    """Every inequality on P[i,k,a,b], K[mode,section] and, without a SIQC, g2 = (scale gamma)^2; y is scaled by ``scale``."""
+    """Every inequality on P[i,k,a,b], K[mode,section] and, without a SIQC, g2 = (scale gamma)^2; y is scaled by ``scale``.
+
+    Raises ValueError where a section of the gains starts inside a cell of ``r_nodes``: the cell would have one gain of several.
+    """
+    for k, row in enumerate(r_sections(process, gain)):
+        missing = sorted(set(row) - set(r_nodes[k]))
+        if missing:
+            raise ValueError(f"r_nodes[{k}]: a section of the gains starts at {missing[0]:g} s, inside a cell")
     out = []
     for cell in pair_cells(process, eta_nodes, r_nodes):
         i, k, a, b = cell.i, cell.k, cell.a, cell.b
@@ -222,7 +197,8 @@ def analyse_fault_tolerant(
     Args:
         gain: K by what is measured: ("r",), ("eta", "r") with index eta * N_r + r, or () for one blind gain; sections on r's
             clock.
-        eta_nodes, r_nodes: sections of both clocks for P; by default one for eta, and for r those of the gains.
+        eta_nodes, r_nodes: sections of both clocks for P; by default one for eta. Those of r are cut where a section of the
+            gains starts.
         method: ``pwc``, or ``printed`` for (4.26), (4.27) as they stand (then ``sound = False``).
 
     Returns:
@@ -233,7 +209,8 @@ def analyse_fault_tolerant(
     """
     check_loop(system, process, gain)
     eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
-    r = r_nodes if r_nodes is not None else r_sections(process, gain)
+    own = r_sections(process, gain)
+    r = own if r_nodes is None else tuple(tuple(sorted({*row, *cut})) for row, cut in zip(r_nodes, own, strict=True))
     if method == "printed":
         from design.as_printed.fault_tolerant import printed_fault_tolerant
 
@@ -274,6 +251,7 @@ def analyse_fault_tolerant(
         return JumpCertificate(method="pwc", sound=True, verdict=verdict, reason=str(error), gain=gain)
     return JumpCertificate(
         method="pwc", sound=True, verdict="certified", reason=found.explain(), margin=found.margin, gamma=level, gain=gain,
-        decay_rate=None if growth is None else -growth[0], assumptions=assumptions, matrices=found.matrices, scale=scale,
+        decay_rate=proved_decay(system, process, gain, eta, r, found.matrices), assumptions=assumptions,
+        matrices=found.matrices, scale=scale,
         rebuild=partial(rebuild, scale, level), solver=found.solver,
     )  # fmt: skip

@@ -11,12 +11,17 @@ Reference: findings, section 1 ("MS growth rate") and item 18.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from design.controllers.scheduled_gain import ScheduledGain
+from design.lmi.program import symmetric_part
+from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
+from design.semi_markov_loop.pair_cells import pair_cells
 from design.semi_markov_loop.sojourn_grid import cells
 from design.semi_markov_loop.system import JumpSystem
 
@@ -78,3 +83,33 @@ def mean_square_abscissa(loops: FloatArray, rates: FloatArray) -> float:
         block = slice(i * n * n, (i + 1) * n * n)
         out[block, block] += np.kron(loops[i], eye) + np.kron(eye, loops[i])
     return float(np.linalg.eigvals(out).real.max())
+
+
+def proved_decay(
+    system: JumpSystem,
+    process: FaultDetection,
+    gain: ScheduledGain,
+    eta_nodes: Partition,
+    r_nodes: Partition,
+    matrices: Mapping[str, FloatArray],
+) -> float:
+    """The largest alpha (1/s) such that V falls like e^(-alpha t) with the P of a certificate: E|x|^2 does at least that.
+
+    d/dt V <= -alpha V on every cell at every rate within its bounds, and V falls where a clock enters a new section.
+    """
+    rates = []
+    for cell in pair_cells(process, eta_nodes, r_nodes):
+        mode = gain_mode(gain, process, cell.i, cell.k)
+        loop = system.a[cell.i] + system.b[cell.i] @ gain.at(mode, r_nodes[cell.k][cell.b])
+        own = matrices[f"P[{cell.i},{cell.k},{cell.a},{cell.b}]"]
+        after = 0 if process.failure_restarts_detection_clock else cell.b
+        for failure, detection in cell.vertices:
+            change = symmetric_part(own @ loop)
+            for j, rate in enumerate(failure):
+                if rate > 0:
+                    change = change + rate * (matrices[f"P[{j},{cell.k},0,{after}]"] - own)
+            for l, rate in enumerate(detection):
+                if rate > 0:
+                    change = change + rate * (matrices[f"P[{cell.i},{l},{cell.a},0]"] - own)
+            rates.append(float(scipy.linalg.eigh(-change, own, eigvals_only=True)[0]))
+    return min(rates)

@@ -16,11 +16,12 @@ from design.as_printed.fault_tolerant import printed_section
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import Infeasible
 from design.lmi.exact import prove
-from design.processes.rates import PiecewiseLinearRate
+from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
-from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant
+from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant, loop_inequalities
 from design.semi_markov_loop.growth import mean_square_abscissa, worst_growth
+from design.semi_markov_loop.second_moments import second_moment_decay
 from design.semi_markov_loop.system import JumpSystem
 
 SYSTEM = chapter4_system()
@@ -181,3 +182,45 @@ def test_bad_input_gets_one_clear_message(call: object, message: str) -> None:
 def test_level_that_was_not_reached_is_said_to_be_unproved() -> None:
     with pytest.raises(Infeasible, match="not proved to be the best"):
         fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, gamma=0.001, rounds=1)
+
+
+def _scalar_loop(process: FaultDetection, gains: list[float], starts: list[float]) -> tuple[JumpSystem, ScheduledGain]:
+    one = np.ones((2, 1, 1))
+    gain = ScheduledGain(gain=np.array([[[[k]] for k in gains]] * 2), starts_s=np.array([starts] * 2))
+    return JumpSystem(a=-one, b=one, c=one, e=one), gain
+
+
+def test_sections_of_the_gain_inside_a_cell_are_not_passed_over() -> None:
+    # -1 for one second, +49 after it: one cell had the gain of its start only and was certified with gamma 0.5
+    slow = constant_rate(0.5)
+    process = FaultDetection(
+        failure=SemiMarkov(rates=((None, slow), (slow, None))), detection=(SemiMarkov(rates=((None, slow), (slow, None))),) * 2,
+        failure_restarts_detection_clock=False,
+    )  # fmt: skip
+    system, gain = _scalar_loop(process, [-1.0, 50.0], [0.0, 1.0])
+    assert not analyse_fault_tolerant(system, gain, process, r_nodes=ONE).certified
+    with pytest.raises(ValueError, match=r"r_nodes\[0\]: a section of the gains starts at 1 s"):
+        loop_inequalities(system, process, gain, ONE, ONE, None, 1.0)
+    system, gain = _scalar_loop(process, [-1.0, -2.0], [0.0, 1.0])
+    coarse = analyse_fault_tolerant(system, gain, process, r_nodes=ONE)
+    assert coarse.certified and coarse.gamma == pytest.approx(analyse_fault_tolerant(system, gain, process).gamma, rel=1e-3)
+
+
+def test_decay_of_a_certificate_is_one_that_the_process_keeps() -> None:
+    # a rate within its bounds that is slow at first and fast later decays more slowly than either held constant
+    step = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 30.0))
+    still = SemiMarkov(rates=((None,),))
+    process = FaultDetection(
+        failure=SemiMarkov(rates=((None, step), (step, None))), detection=(still, still), failure_restarts_detection_clock=False
+    )
+    a = np.array([[[0.0, -1.0], [10.0, 0.0]], [[0.0, -10.0], [1.0, 0.0]]])
+    gain = constant_gain(np.zeros((1, 1, 2)))
+    for shift in (5.0, 8.0):
+        moved = a - shift * np.eye(2)
+        system = JumpSystem(a=moved, b=np.zeros((2, 2, 1)), c=np.ones((2, 1, 2)), e=np.ones((2, 2, 1)))
+        certificate = analyse_fault_tolerant(system, gain, process)
+        plain = JumpSystem(a=moved, b=np.zeros((2, 2, 1)))
+        exact = second_moment_decay(plain, constant_gain(np.zeros((2, 1, 2))), process.failure)
+        held = worst_growth(system, gain, process)
+        assert certificate.certified and certificate.decay_rate is not None and held is not None
+        assert 0.0 < certificate.decay_rate < exact < -held[0]
