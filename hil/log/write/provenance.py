@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any, Final
+
+CHECKOUT: Final = Path(__file__).parents[3]
+"""The folder of this package: the root of a checkout, or `site-packages`."""
 
 FORMAT: Final = "1"
 """Version of the log's layout: attachments, metadata and topics."""
@@ -24,6 +30,21 @@ def package_versions() -> dict[str, str]:
     return found
 
 
+@cache
+def commit(checkout: Path = CHECKOUT) -> str:
+    """Return the commit that runs, with ``-dirty`` where files differ from it; nothing outside a checkout or without git."""
+    if not (checkout / ".git").exists():
+        return ""
+    try:
+        told = subprocess.run(
+            ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12", "--match=v*"],
+            capture_output=True, text=True, timeout=10, check=False, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return told.stdout.strip() if told.returncode == 0 else ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
     """Everything that stands in a log before its first record.
@@ -37,6 +58,7 @@ class Provenance:
         clock: ``virtual`` or ``real``.
         link: URI of the link.
         versions: package name to version.
+        commit: of the checkout that runs; empty where there is none. The same for every run of one checkout.
         codes: names behind the small integers of the records, for instance ``{"reason": REASONS}``.
         session: what only a session in real time may say: start, host, scheduler. Leave empty in virtual time, or two runs of one
             experiment are no longer the same file.
@@ -50,13 +72,14 @@ class Provenance:
     clock: str
     link: str
     versions: Mapping[str, str] = field(default_factory=package_versions)
+    commit: str = field(default_factory=commit)
     codes: Mapping[str, Sequence[str]] = field(default_factory=dict)
     session: Mapping[str, str] = field(default_factory=dict)
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata records by name, in the order of the file."""
         head = {"format": FORMAT, "experiment": self.experiment, "seed": str(self.seed), "clock": self.clock,
-                "link": self.link}
+                "link": self.link} | ({"commit": self.commit} if self.commit else {})
         records = {
             "hilrig": head,
             "versions": dict(self.versions),
