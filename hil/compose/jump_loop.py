@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from design.controllers import ModeSchedule
@@ -18,26 +19,34 @@ if TYPE_CHECKING:
     from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
 
+KIND: Kind = "mean-square stability"
+
+
 def certify_jump_loop(loop: LoopToCertify) -> Verdict | None:
     """Return the verdict on scheduled state feedback over a plant that jumps; None for any other loop.
 
-    The conditions of Chapters 2 to 4 are of a feedback that acts at every instant on the state of that instant. The loop
-    samples it at T and delays it, so that their word alone leaves the loop undecided.
+    The state of the verdict is that of the loop as it runs: sampled at T, held, delayed by whole samples, its modes seen at the
+    samples. The conditions of Chapters 2 to 4 are of a feedback that acts at every instant on the state of that instant; what
+    they say stands in the details, and leaves a loop undecided that nobody can decide at T.
+
+    Reference: thesis (2.4), (3.27), (4.14).
     """
     plant, controller = loop.plant, loop.controller
     if not isinstance(controller, ModeSchedule):
         return None
-    kind: Kind = "mean-square stability"
     if not isinstance(plant, JumpPlant):
-        return undecided(loop, kind, "there is no certificate for gains by mode over a plant that does not jump")
+        return undecided(loop, KIND, "there is no certificate for gains by mode over a plant that does not jump")
     if loop.sc is None or loop.ca is None:
-        return undecided(loop, kind, "there is no certificate for this kind of network law")
+        return undecided(loop, KIND, "there is no certificate for this kind of network law")
+    from design.semi_markov_loop.sampled import sampled_verdict
+
     try:
         system, process = system_of(plant.jump_system()), process_of(plant.jump_process())
-        found = in_continuous_time(system, controller.schedule_of_modes(), process)
+        gain = controller.schedule_of_modes()
+        found = sampled_verdict(system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca)
     except (ValueError, DesignError) as error:
-        return undecided(loop, kind, f"the theory does not cover this plant: {error}")
-    return limited_to_model(loop, _of_the_sampled_loop(loop, found))
+        return undecided(loop, KIND, f"the theory does not cover this plant: {error}")
+    return limited_to_model(loop, _with_continuous_time(loop, found, system, gain, process))
 
 
 def in_continuous_time(
@@ -68,19 +77,29 @@ def in_continuous_time(
     return coarse if coarse.verdict == "certified" else analyse(system, gain, process)
 
 
-def _of_the_sampled_loop(loop: LoopToCertify, found: JumpCertificate) -> Verdict:
-    """Return what a verdict in continuous time says of the loop that runs at T with its delays."""
-    T, tau, d = loop.model.period_s, loop.model.tau_max, loop.model.d_max
-    delays = f" with delays up to tau = {tau} and d = {d} samples" if tau or d else ""
-    details = {**found.to_json(), "stable": False, "verdict": "undecided", "continuous_time": found.verdict}
-    return Verdict(
-        kind="mean-square stability" if found.gamma is None else "L2 gain",
-        state="undecided",
-        reason=f"{found.verdict} in continuous time; not decided at T = {T:g} s{delays} (continuous time: {found.reason})",
-        number=found.gamma,
-        quantity="" if found.gamma is None else "gamma in continuous time",
-        assumptions=found.assumptions,
-        method=found.method,
-        details=details,
-        digest=loop.digest,
-    )
+def _with_continuous_time(
+    loop: LoopToCertify,
+    found: Verdict,
+    system: JumpSystem | DelayedJumpSystem,
+    gain: ScheduledGain,
+    process: SemiMarkov | FaultDetection,
+) -> Verdict:
+    """Return the verdict at T with what the chapters add to it: gamma, and a word where nothing is decided at T."""
+    details: dict[str, object] = {"sound": True, "period_s": loop.model.period_s, **found.details}
+    try:
+        ideal = in_continuous_time(system, gain, process)
+        details |= ideal.to_json()
+        word, gamma = str(ideal.verdict), ideal.gamma
+    except (ValueError, DesignError) as error:
+        word, gamma = f"not covered ({error})", None
+    details |= {"stable": found.certified, "verdict": found.state, "continuous_time": word}
+    reason, assumed = found.reason, found.assumptions
+    if found.state == "undecided":
+        T, tau, d = loop.model.period_s, loop.model.tau_max, loop.model.d_max
+        delays = f" with delays up to tau = {tau} and d = {d} samples" if tau or d else ""
+        reason = f"{word} in continuous time; not decided at T = {T:g} s{delays}: {found.reason}"
+    else:
+        reason = f"at T = {loop.model.period_s:g} s {found.reason}"
+    if gamma is not None:
+        assumed = (*assumed, "gamma alone is of the feedback that acts at every instant, without delays")
+    return replace(found, reason=reason, assumptions=assumed, details=details, digest=loop.digest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,8 +19,10 @@ from hil.compose.delay_chains import delay_chains
 from hil.compose.loop import Loop, compose
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import load_experiment
+from hil.session import simulate
 
 
+@cache
 def composed(name: str, *sets: str) -> Loop:
     return compose(load_experiment(name, [*sets, "allow_uncertified=true"]))
 
@@ -68,21 +71,45 @@ def test_friction_of_any_kind_leaves_the_linear_claim_undecided_and_a_load_does_
 
 
 FALSE_CERTIFICATES = [
-    ("vtol-fault", ("links.sc.law.age=60", "links.ca.law.age=60")),
-    ("vtol-fault", ("plant.fault_effectiveness=-60", "plant.initial_fault=2")),
-    ("smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0")),
+    ("vtol-fault", ("links.sc.law.age=60", "links.ca.law.age=60"), "undecided"),
+    ("vtol-fault", ("plant.fault_effectiveness=-60", "plant.initial_fault=2"), "refused"),
+    ("smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0"), "refused"),
 ]
 
 
-@pytest.mark.parametrize(("name", "sets"), FALSE_CERTIFICATES)
-def test_gains_of_one_plant_are_not_certified_over_another(name: str, sets: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("name", "sets", "state"), FALSE_CERTIFICATES)
+def test_gains_of_one_plant_are_not_certified_over_another(name: str, sets: tuple[str, ...], state: str) -> None:
     """The gains that the shipped experiment runs, over the plant and network that were changed after the design."""
     gains = composed(name).controller
     experiment = load_experiment(name, [*sets, "allow_uncertified=true"])
     loop = compose(replace(experiment, controller=gains))
-    assert loop.verdict is not None and loop.verdict.state in ("undecided", "refused")
+    assert loop.verdict is not None and loop.verdict.state == state
     with pytest.raises(ExperimentError, match="no certificate of"):
         compose(replace(experiment, controller=gains, allow_uncertified=False))
+    assert any(event["kind"] == "safety" for event in simulate(loop, 0).events)  # and rightly so
+
+
+@pytest.mark.parametrize(("name", "sets", "state"), FALSE_CERTIFICATES[1:])
+def test_gains_that_are_solved_for_the_changed_plant_are_certified_only_as_they_hold_it(
+    name: str, sets: tuple[str, ...], state: str
+) -> None:
+    loop = composed(name, *sets)
+    assert loop.verdict is not None and loop.verdict.certified
+    for seed in range(5):
+        run = simulate(loop, seed)
+        assert not [event for event in run.events if event["kind"] == "safety"], seed
+
+
+def test_delays_that_the_sampled_theory_knows_are_judged_and_others_are_undecided() -> None:
+    def state(*sets: str) -> str:
+        verdict = composed("vtol-fault", *sets).verdict
+        assert verdict is not None
+        assert "not decided at T = 0.001 s" in verdict.reason or verdict.state != "undecided"
+        return verdict.state
+
+    assert state("links.sc.law.age=1", "links.ca.law.age=1") == "certified"
+    assert state('links.sc.law={kind="iid", probabilities=[0.5, 0.5]}') == "undecided"
+    assert state("links.sc.law.age=60", "links.ca.law.age=60") == "undecided"
 
 
 def test_robust_gains_are_solved_for_the_plant_that_runs_and_not_for_an_example() -> None:

@@ -19,7 +19,7 @@ from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.experiment.plugin_checks import check_controller
-from hil.experiment.tables import Limits
+from hil.experiment.tables import Limits, Seconds
 from hil.session import simulate
 from plants import DCMotor, DelayedVTOL, FaultyVTOL, PlantError, SwitchedExample, check_plant
 
@@ -88,8 +88,8 @@ def tank_loop(**changes: Any) -> Any:
 
 def test_a_strangers_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
     assert any("is a JumpPlant" in sentence for sentence in check_plant(TwoSpeedTank()))
-    loop = tank_loop(allow_uncertified=True)
-    assert loop.verdict.details["continuous_time"] == "certified"
+    loop = tank_loop()
+    assert loop.verdict.certified and loop.verdict.details["continuous_time"] == "certified"
     assert max(abs(k) for mode in loop.controller.gain for section in mode for row in section for k in row) <= 4.0 + 1e-9
     level = simulate(loop, 1).arrays["/plant/state"]["level"]
     assert abs(level[-1]) < 0.1 * abs(level[0])
@@ -97,9 +97,16 @@ def test_a_strangers_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
 
 
 def test_gains_that_a_strangers_plant_outgrew_are_not_certified() -> None:
-    gains = tank_loop(allow_uncertified=True).controller
-    with pytest.raises(ExperimentError, match="no certificate"):
+    gains = tank_loop().controller
+    with pytest.raises(ExperimentError, match="no certificate of mean-square stability, refused"):
         tank_loop(controller=gains, plant=TwoSpeedTank(growth=(0.2, 9.0)))
+
+
+def test_a_longer_period_turns_the_verdict_of_the_same_gains() -> None:
+    gains = tank_loop().controller
+    found = [tank_loop(controller=gains, period=Seconds(T), allow_uncertified=True).verdict for T in (0.02, 0.2, 2.0)]
+    assert [verdict.state for verdict in found] == ["certified", "certified", "refused"]
+    assert found[0].number < 1.0 < found[-1].number
 
 
 def test_a_jump_plant_whose_matrices_do_not_fit_is_named() -> None:
