@@ -55,6 +55,13 @@ bench: $(INSTALLED) ## timing beside cyclictest, round trips of all links
 	$(BIN)/hil bench timing
 	$(BIN)/hil bench links
 
+# Sphinx is wanted by nobody but this target: it is installed when it is first asked for.
+docs: $(INSTALLED) ## the guide as a site, in runs/docs
+	@$(BIN)/python -c 'import sphinx, myst_parser, furo' 2>/dev/null || \
+	    $(BIN)/python -m pip install -q --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m sphinx -q -W -b html -c hil/guide hil/guide runs/docs
+	@echo "guide  file://$(CURDIR)/runs/docs/index.html"
+
 clean: ## remove .venv, runs and caches (not ~/.cache/hilrig)
 	rm -rf .venv runs dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

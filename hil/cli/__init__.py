@@ -28,6 +28,7 @@ COMMANDS = {
     "reproduce": "Put the thesis's numbers beside computed ones.",
     "bench": "Measure timing, links and designs on this machine.",
     "schema": "Print the JSON Schema of experiment files.",
+    "guide": "Print a page of the guide.",
     "doctor": "Check what this machine offers, with the remedy.",
 }
 

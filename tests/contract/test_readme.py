@@ -1,61 +1,155 @@
-"""What the README shows is run: its plug-ins pass the checks, its commands exist, its numbers are the code's."""
+"""What README and guide show is run: Python, TOML and commands; their names and numbers are the code's."""
 
 from __future__ import annotations
 
 import json
 import re
+import shlex
 import sys
 import tempfile
 import time
+import tomllib
 import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 
+import hil as face
 from design.controllers import LoopModel
-from hil.cli import COMMANDS
+from hil.cli import COMMANDS, cli
+from hil.cli.guide import pages
+from hil.experiment import parse_experiment, shipped
 from hil.experiment.plugin_checks import check_controller
-from plants.parts.check import check_plant
+from hil.measure.check import check_measure
+from hil.measure.view import view_of
+from hil.session import run_session
+from plants import check_plant
+from tests.hil.report.runs import run_of
 from transport import open_link
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+PROSE = {"README": README, **pages()}
+TEXT = {name: path.read_text(encoding="utf-8") for name, path in PROSE.items()}
+PLUGINS = "own-plant-law-controller"
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, re.S)
+
+
+def commands(text: str) -> list[list[str]]:
+    """Return every `hil ...` line that a page shows, as words."""
+    lines = re.findall(r"^ {4}(hil [a-z].*)$", text, re.M) + re.findall(r"^\$ (hil .*)$", text, re.M)
+    return [shlex.split(line, comments=True)[1:] for line in lines]
+
+
+COMMAND_LINES = [(name, words) for name, text in TEXT.items() for words in commands(text)]
+
+
+def module_of(name: str, *code: str) -> dict[str, Any]:
+    """Run code in a module that can be imported, so that what it makes can be pickled."""
+    module = types.ModuleType(name)
+    sys.modules[name] = module
+    for block in code:
+        exec(compile(block, name, "exec"), vars(module))
+    return vars(module)
 
 
 @pytest.fixture(scope="module")
 def shown() -> Iterator[dict[str, Any]]:
-    """The plug-ins of the README, as written there, in a module of their own (so that they can be pickled)."""
-    block = next(b for b in re.findall(r"```python\n(.*?)```", README, re.S) if "class Damped" in b)
-    module = types.ModuleType("readme_plugins")
-    sys.modules[module.__name__] = module
-    scope = vars(module)
-    exec(block, scope)
-    yield scope
-    del sys.modules[module.__name__]
+    """The plug-ins of the guide, as written there."""
+    yield module_of("guide_plugins", *blocks(TEXT[PLUGINS], "python"))
+    del sys.modules["guide_plugins"]
 
 
-def test_plant_of_the_readme_passes_its_check(shown: dict[str, Any]) -> None:
+def test_the_readme_is_short_and_no_page_is_wide() -> None:
+    assert len(TEXT["README"].splitlines()) <= 120
+    for name, text in TEXT.items():
+        assert max(map(len, text.splitlines())) <= 130, name
+
+
+@pytest.mark.parametrize("name", sorted(set(TEXT) - {PLUGINS}))
+def test_python_of_a_page_runs(name: str, hil: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = blocks(TEXT[name], "python")
+    if not code:
+        return
+    monkeypatch.chdir(tmp_path)
+    scope = module_of(f"page_{name.replace('-', '_')}", *code)
+    for key, value in list(scope.items()):
+        if key.startswith("test_"):
+            value(hil)
+        elif key == "Damped":
+            check_plant(value(rate=2.0))
+
+
+def test_plug_ins_of_the_guide_pass_their_checks(shown: dict[str, Any]) -> None:
     check_plant(shown["Damped"](rate=2.0))
-
-
-def test_controller_of_the_readme_passes_its_check(shown: dict[str, Any]) -> None:
     d = shown["Damped"]().model().discretise(0.05)
     check_controller(shown["Proportional"](), LoopModel(A=d.A, B=d.B, C=d.C, period_s=0.05, tau_max=2, d_max=1))
+    check_measure(shown["Effort"](), view_of(run_of("dc-motor-hinf", "duration=1")))
+    (entries,) = blocks(TEXT[PLUGINS], "toml")
+    for group in tomllib.loads(entries)["project"]["entry-points"].values():
+        assert all(target.partition(":")[2] in shown for target in group.values())
 
 
-def test_every_command_in_the_readme_exists() -> None:
-    used = set(re.findall(r"^\s+hil ([a-z]+)", README, re.M)) | set(re.findall(r"`hil ([a-z]+)", README))
-    assert used and used <= set(COMMANDS)
+def test_the_experiment_of_the_guide_runs_and_is_certified(tmp_path: Path) -> None:
+    (text,) = blocks(TEXT["experiments"], "toml")
+    session = run_session(parse_experiment(text), path=tmp_path / "a.mcap")
+    assert session.status == 0 and session.summary["certificate"] is not None
 
 
-def test_every_experiment_in_the_readme_exists() -> None:
-    from hil.experiment import shipped
+@pytest.mark.parametrize(("name", "words"), COMMAND_LINES, ids=lambda v: v if isinstance(v, str) else "-".join(v)[:40])
+def test_a_command_line_that_is_shown_is_one(name: str, words: list[str]) -> None:
+    """Parsed by the command itself: an option, an argument or a choice that is not there is refused."""
+    context = click.Context(cli)
+    command = cli.get_command(context, words[0])
+    assert command is not None, f"{name}: hil {words[0]}"
+    while isinstance(command, click.Group) and len(words) > 1:
+        words = words[1:]
+        command = command.get_command(context, words[0])
+        assert command is not None, f"{name}: {words[0]}"
+    known = set(shipped()) | {"dc-motor", "vtol"}
+    words = [w for w in words if w != "..."]
+    command.make_context(words[0], list(words[1:]))
+    assert not {w for w in words if re.fullmatch(r"(dc-motor|vtol|smjls)[a-z0-9-]*", w)} - known, name
 
-    assert set(re.findall(r"\b(dc-motor-[a-z0-9-]+[a-z0-9])\b", README)) - {"dc-motor-hinf-virtual-seed0"} <= set(shipped())
+
+def test_commands_on_a_log_run_one_after_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    face.run("dc-motor-hinf", duration=2, log="run.mcap")
+    ran = 0
+    for words in commands(TEXT["logs-and-reports"]):
+        if "--onto" in words or words[0] == "recover":
+            continue
+        with pytest.raises(SystemExit) as end:
+            cli.main(words, prog_name="hil")
+        assert end.value.code in (None, 0), words
+        ran += 1
+    assert ran == 4 and (tmp_path / "run.html").exists() and (tmp_path / "run.plant_state.csv").stat().st_size > 1000
 
 
-def test_key_expressions_of_the_readme_are_those_of_the_link() -> None:
+def test_names_in_the_text_exist() -> None:
+    for name, text in TEXT.items():
+        used = set(re.findall(r"`hil ([a-z]+)", text))
+        assert used <= set(COMMANDS), name
+        found = set(re.findall(r"\b(?:dc-motor|vtol|smjls)-[a-z0-9-]+[a-z0-9]\b", text)) - {"dc-motor-hinf-virtual-seed0"}
+        assert found <= set(shipped()), name
+        topics = set(re.findall(r"hil guide ([a-z]+(?:-[a-z]+)*)", text))
+        assert topics <= set(pages()), name
+    assert set(re.findall(r"^\| `([a-z-]+)`", TEXT["README"].partition("| `hil guide")[2], re.M)) <= set(pages())
+
+
+def test_the_table_of_contents_names_every_page() -> None:
+    index = next(iter(pages().values())).with_name("index.md").read_text(encoding="utf-8")
+    (tree,) = blocks(index, r"\{toctree\}")
+    assert tree.split() == list(pages())
+
+
+def test_key_expressions_of_the_guide_are_those_of_the_link() -> None:
     import zenoh
 
     uri = f"zenoh:unixsock-stream/{tempfile.mkdtemp()}/rig"
@@ -70,4 +164,4 @@ def test_key_expressions_of_the_readme_are_those_of_the_link() -> None:
         while not heard and time.monotonic() < end:
             rig.send(b"hello")
             time.sleep(0.02)
-    assert heard and f"`{heard[0]}`" in README
+    assert heard and f"`{heard[0]}`" in TEXT["wire-format"]

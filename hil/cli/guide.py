@@ -1,0 +1,49 @@
+"""``hil guide``: the pages of the guide, on the terminal."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import click
+
+from hil.errors import HilError
+
+ORDER = (
+    "quick-start", "experiments", "own-plant-law-controller", "wire-format", "real-time", "faults", "logs-and-reports",
+    "designs-and-certificates", "reproducing-the-thesis", "errata", "decisions",
+)  # fmt: skip
+"""Topics in reading order; a page that is not named here comes last."""
+
+
+def pages() -> dict[str, Path]:
+    """Return the pages that come with the package, by topic, in reading order."""
+    found = {p.stem: p for p in Path(str(resources.files("hil") / "guide")).glob("*.md") if p.stem != "index"}
+    return {name: found[name] for name in sorted(found, key=lambda n: (ORDER.index(n) if n in ORDER else len(ORDER), n))}
+
+
+@click.command()
+@click.argument("topic", required=False)
+def command(topic: str | None) -> None:
+    """Print the guide's page on TOPIC; without a topic, list them."""
+    import difflib
+    import sys
+
+    found = pages()
+    if topic is None:
+        width = max(map(len, found))
+        for name, path in found.items():
+            print(f"{name:<{width}}  {path.read_text(encoding='utf-8').partition(chr(10))[0].removeprefix('# ')}")
+        return
+    if topic not in found:
+        near = difflib.get_close_matches(topic, found, n=1, cutoff=0.4)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise HilError(f"no topic {topic!r} in the guide; {hint}`hil guide` lists them")
+    text = found[topic].read_text(encoding="utf-8")
+    if not sys.stdout.isatty():
+        print(text, end="")
+        return
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    Console().print(Markdown(text))

@@ -1,0 +1,25 @@
+"""`hil guide`: topics, a page, a topic that is not there."""
+
+from __future__ import annotations
+
+import pytest
+from click.testing import CliRunner
+
+from hil.cli import main
+from hil.cli.guide import command, pages
+
+
+def test_without_a_topic_it_lists_every_page_with_its_title() -> None:
+    lines = CliRunner().invoke(command, []).stdout.splitlines()
+    assert [line.split()[0] for line in lines] == list(pages()) and lines[0].endswith("Quick start")
+
+
+@pytest.mark.parametrize("topic", list(pages()))
+def test_a_page_is_printed_as_it_stands_where_it_is_piped(topic: str) -> None:
+    assert CliRunner().invoke(command, [topic]).stdout == pages()[topic].read_text(encoding="utf-8")
+
+
+def test_an_unknown_topic_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["guide", "real-tim"])
+    assert end.value.code == 2 and "did you mean 'real-time'?" in capsys.readouterr().err
