@@ -49,6 +49,10 @@ class BathtubRate:
     def settled(self) -> float:
         return math.inf
 
+    @property
+    def limit(self) -> float:
+        return self.useful + self.wear * self.wear_span_s
+
     def __call__(self, h: npt.ArrayLike) -> FloatArray:
         h = np.asarray(h, dtype=float)
         worn = np.clip(h - self.wear_start_s, 0.0, self.wear_span_s)
@@ -97,6 +101,10 @@ class KOutOfNRate:
     def settled(self) -> float:
         return 0.0 if self.needed == self.installed else math.inf
 
+    @property
+    def limit(self) -> float:
+        return self.needed * self.rate
+
     def reliability(self, h: npt.ArrayLike) -> FloatArray:
         """R(h): probability that the system still works."""
         p = np.exp(-self.rate * np.asarray(h, dtype=float))
@@ -144,6 +152,10 @@ class ColdStandbyRate:
     @property
     def settled(self) -> float:
         return 0.0 if self.installed == 1 else math.inf
+
+    @property
+    def limit(self) -> float:
+        return self.rate
 
     def reliability(self, h: npt.ArrayLike) -> FloatArray:
         """R(h): probability that the system still works."""

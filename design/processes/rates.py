@@ -6,7 +6,8 @@ Every rate is a frozen callable of the sojourn time h (seconds, array) with valu
 - ``bounds(start, stop)``: the infimum and supremum over [start, stop) (``stop`` may be ``inf``), at which the
   inequalities of Chapters 2 to 4 are evaluated;
 - ``breaks``: the sojourn times at which lambda or its slope is not smooth; quadrature and Lyapunov nodes respect them;
-- ``settled``: the sojourn time after which lambda is constant (``inf`` if it never is).
+- ``settled``: the sojourn time after which lambda is constant (``inf`` if it never is);
+- ``limit``, if it can (``TendingRate``): where lambda tends to.
 
 Families here: constant, clipped ramp (2.26), piecewise linear table, Weibull, a user's function with bounds, a fraction
 of another rate. ``design.processes.lifetimes`` adds the bathtub and the redundant components of Figures 4.1 and 4.2.
@@ -43,6 +44,15 @@ class Rate(Protocol):
     def integral(self, h: npt.ArrayLike) -> FloatArray: ...
 
     def bounds(self, start: float, stop: float) -> tuple[float, float]: ...
+
+
+@runtime_checkable
+class TendingRate(Protocol):
+    """A rate that knows where it tends to; without it nothing is proved about sojourns that last for ever."""
+
+    @property
+    def limit(self) -> float:
+        """lim lambda(h) for h to infinity (1/s): 0, a number or ``inf``; nan where it is not known."""
 
 
 def check_positive(name: str, value: float, *, zero: bool = False) -> None:
@@ -102,6 +112,10 @@ class PiecewiseLinearRate:
     @property
     def settled(self) -> float:
         return float(self._start[-1])
+
+    @property
+    def limit(self) -> float:
+        return self.values[-1]
 
     def _cell(self, h: FloatArray) -> npt.NDArray[np.intp]:
         return np.maximum(np.searchsorted(self._start, h, side="right") - 1, 0)
@@ -193,6 +207,10 @@ class WeibullRate:
     def settled(self) -> float:
         return 0.0 if self.shape == 1.0 else math.inf
 
+    @property
+    def limit(self) -> float:
+        return 1.0 / self.scale_s if self.shape == 1.0 else 0.0 if self.shape < 1.0 else math.inf
+
     def __call__(self, h: npt.ArrayLike) -> FloatArray:
         with np.errstate(divide="ignore"):
             power = np.power(np.asarray(h, dtype=float) / self.scale_s, self.shape - 1.0)
@@ -253,6 +271,10 @@ class UserRate:
     def settled(self) -> float:
         return self.horizon_s
 
+    @property
+    def limit(self) -> float:
+        return float(self(self.horizon_s))
+
     def __call__(self, h: npt.ArrayLike) -> FloatArray:
         inside = np.minimum(np.asarray(h, dtype=float), self.horizon_s)
         return np.asarray(np.broadcast_to(np.asarray(self.function(inside), dtype=float), inside.shape))
@@ -294,6 +316,10 @@ class ScaledRate:
     @property
     def settled(self) -> float:
         return self.rate.settled
+
+    @property
+    def limit(self) -> float:
+        return self.factor * self.rate.limit if isinstance(self.rate, TendingRate) else math.nan
 
     def __call__(self, h: npt.ArrayLike) -> FloatArray:
         return self.factor * self.rate(h)

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from design.processes.rates import FloatArray, PiecewiseLinearRate, Rate
+from design.processes.rates import FloatArray, PiecewiseLinearRate, Rate, TendingRate
 
 IntArray = npt.NDArray[np.intp]
 
@@ -107,6 +107,11 @@ class SemiMarkov:
     def settled(self, mode: int) -> float:
         """Sojourn time (s) after which all rates out of the mode are constant; ``inf`` if never."""
         return max((rate.settled for rate in self.rates[mode] if rate is not None), default=0.0)
+
+    def limit(self, mode: int) -> float:
+        """Where the total rate out of the mode tends to (1/s); nan where a rate does not say."""
+        rates = [rate for rate in self.rates[mode] if rate is not None]
+        return math.fsum(rate.limit if isinstance(rate, TendingRate) else math.nan for rate in rates)
 
     def breaks(self, mode: int) -> tuple[float, ...]:
         """Sojourn times (s) at which a rate out of the mode is not smooth."""

@@ -9,6 +9,8 @@ one whose uncertainty is constant; free time variation can be worse.
 
 Integration: Gauss-Legendre per step, Phi by fourth-order Magnus steps (exact where the gain is held), steps halved until the
 radius settles; the last cell, where rates and gain are constant, in closed form lambda_ij ((L - beta) I - A (+) A)^(-1).
+Where the rates never settle, the integral exists if the growth 2 max Re eig(A) + beta is below the limit of the total rate, and
+not if it is above; it is followed until what is left is about e^(-69) of the whole.
 
 Reference: findings, "exact" and section 1.
 """
@@ -30,12 +32,19 @@ from design.semi_markov_loop.matrix_exponential import exponential
 from design.semi_markov_loop.system import JumpSystem
 
 FloatArray = npt.NDArray[np.float64]
+_LEFT_OUT = 30.0
+"""What is left out of an endless integral is at most about e^-30 of it."""
+_STEPS = 200_000
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _ModeMoments:
-    """One mode's integrand: nodes h, weights f_ij(h) dh (nodes, N), Phi(x)Phi (nodes, n^2, n^2), and the endless cell."""
+    """One mode's integrand: nodes h, weights f_ij(h) dh (nodes, N), Phi(x)Phi (nodes, n^2, n^2), and the endless cell.
+
+    Where the rates never settle, ``tail_rates`` is None, ``limit`` the limit of their total, and ``spent`` the H that was used up
+    from the last start of a section, ``tail_span`` seconds before the end.
+    """
 
     h: FloatArray
     weights: FloatArray
@@ -44,6 +53,16 @@ class _ModeMoments:
     tail_rates: FloatArray | None
     tail_square: FloatArray
     tail_generator: FloatArray
+    growth: float
+    limit: float = math.nan
+    spent: float = 0.0
+    tail_span: float = 0.0
+
+    def exists(self, beta: float) -> bool:
+        """Whether the integral over the endless cell is finite at beta and, where rates never settle, followed far enough."""
+        if self.tail_rates is not None:
+            return self.growth + beta < float(self.tail_rates.sum())
+        return self.growth + beta < self.limit and self.spent - (self.growth + beta) * self.tail_span >= _LEFT_OUT
 
 
 def _kron2(matrix: FloatArray) -> FloatArray:
@@ -77,14 +96,13 @@ def _transitions(a0: FloatArray, slope: FloatArray, offset: float, lengths: Floa
 def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, mode: int, parts: int) -> _ModeMoments:
     n, settled = system.states, process.settled(mode)
     starts = gain.starts_s[mode]
-    end = max(settled, float(starts[-1]))
-    if not math.isfinite(end):  # rates that never settle: go to where a sojourn still lasts with probability 1e-30
-        end = float(process.sojourn(mode, np.array(69.0)))
-        if not math.isfinite(end):
-            raise DesignError(
-                f"rates[{mode}]: die out without settling; the exact operator needs them constant at last"
-            )
-    edges = sorted({0.0, end, *(b for b in (*process.breaks(mode), *starts.tolist()) if b < end)})
+    last = system.a[mode] + system.b[mode] @ gain.at(mode, float(starts[-1]))
+    growth = 2.0 * float(np.linalg.eigvals(last).real.max())
+    never = not math.isfinite(settled)
+    end = _far_enough(process, mode, float(starts[-1]), growth) if never else max(settled, float(starts[-1]))
+    graded = end * 0.5 ** np.arange(1, 200) if never else np.zeros(0)
+    graded = graded[: 1 + int(np.sum(process.integral(mode, graded) > 1e-14))]  # a rate may be infinite at 0
+    edges = sorted({0.0, end, *(b for b in (*process.breaks(mode), *starts.tolist(), *graded.tolist()) if b < end)})
     phi = np.eye(n)
     hs, weights, squares = [], [], []
     for left, right in itertools.pairwise(edges):
@@ -93,18 +111,21 @@ def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, 
         rate = float(process.rate(mode, np.array([left, 0.5 * (left + right), right])).max())
         finest = 0.25 if slope.any() else 2.0  # largest |A| step: Magnus steps have an error of their own
         steps = parts * max(1, math.ceil((right - left) * max(speed, min(rate, 1e3)) / finest))
+        if steps > _STEPS:
+            raise DesignError(f"second-moment operator: a sojourn in mode {mode + 1} takes more than {_STEPS} steps")
         width = (right - left) / steps
         lengths = np.append(0.5 * width * (_POINTS + 1.0), width)
         fixed = None if slope.any() else _transitions(a0, slope, 0.0, lengths)
+        h = left + width * np.arange(steps)[:, None] + lengths[:-1]
+        begun = process.integral(mode, left + width * np.arange(steps + 1))
+        density = process.rate(mode, h) * np.exp(begun[:-1, None] - process.integral(mode, h))[:, :, None]
+        hs.append(h.ravel())
+        weights.append((density * (0.5 * width * _WEIGHTS)[:, None]).reshape(h.size, -1))
         for step in range(steps):
             local = _transitions(a0, slope, step * width, lengths) if fixed is None else fixed
-            here = local @ phi
-            h = left + step * width + lengths[:-1]
-            density = process.rate(mode, h) * np.exp(-process.integral(mode, h))[:, None]
-            hs.append(h)
-            weights.append(density * (0.5 * width * _WEIGHTS)[:, None])
+            here = local @ phi  # phi carries e^(-H/2), so that neither factor leaves the range of floats
             squares.append(_kron2(here[:-1]))
-            phi = here[-1]
+            phi = here[-1] * math.exp(0.5 * (begun[step] - begun[step + 1]))
     tail = system.a[mode] + system.b[mode] @ gain.at(mode, end)
     generator = np.kron(tail, np.eye(n)) + np.kron(np.eye(n), tail)
     rates = process.rate(mode, end) if math.isfinite(settled) else None
@@ -114,13 +135,35 @@ def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, 
         squares=np.concatenate(squares) if hs else np.zeros((0, n * n, n * n)),
         tail_start=end,
         tail_rates=rates,
-        tail_square=_kron2(phi) * math.exp(-float(process.integral(mode, end))),
+        tail_square=_kron2(phi),
         tail_generator=generator,
+        growth=growth,
+        limit=process.limit(mode),
+        spent=float(process.integral(mode, end) - process.integral(mode, float(starts[-1]))),
+        tail_span=end - float(starts[-1]),
     )
+
+
+def _far_enough(process: SemiMarkov, mode: int, start: float, growth: float) -> float:
+    """Where to end the integral over a sojourn whose rates never settle. Raises DesignError where that cannot be said."""
+    limit = process.limit(mode)
+    if math.isnan(limit):
+        raise DesignError(f"rates[{mode}]: never settle and do not say where they tend to (limit)")
+    if math.isfinite(limit) and abs(growth - limit) <= 1e-9 * max(1.0, limit):
+        raise DesignError(f"rates[{mode}]: tend to {limit:g}/s, at which second moments grow just as fast; not decided")
+    fastest = growth if growth < limit else 0.0  # beyond the limit no end is far enough: exists() says so
+    span = 1e-9
+    while float(process.integral(mode, start + span) - process.integral(mode, start)) - fastest * span < 69.0:
+        span *= 1.25
+        if span > 1e12:
+            raise DesignError(f"rates[{mode}]: die out so slowly that the exact operator cannot be integrated")
+    return start + span
 
 
 def _operator(moments: list[_ModeMoments], beta: float) -> FloatArray | None:
     """T(beta), shape (N n^2, N n^2), or None where an integral over an endless cell does not exist."""
+    if not all(mode.exists(beta) for mode in moments):
+        return None
     modes, size = len(moments), moments[0].tail_square.shape[0]
     out = np.zeros((modes, size, modes, size))
     for i, mode in enumerate(moments):
@@ -128,8 +171,6 @@ def _operator(moments: list[_ModeMoments], beta: float) -> FloatArray | None:
         if mode.tail_rates is None:
             continue
         total = float(mode.tail_rates.sum())
-        if np.linalg.eigvals(mode.tail_generator).real.max() + beta >= total:
-            return None
         inverse = np.linalg.solve((total - beta) * np.eye(size) - mode.tail_generator, mode.tail_square)
         out[:, :, i, :] += np.exp(beta * mode.tail_start) * mode.tail_rates[:, None, None] * inverse
     return out.reshape(modes * size, modes * size)
@@ -165,7 +206,10 @@ def second_moment_radius(system: JumpSystem, gain: ScheduledGain, process: SemiM
 
 def second_moment_decay(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov) -> float:
     """The exact decay rate of E|x|^2 (1/s), negative if the loop is unstable; raises as ``second_moment_radius``."""
-    moments, radius = _settled_moments(system, gain, process)
+    return _decay(*_settled_moments(system, gain, process))
+
+
+def _decay(moments: list[_ModeMoments], radius: float) -> float:
     low, high = (0.0, 1.0) if radius < 1.0 else (-1.0, 0.0)
     while radius < 1.0 and _radius(moments, high) < 1.0 and high < 1e6:
         low, high = high, 2.0 * high
@@ -178,9 +222,15 @@ def second_moment_decay(system: JumpSystem, gain: ScheduledGain, process: SemiMa
 
 
 def exact_certificate(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov) -> JumpCertificate:
-    """The verdict of the exact test as a certificate. Raises ValueError on an uncertain system: pick a vertex first."""
-    radius, decay = second_moment_radius(system, gain, process), second_moment_decay(system, gain, process)
-    stable = radius < 1.0 - 1e-9
+    """The verdict of the exact test as a certificate; undecided where the operator is not to be had.
+
+    Raises ValueError on an uncertain system: pick a vertex first.
+    """
+    try:
+        moments, radius = _settled_moments(system, gain, process)
+    except DesignError as error:
+        return JumpCertificate(method="exact", sound=True, verdict="undecided", reason=str(error), gain=gain)
+    decay, stable = _decay(moments, radius), radius < 1.0 - 1e-9
     verdict = "mean-square stable" if stable else "not mean-square stable"
     return JumpCertificate(
         method="exact", sound=True, verdict="certified" if stable else "refused", gain=gain, spectral_radius=radius,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
+from scipy.special import erfcx
 
 from design.as_printed.examples import (
     CHAPTER2_BOUNDARY_S,
@@ -14,8 +16,9 @@ from design.as_printed.examples import (
 )
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.lmi.exact import prove
+from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate
 from design.processes.partitions import Partition, equal_probability, uniform
-from design.processes.rates import PiecewiseLinearRate, WeibullRate, constant_rate
+from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, WeibullRate, constant_rate
 from design.processes.semi_markov import SemiMarkov, sample_path
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
@@ -233,3 +236,63 @@ def test_certificate_is_judged_by_its_own_matrices() -> None:
 def test_bad_input_gets_one_clear_message(call: object, message: str) -> None:
     with pytest.raises(ValueError, match="^" + message):
         call()  # type: ignore[operator]
+
+
+FOR_EVER = [
+    (KOutOfNRate(needed=1, installed=2, rate=1.0), 0.505, -1000.0),
+    (ColdStandbyRate(installed=2, rate=1.0), 0.51, -1e6),
+    (BathtubRate(infant=4.0, infant_time_s=0.5, useful=1.0, wear=0.0, wear_start_s=1.0, wear_span_s=1.0), 0.505, -1000.0),
+    (ScaledRate(rate=KOutOfNRate(needed=1, installed=2, rate=1.0), factor=0.5), 0.255, -1000.0),
+]
+
+
+@pytest.mark.parametrize(("rate", "growing", "falling"), FOR_EVER)
+def test_moments_that_outgrow_the_limit_of_a_rate_are_refused(rate: Rate, growing: float, falling: float) -> None:
+    # E e^(2 a h) is infinite, as the rate tends to less than 2 a: the tail at survival e^-69 must not be forgotten
+    process = SemiMarkov(rates=((None, rate), (constant_rate(1.0), None)))
+    refused = analyse(autonomous([[growing]], [[falling]]), None, process, method="exact")
+    assert refused.verdict == "refused" and refused.spectral_radius == np.inf
+    limit = 0.5 * process.limit(0)
+    below = analyse(autonomous([[limit - 0.02]], [[-1e3]]), None, process, method="exact")
+    assert below.certified and below.decay_rate is not None and 0.0 < below.decay_rate < 0.04 + 1e-6
+    assert analyse(autonomous([[limit]], [[falling]]), None, process, method="exact").verdict == "undecided"
+
+
+def test_moments_under_a_rate_that_never_settles_are_the_closed_form() -> None:
+    # two spares: h is Erlang(2, 1), E e^(2 a h) = (1 - 2 a)^-2; times E e^(2 b h) = 1 / (1 - 2 b) of the other mode
+    process = SemiMarkov(rates=((None, ColdStandbyRate(installed=2, rate=1.0)), (constant_rate(1.0), None)))
+    for a in (0.3, 0.45):
+        certificate = analyse(autonomous([[a]], [[-20.0]]), None, process, method="exact")
+        radius = np.sqrt((1 - 2 * a) ** -2 / 41.0)
+        assert certificate.spectral_radius == pytest.approx(radius, rel=1e-6)
+        assert certificate.certified == (radius < 1)
+
+
+def test_a_rate_that_is_infinite_at_first_and_dies_out_is_judged_at_once() -> None:
+    # Weibull of shape 1/2: E e^(-2 a h) = 1 - sqrt(pi) z e^(z^2) erfc(z), z = 1 / (2 sqrt(2 a)); it took millions of steps
+    process = SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=0.5)), (constant_rate(1.0), None)))
+    a = 0.5
+    z = 1.0 / (2.0 * np.sqrt(2.0 * a))
+    moment = np.sqrt(np.pi) * z * erfcx(z)
+    stable = analyse(autonomous([[-a]], [[0.2]]), None, process, method="exact")
+    assert stable.certified and stable.spectral_radius == pytest.approx(np.sqrt(moment / 0.6), rel=1e-6)
+    growing = analyse(autonomous([[0.01]], [[-100.0]]), None, process, method="exact")
+    assert growing.verdict == "refused"
+
+
+def test_a_rate_that_does_not_say_where_it_tends_to_is_undecided() -> None:
+    class Stranger:
+        breaks, settled = (), np.inf
+
+        def __call__(self, h: npt.ArrayLike) -> npt.NDArray[np.float64]:
+            return 1.0 + np.exp(-np.asarray(h, dtype=float))
+
+        def integral(self, h: npt.ArrayLike) -> npt.NDArray[np.float64]:
+            return np.asarray(h, dtype=float) + 1.0 - np.exp(-np.asarray(h, dtype=float))
+
+        def bounds(self, start: float, stop: float) -> tuple[float, float]:
+            return float(self(stop)), float(self(start))
+
+    process = SemiMarkov(rates=((None, Stranger()), (constant_rate(1.0), None)))
+    found = analyse(autonomous([[-1.0]], [[-1.0]]), None, process, method="exact")
+    assert found.verdict == "undecided" and "limit" in found.reason
