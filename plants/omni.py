@@ -1,30 +1,54 @@
-"""The joint of the Phantom Omni haptic device, Chapter 6."""
+"""The joint of the Phantom Omni haptic device, Chapter 6: bare, or held by a hand that presses on a wall and slides along it."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from plants.parts.linear import LinearRun, Signal, StateSpace
+from plants.errors import PlantError
+from plants.parts.events import pass_time
+from plants.parts.friction import Friction, RubbingAxis
+from plants.parts.hand import Hand, PathRun, PushRun, SlideRun
+from plants.parts.linear import NS_PER_S, Flow, LinearRun, Signal, StateSpace
 from plants.parts.validation import require_finite, require_not_negative, require_positive
+
+_BARE = ((Signal("torque", "N m"),), (Signal("angle", "rad"),), (Signal("angle", "rad"), Signal("speed", "rad/s")))
+_HELD = (
+    (Signal("force", "N"),),
+    (Signal("position", "m"), Signal("y", "m"), Signal("z", "m")),
+    tuple(Signal(*s) for s in (("position", "m"), ("speed", "m/s"), ("y", "m"), ("z", "m"), ("push", "N"), ("given", "J"))),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Omni:
-    """Bare joint of the haptic device: angle(s) = 1 / (s (m s + b)) torque(s).
+    """Joint of the haptic device: angle(s) = 1 / (s (m s + b)) torque(s); with a hand, what its tip does at a wall.
+
+    Held by a hand it takes a force in N at the tip and measures the tip's position in m, x = lever angle, and its place y, z
+    along the wall: (m/lever^2 + m_h) x'' + (b/lever^2) x' + b_h (x' - p') + k_h (x - p) = force + push.
+
+    The state ``given`` is the passivity observer: the energy in J that the actuator has given beyond what damping takes,
+    max(0, sum T (u_k w_k - (b + b_h) w_k^2)), w_k the mean speed over the time that u_k was held. Behind a coupler that meets
+    the condition of `design.passivity` it stays 0, so that a limit on it trips before a motion grows.
 
     Args:
         inertia: m; 0.7943 as identified (printed in kg; in the transfer function it acts as kg m^2).
         damping: b; 1.9857 as identified (printed in N s/m; it acts as N m s/rad), at least 0.
         initial_angle_rad: angle at time 0 in rad.
         initial_speed_rad_s: speed at time 0 in rad/s.
+        hand: the hand; without one the joint is bare, and takes a torque and measures an angle.
+        lever_m: tip per joint angle in m/rad: 1 reads the printed numbers as kg and N s/m at the tip, 0.135 as a joint.
+        force_limit_n: largest magnitude of the force at the tip in N; None for no limit (with a hand).
+        encoder_step_m: movement of the tip in m per count; 0 measures the position itself (with a hand).
+        coulomb_n: dry friction at the tip in N, for a hand without a spring.
 
     Raises:
         ValueError: where a parameter is out of range.
 
-    Reference: thesis (6.1), (6.2).
+    Reference: thesis (6.1), (6.2), (6.4); findings B0.
 
     >>> Omni().model().A.tolist()[1][1] == -1.9857 / 0.7943
     True
@@ -34,21 +58,150 @@ class Omni:
     damping: float = 1.9857
     initial_angle_rad: float = 0.0
     initial_speed_rad_s: float = 0.0
-
-    inputs: ClassVar[tuple[Signal, ...]] = (Signal("torque", "N m"),)
-    outputs: ClassVar[tuple[Signal, ...]] = (Signal("angle", "rad"),)
-    states: ClassVar[tuple[Signal, ...]] = (Signal("angle", "rad"), Signal("speed", "rad/s"))
+    hand: Hand | None = None
+    lever_m: float = 1.0
+    force_limit_n: float | None = None
+    encoder_step_m: float = 0.0
+    coulomb_n: float = 0.0
 
     def __post_init__(self) -> None:
         require_positive("inertia", self.inertia)
         require_not_negative("damping", self.damping)
         require_finite("initial_angle_rad", self.initial_angle_rad)
         require_finite("initial_speed_rad_s", self.initial_speed_rad_s)
+        require_positive("lever_m", self.lever_m)
+        require_not_negative("encoder_step_m", self.encoder_step_m)
+        require_not_negative("coulomb_n", self.coulomb_n)
+        if self.force_limit_n is not None:
+            require_positive("force_limit_n", self.force_limit_n)
+        if self.hand is None:
+            for name, given in (
+                ("lever_m", self.lever_m != 1.0), ("force_limit_n", self.force_limit_n is not None),
+                ("encoder_step_m", self.encoder_step_m > 0.0), ("coulomb_n", self.coulomb_n > 0.0),
+            ):  # fmt: skip
+                if given:
+                    raise ValueError(f"{name}: is of the held device; give it a hand")
+        elif self.coulomb_n and (self.hand.stiffness_n_per_m or self.hand.reach_m):
+            raise ValueError(f"coulomb_n: {self.coulomb_n!r}; with a spring in the hand the motion through stick and slip has no "
+                             "closed form, expected 0")  # fmt: skip
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """What it is driven by."""
+        return (_BARE if self.hand is None else _HELD)[0]
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """What it measures."""
+        return (_BARE if self.hand is None else _HELD)[1]
+
+    @property
+    def states(self) -> tuple[Signal, ...]:
+        """What the log keeps of it."""
+        return (_BARE if self.hand is None else _HELD)[2]
+
+    @property
+    def tracked(self) -> tuple[str, ...]:
+        """The output that could follow a reference: how far it is along the wall is the hand's affair."""
+        return (self.outputs[0].name,)
+
+    @property
+    def tip_mass_kg(self) -> float:
+        """Mass at the tip with the hand, in kg."""
+        return self.inertia / self.lever_m**2 + (self.hand.mass_kg if self.hand else 0.0)
+
+    @property
+    def tip_damping_n_s_per_m(self) -> float:
+        """Damping at the tip with the hand, in N s/m."""
+        return self.damping / self.lever_m**2 + (self.hand.damping_n_s_per_m if self.hand else 0.0)
 
     def model(self) -> StateSpace:
-        """Return the continuous-time model, state (angle, speed)."""
-        return StateSpace(A=[[0.0, 1.0], [0.0, -self.damping / self.inertia]], B=[[0.0], [1.0 / self.inertia]], C=[[1.0, 0.0]])
+        """Return the continuous-time model: state (angle, speed), held (position, speed) with y and z unmoved by it."""
+        if self.hand is None:
+            a = [[0.0, 1.0], [0.0, -self.damping / self.inertia]]
+            return StateSpace(A=a, B=[[0.0], [1.0 / self.inertia]], C=[[1.0, 0.0]])
+        mass = self.tip_mass_kg
+        a = [[0.0, 1.0], [-self.hand.stiffness_n_per_m / mass, -self.tip_damping_n_s_per_m / mass]]
+        return StateSpace(A=a, B=[[0.0], [1.0 / mass]], C=[[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
 
-    def start(self, rng: np.random.Generator) -> LinearRun:
-        """Return the joint at time 0. It draws nothing from ``rng``."""
-        return LinearRun(self.model(), (self.initial_angle_rad, self.initial_speed_rad_s))
+    def beyond_model(self) -> tuple[str, ...]:
+        """Return what acts on the device and is not in `model`; push, path and slide are, as bounded inputs."""
+        found = [] if self.force_limit_n is None else [f"a force that saturates at {self.force_limit_n:g} N"]
+        found += ["dry friction"] if self.coulomb_n else []
+        found += ["an encoder that rounds"] if self.encoder_step_m else []
+        return tuple(found)
+
+    def start(self, rng: np.random.Generator) -> LinearRun | HeldRun:
+        """Return the joint at time 0. A bare one draws nothing from ``rng``."""
+        if self.hand is None:
+            return LinearRun(self.model(), (self.initial_angle_rad, self.initial_speed_rad_s))
+        return HeldRun(self, self.hand, rng)
+
+
+class HeldRun:
+    """The held device while it runs. See `Omni` for the equations."""
+
+    __slots__ = (
+        "_applied", "_damping", "_dry", "_flow", "_force", "_given", "_limit", "_now_ns", "_path", "_push", "_slide", "_step_m",
+        "_x",
+    )  # fmt: skip
+
+    def __init__(self, omni: Omni, hand: Hand, rng: np.random.Generator) -> None:
+        mass, beta, spring = omni.tip_mass_kg, omni.tip_damping_n_s_per_m, hand.stiffness_n_per_m
+        # (x, v, p) under (force + push, p')
+        drawn = [[0.0, 1.0, 0.0], [-spring / mass, -beta / mass, spring / mass], [0.0, 0.0, 0.0]]
+        self._flow = Flow(drawn, [[0.0, 0.0], [1.0 / mass, hand.damping_n_s_per_m / mass], [0.0, 1.0]])
+        self._dry = RubbingAxis(1.0 / mass, beta / mass, Friction(coulomb_v=omni.coulomb_n)) if omni.coulomb_n else None
+        self._push, self._path, self._slide = PushRun(hand.push, rng), PathRun(hand), SlideRun(hand.slide, rng)
+        self._x = [omni.lever_m * omni.initial_angle_rad, omni.lever_m * omni.initial_speed_rad_s, 0.0]
+        self._limit = math.inf if omni.force_limit_n is None else omni.force_limit_n
+        self._step_m, self._damping = omni.encoder_step_m, beta
+        self._now_ns, self._force, self._applied, self._given = 0, 0.0, (0.0,), 0.0
+
+    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
+        """Hold the command for dt_ns.
+
+        Args:
+            dt_ns: time in nanoseconds, at least 0.
+            u: commanded force in N, one entry.
+            w: disturbance in N at the tip, one entry or nothing.
+        """
+        if dt_ns < 0:
+            raise PlantError(f"advance: {dt_ns} ns, expected a time that does not run backwards")
+        force = u[0]
+        limit = self._limit
+        force = limit if force > limit else -limit if force < -limit else force
+        self._applied = (force,)
+        self._force = force + w[0] if w else force
+        before, end_ns = self._x[0], self._now_ns + dt_ns
+        pass_time(self._now_ns, end_ns, (self._push, self._path, self._slide), self._move)
+        self._now_ns = end_ns
+        if dt_ns:
+            moved = self._x[0] - before
+            self._given += moved * (force - self._damping * moved * NS_PER_S / dt_ns)
+
+    def _move(self, begin_ns: int, end_ns: int) -> None:
+        force = self._force + self._push.force_n
+        if self._dry is not None:
+            position, speed = self._dry.move(self._x[0], self._x[1], force, (end_ns - begin_ns) / NS_PER_S)
+            self._x = [position, speed, 0.0]
+        else:
+            self._x = self._flow.step(self._x, (force, self._path.speed_m_s), end_ns - begin_ns)
+
+    def measure(self) -> tuple[float, ...]:
+        """Return the position in m as the encoder gives it, and the place y, z along the wall in m."""
+        position, step = self._x[0], self._step_m
+        if step and math.isfinite(position):
+            position = step * math.floor(position / step + 0.5)
+        return (position, *self._slide.at(self._now_ns))
+
+    @property
+    def state(self) -> tuple[float, ...]:
+        """Position in m, speed in m/s, y and z in m, push in N, energy given in J: the true ones."""
+        y, z = self._slide.at(self._now_ns)
+        return (self._x[0], self._x[1], y, z, self._push.force_n, max(self._given, 0.0))
+
+    @property
+    def applied(self) -> tuple[float, ...]:
+        """Force in N that the actuator put out in the last advance, without the disturbance."""
+        return self._applied

@@ -14,6 +14,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from design.controllers.wall_pattern import Pattern
+
 Switching = Literal["plain", "energy"]
 
 
@@ -72,7 +74,11 @@ class Wall:
     Args:
         materials: at least one; the published three by default.
         switching: ``energy`` or ``plain``.
-        force_limit_n: largest force in N, above 0; the stored energy grows only linearly beyond it.
+        force_limit_n: largest force in N, above 0; the stored energy grows only linearly beyond it. None for no limit.
+        material: index of the one material that is touched, where neither pattern nor chain says which.
+        pattern: which material lies where; the hand's place along the wall picks it.
+        chain: nested tuple [i][j], probability of material j after i one sample later, instead of a pattern.
+        chain_seed: seed of the chain's path.
 
     Raises:
         ValueError: where a value is out of range; the message starts with the field.
@@ -80,15 +86,45 @@ class Wall:
 
     materials: tuple[Material, ...] = MATERIALS
     switching: Switching = "energy"
-    force_limit_n: float = math.inf
+    force_limit_n: float | None = None
+    material: int = 0
+    pattern: Pattern | None = None
+    chain: tuple[tuple[float, ...], ...] | None = None
+    chain_seed: int = 0
 
     def __post_init__(self) -> None:
         if not self.materials:
             raise ValueError("materials: none, expected at least one")
         if self.switching not in get_args(Switching):
             raise ValueError(f"switching: {self.switching!r}, expected one of {', '.join(get_args(Switching))}")
-        if not self.force_limit_n > 0.0:
+        if self.force_limit_n is not None and not self.force_limit_n > 0.0:
             raise ValueError(f"force_limit_n: {self.force_limit_n!r}, expected a number above 0")
+        count = len(self.materials)
+        if not 0 <= self.material < count:
+            raise ValueError(f"material: {self.material}, expected 0 to {count - 1}")
+        if self.pattern is not None and self.chain is not None:
+            raise ValueError("chain: give either a pattern or a chain")
+        if self.pattern is not None:
+            for i, patch in enumerate(self.pattern.patches):
+                if patch.material >= count:
+                    raise ValueError(f"pattern.patches[{i}].material: {patch.material}, expected 0 to {count - 1}")
+        for i, row in enumerate(self.chain or ()):
+            if len(row) != count or len(self.chain or ()) != count:
+                raise ValueError(f"chain[{i}]: {len(row)} entries of {len(self.chain or ())} rows, expected {count} of {count}")
+            if min(row) < 0.0 or abs(sum(row) - 1.0) > 1e-9:
+                raise ValueError(f"chain[{i}]: smallest entry {min(row):g}, sum {sum(row):.10g}, expected at least 0 and 1")
+        if self.chain_seed < 0:
+            raise ValueError(f"chain_seed: {self.chain_seed}, expected at least 0")
+
+    @property
+    def limit_n(self) -> float:
+        """Largest force in N; inf for none."""
+        return math.inf if self.force_limit_n is None else self.force_limit_n
+
+    @property
+    def touched(self) -> tuple[Material, ...]:
+        """The materials that the avatar can come upon."""
+        return (self.materials[self.material],) if self.pattern is None and self.chain is None else self.materials
 
     @property
     def passive(self) -> bool:
@@ -96,7 +132,7 @@ class Wall:
 
         The energy rule keeps it so; with the plain one only a wall of one stiffness is.
         """
-        return self.switching == "energy" or len({m.stiffness_n_per_m for m in self.materials}) == 1
+        return self.switching == "energy" or len({m.stiffness_n_per_m for m in self.touched}) == 1
 
 
 class Contact:
@@ -120,14 +156,14 @@ class Contact:
         if self.avatar_m <= 0.0:
             return 0.0
         wall = self._wall
-        return wall.materials[self.material].energy_j(self.avatar_m - self.offset_m, wall.force_limit_n)
+        return wall.materials[self.material].energy_j(self.avatar_m - self.offset_m, wall.limit_n)
 
     def change(self, material: int) -> None:
         """Let another material come under the avatar."""
         if material == self.material:
             return
         if self._wall.switching == "energy":
-            held, limit = self.energy_j, self._wall.force_limit_n
+            held, limit = self.energy_j, self._wall.limit_n
             after = self._wall.materials[material].depth_m(held, limit) if held > 0.0 else 0.0
             kept = self.offset_m if held == 0.0 else self.avatar_m - after
             self.offset_m = max(0.0, kept) if self.avatar_m > 0.0 else 0.0
@@ -148,7 +184,7 @@ class Contact:
     def _solve(self, a: float, c0: float) -> tuple[float, float]:
         if a < 0.0:
             return 0.0, a
-        m, limit, delta, before = self._wall.materials[self.material], self._wall.force_limit_n, self.offset_m, self.avatar_m
+        m, limit, delta, before = self._wall.materials[self.material], self._wall.limit_n, self.offset_m, self.avatar_m
         rate = m.damping_n_s_per_m / self._period_s
         if c0 > 0.0 and c0 * min(max(-rate * before, 0.0), limit) >= a:
             return a / c0, 0.0  # the damper alone stops the avatar at the surface

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.coupler import Coupler
-from design.controllers.wall import Wall
+from design.controllers.wall import Material, Wall
 from design.passivity.condition import damping_needed, is_passive_over
 from design.passivity.device import HeldDevice
 from design.passivity.loop import HapticLoop
@@ -53,7 +53,8 @@ def certify_wall(
         period_s: T in s.
         sc, ca: delays of position and force: a chain, a constant in samples, or None where no chain describes the law.
         equalised: whether both ends wait until the largest delay has passed, so that the loop has that one delay.
-        material_chain: Lambda, for the second moment of the loop in contact; None leaves that number out.
+        material_chain: Lambda over the materials that are touched, for the second moment of the loop in contact; None leaves
+            that number out.
         unknown: what else the loop has that this theory does not know, in words.
 
     Returns:
@@ -73,18 +74,18 @@ def certify_wall(
         "delays": delays, "damping_n_s_per_m": beta, "static_compliance_m_per_n": coupler.static_compliance_m_per_n,
         "ceiling_n_per_m": ceiling_n_per_m(period_s, beta, delays[-1]) if beta > 0.0 else 0.0,
     }  # fmt: skip
-    places = [(i, d) for i in range(len(wall.materials)) for d in delays]
-    radii = {f"material {i + 1}, delay {d}": loop_radius(loop, i, d, sides, wall) for i, d in places}
+    places = [(i, d) for i in range(len(wall.touched)) for d in delays]
+    radii = {f"{named(wall.touched[i])} at a delay of {d}": loop_radius(loop, i, d, sides, wall) for i, d in places}
     where, radius = max(radii.items(), key=lambda item: item[1])
     details |= {"spectral_radius": radius, "spectral_radius_at": where, "stable": radius < 1.0}
     if material_chain is not None:
-        moment = loop.jump_system(wall.materials, material_chain, sc, ca).radius()
+        moment = loop.jump_system(wall.touched, material_chain, sc, ca).radius()
         details |= {"mean_square_radius": moment, "stable": moment < 1.0 if varies else radius < 1.0}
         if varies and moment >= 1.0:
             reason = f"in contact the second moment grows (radius {moment:.4f}) under the delays and materials of this loop"
             return _verdict("refused", reason, beta, moment, "second-moment radius in contact", 1.0, details)
     if not varies and radius >= 1.0:
-        reason = f"the contact with {where} samples is not stable (spectral radius {radius:.4f}) for the hand that is there"
+        reason = f"the contact with {where} samples is not stable for the hand that is there (spectral radius {radius:.4f})"
         return _verdict("refused", reason, beta, radius, "spectral radius in contact", 1.0, details)
     needed = damping_needed(coupler, period_s, delays)
     held = [is_passive_over(coupler, period_s, beta, d) for d in delays]
@@ -113,18 +114,23 @@ def certify_wall(
     return _verdict("certified", reason, beta, *decided)
 
 
+def named(material: Material) -> str:
+    """Return a material by its numbers, as the thesis writes them: K/B."""
+    return f"material {material.stiffness_n_per_m:g}/{material.damping_n_s_per_m:g}"
+
+
 def loop_radius(loop: HapticLoop, material: int, delay: int, sides: Sequence[Sequence[int]], wall: Wall) -> float:
     """Return the spectral radius in contact with a material at a total delay: only the sum of both delays matters.
 
     Args:
         loop: device, hand, coupler.
-        material: index in the wall.
+        material: index of what is touched.
         delay: nd in samples.
         sides: the delays of position and force that occur.
-        wall: its materials.
+        wall: what is touched.
     """
     sc = min(delay, sides[0][-1])
-    return loop.radius(wall.materials[material], sc, delay - sc)
+    return loop.radius(wall.touched[material], sc, delay - sc)
 
 
 def _samples(delays: Sequence[int]) -> str:

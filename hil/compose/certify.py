@@ -17,10 +17,11 @@ from design.verdict import Verdict, digest
 from hil.compose.certifier import Certifier, LoopToCertify, undecided
 from hil.compose.jump_loop import certify_jump_loop
 from hil.compose.send_all_loop import certify_send_all
+from hil.compose.wall_loop import certify_wall_loop
 from hil.errors import ForeignVerdict
 from hil.experiment import Experiment
 
-CERTIFIERS: tuple[Certifier, ...] = (certify_send_all, certify_jump_loop)
+CERTIFIERS: tuple[Certifier, ...] = (certify_send_all, certify_jump_loop, certify_wall_loop)
 """Asked in this order; the first that knows the kind of loop answers."""
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from plants.omni import Omni
+from plants.parts.check import check_plant
+from plants.parts.hand import Hand, Push, Slide
 
 
 def test_a_torque_step_has_its_closed_form():
@@ -22,3 +24,104 @@ def test_a_torque_step_has_its_closed_form():
 def test_parameters_out_of_range_are_refused_by_name(field, value):
     with pytest.raises(ValueError, match=f"^{field}: "):
         Omni(**{field: value})
+
+
+HELD = Hand(
+    mass_kg=0.5, damping_n_s_per_m=8.0, stiffness_n_per_m=60.0, reach_m=0.05, approach_s=0.333,
+    push=Push(force_n=1.0, start_s=0.2, stop_s=0.5, tremor_n=0.15),
+    slide=Slide(way="wander", speed_m_s=0.1, turn_s=0.07),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "omni",
+    [
+        Omni(),
+        Omni(hand=Hand()),
+        Omni(hand=HELD),
+        Omni(hand=Hand(slide=Slide(way="lissajous")), coulomb_n=0.002, lever_m=0.135, encoder_step_m=1e-5, force_limit_n=0.005),
+    ],
+    ids=["bare", "free", "held", "imperfect"],
+)
+def test_every_form_keeps_to_the_contract(omni):
+    check_plant(omni)
+
+
+def test_the_published_push_of_the_free_device():
+    """1 N moves it 44.8 mm in 0.30 s and 58.8 mm in 0.35 s, before any controller can react (findings B3)."""
+    run = Omni(hand=Hand(push=Push(force_n=1.0))).start(np.random.default_rng(0))
+    run.advance(300_000_000, (0.0,))
+    assert run.measure()[0] == pytest.approx(0.0448, abs=5e-5)
+    run.advance(50_000_000, (0.0,))
+    assert run.measure()[0] == pytest.approx(0.0588, abs=5e-5)
+
+
+def test_the_lever_turns_the_printed_numbers_into_a_joint():
+    """With r = 0.135 m the same numbers are m/r^2 and b/r^2 at the tip: b > K T/2 + |B| holds for every material (B0)."""
+    joint = Omni(hand=Hand(), lever_m=0.135)
+    assert joint.tip_mass_kg == pytest.approx(0.7943 / 0.135**2)
+    assert all(joint.tip_damping_n_s_per_m > k * 0.05 / 2 + b for k, b in ((1000, 2), (800, 2), (800, 5)))
+    assert not any(Omni(hand=Hand()).tip_damping_n_s_per_m > k * 0.05 / 2 + b for k, b in ((1000, 2), (800, 2), (800, 5)))
+
+
+def test_a_hand_comes_to_rest_where_it_means_to_be():
+    hand = Hand(mass_kg=0.5, damping_n_s_per_m=8.0, stiffness_n_per_m=60.0, reach_m=0.05)
+    run = Omni(hand=hand).start(np.random.default_rng(0))
+    for _ in range(200):
+        run.advance(50_000_000, (0.0,))
+    assert run.state[0] == pytest.approx(0.05, abs=1e-9) and run.state[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_observer_counts_what_is_given_beyond_damping():
+    """A force that pushes gives; one that only brakes gives nothing."""
+    run = Omni(hand=Hand()).start(np.random.default_rng(0))
+    run.advance(50_000_000, (1.0,))
+    moved = run.measure()[0]
+    assert run.state[5] == pytest.approx(moved * (1.0 - 1.9857 * moved / 0.05), rel=1e-12)
+    braking = Omni(hand=Hand(), initial_speed_rad_s=1.0).start(np.random.default_rng(0))
+    braking.advance(50_000_000, (-1.0,))
+    assert braking.state[5] == 0.0
+
+
+def test_the_tremor_has_the_spread_and_the_memory_it_says():
+    """40,000 samples 10 correlation times apart: sd within 2 % (4 sd of the estimate), correlation e^-1 after one within 0.03."""
+    run = Omni(hand=Hand(push=Push(tremor_n=0.2, tremor_correlation_s=0.01, tremor_hold_s=0.01))).start(np.random.default_rng(5))
+    forces = []
+    for _ in range(40_000):
+        run.advance(10_000_000, (0.0,))
+        forces.append(run.state[4])
+    x = np.array(forces)
+    assert x.std() == pytest.approx(0.2, rel=0.03)
+    assert np.corrcoef(x[:-1], x[1:])[0, 1] == pytest.approx(np.exp(-1), abs=0.03)
+
+
+def test_encoder_limit_and_friction_do_what_they_say():
+    run = Omni(hand=Hand(), encoder_step_m=0.001, force_limit_n=0.5).start(np.random.default_rng(0))
+    run.advance(300_000_000, (2.0,))
+    assert run.applied == (0.5,) and run.measure()[0] == pytest.approx(0.0224, abs=6e-4)
+    assert run.measure()[0] / 0.001 == pytest.approx(round(run.measure()[0] / 0.001))
+    stuck = Omni(hand=Hand(), coulomb_n=0.3).start(np.random.default_rng(0))
+    stuck.advance(300_000_000, (0.29,))
+    assert stuck.state[0] == 0.0
+    assert Omni(hand=Hand(), encoder_step_m=0.001, coulomb_n=0.1).beyond_model() == ("dry friction", "an encoder that rounds")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Omni(inertia=-0.1), "inertia: "),
+        (lambda: Hand(mass_kg=-1.0), "mass_kg: "),
+        (lambda: Hand(damping_n_s_per_m=-1.0), "damping_n_s_per_m: "),
+        (lambda: Hand(approach_s=0.0), "approach_s: "),
+        (lambda: Push(start_s=1.0, stop_s=0.5), "stop_s: "),
+        (lambda: Push(tremor_n=-1.0), "tremor_n: "),
+        (lambda: Slide(way="jump"), "way: 'jump'"),
+        (lambda: Slide(turn_s=0.0), "turn_s: "),
+        (lambda: Omni(lever_m=0.135), "lever_m: is of the held device"),
+        (lambda: Omni(hand=Hand(stiffness_n_per_m=1.0), coulomb_n=0.1), "coulomb_n: "),
+        (lambda: Omni(hand=Hand(), force_limit_n=0.0), "force_limit_n: "),
+    ],
+)
+def test_a_hand_out_of_range_is_refused_by_name(make, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        make()

@@ -1,0 +1,130 @@
+"""``[controller] kind = "virtual-wall"``: what an experiment may ask of a wall over a network; what runs is taps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from design.controllers.coupler import Coupler, wave_coupler
+from design.controllers.virtual_wall import VirtualWall
+from design.controllers.wall import Wall
+from design.requests.task import DesignTask
+
+Method = Literal["stiffest", "wave", "theorem-6.1", "taps"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CouplerRequest:
+    """Which coupler is wanted.
+
+    Args:
+        method: ``stiffest``, the least static compliance that is safe for every passive hand at every delay of the set; ``wave``,
+            the closed form for the largest delay alone; ``theorem-6.1``, the printed T/(2 b), which knows no delay; or ``taps``.
+        delays: total delays in samples that the coupler is to be safe for; by default those that the loop can have.
+        damping_n_s_per_m: damping of device and hand in N s/m that the coupler counts on; by default the model's.
+        stiffness_n_per_m: a static stiffness in N/m that is to be reached (``stiffest``); refused above the ceiling.
+        count: number of taps (``stiffest``); 0 for as many as the delays call for.
+        taps_m_per_n: the taps themselves in m/N (``taps``).
+        integrator_m_per_n: gain of an integrator beside them in m/N per sample (``taps``).
+        equalise: whether both ends wait until the largest delay has passed, so that a delay that varies becomes one that stays.
+
+    Raises:
+        ValueError: where a value is out of range; the message starts with the field.
+    """
+
+    method: Method = "stiffest"
+    delays: tuple[int, ...] = ()
+    damping_n_s_per_m: float | None = None
+    stiffness_n_per_m: float | None = None
+    count: int = 0
+    taps_m_per_n: tuple[float, ...] = ()
+    integrator_m_per_n: float = 0.0
+    equalise: bool = False
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            raise ValueError(f"method: {self.method!r}, expected one of {', '.join(get_args(Method))}")
+        for i, delay in enumerate(self.delays):
+            if delay < 0:
+                raise ValueError(f"delays[{i}]: {delay}, expected at least 0")
+        for name, value in (
+            ("damping_n_s_per_m", self.damping_n_s_per_m),
+            ("stiffness_n_per_m", self.stiffness_n_per_m),
+        ):
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name}: {value!r}, expected a finite number above 0")
+        if self.count < 0:
+            raise ValueError(f"count: {self.count}, expected at least 1, or 0")
+        if bool(self.taps_m_per_n) != (self.method == "taps"):
+            raise ValueError('taps_m_per_n: give them with method = "taps", and with no other')
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignedWall:
+    """A virtual wall, felt through a coupler that is made when the experiment is composed (Chapter 6).
+
+    Args:
+        wall: materials, where they lie, what happens where they change.
+        coupler: which coupler.
+    """
+
+    wall: Wall = field(default_factory=Wall)
+    coupler: CouplerRequest = field(default_factory=CouplerRequest)
+
+    def solve(self, task: DesignTask) -> VirtualWall:
+        """Return the wall with the taps that run.
+
+        Raises:
+            ValueError: a plant that is no device at a wall; the message starts with the field.
+            DesignError: the stiffness asked for cannot be reached; the message has the number that decides it.
+        """
+        model, asked = task.model, self.coupler
+        largest = model.tau_max + model.d_max
+        sides = [{limit} if chain is None else {int(d) for d in chain.delay} for chain, limit in
+                 ((task.sc, model.tau_max), (task.ca, model.d_max))]  # fmt: skip
+        spread = model.tau_max if task.sc is None else model.tau_max - min(sides[0])
+        delays = asked.delays or tuple(sorted({i + j for i in sides[0] for j in sides[1]}))
+        if asked.equalise and not asked.delays:
+            delays = (largest,)
+        beta = damping_of(task) if asked.damping_n_s_per_m is None else asked.damping_n_s_per_m
+        makers: dict[Method, Callable[[], Coupler]] = {
+            "stiffest": lambda: self._stiffest(delays, model.period_s, beta),
+            "wave": lambda: wave_coupler(model.period_s, beta, max(delays)),
+            "theorem-6.1": lambda: wave_coupler(model.period_s, beta, 0),
+            "taps": lambda: Coupler(taps_m_per_n=asked.taps_m_per_n, integrator_m_per_n=asked.integrator_m_per_n),
+        }
+        if not (asked.method == "taps" or beta > 0.0):
+            raise ValueError(f"coupler.damping_n_s_per_m: {beta:g}; without damping no coupler is safe for every hand")
+        samples = 1 + spread if asked.equalise else 1
+        return VirtualWall(wall=self.wall, coupler=makers[asked.method](), equalise=asked.equalise, samples=samples)
+
+    def _stiffest(self, delays: tuple[int, ...], period_s: float, beta: float) -> Coupler:
+        from design.passivity.synthesis import stiffest_coupler
+
+        return stiffest_coupler(
+            delays, period_s=period_s, damping_n_s_per_m=beta, taps=self.coupler.count or None,
+            stiffness_n_per_m=self.coupler.stiffness_n_per_m,
+        ).coupler  # fmt: skip
+
+
+def damping_of(task: DesignTask) -> float:
+    """Return the damping b + b_h in N s/m of the device in a model: what its speed loses, by the matrix logarithm.
+
+    Args:
+        task: a plant of state (position, speed) under one force.
+
+    Raises:
+        ValueError: another kind of plant.
+    """
+    import numpy as np
+    from scipy.linalg import logm
+
+    model = task.model
+    if model.A.shape != (2, 2) or model.B.shape != (2, 1):
+        raise ValueError("wall: needs a device with a position, a speed and one force, such as an omni with a hand")
+    held = np.block([[model.A, model.B], [np.zeros((1, 2)), np.ones((1, 1))]])
+    field_ = np.real(logm(held)) / model.period_s
+    # an ulp less than it may be: taps made for less damping hold for more
+    return float(-field_[1, 1] / field_[1, 2]) * (1.0 - 1e-9)

@@ -1,0 +1,37 @@
+"""The certifier of Chapter 6: a wall behind a coupler, felt over a network with a device that a hand holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from design.controllers.virtual_wall import RendersWall
+from design.verdict import Verdict
+from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
+from hil.experiment.protocols import JumpPlant
+
+
+def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
+    """Return the verdict on a rendered wall: passive for every passive hand, or what decides otherwise; None for other loops.
+
+    Mass, damping and spring of device and hand are read from the plant's own model, x'' = -k/M x - b/M x' + u/M.
+    """
+    controller, plant = loop.controller, loop.plant
+    if not isinstance(controller, RendersWall):
+        return None
+    model = plant.model()
+    if isinstance(plant, JumpPlant) or model.A.shape != (2, 2) or model.B.shape != (2, 1) or model.A[0].tolist() != [0.0, 1.0]:
+        return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
+    from design.passivity.certificate import certify_wall
+    from design.passivity.device import HeldDevice
+
+    mass = 1.0 / float(model.B[1, 0])
+    device = HeldDevice(
+        mass_kg=mass,
+        damping_n_s_per_m=-float(model.A[1, 1]) * mass,
+        hand_stiffness_n_per_m=max(-float(model.A[1, 0]) * mass, 0.0),
+    )
+    verdict = certify_wall(
+        device=device, wall=controller.wall, coupler=controller.coupler, period_s=loop.model.period_s, sc=loop.sc, ca=loop.ca,
+        equalised=controller.equalise, material_chain=controller.wall.chain,
+    )  # fmt: skip
+    return limited_to_model(loop, replace(verdict, digest=loop.digest))

@@ -1,0 +1,212 @@
+"""A hand that holds a haptic device: its own dynamics, its push, and the way that it slides along a wall."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+
+from plants.parts.linear import NS_PER_S
+from plants.parts.validation import require_finite, require_not_negative, require_positive
+
+NEVER_NS = 1 << 62
+Way = Literal["straight", "lissajous", "wander"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Push:
+    """The force that the hand adds by itself, constant over [start, stop), with a seeded tremor.
+
+    The tremor is an Ornstein-Uhlenbeck process, sampled and held: its correlation falls by e in ``tremor_correlation_s``.
+
+    Args:
+        force_n: constant part in N, towards the wall where positive.
+        start_s, stop_s: when it acts, in s; stop_s None for ever.
+        tremor_n: standard deviation of the tremor in N, all the time; 0 for none.
+        tremor_correlation_s: its correlation time in s.
+        tremor_hold_s: how long a sample of it is held, in s.
+
+    Raises:
+        ValueError: where a value is out of range; the message starts with the field.
+    """
+
+    force_n: float = 0.0
+    start_s: float = 0.0
+    stop_s: float | None = None
+    tremor_n: float = 0.0
+    tremor_correlation_s: float = 0.3
+    tremor_hold_s: float = 0.001
+
+    def __post_init__(self) -> None:
+        require_finite("force_n", self.force_n)
+        require_not_negative("start_s", self.start_s)
+        if self.stop_s is not None and not (math.isfinite(self.stop_s) and self.stop_s > self.start_s):
+            raise ValueError(f"stop_s: {self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
+        require_not_negative("tremor_n", self.tremor_n)
+        require_positive("tremor_correlation_s", self.tremor_correlation_s)
+        require_positive("tremor_hold_s", self.tremor_hold_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slide:
+    """The way of the hand along the wall, in the plane of y and z.
+
+    ``straight`` keeps its heading; ``lissajous`` is y = width/2 sin(2 pi f_y t), z = height/2 sin(2 pi f_z t) around the start;
+    ``wander`` keeps its speed and takes a new, uniformly random heading every ``turn_s``.
+
+    Args:
+        way: which of them.
+        y_m, z_m: start in m.
+        speed_m_s: speed in m/s (not of a Lissajous figure).
+        heading_rad: direction from the y axis towards the z axis in rad (``straight``).
+        width_m, height_m: extent of a Lissajous figure in m.
+        y_hz, z_hz: its frequencies along y and z in Hz.
+        turn_s: time between two turns in s (``wander``).
+
+    Raises:
+        ValueError: where a value is out of range; the message starts with the field.
+    """
+
+    way: Way = "straight"
+    y_m: float = 0.0
+    z_m: float = 0.0
+    speed_m_s: float = 0.0
+    heading_rad: float = 0.0
+    width_m: float = 0.1
+    height_m: float = 0.1
+    y_hz: float = 0.2
+    z_hz: float = 0.3
+    turn_s: float = 0.05
+
+    def __post_init__(self) -> None:
+        if self.way not in get_args(Way):
+            raise ValueError(f"way: {self.way!r}, expected one of {', '.join(get_args(Way))}")
+        for name, value in (("y_m", self.y_m), ("z_m", self.z_m), ("heading_rad", self.heading_rad)):
+            require_finite(name, value)
+        for name, value in (("speed_m_s", self.speed_m_s), ("width_m", self.width_m), ("height_m", self.height_m)):
+            require_not_negative(name, value)
+        require_not_negative("y_hz", self.y_hz)
+        require_not_negative("z_hz", self.z_hz)
+        require_positive("turn_s", self.turn_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hand:
+    """A hand, rigidly at the device: m_h x'' + b_h (x' - p') + k_h (x - p) is what it asks of the device, minus its push.
+
+    p(t) is the intended path: from 0 to ``reach_m`` at constant speed during the first ``approach_s``.
+
+    Args:
+        mass_kg, damping_n_s_per_m, stiffness_n_per_m: m_h, b_h, k_h, at least 0.
+        reach_m: where the hand means to be, in m; behind the surface of the wall where positive.
+        approach_s: how long it takes to go there in s, above 0.
+        push: force that it adds.
+        slide: its way along the wall.
+
+    Raises:
+        ValueError: where a value is out of range; the message starts with the field.
+
+    Reference: Chapter 6, H(s) of Theorem 6.1; findings C.
+    """
+
+    mass_kg: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    stiffness_n_per_m: float = 0.0
+    reach_m: float = 0.0
+    approach_s: float = 1.0
+    push: Push = field(default_factory=Push)
+    slide: Slide = field(default_factory=Slide)
+
+    def __post_init__(self) -> None:
+        require_not_negative("mass_kg", self.mass_kg)
+        require_not_negative("damping_n_s_per_m", self.damping_n_s_per_m)
+        require_not_negative("stiffness_n_per_m", self.stiffness_n_per_m)
+        require_finite("reach_m", self.reach_m)
+        require_positive("approach_s", self.approach_s)
+
+
+class PushRun:
+    """The push over time: what it is now, and when it changes next."""
+
+    __slots__ = ("_decay", "_edges", "_hold_ns", "_push", "_rng", "_spread", "_tremor", "force_n", "next_ns")
+
+    def __init__(self, push: Push, rng: np.random.Generator) -> None:
+        stop_ns = NEVER_NS if push.stop_s is None else round(push.stop_s * NS_PER_S)
+        self._push, self._rng, self._edges = push, rng, (round(push.start_s * NS_PER_S), stop_ns)
+        self._hold_ns = max(round(push.tremor_hold_s * NS_PER_S), 1)
+        self._decay = math.exp(-push.tremor_hold_s / push.tremor_correlation_s)
+        self._spread = push.tremor_n * math.sqrt(1.0 - self._decay * self._decay)
+        self._tremor = push.tremor_n * float(rng.standard_normal()) if push.tremor_n else 0.0
+        self.next_ns = 0
+        self._settle(0)
+
+    def _settle(self, now_ns: int) -> None:
+        start_ns, stop_ns = self._edges
+        self.force_n = (self._push.force_n if start_ns <= now_ns < stop_ns else 0.0) + self._tremor
+        edges = [edge for edge in self._edges if edge > now_ns]
+        if self._push.tremor_n:
+            edges.append((now_ns // self._hold_ns + 1) * self._hold_ns)
+        self.next_ns = min(edges, default=NEVER_NS)
+
+    def fire(self) -> None:
+        """Let the change that is due happen."""
+        now_ns = self.next_ns
+        if self._push.tremor_n and now_ns % self._hold_ns == 0:
+            self._tremor = self._decay * self._tremor + self._spread * float(self._rng.standard_normal())
+        self._settle(now_ns)
+
+
+class PathRun:
+    """The speed of the intended path: constant until it is there, then 0."""
+
+    __slots__ = ("next_ns", "speed_m_s")
+
+    def __init__(self, hand: Hand) -> None:
+        self.next_ns = round(hand.approach_s * NS_PER_S) if hand.reach_m else NEVER_NS
+        self.speed_m_s = hand.reach_m * NS_PER_S / self.next_ns if hand.reach_m else 0.0
+
+    def fire(self) -> None:
+        """Arrive."""
+        self.speed_m_s, self.next_ns = 0.0, NEVER_NS
+
+
+class SlideRun:
+    """The place along the wall over time."""
+
+    __slots__ = ("_at", "_heading", "_rng", "_since_ns", "_slide", "_start", "next_ns")
+
+    def __init__(self, slide: Slide, rng: np.random.Generator) -> None:
+        self._slide, self._rng, self._since_ns = slide, rng, 0
+        self._start = (slide.y_m, slide.z_m)
+        self._heading, self.next_ns = slide.heading_rad, NEVER_NS
+        if slide.way == "wander":
+            self._heading, self.next_ns = self._turned(), round(slide.turn_s * NS_PER_S)
+        figures: dict[Way, Callable[[int], tuple[float, float]]] = {
+            "straight": self._line, "wander": self._line, "lissajous": self._figure,
+        }  # fmt: skip
+        self._at = figures[slide.way]
+
+    def _turned(self) -> float:
+        return 2.0 * math.pi * float(self._rng.random())
+
+    def fire(self) -> None:
+        """Turn."""
+        self._start, self._since_ns = self.at(self.next_ns), self.next_ns
+        self._heading = self._turned()
+        self.next_ns += max(round(self._slide.turn_s * NS_PER_S), 1)
+
+    def at(self, now_ns: int) -> tuple[float, float]:
+        """Return y and z in m at an instant that is not before the last turn."""
+        return self._at(now_ns)
+
+    def _line(self, now_ns: int) -> tuple[float, float]:
+        way = self._slide.speed_m_s * ((now_ns - self._since_ns) / NS_PER_S)
+        return self._start[0] + way * math.cos(self._heading), self._start[1] + way * math.sin(self._heading)
+
+    def _figure(self, now_ns: int) -> tuple[float, float]:
+        turns, s = 2.0 * math.pi * now_ns / NS_PER_S, self._slide
+        y = 0.5 * s.width_m * math.sin(turns * s.y_hz)
+        return self._start[0] + y, self._start[1] + 0.5 * s.height_m * math.sin(turns * s.z_hz)
