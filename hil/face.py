@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,6 +23,7 @@ from hil.session import simulate as simulate_loop
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.comparison import compare as compare_experiments
 from hil.sweeps.seeds import Sweep, here, run_sweep
+from plants import LinearPlant, from_control
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
@@ -38,12 +41,14 @@ def load_experiment(
         sets: changes ``path=value`` in TOML notation, as ``hil run --set`` takes them.
         seed: root of all random streams.
         duration: length of a run: seconds, or text such as "2 min".
-        changes: path to value, as ``**{"plant.gain": 150, "links.sc.max_age": 4}``.
+        changes: path to value, as ``**{"plant.gain": 150, "links.sc.max_age": 4}``. ``plant`` takes a `control.StateSpace` or a
+            `control.TransferFunction`, or what `plants.from_control` made of it; ``controller`` a fixed gain as one of them, a
+            matrix (m, p) or a number.
 
     Raises:
         HilError: with every fault found, each with the path of its field.
     """
-    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in changes.items())]
+    said = [*sets, *(f"{path}={_toml(_table_of(path, value), path)}" for path, value in changes.items())]
     return asked.load_experiment(source, said, seed=seed, duration=None if duration is None else str(duration))
 
 
@@ -189,6 +194,25 @@ def _checked(source: Source, seed: int | None, duration: str | float | None, cha
     if duration is not None or changes:
         raise HilError("a loaded experiment takes no changes: give them to load_experiment")
     return source if seed is None else msgspec.structs.replace(source, seed=seed)
+
+
+def _table_of(path: str, value: Any) -> Any:
+    """Return the table of an experiment that a model, a plant or a gain stands for; anything else as it is."""
+    control = sys.modules.get("control")  # who has a model of python-control has imported it
+    model = control is not None and isinstance(value, control.StateSpace | control.TransferFunction)
+    if path == "plant":
+        plant = from_control(value) if model else value
+        if isinstance(plant, LinearPlant):
+            fields = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
+            return {"kind": "state-space", **fields}
+    if path == "controller":
+        if control is not None and model:
+            if control.ss(value).nstates:
+                raise HilError("controller: a model with states is no fixed gain; expected a constant")
+            value = control.ss(value).D
+        if isinstance(value, np.ndarray | list | tuple | float | int):
+            return {"kind": "local", "gain": np.atleast_2d(np.asarray(value, dtype=np.float64))}
+    return value
 
 
 def _toml(value: Any, path: str) -> str:

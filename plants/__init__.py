@@ -16,6 +16,8 @@ from plants.parts.linear import DiscreteStateSpace, LinearRun, Signal, StateSpac
 from plants.parts.protocols import BeyondModel, JumpPlant, Plant, PlantRun
 from plants.parts.semi_markov import JumpProcess, TransitionRates
 from plants.parts.sensors import Encoder
+from plants.python_control import from_control, to_control
+from plants.state_space import LinearPlant
 from plants.switched_example import SwitchedExample, SwitchedExampleRun
 from plants.vtol import VTOL, vtol_matrices
 from plants.vtol_delayed import DelayedVTOL, DelayedVTOLRun
@@ -38,6 +40,7 @@ __all__ = [
     "JumpPlant",
     "JumpProcess",
     "JumpRates",
+    "LinearPlant",
     "LinearRun",
     "LoadTorque",
     "Omni",
@@ -51,5 +54,7 @@ __all__ = [
     "SwitchedExampleRun",
     "TransitionRates",
     "check_plant",
+    "from_control",
+    "to_control",
     "vtol_matrices",
 ]
