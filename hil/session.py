@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import signal
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -124,13 +126,28 @@ def run_session(
         problems = {name: text for name, text in outcome.items() if text}
         if problems:
             sink.summary({"problems": problems})
+        log = sink.reader()
+        gone = sink.gone()
 
     # 4. Sum up what the log says, and what only this process knows.
     wall_s = (monotonic_ns() - begun) / 1e9
     if sink.error is not None:
         outcome["log_error"] = sink.error
-    run = read_run(path, whole=sink.error is None)
-    return Session(run=run, summary=_summary(run, loop.experiment, sink, outcome, wall_s), status=_status(run, sink, outcome))
+    if gone is not None:
+        outcome["log_lost"] = f"{path} {gone}"
+    try:
+        run = read_run(path, whole=sink.error is None, descriptor=log)
+        summary = _summary(run, loop.experiment, sink, outcome, wall_s)
+        summary["log"]["sha256"] = _sha256(log)
+    finally:
+        os.close(log)
+    return Session(run=run, summary=summary, status=_status(run, sink, outcome))
+
+
+def _sha256(descriptor: int) -> str:
+    with open(descriptor, "rb", closefd=False) as file:
+        file.seek(0)
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _run_in_virtual_time(loop: Loop, sink: Sink) -> dict[str, Any]:
@@ -172,6 +189,9 @@ def _run_real(
         sink.event(real.controller_lost_ns, "controller lost", real.controller_lost, severity="error")
     if real.interrupted is not None:
         out |= _interrupted(real.interrupted, sink, real.pump.last_ns)
+    elif real.rig_silent is not None:
+        out["rig_lost"] = real.rig_silent
+        sink.event(real.pump.last_ns, "rig lost", real.rig_silent, severity="error")
     elif real.rig_status != 0:
         out["rig_lost"] = (
             f"the rig process was killed by {signal.Signals(-real.rig_status).name}"
@@ -187,7 +207,7 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
     summary["wall_s"] = round(wall_s, 3)
     summary["log"] = {
         "path": str(sink.path),
-        "sha256": sink.sha256(),
+        "sha256": "",
         "messages": sink.messages,
         "dropped": sink.dropped,
     }
@@ -199,7 +219,7 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
 def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
     if "interrupted" in outcome:
         return 128 + int(signal.Signals[outcome["interrupted"]])
-    if "rig_lost" in outcome or sink.error is not None:
+    if "rig_lost" in outcome or "log_lost" in outcome or sink.error is not None:
         return 1
     kinds = {event["kind"] for event in run.events}
     if "second controller" in kinds:

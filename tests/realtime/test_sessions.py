@@ -241,3 +241,21 @@ def test_foreign_controller_drives_the_rig(tmp_path: Path) -> None:
     assert summary["metrics"]["max_abs_u"] > 0.1 and not summary["problems"]
     if summary["timing"]["valid"]:  # a machine that pauses the foreign program makes it another loop
         assert abs(summary["metrics"]["steady_state_error"]) < 0.3
+
+
+def test_a_stopped_rig_is_said_and_ends_the_session(session: Running) -> None:
+    rig = session.child("rig")
+    os.kill(rig, signal.SIGSTOP)
+    status, summary = session.finish()
+    assert status == 1 and "the rig process is stopped" in summary["problems"]["rig_lost"]
+    assert any(event["kind"] == "rig lost" for event in read_run(session.log).events)
+    until(lambda: gone(rig), "the rig's end", ROOM_S)
+
+
+def test_a_log_that_is_removed_while_it_is_written_is_said_and_summed_up(tmp_path: Path) -> None:
+    session = Running(tmp_path, duration="3")
+    session.child("rig")
+    session.log.unlink()
+    status, summary = session.finish()
+    assert status == 1 and "was removed while the log was written" in summary["problems"]["log_lost"]
+    assert summary["ticks"] == 60 and summary["log"]["messages"] > 300 and len(summary["log"]["sha256"]) == 64

@@ -10,7 +10,7 @@ from typing import Final
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from hil.log.read.mcap_walk import DamagedRecord, Record, parse, parse_attachment, unpack_chunk
+from hil.log.read.mcap_walk import Budget, DamagedRecord, Record, parse, parse_attachment, unpack_chunk
 
 _MESSAGE_HEAD: Final = struct.Struct("<BQH")
 MESSAGE_TIME_AT: Final = 15
@@ -23,10 +23,11 @@ class Content:
 
     Args:
         schemas, channels: by number.
-        messages: by number of the channel, in the order of the file.
+        messages: by number of the channel, in the order of the file; whoever reads on may take them out.
         metadata: by name; a later record of one name replaces an earlier one.
         attachments: by name.
         chunks: chunks that were unpacked.
+        budget: how much the file may unpack to.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -35,6 +36,7 @@ class Content:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, Attachment] = field(default_factory=dict)
     chunks: int = 0
+    budget: Budget
 
     def take(self, record: Record) -> None:
         """Take one record of the file; indexes and statistics are passed over.
@@ -43,7 +45,7 @@ class Content:
             DamagedRecord: if the record cannot be read; no message of it was taken then.
         """
         if record.opcode == Opcode.CHUNK:
-            self._take_chunk(unpack_chunk(record), record)
+            self._take_chunk(unpack_chunk(record, self.budget), record)
             self.chunks += 1
         elif record.opcode == Opcode.SCHEMA:
             schema = parse(Schema.read, record)
@@ -70,6 +72,8 @@ class Content:
             except struct.error:
                 raise DamagedRecord(f"chunk at byte {record.offset}: ends within a record") from None
             after = at + 9 + length
+            if opcode == 0:
+                raise DamagedRecord(f"chunk at byte {record.offset}: zeros stand where a record should begin")
             if after > end:
                 raise DamagedRecord(f"chunk at byte {record.offset}: a record of {length} bytes exceeds it")
             if opcode == Opcode.MESSAGE:

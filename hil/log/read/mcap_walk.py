@@ -10,11 +10,12 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from io import BytesIO
-from typing import Final, NamedTuple, TypeVar
+from typing import BinaryIO, Final, NamedTuple, TypeVar
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk, McapRecord
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
@@ -23,7 +24,12 @@ from hil.errors import HilError
 
 MAGIC: Final = MCAP0_MAGIC
 _FRAME: Final = struct.Struct("<BQ")
-_MAX_CHUNK: Final = 1 << 30
+LARGEST_RECORD: Final = 1 << 26
+"""Bytes of a record, and of what a chunk unpacks to; the recorder's chunks have some 10^5."""
+
+UNPACKED_FLOOR: Final = 1 << 24
+UNPACKED_RATIO: Final = 40
+"""How many times its own length, and how much at least, a file may unpack to. Logs unpack to some 3 times their length."""
 
 R = TypeVar("R")
 
@@ -40,6 +46,10 @@ class DamagedRecord(HilError):
     """A record that is framed well and cannot be parsed; the walk may go on behind it."""
 
 
+class TooLarge(HilError):
+    """The file would cost more memory than its length accounts for."""
+
+
 class TornFile(HilError):
     """The framing itself ends before the file's footer; nothing behind ``offset`` can be read."""
 
@@ -48,24 +58,99 @@ class TornFile(HilError):
         super().__init__(f"torn at byte {offset}: {reason}")
 
 
-def walk(data: bytes | memoryview, start: int = 0) -> Iterator[Record]:
-    """Records of ``data`` from ``start`` on, until its end.
+def walk(file: BinaryIO, size: int) -> Iterator[Record]:
+    """Records of a file from behind its magic on, up to its closing magic or, where there is none, to its end.
+
+    One record is in memory at a time. Nothing is mapped, so that a file that is cut while it is read is a torn one.
+
+    Args:
+        file: open at any place.
+        size: its length in bytes.
 
     Raises:
-        TornFile: if a record is announced longer than what is left.
+        TornFile: if a record is announced longer than what is left or than any that is written, or none begins there.
     """
-    view = memoryview(data)
-    end = len(view)
-    at = start
+    file.seek(max(size - len(MAGIC), 0))
+    closed = size >= 2 * len(MAGIC) and file.read(len(MAGIC)) == MAGIC
+    end = size - len(MAGIC) if closed else size
+    at = len(MAGIC)
+    file.seek(at)
     while at < end:
-        if end - at < _FRAME.size:
+        head = file.read(_FRAME.size) if end - at >= _FRAME.size else b""
+        if len(head) < _FRAME.size:
             raise TornFile(at, f"{end - at} bytes are left, a record needs {_FRAME.size} at least")
-        opcode, length = _FRAME.unpack_from(view, at)
+        opcode, length = _FRAME.unpack(head)
         body = at + _FRAME.size
+        if opcode == 0:
+            raise TornFile(at, "zeros stand where a record should begin")
         if length > end - body:
             raise TornFile(at, f"a record of {length} bytes is announced, {end - body} are left")
-        yield Record(at, opcode, view[body : body + length])
+        if length > LARGEST_RECORD:
+            raise TornFile(at, f"a record of {length} bytes is announced, hil reads {LARGEST_RECORD} at most")
+        content = file.read(length)
+        if len(content) < length:
+            raise TornFile(at, f"a record of {length} bytes is announced, the file was cut")
+        yield Record(at, opcode, memoryview(content))
         at = body + length
+
+
+class Checksums:
+    """The checksums that stand at a file's end over all that stands before: data section and summary.
+
+    A chunk has one of its own; metadata, schemas and channels have no other.
+    """
+
+    def __init__(self) -> None:
+        self._crc = zlib.crc32(MAGIC)
+        self.data_ended = False
+
+    def take(self, record: Record) -> None:
+        """Take the next record of the file.
+
+        Raises:
+            DamagedRecord: if it is the one that holds a checksum, and this does not match.
+        """
+        frame = _FRAME.pack(record.opcode, len(record.body))
+        if record.opcode == Opcode.DATA_END and not self.data_ended:
+            found, self._crc, self.data_ended = self._crc, 0, True
+            self._compare(found, int.from_bytes(record.body[:4], "little"), "data section", record)
+        elif record.opcode == Opcode.FOOTER:
+            if not self.data_ended:
+                raise DamagedRecord(f"footer at byte {record.offset}: the record that ends the data is missing")
+            found = zlib.crc32(record.body[:16], zlib.crc32(frame, self._crc))
+            self._compare(found, int.from_bytes(record.body[16:20], "little"), "summary", record)
+        else:
+            self._crc = zlib.crc32(record.body, zlib.crc32(frame, self._crc))
+
+    @staticmethod
+    def _compare(found: int, expected: int, what: str, record: Record) -> None:
+        if expected and found != expected:  # 0: the writer computed none
+            raise DamagedRecord(f"the {what} that ends at byte {record.offset}: the checksum does not match")
+
+
+class Budget:
+    """How much a file may unpack to, all chunks together: a few bytes must not cost gigabytes.
+
+    Args:
+        size: length of the file, bytes.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._limit = max(UNPACKED_FLOOR, UNPACKED_RATIO * size)
+        self._left = self._limit
+
+    def take(self, unpacked: int, record: Record) -> None:
+        """Take a chunk that announces so many bytes.
+
+        Raises:
+            TooLarge: that is more than what is left.
+        """
+        self._left -= unpacked
+        if self._left < 0:
+            raise TooLarge(
+                f"chunk at byte {record.offset}: the file unpacks to more than {self._limit} bytes, "
+                f"{UNPACKED_RATIO} times its own length; no log does"
+            )
 
 
 def parse_attachment(record: Record) -> Attachment:
@@ -81,13 +166,13 @@ def parse_attachment(record: Record) -> Attachment:
     return attachment
 
 
-def chunk_records(record: Record) -> list[McapRecord]:
+def chunk_records(record: Record, budget: Budget) -> list[McapRecord]:
     """Schemas, channels and messages of a chunk, in its order.
 
     Raises:
         DamagedRecord: if one of them cannot be read.
     """
-    content = unpack_chunk(record)
+    content = unpack_chunk(record, budget)
     plain = Chunk(
         compression="", data=content, message_start_time=0, message_end_time=0, uncompressed_crc=0,
         uncompressed_size=len(content),
@@ -104,24 +189,32 @@ def parse(read: Callable[[ReadDataStream], R], record: Record) -> R:
     return _guarded(lambda: read(ReadDataStream(BytesIO(record.body))), record)
 
 
-def unpack_chunk(record: Record) -> bytes:
+def unpack_chunk(record: Record, budget: Budget) -> bytes:
     """Content of a chunk, uncompressed and checked against its CRC.
+
+    Args:
+        record: the chunk.
+        budget: of the file.
 
     Raises:
         DamagedRecord: if it cannot be had whole.
+        TooLarge: if the budget is used up.
     """
     chunk = parse(Chunk.read, record)
     where = f"chunk at byte {record.offset}"
-    if chunk.uncompressed_size > _MAX_CHUNK:
-        raise DamagedRecord(f"{where}: announces {chunk.uncompressed_size} bytes")
+    if chunk.uncompressed_size > LARGEST_RECORD:
+        raise DamagedRecord(f"{where}: announces {chunk.uncompressed_size} bytes, hil unpacks {LARGEST_RECORD} at most")
+    budget.take(chunk.uncompressed_size, record)
     try:
         if chunk.compression == "zstd":
+            if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:  # it is what the decoder would allocate
+                raise DamagedRecord(f"{where}: holds more than the {chunk.uncompressed_size} bytes that it announces")
             content = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
         elif chunk.compression == "":
             content = chunk.data
         else:
             raise DamagedRecord(f"{where}: compression {chunk.compression!r} is not supported, expected zstd or none")
-    except (zstandard.ZstdError, MemoryError) as error:
+    except zstandard.ZstdError as error:
         raise DamagedRecord(f"{where}: {error}") from error
     if len(content) != chunk.uncompressed_size:
         raise DamagedRecord(f"{where}: holds {len(content)} bytes, announces {chunk.uncompressed_size}")
@@ -133,5 +226,5 @@ def unpack_chunk(record: Record) -> bytes:
 def _guarded(read: Callable[[], R], record: Record) -> R:
     try:
         return read()
-    except (McapError, struct.error, ValueError, KeyError, TypeError, OverflowError, MemoryError) as error:
+    except (McapError, struct.error, ValueError, KeyError, TypeError, OverflowError) as error:
         raise DamagedRecord(f"damaged record at byte {record.offset}: {str(error) or type(error).__name__}") from error

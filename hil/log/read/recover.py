@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Message, MessageIndex, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from hil.errors import HilError
-from hil.log.read.mcap_walk import MAGIC, DamagedRecord, Record, TornFile, chunk_records, parse, parse_attachment, walk
-from hil.log.read.run import read_mcap, without_magic
+from hil.exclusive_file import written_whole
+from hil.log.read.mcap_file import open_mcap
+from hil.log.read.mcap_walk import (
+    Budget,
+    Checksums,
+    DamagedRecord,
+    Record,
+    TornFile,
+    chunk_records,
+    parse,
+    parse_attachment,
+    walk,
+)  # fmt: skip
 
 
 @dataclass(slots=True, kw_only=True)
@@ -27,6 +39,7 @@ class Recovery:
         lost_messages: messages of damaged chunks, as far as the file's own index can tell.
         lost_bytes: bytes behind the tear.
         losses: one line for each.
+        checksums: those of the whole file that do not match.
     """
 
     messages: int = 0
@@ -38,6 +51,7 @@ class Recovery:
     lost_messages: int = 0
     lost_bytes: int = 0
     losses: list[str] = field(default_factory=list)
+    checksums: list[str] = field(default_factory=list)
 
     @property
     def text(self) -> str:
@@ -48,6 +62,7 @@ class Recovery:
         lines += [f"lost: {loss}" for loss in self.losses]
         if not self.closed:
             lines.append("lost: the summary and whatever was not on the disk yet (100 ms at most in real time)")
+            lines.append("unchecked: metadata, schemas and channels; their checksum stands at a log's end")
         elif not self.losses:
             lines.append("lost: nothing")
         return "\n".join(lines)
@@ -67,50 +82,69 @@ def recover(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> R
         HilError: if ``source`` is no MCAP file, nothing in it can be read, or ``target`` exists or cannot be written.
     """
     source, target = Path(source), Path(target)
-    data = read_mcap(source)
     report = Recovery()
-    records = _whole_records(data, report)
-    if not records:
-        raise HilError(f"{source}: nothing can be recovered: {report.losses[0] if report.losses else 'no record'}")
-    try:
-        file = open(target, "xb")  # noqa: SIM115
-    except FileExistsError:
-        raise HilError(f"{target}: exists already; name another file with -o") from None
-    except OSError as error:
-        raise HilError(f"{target}: cannot be created: {error.strerror or error}") from error
-    try:
-        with file:
-            _rebuild(records, Writer(file, compression=CompressionType.ZSTD), report)
-    except OSError as error:
-        target.unlink(missing_ok=True)
-        raise HilError(f"{target}: cannot be written: {error.strerror or error}") from error
-    except BaseException:
-        target.unlink(missing_ok=True)
-        raise
+    if os.path.lexists(target):
+        raise HilError(f"{target}: exists already; name another file with -o")
+    with open_mcap(source) as (file, size):
+        plan = _Plan(file, size, report)
+        if not plan.records:
+            raise HilError(f"{source}: nothing can be recovered: {report.losses[0] if report.losses else 'no record'}")
+        with written_whole(target, replace=False) as part, open(part, "wb") as out:
+            os.fchmod(out.fileno(), os.fstat(file.fileno()).st_mode & 0o777)  # no more readers than the log had
+            _rebuild(file, size, plan, Writer(out, compression=CompressionType.ZSTD, enable_data_crcs=True), report)
     return report
 
 
-def _whole_records(data: bytes, report: Recovery) -> list[Record]:
-    """Every record before the tear."""
-    records = []
-    try:
-        for record in walk(without_magic(data), len(MAGIC)):
-            records.append(record)
-            report.closed = record.opcode == Opcode.FOOTER
-    except TornFile as error:
-        report.closed = False
-        report.lost_bytes = len(data) - error.offset
-        report.losses.append(f"{report.lost_bytes} bytes, {error}")
-    return records
+class _Plan:
+    """What a first passage through the file finds: schemas and channels, wherever one of their copies can be read."""
+
+    def __init__(self, file: BinaryIO, size: int, report: Recovery) -> None:
+        self.records = 0
+        self.header: Header | None = None
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        budget = Budget(size)
+        checksums = Checksums()
+        try:
+            for record in walk(file, size):
+                self.records += 1
+                report.closed = record.opcode == Opcode.FOOTER
+                if record.opcode == Opcode.HEADER and self.header is None:
+                    self.header = _or_none(Header.read, record)
+                self._define(record, budget)
+                try:
+                    checksums.take(record)
+                except DamagedRecord as error:
+                    report.checksums.append(str(error))
+        except TornFile as error:
+            report.closed = False
+            report.lost_bytes = size - error.offset
+            report.losses.append(f"{report.lost_bytes} bytes, {error}")
+
+    def _define(self, record: Record, budget: Budget) -> None:
+        found: list[Any] = []
+        try:
+            if record.opcode == Opcode.CHUNK:
+                found = chunk_records(record, budget)
+            elif record.opcode == Opcode.SCHEMA:
+                found = [parse(Schema.read, record)]
+            elif record.opcode == Opcode.CHANNEL:
+                found = [parse(Channel.read, record)]
+        except DamagedRecord:
+            return  # told when it is this record's turn
+        for item in found:
+            if isinstance(item, Schema):
+                self.schemas.setdefault(item.id, item)
+            elif isinstance(item, Channel):
+                self.channels.setdefault(item.id, item)
 
 
-def _rebuild(records: list[Record], writer: Writer, report: Recovery) -> None:
-    header = next((_or_none(Header.read, record) for record in records if record.opcode == Opcode.HEADER), None)
+def _rebuild(file: BinaryIO, size: int, plan: _Plan, writer: Writer, report: Recovery) -> None:
+    header = plan.header
     writer.start(profile=header.profile if header else "", library=header.library if header else "")
-    copy = _Copy(writer, report)
-    copy.definitions(records)
+    copy = _Copy(writer, report, plan, Budget(size))
     damaged = False
-    for record in records:
+    for record in islice(walk(file, size), plan.records):
         if record.opcode == Opcode.MESSAGE_INDEX and damaged:
             index = _or_none(MessageIndex.read, record)
             report.lost_messages += len(index.records) if index else 0
@@ -121,6 +155,8 @@ def _rebuild(records: list[Record], writer: Writer, report: Recovery) -> None:
         except DamagedRecord as error:
             damaged = record.opcode == Opcode.CHUNK
             report.losses.append(str(error))
+    if not report.losses:  # otherwise these say no more than what is said already
+        report.losses += [f"{loss}: metadata, schemas or channels may be others than were written" for loss in report.checksums]
     if not copy.ours:
         report.losses.append("the metadata record 'hilrig', without which hil cannot read the new file; other MCAP tools can")
     if report.lost_messages:
@@ -135,44 +171,24 @@ def _rebuild(records: list[Record], writer: Writer, report: Recovery) -> None:
 class _Copy:
     """Copies record by record, renumbering schemas and channels as mcap's writer wants them."""
 
-    def __init__(self, writer: Writer, report: Recovery) -> None:
+    def __init__(self, writer: Writer, report: Recovery, plan: _Plan, budget: Budget) -> None:
         self._writer = writer
         self._report = report
+        self._budget = budget
         self._channels: dict[int, int] = {}
         self.ours = False  # whether there is a metadata record of hilrig
-
-    def definitions(self, records: list[Record]) -> None:
-        """Register every schema and channel first, wherever one of its copies can be read."""
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, Channel] = {}
-        for record in records:
-            found: list[Any] = []
-            try:
-                if record.opcode == Opcode.CHUNK:
-                    found = chunk_records(record)
-                elif record.opcode == Opcode.SCHEMA:
-                    found = [parse(Schema.read, record)]
-                elif record.opcode == Opcode.CHANNEL:
-                    found = [parse(Channel.read, record)]
-            except DamagedRecord:
-                continue  # told when it is this record's turn
-            for item in found:
-                if isinstance(item, Schema):
-                    schemas.setdefault(item.id, item)
-                elif isinstance(item, Channel):
-                    channels.setdefault(item.id, item)
         numbers = {0: 0}
-        for number, schema in sorted(schemas.items()):
-            numbers[number] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-        for number, channel in sorted(channels.items()):
-            self._channels[number] = self._writer.register_channel(
+        for number, schema in sorted(plan.schemas.items()):
+            numbers[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+        for number, channel in sorted(plan.channels.items()):
+            self._channels[number] = writer.register_channel(
                 channel.topic, channel.message_encoding, numbers.get(channel.schema_id, 0), channel.metadata
             )
 
     def take(self, record: Record) -> None:
         writer, report = self._writer, self._report
         if record.opcode == Opcode.CHUNK:
-            for item in chunk_records(record):
+            for item in chunk_records(record, self._budget):
                 if isinstance(item, Message):
                     self._message(item)
             report.chunks += 1

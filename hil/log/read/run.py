@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import os
-import stat
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from mcap.opcode import Opcode
+from mcap.records import Channel
 
 from hil.errors import HilError
 from hil.log.read.arrays import StructuredArray, assemble
-from hil.log.read.mcap_content import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT, Content
-from hil.log.read.mcap_walk import MAGIC, DamagedRecord, TornFile, walk
+from hil.log.read.columns import Columns
+from hil.log.read.mcap_content import MESSAGE_PAYLOAD_AT, Content
+from hil.log.read.mcap_file import open_mcap
+from hil.log.read.mcap_walk import Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.write.provenance import FORMAT
 from hil.log.write.sinks import MemorySink
@@ -60,94 +62,116 @@ class Run:
         return cls(arrays=arrays, schemas=schemas, events=_events(sink.payloads.get(EVENTS_TOPIC, ())), **about)
 
 
-def read_run(path: str | os.PathLike[str], *, whole: bool = True) -> Run:
+def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: int | None = None) -> Run:
     """Read a log.
 
     Args:
         path: the file.
         whole: refuse a log that is torn or damaged. Otherwise read what is there: after a full disk, say.
+        descriptor: the file, open already; its name may be gone. It stays open.
 
     Raises:
-        HilError: if the file cannot be read, is no MCAP file, is no log of ours, is torn or damaged; the message names the file
-            and the offset in it, and the remedy where there is one.
+        HilError: if the file cannot be read, is no MCAP file, is no log of ours, is torn or damaged, or unpacks to far more
+            than its length; the message names the file and the offset in it, and the remedy where there is one.
     """
     path = Path(path)
-    data = read_mcap(path)
-    content = Content()
-    closed = False
+    with open_mcap(path, descriptor) as (file, size):
+        reading = _Reading(Content(budget=Budget(size)))
+        checksums = Checksums()
+        closed = False
+        try:
+            for record in walk(file, size):
+                try:
+                    checksums.take(record)
+                    reading.take(record)
+                except DamagedRecord:
+                    if whole:
+                        raise
+                closed = record.opcode == Opcode.FOOTER
+            if not closed:
+                raise TornFile(size, "the log was never closed")
+        except (TornFile, DamagedRecord) as error:
+            if whole:
+                raise HilError(f"{path}: {error}; what is whole can be saved: hil recover {path}") from error
+        except HilError as error:
+            raise HilError(f"{path}: {error}") from error
     try:
-        for record in walk(without_magic(data), len(MAGIC)):
-            try:
-                content.take(record)
-            except DamagedRecord:
-                if whole:
-                    raise
-            closed = record.opcode == Opcode.FOOTER
-        if not closed:
-            raise TornFile(len(data), "the log was never closed")
-    except (TornFile, DamagedRecord) as error:
-        if whole:
-            raise HilError(f"{path}: {error}; what is whole can be saved: hil recover {path}") from error
-    try:
-        return _run(content)
+        return reading.run()
     except HilError as error:
         raise HilError(f"{path}: {error}") from error
 
 
-def read_mcap(path: Path) -> bytes:
-    """Bytes of a file that begins as MCAP does.
+class _Reading:
+    """A run in the making: what the file holds, its messages as columns."""
 
-    Raises:
-        HilError: if it cannot be read, is no regular file (a device has no end), is empty, or begins otherwise.
-    """
+    def __init__(self, content: Content) -> None:
+        self.content = content
+        self._columns: dict[int, Columns] = {}
+        self._payloads: list[bytes] = []  # of events
+
+    def take(self, record: Record) -> None:
+        """Take one record of the file."""
+        content = self.content
+        content.take(record)
+        if not content.messages:
+            return
+        for number in [*content.messages]:
+            channel = content.channels.get(number)
+            if channel is None:
+                continue  # it may be told later
+            messages = content.messages.pop(number)
+            if channel.topic == EVENTS_TOPIC:
+                self._payloads += [message[MESSAGE_PAYLOAD_AT:] for message in messages]
+                continue
+            columns = self._columns.get(number)
+            if columns is None:
+                columns = self._columns[number] = Columns(_schema(content, channel))
+            try:
+                columns.add(messages)
+            except HilError as error:
+                raise HilError(f"topic {channel.topic}: {error}") from error
+
+    def run(self) -> Run:
+        """Return what was read."""
+        arrays: dict[str, StructuredArray] = {}
+        schemas: dict[str, Schema] = {}
+        content = self.content
+        _check_head(content)
+        for number, channel in content.channels.items():
+            if channel.topic == EVENTS_TOPIC:
+                continue
+            if channel.topic in arrays:
+                raise HilError(f"topic {channel.topic}: stands in the file twice")
+            columns = self._columns.pop(number, None) or Columns(_schema(content, channel))
+            schemas[channel.topic] = columns.schema
+            try:
+                arrays[channel.topic] = columns.array()
+            except HilError as error:
+                raise HilError(f"topic {channel.topic}: {error}") from error
+        return _run(content, arrays, schemas, _events(self._payloads))
+
+
+def _schema(content: Content, channel: Channel) -> Schema:
+    found = content.schemas.get(channel.schema_id)
+    if found is None or found.encoding != "ros2msg" or channel.message_encoding != "cdr":
+        raise HilError(f"topic {channel.topic}: expected a ros2msg schema and CDR messages")
     try:
-        mode = path.stat().st_mode
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise HilError(f"{path}: is no regular file")
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise HilError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    if not data:
-        raise HilError(f"{path}: is empty, expected an MCAP log")
-    if not data.startswith(MAGIC):
-        raise HilError(f"{path}: is no MCAP file: byte 0 begins {data[:8]!r}, expected {MAGIC!r}")
-    return data
+        return Schema.from_text(found.name, found.data.decode())
+    except ValueError as error:
+        raise HilError(f"topic {channel.topic}: unknown schema: {error}") from error
 
 
-def without_magic(data: bytes) -> memoryview:
-    """The file up to its closing magic, or all of it where there is none."""
-    closed = len(data) >= 2 * len(MAGIC) and data.endswith(MAGIC)
-    return memoryview(data)[: len(data) - len(MAGIC) if closed else len(data)]
-
-
-def _run(content: Content) -> Run:
+def _check_head(content: Content) -> None:
     head = content.metadata.get("hilrig")
     if head is None:
         raise HilError("is an MCAP file but no log of hilrig: it has no metadata record 'hilrig'")
     if head.get("format") != FORMAT:
         raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {FORMAT!r}")
-    arrays, schemas, events = {}, {}, []
-    for number, channel in content.channels.items():
-        messages = content.messages.get(number, [])
-        if channel.topic == EVENTS_TOPIC:
-            events += _events([message[MESSAGE_PAYLOAD_AT:] for message in messages])
-            continue
-        found = content.schemas.get(channel.schema_id)
-        if found is None or found.encoding != "ros2msg" or channel.message_encoding != "cdr":
-            raise HilError(f"topic {channel.topic}: expected a ros2msg schema and CDR messages")
-        if channel.topic in arrays:
-            raise HilError(f"topic {channel.topic}: stands in the file twice")
-        try:
-            schema = Schema.from_text(found.name, found.data.decode())
-        except ValueError as error:
-            raise HilError(f"topic {channel.topic}: unknown schema: {error}") from error
-        schemas[channel.topic] = schema
-        try:
-            arrays[channel.topic] = assemble(
-                schema, messages, payload_at=MESSAGE_PAYLOAD_AT, time_at=MESSAGE_TIME_AT
-            )
-        except HilError as error:
-            raise HilError(f"topic {channel.topic}: {error}") from error
+
+
+def _run(
+    content: Content, arrays: dict[str, StructuredArray], schemas: dict[str, Schema], events: list[dict[str, Any]]
+) -> Run:
     if not arrays:
         raise HilError("holds no records: the session ended before the first of them was written")
     summary = _json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'")
@@ -158,7 +182,7 @@ def _run(content: Content) -> Run:
         arrays=arrays,
         schemas=schemas,
         events=events,
-        metadata=head,
+        metadata=content.metadata["hilrig"],
         versions=content.metadata.get("versions", {}),
         session=content.metadata.get("session", {}),
         codes={name: names.split(",") for name, names in content.metadata.get("codes", {}).items()},

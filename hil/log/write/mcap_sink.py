@@ -64,7 +64,7 @@ class McapSink:
         except OSError as error:
             raise HilError(f"log {self.path}: cannot be created: {error.strerror or error}") from error
         # Chunks end where this class says, never inside add_message: only a flush touches the disk.
-        self._writer = Writer(self._disk, chunk_size=_NEVER, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+        self._writer = Writer(self._disk, chunk_size=_NEVER, compression=CompressionType.ZSTD, enable_data_crcs=True)  # type: ignore[arg-type]
         try:
             self._open(channels, provenance)
         except OSError as error:
@@ -165,6 +165,21 @@ class McapSink:
         except OSError as error:
             raise HilError(f"log {self.path}: cannot be read back: {error.strerror or error}") from error
 
+    def reader(self) -> int:
+        """Return a descriptor of the file for reading it back, whatever becomes of its name; the caller closes it.
+
+        Raises:
+            HilError: there is no descriptor to be had.
+        """
+        try:
+            return self._disk.duplicate()
+        except OSError as error:
+            raise HilError(f"log {self.path}: cannot be read back: {error.strerror or error}") from error
+
+    def gone(self) -> str | None:
+        """Return what happened to the file's name while the log was open, None if it still names the log."""
+        return self._disk.gone()
+
     def _flush(self) -> None:
         if self.error is not None or self._closed:
             return
@@ -194,7 +209,8 @@ class _Disk:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file = open(path, "wb", buffering=0)  # noqa: SIM115
+        flags = os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
+        self._file = open(os.open(path, flags, 0o600), "w+b", buffering=0)  # noqa: SIM115
         self._parts: list[bytes] = []
         self._position = 0
         self._good = 0
@@ -220,6 +236,20 @@ class _Disk:
                 pass  # a device or a dying disk; the torn end can still be recovered
             raise
         self._good = self._position
+
+    def duplicate(self) -> int:
+        return os.dup(self._file.fileno())
+
+    def gone(self) -> str | None:
+        status = os.fstat(self._file.fileno())
+        if status.st_nlink == 0:
+            return "was removed while the log was written: what was measured is lost with this session"
+        try:
+            if not os.path.samestat(status, os.stat(self._path)):
+                return "was replaced by another file while the log was written; the log has another name now"
+        except OSError:
+            return "was renamed while the log was written; the log has another name now"
+        return None
 
     def close(self) -> None:
         try:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
-import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,12 +12,13 @@ from hil.errors import HilError
 from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.sinks import Put, Sink
 from hil.runtime.real import controller_process, rig_process
+from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.scheduling import go_ahead_of_others
+from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
 
 POLL_S = 0.02
-GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
 HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0
 
 
@@ -32,66 +29,9 @@ class RealOutcome:
     pump: PumpReport = field(default_factory=PumpReport)
     interrupted: int | None = None  # the signal that stopped the session
     rig_status: int | None = None
+    rig_silent: str | None = None  # why the rig was given up
     controller_lost: str | None = None
     controller_lost_ns: int = 0  # session time
-
-
-class Child:
-    """One process of the session; killed within :data:`GRACE_S` by :meth:`end`, whatever it does."""
-
-    def __init__(self, name: str, module: str, job: object, pass_fds: tuple[int, ...] = ()) -> None:
-        self.name = name
-        # A new session keeps the terminal's Ctrl-C away: this process ends its children in order.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
-            stdin=subprocess.PIPE,
-            stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
-            pass_fds=pass_fds,
-            start_new_session=True,
-        )
-        assert self._process.stdin is not None
-        try:
-            pickle.dump(job, self._process.stdin)
-            self._process.stdin.close()
-        except BrokenPipeError:
-            pass  # it died on its first line; its status says so
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
-
-    def poll(self) -> int | None:
-        """Return the exit status, None while it runs."""
-        return self._process.poll()
-
-    def how(self) -> str:
-        """Say how the process ended."""
-        status = self._process.returncode
-        if status is not None and status < 0:
-            return f"the {self.name} process (pid {self.pid}) was killed by {signal.Signals(-status).name}"
-        return f"the {self.name} process (pid {self.pid}) ended with status {status}"
-
-    def terminate(self) -> None:
-        """Ask it to end."""
-        if self.poll() is None:
-            self._process.terminate()
-
-    def end(self, grace_s: float = GRACE_S) -> None:
-        """Join it, or kill it after ``grace_s``."""
-        try:
-            self._process.wait(grace_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-
-
-def _has_fileno(stream: object) -> bool:
-    try:
-        stream.fileno()  # type: ignore[attr-defined]
-    except (OSError, AttributeError, ValueError):
-        return False
-    return True
 
 
 def run_real(
@@ -148,18 +88,18 @@ def run_real(
                     controller_process.Job(loop=loop, uri=uri, parent=parent),
                 )
                 children.append(controller)
+            silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
             while rig.poll() is None and signals.seen is None:
+                outcome.rig_silent = silence.look(monotonic_ns(), outcome.pump.records, rig.stopped())
+                if outcome.rig_silent:
+                    break
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
                     outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
                     if not outcome.pump.records:
                         break  # it never answered, so nothing runs yet
                 pause(POLL_S)
         finally:
-            for child in children:
-                child.terminate()
-            limit = monotonic_ns() + round(GRACE_S * 1e9)
-            for child in children:
-                child.end(max((limit - monotonic_ns()) / 1e9, 0.05))
+            end_all(children)
             if write_fd >= 0:
                 os.close(write_fd)
             stop_pump.set()
@@ -171,5 +111,6 @@ def run_real(
     if signals.seen is None and not outcome.pump.records:
         if outcome.controller_lost is None and outcome.rig_status == rig_process.NOBODY:
             raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s")
-        raise HilError(f"{outcome.controller_lost or children[0].how()} before the run began; its message, if any, stands above")
+        why = outcome.rig_silent or outcome.controller_lost or children[0].how()
+        raise HilError(f"{why} before the run began; its message, if any, stands above")
     return outcome

@@ -1,0 +1,118 @@
+"""The processes of a session, and the sequence that ends them: asked, given a moment together, killed."""
+
+from __future__ import annotations
+
+import pickle
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from hil.runtime.time.clock import monotonic_ns
+
+GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
+LAST_LOOK_S = 0.05
+
+
+class Endable(Protocol):
+    """As much of a process as it takes to end it."""
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        ...
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether it has ended within ``timeout_s``."""
+        ...
+
+    def kill(self) -> None:
+        """End it for certain."""
+        ...
+
+
+class Child:
+    """One process of the session; ended by :func:`end_all`, whatever it does."""
+
+    def __init__(self, name: str, module: str, job: object, pass_fds: tuple[int, ...] = ()) -> None:
+        self.name = name
+        # A new session keeps the terminal's Ctrl-C away: this process ends its children in order.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
+            pass_fds=pass_fds,
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        try:
+            pickle.dump(job, self._process.stdin)
+            self._process.stdin.close()
+        except BrokenPipeError:
+            pass  # it died on its first line; its status says so
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def poll(self) -> int | None:
+        """Return the exit status, None while it runs."""
+        return self._process.poll()
+
+    def how(self) -> str:
+        """Say how the process ended."""
+        status = self._process.returncode
+        if status is not None and status < 0:
+            return f"the {self.name} process (pid {self.pid}) was killed by {signal.Signals(-status).name}"
+        return f"the {self.name} process (pid {self.pid}) ended with status {status}"
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        if self.poll() is None:
+            self._process.terminate()
+
+    def stopped(self) -> bool:
+        """Return whether it is stopped (SIGSTOP, a debugger): it is alive, and does nothing."""
+        try:
+            return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0] in ("T", "t")
+        except (OSError, IndexError):
+            return False
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether it has ended within ``timeout_s``."""
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def kill(self) -> None:
+        """End it for certain: nothing outlives SIGKILL, not even what is stopped."""
+        self._process.kill()
+        self._process.wait()
+
+
+def _has_fileno(stream: object) -> bool:
+    try:
+        stream.fileno()  # type: ignore[attr-defined]
+    except (OSError, AttributeError, ValueError):
+        return False
+    return True
+
+
+def end_all(children: Sequence[Endable], grace_s: float = GRACE_S, now_ns: Callable[[], int] = monotonic_ns) -> None:
+    """End processes: SIGTERM to all, one grace for all of them together, SIGKILL to what is left.
+
+    Args:
+        children: the processes; those that have ended already are joined.
+        grace_s: time that all of them share, s. One whose turn comes after it has `LAST_LOOK_S` left.
+        now_ns: a monotonic clock.
+    """
+    for child in children:
+        child.terminate()
+    limit = now_ns() + round(grace_s * 1e9)
+    for child in children:
+        if not child.wait(max((limit - now_ns()) / 1e9, LAST_LOOK_S)):
+            child.kill()
