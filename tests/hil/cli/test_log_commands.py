@@ -23,11 +23,11 @@ def test_what_is_no_log_is_refused(cli: Hil, tmp_path: Path, command: str) -> No
     (tmp_path / "folder").mkdir()
     for name, says in {
         "nosuch.mcap": "No such file",
-        "folder": "Is a directory",
+        "folder": "is a folder",
         "empty.mcap": "is empty",
         "junk.mcap": "is no MCAP file",
-        ".": "Is a directory",
-        "/": "Is a directory",
+        ".": "is a folder",
+        "/": "is a folder",
         "/dev/zero": "is no regular file",
     }.items():
         status, out, err = cli(command, name, *COMMANDS[command])
