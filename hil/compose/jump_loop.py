@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from design.controllers import ModeSchedule
@@ -102,4 +103,5 @@ def _with_continuous_time(
         reason = f"at T = {loop.model.period_s:g} s {found.reason}"
     if gamma is not None:
         assumed = (*assumed, "gamma alone is of the feedback that acts at every instant, without delays")
-    return replace(found, reason=reason, assumptions=assumed, details=details, digest=loop.digest)
+    number = found.number if found.number is None or isfinite(found.number) else None
+    return replace(found, number=number, reason=reason, assumptions=assumed, details=details, digest=loop.digest)
