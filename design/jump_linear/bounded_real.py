@@ -25,12 +25,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from design.errors import NotStable
 from design.jump_linear.h2 import is_positive
 from design.jump_linear.mjls import MJLS
-from design.jump_linear.second_moment import Array, Resolvent, expect, operator_matrix, to_matrix, to_vector
+from design.jump_linear.second_moment import Array, Bordered, Resolvent, expect, to_matrix, to_vector
 
 FOLD_TOLERANCE = 1e-12
 NEWTON_STEPS = 40
@@ -170,8 +169,7 @@ def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None
     P, square = guess.policy.P, guess.square
     right, left = _unit(to_vector(guess.right).ravel()), _unit(to_vector(guess.left).ravel())
     shape = (A.shape[0], n * (n + 1) // 2)
-    inverse = 0  # first turn the guesses of the null vectors by inverse iteration
-    for step in range(steps):
+    for _ in range(steps):
         policy = _policy(matrices, P, square)
         if policy is None:
             return None
@@ -183,17 +181,10 @@ def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None
             - P
         )
         size = right.size
-        bordered = np.zeros((size + 1, size + 1))
-        bordered[:size, :size] = operator_matrix(policy.A, transition)
-        bordered.flat[: size * (size + 1) : size + 2] -= 1.0
-        bordered[:size, size], bordered[size, :size] = left, right
-        factors = scipy.linalg.lu_factor(bordered, overwrite_a=True, check_finite=False)
+        bordered = Bordered(policy.A, transition, left, right)
         last = np.zeros(size + 1)
         last[size] = 1.0
-        rounds = 3 if step == inverse else 1
-        for _ in range(rounds):
-            v = scipy.linalg.lu_solve(factors, last, check_finite=False)
-            w = scipy.linalg.lu_solve(factors, last, trans=1, check_finite=False)
+        v, w = bordered.solve(last), bordered.solve(last, transposed=True)
         right_family, left_family = (to_matrix(x[:size].reshape(shape), n) for x in (v, w))
         singular = float(v[size])
         # how the singular direction changes with P and gamma^2: -w' (dJ) v
@@ -206,7 +197,9 @@ def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None
         rhs = np.zeros((size + 1, 2))
         rhs[:size, 0] = -to_vector(residual).ravel()
         rhs[:size, 1] = to_vector(policy.F.transpose(0, 2, 1) @ policy.F).ravel()
-        x = scipy.linalg.lu_solve(factors, rhs, check_finite=False)
+        x = np.column_stack([bordered.solve(rhs[:, 0]), bordered.solve(rhs[:, 1])])
+        if not (np.isfinite(x).all() and np.isfinite(v).all() and np.isfinite(w).all()):
+            return None
         slope = -to_vector(by_P).ravel()
         system = np.array(
             [[x[size, 1], singular], [slope @ x[:size, 1] + by_square, slope @ v[:size]]],

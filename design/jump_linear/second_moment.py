@@ -18,9 +18,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
+from design.jump_linear import krylov
+
 Array = npt.NDArray[np.float64]
 
-DENSE_LIMIT = 3000  # unknowns up to which a dense factorisation (72 MB) is taken
+DENSE_LIMIT = 700  # unknowns up to which a dense factorisation is quicker than GMRES
+SINGLE_LIMIT = 100  # the same for a system of one mode
 EIG_DENSE_LIMIT = 260  # unknowns up to which all eigenvalues are computed
 
 
@@ -93,7 +96,8 @@ class Resolvent:
         A: (N, n, n) mode matrices.
         transition: (N, N) row-stochastic matrix.
 
-    The factorisation is dense up to `DENSE_LIMIT` unknowns, above that GMRES runs matrix-free.
+    The factorisation is dense up to `DENSE_LIMIT` unknowns. Above that one mode takes a Lyapunov equation, in n^3; several take
+    GMRES, matrix-free.
     """
 
     __slots__ = ("A", "factors", "n", "transition")
@@ -102,7 +106,7 @@ class Resolvent:
         self.A, self.transition, self.n = A, transition, A.shape[-1]
         self.factors: tuple[Array, npt.NDArray[Any]] | None = None
         size = A.shape[0] * self.n * (self.n + 1) // 2
-        if size <= DENSE_LIMIT:
+        if size <= (SINGLE_LIMIT if A.shape[0] == 1 else DENSE_LIMIT):
             matrix = operator_matrix(A, transition)
             np.negative(matrix, out=matrix)
             matrix.flat[:: size + 1] += 1.0
@@ -126,18 +130,55 @@ class Resolvent:
         return to_matrix(np.ascontiguousarray(solution).reshape(vectors.shape), self.n)
 
     def _krylov(self, right: Array, transposed: int) -> Array:
-        from scipy.sparse.linalg import LinearOperator, gmres
-
+        """Matrix-free; not a number throughout where the radius is so near 1 that no solution was found."""
+        if self.A.shape[0] == 1:
+            A = self.A[0] if transposed else self.A[0].T
+            return to_vector(scipy.linalg.solve_discrete_lyapunov(A, to_matrix(right, self.n), method="bilinear"))
         shape = (self.A.shape[0], right.size // self.A.shape[0])
         apply = forward if transposed else backward
 
         def product(vector: Array) -> Array:
-            family = to_matrix(vector.reshape(shape), self.n)
-            return vector.ravel() - to_vector(apply(self.A, self.transition, family)).ravel()
+            return vector - to_vector(apply(self.A, self.transition, to_matrix(vector.reshape(shape), self.n))).ravel()
 
-        operator = LinearOperator((right.size, right.size), matvec=product, dtype=np.float64)
-        solution, _ = gmres(operator, right, rtol=1e-13, restart=80, maxiter=40)
-        return np.asarray(solution)
+        solution = krylov.solve(product, right)
+        return np.full_like(right, np.nan) if solution is None else solution
+
+
+class Bordered:
+    """The matrix [[L - I, left], [right', 0]], which is regular where L has the eigenvalue 1 once.
+
+    Args:
+        A, transition: as of `Resolvent`.
+        left, right: (N s,) borders.
+    """
+
+    __slots__ = ("A", "factors", "left", "n", "right", "transition")
+
+    def __init__(self, A: Array, transition: Array, left: Array, right: Array) -> None:
+        self.A, self.transition, self.left, self.right, self.n = A, transition, left, right, A.shape[-1]
+        self.factors: tuple[Array, npt.NDArray[Any]] | None = None
+        size = right.size
+        if size <= DENSE_LIMIT:
+            matrix = np.zeros((size + 1, size + 1))
+            matrix[:size, :size] = operator_matrix(A, transition)
+            matrix.flat[: size * (size + 1) : size + 2] -= 1.0
+            matrix[:size, size], matrix[size, :size] = left, right
+            self.factors = scipy.linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
+
+    def solve(self, rhs: Array, *, transposed: bool = False) -> Array:
+        """Return the solution (N s + 1,); not a number throughout where none was found."""
+        if self.factors is not None:
+            return np.asarray(scipy.linalg.lu_solve(self.factors, rhs, trans=int(transposed), check_finite=False))
+        left, right = (self.right, self.left) if transposed else (self.left, self.right)
+        operator, shape = forward if transposed else backward, (self.A.shape[0], -1)
+
+        def negative(vector: Array) -> Array:
+            inner = vector[:-1]
+            moved = to_vector(operator(self.A, self.transition, to_matrix(inner.reshape(shape), self.n))).ravel()
+            return np.append(inner - moved - left * vector[-1], -(right @ inner))
+
+        solution = krylov.solve(negative, -rhs)
+        return np.full_like(rhs, np.nan) if solution is None else solution
 
 
 def mean_square_radius(A: Array, transition: Array) -> float:
