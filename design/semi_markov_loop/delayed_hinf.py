@@ -162,12 +162,8 @@ def analyse_delayed(
             f"gain: (modes, inputs, states) = {got}, process: {process.modes} modes; the system has {expected}"
         )
     starts = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
-    if method == "printed":
-        from design.as_printed.delayed_hinf import printed_delayed
-
-        return printed_delayed(system, process, starts, gain, gamma=gamma)
     if method not in ("pwl", "pwc"):
-        raise ValueError(f"method: {method!r} is not one of pwl, pwc, printed")
+        raise ValueError(f"method: {method!r} is not pwl or pwc")
 
     def build(scale: float) -> LmiProgram:
         program = LmiProgram()
@@ -255,14 +251,12 @@ def delayed_hinf(
     gain_bound: float,
     sections: Partition | None = None,
     gamma: float | None = None,
-    method: Method = "pwc",
 ) -> JumpCertificate:
     """State feedback K(i, m) with the smallest certified gamma under a gain bound, or at a given gamma.
 
     Args:
         gain_bound: largest spectral norm of any gain; required, the infimum of gamma is 0 without one.
         sections: section starts per mode; by default one section.
-        method: ``pwc``, or ``printed`` (then ``sound = False``).
 
     Returns:
         The certificate of the gains (``.gain``), found again from the gains alone by ``analyse_delayed``.
@@ -276,12 +270,6 @@ def delayed_hinf(
     if process.modes != system.modes:
         raise ValueError(f"process: {process.modes} modes, the system has {system.modes}")
     starts = sections if sections is not None else ((0.0,),) * system.modes
-    if method == "printed":
-        from design.as_printed.delayed_hinf import printed_delayed
-
-        return printed_delayed(system, process, starts, None, gain_bound=gain_bound, gamma=gamma)
-    if method != "pwc":
-        raise ValueError(f"method: {method!r} is not pwc or printed")
     build = partial(synthesis_program, system, process, starts, gain_bound)
     what = f"delayed H-infinity feedback with gain norm <= {gain_bound:g}"
     result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)

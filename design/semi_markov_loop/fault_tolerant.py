@@ -34,7 +34,7 @@ from design.lmi.program import (
 )
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
-from design.semi_markov_loop.certificate import JumpCertificate, Method
+from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant_analysis import (
     Siqc,
     analyse_fault_tolerant,
@@ -195,7 +195,6 @@ def fault_tolerant_feedback(
     gamma: float | None = None,
     performance: Siqc | None = None,
     rounds: int = 8,
-    method: Method = "pwc",
 ) -> JumpCertificate:
     """Gains K(what is measured, section of r's clock) with the smallest certified gamma under a gain bound.
 
@@ -207,7 +206,6 @@ def fault_tolerant_feedback(
         gamma: stop as soon as this level is certified.
         performance: a SIQC (4.6) to meet instead of gamma.
         rounds: largest number of alternations; they end when gamma falls by less than 1e-3 per round.
-        method: ``pwc``, or ``printed`` for (4.26), (4.27): K_ik whatever is measured, ``sound = False``.
 
     Returns:
         The certificate of the gains (``.gain``), found again from the gains alone.
@@ -227,14 +225,6 @@ def fault_tolerant_feedback(
     if measured == () and max(len(row) for row in parts) > 1:
         raise ValueError("sections: a controller that sees nothing has no clock to schedule by")
     eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
-    if method == "printed":
-        from design.as_printed.fault_tolerant import printed_fault_tolerant
-
-        return printed_fault_tolerant(
-            system, process, None, eta_sections=eta, r_sections=parts, gain_bound=gain_bound, gamma=gamma
-        )
-    if method != "pwc":
-        raise ValueError(f"method: {method!r} is not pwc or printed")
     build = partial(_start_program, system, process, measured, parts, gain_bound, performance)
     what = f"fault-tolerant feedback with gain norm <= {gain_bound:g}, measured {measured}"
     if performance is not None:

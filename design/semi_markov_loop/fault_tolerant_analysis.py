@@ -26,7 +26,7 @@ from design.lmi.attenuation import at_gamma, smallest_gamma
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
-from design.semi_markov_loop.certificate import JumpCertificate, Method, Verdict
+from design.semi_markov_loop.certificate import JumpCertificate, Verdict
 from design.semi_markov_loop.growth import gain_mode, proved_decay, worst_growth
 from design.semi_markov_loop.pair_cells import pair_cells
 from design.semi_markov_loop.sojourn_grid import Lift, as_float
@@ -190,7 +190,6 @@ def analyse_fault_tolerant(
     r_nodes: Partition | None = None,
     performance: Siqc | None = None,
     gamma: float | None = None,
-    method: Method = "pwc",
 ) -> JumpCertificate:
     """The smallest certified gamma of given gains (or the verdict at a given gamma, or on a SIQC).
 
@@ -199,7 +198,6 @@ def analyse_fault_tolerant(
             clock.
         eta_nodes, r_nodes: sections of both clocks for P; by default one for eta. Those of r are cut where a section of the
             gains starts.
-        method: ``pwc``, or ``printed`` for (4.26), (4.27) as they stand (then ``sound = False``).
 
     Returns:
         The certificate. Gains without sections whose second moments grow at constant rates within the bounds are ``refused``.
@@ -211,12 +209,6 @@ def analyse_fault_tolerant(
     eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
     own = r_sections(process, gain)
     r = own if r_nodes is None else tuple(tuple(sorted({*row, *cut})) for row, cut in zip(r_nodes, own, strict=True))
-    if method == "printed":
-        from design.as_printed.fault_tolerant import printed_fault_tolerant
-
-        return printed_fault_tolerant(system, process, gain, eta_sections=eta, r_sections=r, gamma=gamma)
-    if method != "pwc":
-        raise ValueError(f"method: {method!r} is not pwc or printed")
     rebuild = partial(_known, system, process, gain, eta, r, performance)
     assumptions = ("rates anywhere in their bounds on every pair of sections", "x(0) = 0 for the performance bound")
 

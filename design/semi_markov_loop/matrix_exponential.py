@@ -1,7 +1,8 @@
 """exp(M) of many small matrices at once.
 
 Scaling to a 1-norm of at most 1/4, a Taylor polynomial of order 12 (remainder below 1e-16 relative), repeated squaring, all
-in stacked products: a hundred times quicker for 4 x 4 matrices on a busy machine than one LAPACK call each.
+in stacked products: on stacks of 200 to 10000 matrices of 2 x 2 to 6 x 6 it takes a third to a fifteenth of the time of
+``scipy.linalg.expm`` (1.17), which goes through a stack matrix by matrix.
 """
 
 from __future__ import annotations

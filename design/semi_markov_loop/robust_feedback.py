@@ -8,7 +8,6 @@ With X = P^-1 and Y = K X the decrease condition becomes linear: for every cell,
 
 - ``pwl``: X, Y and eps linear between nodes; K(h) = Y(h) X(h)^-1 is tabulated for the controller.
 - ``pwc``: constant per section, X_{i,m+1} >= X_{i,m}.
-- ``printed``: Corollary 2.2, X_j in its own section, no link between sections, two multipliers. NOT SOUND.
 
 A bound on the gain norm is part of every problem, [[k^2 I, Y], [Y', X]] >= 0 with X >= I: without one the gains grow without
 end. The returned gains are judged by ``design.semi_markov_loop.stability``, from the gains alone, not by these matrices.
@@ -22,7 +21,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, g
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method
-from design.semi_markov_loop.sojourn_grid import Cell, cells, refine
+from design.semi_markov_loop.sojourn_grid import SOUND, Cell, Coupling, cells, refine
 from design.semi_markov_loop.stabilisability import check_stabilisable
 from design.semi_markov_loop.stability import analyse
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
@@ -49,12 +48,14 @@ def feedback_program(
     gain_bound: float,
     decay: float,
     condition: float,
+    coupling: Coupling = SOUND,
+    multipliers: int = 1,
 ) -> LmiProgram:
-    """The synthesis problem on X[i,r], Y[i,r] (and eps[i,r])."""
+    """The synthesis problem on X[i,r], Y[i,r] and, under a norm-bounded uncertainty, eps[i,r] (or one for A and one for B)."""
     program = LmiProgram(reach=condition)
     n, m = system.states, system.inputs
     bounded = isinstance(system.uncertainty, NormBounded)
-    scales = ["eps"] * bounded + ["eps2"] * (bounded and method == "printed")
+    scales = ["eps", "eps2"][: bounded * multipliers]
     for i, row in enumerate(nodes):
         for r in range(len(row)):
             x, y = f"X[{i},{r}]", f"Y[{i},{r}]"
@@ -68,12 +69,12 @@ def feedback_program(
                 program.matrix(f"{scale}[{i},{r}]", 1, 1)
                 program.require(f"{scale} >= 0", lambda e: -e, f"{scale}[{i},{r}]", strict=False)
                 program.require(f"{scale} bounded", lambda e: e - condition, f"{scale}[{i},{r}]", strict=False)
-    for cell in cells(process, nodes, segment=method == "printed"):
+    for cell in cells(process, nodes, all_corners=coupling.all_corners):
         i, here = cell.mode, cell.index
         pwl = method == "pwl" and not cell.last
         for rates in cell.rates:
             targets = [j for j, rate in enumerate(rates) if rate > 0]
-            landing = [f"X[{j},{min(here if method == 'printed' else 0, len(nodes[j]) - 1)}]" for j in targets]
+            landing = [f"X[{j},{coupling.landing(here, len(nodes[j]))}]" for j in targets]
             for end in (0, 1) if pwl else (0,):
                 on = [f"X[{i},{here}]"] + ([f"X[{i},{here + 1}]"] if pwl else [])
                 on += [f"{kind}[{i},{here + end}]" for kind in ("Y", *scales)]
@@ -83,7 +84,7 @@ def feedback_program(
                         rates=[rates[j] for j in targets], decay=decay,
                     )  # fmt: skip
                     program.require(f"decrease of mode {i} from {cell.start:g} s at {rates}", function, *on, *landing)
-        if method == "pwc" and not cell.last:
+        if method == "pwc" and coupling.linked and not cell.last:
             later, own = f"X[{i},{here + 1}]", f"X[{i},{here}]"
             program.require(f"{later} >= {own}", lambda a, b: b - a, later, own, strict=False)
     return program
@@ -121,7 +122,7 @@ def _decrease(
     return symmetric_blocks(rows)
 
 
-def _tabulate(found: LmiSolution, nodes: Partition, method: Method, schedule: Schedule, points: int) -> ScheduledGain:
+def tabulate(found: LmiSolution, nodes: Partition, method: Method, schedule: Schedule, points: int) -> ScheduledGain:
     """K = Y X^-1 on a grid: ``points`` per cell (``pwl``), else one per section; ragged modes repeat their last gain."""
     schedule = schedule if method == "pwl" else "hold"
     rows = []
@@ -165,8 +166,8 @@ class FeedbackRequest:
     def __post_init__(self) -> None:
         if not np.isfinite(self.gain_bound) or self.gain_bound <= 0:
             raise ValueError(f"gain_bound: {self.gain_bound!r} is not a finite positive norm")
-        if self.method not in ("pwl", "pwc", "printed"):
-            raise ValueError(f"method: {self.method!r} is not one of pwl, pwc, printed")
+        if self.method not in ("pwl", "pwc"):
+            raise ValueError(f"method: {self.method!r} is not pwl or pwc")
         if self.points < 1:
             raise ValueError(f"points: {self.points}, expected at least 1")
 
@@ -210,7 +211,7 @@ class FeedbackRequest:
 
     def judge(self, system: JumpSystem, found: LmiSolution, decay: float) -> JumpCertificate:
         """Tabulate the gains and certify them from nothing but themselves. Raises Infeasible if that fails."""
-        gain = _tabulate(found, self.nodes, self.method, self.schedule, self.points)
+        gain = tabulate(found, self.nodes, self.method, self.schedule, self.points)
         if gain.norm > self.gain_bound:  # the inequality holds to the solver's tolerance only
             gain = replace(gain, gain=gain.gain * (self.gain_bound / gain.norm))
         if self.method == "pwl":
@@ -223,6 +224,16 @@ class FeedbackRequest:
             f"robust feedback ({self}, decay {decay:g}/s): gains found, but {certificate.reason}; more points may help",
             value=certificate.margin,
         )
+
+
+class Synthesis(Protocol):
+    """Conditions that gains are sought by: ``FeedbackRequest`` here, and the printed ones to be compared with."""
+
+    def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
+        """The matrices that fulfil them, or Infeasible."""
+
+    def judge(self, system: JumpSystem, found: LmiSolution, decay: float) -> JumpCertificate:
+        """The gains in these matrices with their certificate, or Infeasible."""
 
 
 def robust_feedback(
@@ -242,14 +253,14 @@ def robust_feedback(
     Args:
         gain_bound: largest spectral norm of any gain.
         sections: number of equal-probability sections, or a partition.
-        method: ``pwl``, ``pwc`` or ``printed``.
+        method: ``pwl`` or ``pwc``.
         schedule, points: how K(h) of ``pwl`` is handed over: ``points`` per section,
             linear between them or held.
         decay: demanded decay rate of E|x|^2 (1/s).
         condition: largest condition number of X that is searched.
 
     Returns:
-        The certificate of the gains (``.gain``), found again from the gains alone; for ``printed`` with ``sound = False``.
+        The certificate of the gains (``.gain``), found again from the gains alone.
 
     Raises:
         ValueError: data that do not fit.
@@ -263,7 +274,7 @@ def robust_feedback(
 
 
 def largest_uncertainty(
-    system: JumpSystem, request: FeedbackRequest, *, tolerance: float = 1e-3
+    system: JumpSystem, request: Synthesis, *, tolerance: float = 1e-3
 ) -> tuple[float, JumpCertificate]:
     """The largest scale of the system's uncertainty for which gains are certified, and the certificate of these gains.
 
@@ -274,13 +285,13 @@ def largest_uncertainty(
     return _largest(lambda scale: (system.scaled(scale), 0.0), request, tolerance)
 
 
-def fastest_feedback(system: JumpSystem, request: FeedbackRequest, *, tolerance: float = 2e-3) -> JumpCertificate:
+def fastest_feedback(system: JumpSystem, request: Synthesis, *, tolerance: float = 2e-3) -> JumpCertificate:
     """The gains with the largest certified decay rate of E|x|^2 under the gain bound, by bisection as above."""
     return _largest(lambda decay: (system, decay), request, tolerance)[1]
 
 
 def _largest(
-    problem: Callable[[float], tuple[JumpSystem, float]], request: FeedbackRequest, tolerance: float
+    problem: Callable[[float], tuple[JumpSystem, float]], request: Synthesis, tolerance: float
 ) -> tuple[float, JumpCertificate]:
     low, high, found = 0.0, math.inf, request.find(*problem(0.0))
     while high - low > tolerance * max(low, 1e-2):

@@ -33,6 +33,28 @@ def as_float(value: npt.ArrayLike) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Coupling:
+    """How inequalities of different cells hang together. The defaults are what holds; anything else proves nothing.
+
+    Args:
+        all_corners: every corner of the box of rates, or only "all low" and "all high": a segment of it.
+        lands_first: a jump lands in the first section of the next mode, or in the section that it left.
+        linked: P falls where a new section begins.
+    """
+
+    all_corners: bool = True
+    lands_first: bool = True
+    linked: bool = True
+
+    def landing(self, section: int, sections: int) -> int:
+        """The section in which a jump from ``section`` lands in a mode with ``sections`` of them."""
+        return 0 if self.lands_first else min(section, sections - 1)
+
+
+SOUND = Coupling()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
     """One cell of one mode.
 
@@ -54,11 +76,11 @@ class Cell:
         return math.isinf(self.stop)
 
 
-def cells(process: SemiMarkov, nodes: Partition, *, segment: bool = False) -> list[Cell]:
+def cells(process: SemiMarkov, nodes: Partition, *, all_corners: bool = True) -> list[Cell]:
     """All cells between the nodes, mode by mode.
 
-    ``segment`` takes only the two corners "all low" and "all high", as Theorem 2.2 is printed: that covers a segment of
-    the box when a mode has two targets or more.
+    ``all_corners=False`` takes only the two corners "all low" and "all high": a segment of the box when a mode has two targets
+    or more.
 
     Raises:
         ValueError: the nodes are not increasing from 0, or a rate has no finite bound on a cell.
@@ -73,7 +95,7 @@ def cells(process: SemiMarkov, nodes: Partition, *, segment: bool = False) -> li
                     raise ValueError(f"rates[{mode}][{target}]: no finite bound on [{start:g}, {stop:g}) s; clip it")
                 if not 0 <= a <= b:
                     raise ValueError(f"rates[{mode}][{target}]: bounds [{a:g}, {b:g}] on [{start:g}, {stop:g}) s cross")
-            if segment:
+            if not all_corners:
                 corners = {tuple(low.tolist()), tuple(high.tolist())}
             else:
                 corners = set(itertools.product(*({a, b} for a, b in zip(low.tolist(), high.tolist()))))

@@ -5,7 +5,6 @@
 
 - ``pwl``: P_i linear between nodes, constant after the last one.
 - ``pwc``: P_i constant per section; jumps land in section 1 and see P_j(0), and P_{i,m+1} <= P_{i,m} at boundaries.
-- ``printed``: Corollary 2.1 as it stands: section m sees P_j in its own section m, sections are not linked. NOT SOUND.
 - ``exact``: spectral radius of the per-jump second-moment operator (``second_moments``); certain systems only.
 
 References: thesis (2.4), (2.12)-(2.15); findings, chapter 2, items 1, 2 and 7 (one multiplier for F_A + F_B K).
@@ -24,10 +23,10 @@ from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, 
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method
-from design.semi_markov_loop.sojourn_grid import Cell, Lift, as_float, bernstein, cells, gain_on, refine
+from design.semi_markov_loop.second_moments import exact_certificate
+from design.semi_markov_loop.sojourn_grid import SOUND, Cell, Coupling, Lift, as_float, bernstein, cells, gain_on, refine
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
-PRINTED = "jumps from section m land in section m of the next mode and sections are not linked (false: they land in section 1)"
 CONDITION = 1e4
 """Largest condition number of the Lyapunov matrices that is searched (P >= I, P <= CONDITION I)."""
 
@@ -40,14 +39,15 @@ def stability_inequalities(
     method: Method,
     decay: float,
     lift: Lift = as_float,
+    coupling: Coupling = SOUND,
 ) -> list[Inequality]:
-    """Every inequality of ``pwl``, ``pwc`` or ``printed`` on P[i,r], K[i,s] (and eps[i,r]), for floats or fractions.
+    """Every inequality of ``pwl`` or ``pwc`` on P[i,r], K[i,s] (and eps[i,r]), for floats or fractions.
 
     They are affine in all P and eps for known K, and in all K for known P and eps. Of ``gain`` only the sections count.
     """
     out = []
     bounded = isinstance(system.uncertainty, NormBounded)
-    for cell in cells(process, nodes, segment=method == "printed"):
+    for cell in cells(process, nodes, all_corners=coupling.all_corners):
         i, here = cell.mode, cell.index
         mixture = gain_on(gain.starts_s[i], gain.schedule, cell)
         pwl = method == "pwl" and not cell.last
@@ -59,8 +59,7 @@ def stability_inequalities(
         checks = bernstein(mixture) if pwl else [[(0, mixture.weights[0])]]
         for rates in cell.rates:
             targets = [j for j, rate in enumerate(rates) if rate > 0]
-            lands = here if method == "printed" else 0
-            landing = [f"P[{j},{min(lands, len(nodes[j]) - 1)}]" for j in targets]
+            landing = [f"P[{j},{coupling.landing(here, len(nodes[j]))}]" for j in targets]
             for pairs in checks:
                 for vertex in system.vertices:
                     function = partial(
@@ -69,7 +68,7 @@ def stability_inequalities(
                     )  # fmt: skip
                     name = f"decrease of mode {i} on [{cell.start:g}, {cell.stop:g}) s at rates {rates}"
                     out.append(Inequality(name=name, function=function, on=(*own, *landing, *gains)))
-        if method == "pwc" and not cell.last:
+        if method == "pwc" and coupling.linked and not cell.last:
             both = (f"P[{i},{here + 1}]", f"P[{i},{here}]")
             out.append(Inequality(name="{} <= {}".format(*both), function=lambda a, b: a - b, on=both))
         identity = lift(np.eye(system.states))
@@ -157,7 +156,7 @@ def analyse(
         gain: K(i, h), or None for u = 0.
         process: the rates.
         method: see the module.
-        nodes: Lyapunov nodes (``pwl``) or sections (``pwc``, ``printed``) per mode; by default the section
+        nodes: Lyapunov nodes (``pwl``) or sections (``pwc``) per mode; by default the section
             starts of the gains, for ``pwl`` with the kinks of the rates, each gap cut into ``parts``.
         decay: demanded decay rate of E|x|^2 (1/s).
         condition: largest condition number of P that is searched.
@@ -169,36 +168,35 @@ def analyse(
     Raises:
         ValueError: shapes that do not fit, nodes that split a section, rates without finite bounds.
     """
-    gain = _checked_gain(system, gain, process)
+    gain = checked_gain(system, gain, process)
     if not np.isfinite(decay) or decay < 0:
         raise ValueError(f"decay: {decay!r} is not a finite non-negative rate")
     if method == "exact":
-        from design.semi_markov_loop.second_moments import exact_certificate
-
         return exact_certificate(system, gain, process)
-    if method not in ("pwl", "pwc", "printed"):
-        raise ValueError(f"method: {method!r} is not one of exact, pwl, pwc, printed")
+    if method not in ("pwl", "pwc"):
+        raise ValueError(f"method: {method!r} is not one of exact, pwl, pwc")
     if nodes is None:
         starts = tuple(tuple(row.tolist()) for row in gain.starts_s)
         nodes = refine(process, starts, parts) if method == "pwl" else starts
-    rebuild = partial(_known_gain, system, gain, process, nodes, method, decay)
+    rebuild = partial(known_gain, system, gain, process, nodes, method, decay)
     program = lyapunov_program(rebuild(as_float), system.states, condition)
     found = program.decide() if second_opinion else program.solve()
     certified = found.holds
     form = f"method {method}, I <= P <= {condition:g} I" + (f", decay {decay:g}/s" if decay else "")
     proved = None
     if certified:
-        proved = _proved_decay(partial(_known_gain, system, gain, process, nodes, method), found.matrices, decay)
+        proved = _proved_decay(partial(known_gain, system, gain, process, nodes, method), found.matrices, decay)
     assumptions = ("rates anywhere in their bounds on every cell",)
     return JumpCertificate(
-        method=method, sound=method != "printed", reason=f"{form}: {found.explain()}", margin=found.margin,
+        method=method, sound=True, reason=f"{form}: {found.explain()}", margin=found.margin,
         verdict="certified" if certified else "refused" if found.refused else "undecided", matrices=found.matrices,
-        assumptions=(PRINTED, *assumptions) if method == "printed" else assumptions, decay_rate=proved, gain=gain,
+        assumptions=assumptions, decay_rate=proved, gain=gain,
         rebuild=rebuild, solver=found.solver,
     )  # fmt: skip
 
 
-def _checked_gain(system: JumpSystem, gain: ScheduledGain | None, process: SemiMarkov) -> ScheduledGain:
+def checked_gain(system: JumpSystem, gain: ScheduledGain | None, process: SemiMarkov) -> ScheduledGain:
+    """The gain, or zero gains for None. Raises ValueError unless system, gain and process fit each other."""
     if process.modes != system.modes:
         raise ValueError(f"process: {process.modes} modes, the system has {system.modes}")
     if gain is None:
@@ -210,7 +208,7 @@ def _checked_gain(system: JumpSystem, gain: ScheduledGain | None, process: SemiM
     return gain
 
 
-def _known_gain(
+def known_gain(
     system: JumpSystem,
     gain: ScheduledGain,
     process: SemiMarkov,
@@ -218,9 +216,12 @@ def _known_gain(
     method: Method,
     decay: float,
     lift: Lift = as_float,
+    coupling: Coupling = SOUND,
 ) -> list[Inequality]:
+    """``stability_inequalities`` with the gains put in: on P and eps only."""
     known = gain_matrices(gain, lift)
-    return [item.fixing(known) for item in stability_inequalities(system, gain, process, nodes, method, decay, lift)]
+    listed = stability_inequalities(system, gain, process, nodes, method, decay, lift, coupling)
+    return [item.fixing(known) for item in listed]
 
 
 def _proved_decay(build: Callable[[float], list[Inequality]], matrices: dict[str, Array], low: float) -> float:

@@ -12,6 +12,8 @@ from design.as_printed.examples import (
     chapter2_reference_gain,
     chapter2_system,
 )
+from design.as_printed.robust_feedback import PrintedRequest
+from design.as_printed.stability import printed_stability
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import Infeasible
 from design.lmi.exact import prove
@@ -21,7 +23,7 @@ from design.processes.partitions import uniform
 from design.processes.rates import PiecewiseLinearRate, WeibullRate, clip_rate, constant_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
-from design.semi_markov_loop.robust_feedback import FeedbackRequest, largest_uncertainty, robust_feedback
+from design.semi_markov_loop.robust_feedback import FeedbackRequest, Synthesis, largest_uncertainty, robust_feedback
 from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
 from design.semi_markov_loop.stability import analyse, largest_decay
 from design.semi_markov_loop.system import JumpSystem
@@ -96,7 +98,7 @@ def _feasibility() -> list[Row]:
     gains = (
         ", ".join(np.array2string(g[0, 0], precision=2) for g in single.gain.gain) if single.gain is not None else ""
     )
-    published = analyse(printed, chapter2_gain(), process, method="printed")
+    published = printed_stability(printed, chapter2_gain(), process)
     constant = analyse(printed, chapter2_gain(), process, method="pwc", condition=1e3)
     linear = largest_decay(printed, chapter2_gain(), process, nodes=((0.0, CHAPTER2_BOUNDARY_S, 4.6),) * 2)
     ours = robust_feedback(
@@ -142,8 +144,8 @@ def _theorems() -> list[Row]:
     halves = ((0.0, 0.4967),) * 2
     nodes = uniform(chapter2_process(), 12)
     accepted = (
-        analyse(first, None, process, method="printed", nodes=halves),
-        analyse(second, None, chapter2_process(), method="printed", nodes=nodes),
+        printed_stability(first, None, process, nodes=halves),
+        printed_stability(second, None, chapter2_process(), nodes=nodes),
     )
     refused = analyse(first, None, process, nodes=halves), analyse(second, None, chapter2_process(), nodes=nodes)
     exact = (
@@ -156,7 +158,7 @@ def _theorems() -> list[Row]:
     box = SemiMarkov(rates=((None, wide, wide), (back, None, None), (back, None, None)))
     worst = SemiMarkov(rates=((None, constant_rate(10), constant_rate(0.1)), (back, None, None), (back, None, None)))
     ones = ((0.0,),) * 3
-    corner = analyse(three, None, box, method="printed", nodes=ones)
+    corner = printed_stability(three, None, box, nodes=ones)
     growth = -(analyse(three, None, worst, method="exact").decay_rate or 0.0)
     rows = []
     for k, what in enumerate(
@@ -310,7 +312,9 @@ def _scales() -> dict[tuple[str, int], float]:
     out = {}
     for method in ("printed", "pwc", "pwl"):
         for sections in (1, 2, 4, 8):
-            request = FeedbackRequest(process=chapter2_process(), gain_bound=100.0, sections=sections, method=method)
+            request: Synthesis = PrintedRequest(process=chapter2_process(), gain_bound=100.0, sections=sections)
+            if method != "printed":
+                request = FeedbackRequest(process=chapter2_process(), gain_bound=100.0, sections=sections, method=method)
             out[method, sections] = largest_uncertainty(chapter2_system("vertices"), request, tolerance=2e-3)[0]
     return out
 

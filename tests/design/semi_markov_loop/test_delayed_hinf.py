@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.as_printed.delayed_hinf import printed_section
+from design.as_printed.delayed_hinf import printed_delayed, printed_section
 from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3_system
 from design.controllers.scheduled_gain import constant_gain
 from design.errors import Infeasible
@@ -77,10 +77,10 @@ def test_published_gains_fit_093_in_one_reading_of_the_printed_condition_only() 
         assert consistent.gamma == pytest.approx(smallest, abs=2e-3) and not consistent.sound
 
 
-def test_printed_method_carries_its_flag_in_analysis_and_synthesis() -> None:
-    analysed = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS, method="printed")
+def test_printed_conditions_carry_their_flag_in_analysis_and_synthesis() -> None:
+    analysed = printed_delayed(SYSTEM, PROCESS, SECTIONS, chapter3_gain())
     assert analysed.gamma == pytest.approx(0.760, abs=2e-3) and not analysed.sound
-    made = delayed_hinf(SYSTEM, PROCESS, gain_bound=5.0, sections=SECTIONS, method="printed", gamma=0.93)
+    made = printed_delayed(SYSTEM, PROCESS, SECTIONS, None, gain_bound=5.0, gamma=0.93)
     assert not made.sound and made.gain is not None and made.gain.gain.shape == (3, 2, 2, 4)
 
 

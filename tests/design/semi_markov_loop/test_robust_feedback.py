@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from design.as_printed.examples import chapter2_process, chapter2_system
+from design.as_printed.robust_feedback import PrintedRequest
 from design.errors import Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
@@ -79,7 +80,8 @@ def test_printed_synthesis_returns_gains_that_destabilise() -> None:
     system = JumpSystem(a=a, b=np.full((2, 2, 1), 1e-6))
     process = SemiMarkov(rates=((None, STEP), (STEP, None)))
     halves = ((0.0, 0.4967), (0.0, 0.4967))
-    printed = robust_feedback(system, process, gain_bound=1.0, sections=halves, method="printed")
+    request = PrintedRequest(process=process, gain_bound=1.0, sections=halves)
+    printed = request.judge(system, request.find(system, 0.0), 0.0)
     assert printed.certified and not printed.sound and printed.gain is not None
     assert analyse(system, printed.gain, process, method="exact").spectral_radius == pytest.approx(5.463, abs=1e-2)
     with pytest.raises(Infeasible, match="no solution with entries up to"):
@@ -117,7 +119,7 @@ def test_request_that_no_gain_can_meet_is_told_before_any_solver_runs() -> None:
     [
         ({"gain_bound": 0.0}, "gain_bound: 0.0"),
         ({"gain_bound": float("nan")}, "gain_bound: nan"),
-        ({"method": "exact"}, "method: 'exact' is not one of"),
+        ({"method": "exact"}, "method: 'exact' is not pwl or pwc"),
         ({"points": 0}, "points: 0"),
         ({"decay": float("inf")}, "decay: inf"),
         ({"sections": ((0.0,),)}, "partition: 1 tuples"),

@@ -14,6 +14,7 @@ from design.as_printed.examples import (
     chapter2_reference_gain,
     chapter2_system,
 )
+from design.as_printed.stability import printed_stability
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.lmi.exact import prove
 from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate
@@ -46,7 +47,7 @@ def exact(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov) -> tuple
 
 def test_printed_corollary_accepts_a_diverging_system_and_ours_refuse_it() -> None:
     # DEVIATION from Corollary 2.1: counterexample 1 of the findings
-    printed = analyse(STEP_SYSTEM, None, STEP_PROCESS, method="printed", nodes=HALVES)
+    printed = printed_stability(STEP_SYSTEM, None, STEP_PROCESS, nodes=HALVES)
     assert printed.certified and printed.check() > 0 and not printed.sound
     assert prove(printed).proved  # the printed inequalities really hold, and the system really diverges
     exact = analyse(STEP_SYSTEM, None, STEP_PROCESS, method="exact")
@@ -59,7 +60,7 @@ def test_printed_corollary_accepts_a_diverging_system_and_ours_refuse_it() -> No
 def test_printed_corollary_fails_for_the_rates_of_the_thesis_too() -> None:
     for sections in (12, 16):
         nodes = uniform(PROCESS, sections)
-        assert analyse(RAMP_SYSTEM, None, PROCESS, method="printed", nodes=nodes).certified
+        assert printed_stability(RAMP_SYSTEM, None, PROCESS, nodes=nodes).certified
         assert analyse(RAMP_SYSTEM, None, PROCESS, method="pwc", nodes=nodes).verdict == "refused"
         assert analyse(RAMP_SYSTEM, None, PROCESS, method="pwl", nodes=nodes).verdict == "refused"
     exact = analyse(RAMP_SYSTEM, None, PROCESS, method="exact")
@@ -90,7 +91,7 @@ def test_two_corners_do_not_cover_the_rate_box_of_three_modes() -> None:
     back = constant_rate(3.0)
     rates = SemiMarkov(rates=((None, box(0.1, 10), box(0.1, 10)), (back, None, None), (back, None, None)))
     nodes: Partition = ((0.0,), (0.0,), (0.0,))
-    assert analyse(system, None, rates, method="printed", nodes=nodes).certified
+    assert printed_stability(system, None, rates, nodes=nodes).certified
     assert analyse(system, None, rates, method="pwc", nodes=nodes).verdict == "refused"
     worst = SemiMarkov(rates=((None, constant_rate(10), constant_rate(0.1)), (back, None, None), (back, None, None)))
     exact = analyse(system, None, worst, method="exact")
@@ -114,7 +115,7 @@ def test_reference_gains_are_unstable_at_a_corner_of_the_printed_uncertainty() -
 
 def test_published_gains_pass_the_printed_test_and_only_pwl_certifies_them() -> None:
     system = chapter2_system("printed")
-    printed = analyse(system, chapter2_gain(), PROCESS, method="printed")
+    printed = printed_stability(system, chapter2_gain(), PROCESS)
     assert printed.certified and not printed.sound
     assert analyse(system, chapter2_gain(), PROCESS, method="pwc", condition=1e3).verdict == "refused"
     nodes: Partition = ((0.0, CHAPTER2_BOUNDARY_S, 4.6),) * 2
