@@ -168,7 +168,7 @@ class Bordered:
     def solve(self, rhs: Array, *, transposed: bool = False) -> Array:
         """Return the solution (N s + 1,); not a number throughout where none was found."""
         if self.factors is not None:
-            return np.asarray(scipy.linalg.lu_solve(self.factors, rhs, trans=int(transposed), check_finite=False))
+            return np.asarray(scipy.linalg.lu_solve(self.factors, rhs, trans=1 if transposed else 0, check_finite=False))
         left, right = (self.right, self.left) if transposed else (self.left, self.right)
         operator, shape = forward if transposed else backward, (self.A.shape[0], -1)
 
