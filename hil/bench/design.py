@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from design.errors import DesignError
 
 if TYPE_CHECKING:
+    from design.semi_markov_loop.certificate import JumpCertificate
     from design.tracking.synthesis import TrackingProblem
 
 CCL_PROGRAMMES = 40
@@ -126,5 +127,17 @@ def bench_scheduled(*, progress: Callable[[str], None] = lambda text: None) -> l
             "s": round(spent, 3),
             "limit_s": LIMIT_S,
             "met": bool(case.met(reached) and certificate.certified and certificate.sound and spent <= LIMIT_S),
+            **_second(certificate),
         })  # fmt: skip
     return rows
+
+
+def _second(certificate: JumpCertificate) -> dict[str, Any]:
+    """The certificate's inequalities, asked of another modeller and another solver; None where it has none."""
+    if certificate.rebuild is None or not certificate.matrices:
+        return {"cvxpy": None, "cvxpy_margin": None, "cvxpy_s": None}
+    from design.lmi.second_opinion import second_opinion
+    from design.semi_markov_loop.sojourn_grid import as_float
+
+    found = second_opinion(certificate.rebuild(as_float), certificate.matrices)
+    return {"cvxpy": "holds" if found.holds else "not found", "cvxpy_margin": found.margin, "cvxpy_s": round(found.wall_s, 3)}

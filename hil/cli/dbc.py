@@ -1,0 +1,83 @@
+"""``hil dbc``: the frames of the link for other tools: the DBC, a C codec made of it, recorded frames decoded by it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hil.errors import HilError
+
+NAME = "hilrig"
+
+
+@click.command()
+@click.option("--c", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Write a C codec here: hilrig.h, hilrig.c.")
+@click.option("--decode", "log", type=click.Path(path_type=Path), metavar="FILE", help="Decode a CAN log, .log or .blf.")
+@click.option("--force", is_flag=True, help="Replace files that are there.")
+def command(folder: Path | None, log: Path | None, force: bool) -> None:
+    """Print the DBC of the link's frames.
+
+    With --c write a C codec that cantools makes of it, for a controller on another machine; with --decode print what the
+    frames of a CAN log say, one JSON object a line.
+    """
+    from transport import dbc_path
+
+    if folder is not None and log is not None:
+        raise HilError("--c and --decode: one at a time")
+    if folder is not None:
+        _write_codec(folder, force)
+    elif log is not None:
+        _decode(log)
+    else:
+        print(dbc_path().read_text(encoding="utf-8"), end="")
+
+
+def _write_codec(folder: Path, force: bool) -> None:
+    from cantools.database.can.c_source import generate
+
+    from hil.cli.outputs import check_output, write_output
+    from hil.cli.terminal import visible
+
+    header, source = (folder / f"{NAME}.{ending}" for ending in ("h", "c"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise HilError(f"{folder}: cannot be made: {e.strerror}") from e
+    for path in (header, source):
+        check_output(path, fresh=not force, remedy="choose another --c or add --force")
+    texts = generate(_database(), NAME, header.name, source.name, "")
+    for path, text in zip((header, source), texts):
+        write_output(path, text, replace=force)
+        print(visible(path))
+
+
+def _decode(log: Path) -> None:
+    import can
+
+    if log.suffix not in (".log", ".blf"):
+        raise HilError(f"{log}: the ending {log.suffix!r} names no CAN log, expected .log or .blf (see `hil export`)")
+    database = _database()
+    try:
+        with can.LogReader(log) as frames:
+            for frame in frames:
+                try:
+                    message = database.get_message_by_frame_id(frame.arbitration_id)
+                except KeyError:
+                    continue  # another node's
+                signals = message.decode(bytes(frame.data), decode_choices=True, allow_truncated=True)
+                told = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
+                print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **told}))
+    except (OSError, ValueError, IndexError, EOFError, struct.error, can.CanError) as e:
+        raise HilError(f"{log}: is no CAN log: {e}") from e
+
+
+def _database() -> Any:
+    import cantools
+
+    from transport import dbc_path
+
+    return cantools.database.load_file(dbc_path())

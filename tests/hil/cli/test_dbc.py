@@ -1,0 +1,78 @@
+"""`hil dbc`: the file, a C codec that a compiler takes and that reads our bytes, an exported log decoded."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import hil
+from hil.cli import main
+from hil.cli.dbc import command
+from transport import SensorPacket, dbc_path, encode_sensor
+
+PROGRAM = """
+#include <stdio.h>
+#include "hilrig.h"
+int main(void) {
+    uint8_t bytes[64]; struct hilrig_sensor_fd0_t sensor;
+    if (fread(bytes, 1, 64, stdin) != 64 || hilrig_sensor_fd0_unpack(&sensor, bytes, 64)) return 1;
+    printf("%lu %lld %.9g", (unsigned long)sensor.seq, (long long)sensor.sample_time, (double)sensor.y0);
+    return 0;
+}
+"""
+
+
+def test_it_prints_the_dbc() -> None:
+    assert CliRunner().invoke(command, []).stdout == dbc_path().read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler: apt-get install gcc")
+def test_the_c_codec_reads_what_we_pack(tmp_path: Path) -> None:
+    done = CliRunner().invoke(command, ["--c", str(tmp_path / "codec")])
+    assert done.exit_code == 0 and len(done.stdout.splitlines()) == 2
+    (tmp_path / "codec" / "main.c").write_text(PROGRAM)
+    words = ["gcc", "-Wall", "-Werror", "-O0", "-o", str(tmp_path / "read"), "main.c", "hilrig.c"]
+    subprocess.run(words, cwd=tmp_path / "codec", check=True, timeout=120)
+    data = encode_sensor(SensorPacket(seq=70000, sample_ns=-5, flags=0, y=(1.5,)))
+    told = subprocess.run([tmp_path / "read"], input=data.ljust(64, b"\0"), capture_output=True, check=True, timeout=10).stdout
+    assert told.split() == [b"70000", b"-5", b"1.5"]
+
+
+def test_files_in_the_way_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "hilrig.c").write_text("mine")
+    with pytest.raises(SystemExit) as end:
+        main(["dbc", "--c", str(tmp_path)])
+    assert end.value.code == 2 and "exists already" in capsys.readouterr().err
+    assert (tmp_path / "hilrig.c").read_text() == "mine" and not (tmp_path / "hilrig.h").exists()
+
+
+@pytest.mark.parametrize("ending", ["log", "blf"])
+def test_an_exported_log_is_decoded_to_what_was_measured(tmp_path: Path, ending: str) -> None:
+    session = hil.run("dc-motor-hinf", duration=2, log=tmp_path / "run.mcap")
+    with pytest.raises(SystemExit):
+        main(["export", str(tmp_path / "run.mcap"), "-o", str(tmp_path / f"run.{ending}")])
+    done = CliRunner().invoke(command, ["--decode", str(tmp_path / f"run.{ending}")])
+    frames = [json.loads(line) for line in done.stdout.splitlines()]
+    sensor = {frame["Seq"]: frame for frame in frames if frame["frame"] == "SensorFD0" and frame["Empty"] == 0}
+    assert len(frames) == 80 and len(sensor) > 30 and frames[0]["Kind"] == "sensor"
+    measured = session.arrays["/plant/measurement"]
+    period_ns = 50_000_000
+    for frame in sensor.values():
+        (row,) = measured[measured["tick"] == frame["SampleTime"] // period_ns]
+        assert frame["Y0"] == pytest.approx(row["angle"], abs=1e-6)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\0\xff garbage"])
+def test_what_is_no_can_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | None) -> None:
+    log = tmp_path / "a.blf"
+    if content is not None:
+        log.write_bytes(content)
+    for path in (log, tmp_path / "a.txt"):
+        with pytest.raises(SystemExit) as end:
+            main(["dbc", "--decode", str(path)])
+        assert end.value.code == 2 and str(path) in capsys.readouterr().err
