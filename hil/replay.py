@@ -22,10 +22,11 @@ from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
+from hil.runtime.nodes.wire import VERSION_1, Wire
 from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport.links.link import open_link
-from transport.packets import ControlPacket, decode
+from transport.packets import ControlPacket, SensorPacket, decode
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,6 +94,16 @@ class Recorded:
             self.difference = (k, text)
 
 
+def _wire(run: Run) -> Wire:
+    """Return version and nonces of the recorded questions."""
+    frames = run.arrays["/link/sensor"]
+    asked = {tick: decode(bytes(data)) for tick, data in zip(frames["tick"].tolist(), frames["data"])}
+    questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
+    if all(packet.version == 1 for packet in questions.values()):
+        return VERSION_1
+    return Wire(version=2, nonce=lambda k: questions[k].nonce if k in questions else 0)
+
+
 def verify(run: Run, source: str = "log") -> Verdict:
     """Run controller and rig again on the recorded control packets; compare every record, bit for bit.
 
@@ -113,7 +124,7 @@ def verify(run: Run, source: str = "log") -> Verdict:
     heard = dict(zip(control["tick"].tolist(), map(bytes, control["data"])))
 
     again = MemorySink(loop.channels())
-    rig = Rig(loop, int(run.metadata["seed"]), again, loop.channels(), lambda: None)
+    rig = Rig(loop, int(run.metadata["seed"]), again, loop.channels(), lambda: None, _wire(run))
     recorded = Recorded(loop, heard, foreign)
     slot = Slot(rig, recorded, stopped=lambda: recorded.difference is not None)
     for k in range(slots):

@@ -378,7 +378,7 @@ def test_cantools_monitor_shows_our_signals() -> None:
         try:
             screen, end = b"", monotonic() + 20
             while b"Y0: 3.25" not in screen and monotonic() < end:
-                rig.send(encode_sensor(SensorPacket(7, 0, 5, (3.25,))))
+                rig.send(encode_sensor(SensorPacket(7, 0, 5, (3.25,), version=2)))
                 if select.select([main], [], [], 0.05)[0]:
                     screen += os.read(main, 65536)
             assert b"SensorFD0" in screen and b"Y0: 3.25" in screen, screen

@@ -220,16 +220,21 @@ def test_a_session_that_does_not_begin_says_why_at_once(spoil: str, external: bo
     assert message in done.stdout, done.stderr
 
 
-def test_foreign_controller_drives_the_rig(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("program", "options"),
+    [("foreign_controller.py", "?version=1"), ("foreign_controller_2.py", "")],
+    ids=["version 1", "version 2"],
+)
+def test_foreign_controller_drives_the_rig(tmp_path: Path, program: str, options: str) -> None:
     """A controller of thirty lines that knows nothing of ours but the frame layout, in plain Python and python-can."""
     channel = f"foreign{os.getpid()}"
     foreign = subprocess.Popen(
-        [sys.executable, str(Path(__file__).parents[1] / "foreign_controller.py"), channel], stderr=subprocess.PIPE
+        [sys.executable, str(Path(__file__).parents[1] / program), channel], stderr=subprocess.PIPE
     )
     try:
         done = subprocess.run(
             [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--external", "--link",
-             f"can:hil:{channel}", "--duration", "3", "--set", "reference.0.at=0.2",
+             f"can:hil:{channel}{options}", "--duration", "3", "--set", "reference.0.at=0.2",
              "--set", "limits.watchdog_ticks=40", "--json"],  # it has no priority: a busy machine may pause it for long
             cwd=tmp_path, capture_output=True, text=True, timeout=200,
         )  # fmt: skip

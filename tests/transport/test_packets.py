@@ -6,6 +6,7 @@ import math
 import random
 import struct
 from binascii import crc_hqx
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -36,6 +37,28 @@ def sensor_packets(draw: st.DrawFn, most: int = 63) -> SensorPacket:
     return SensorPacket(draw(counters), flags, draw(instants), y)
 
 
+trailers = st.one_of(st.just((0, b"")), st.tuples(counters, st.binary(min_size=8, max_size=8)))
+nonces = st.integers(0, 2**64 - 1)
+
+
+@st.composite
+def sensor_packets_2(draw: st.DrawFn) -> SensorPacket:
+    samples, outputs = draw(st.integers(1, 9)), draw(st.integers(0, 7))
+    y = tuple(draw(st.lists(singles, min_size=samples * outputs, max_size=samples * outputs)))
+    flags, nodes = draw(st.sampled_from((0, MORE))) | (0 if y else EMPTY), draw(st.integers(1, 255))
+    node, reference = draw(st.integers(0, nodes - 1)), tuple(draw(st.lists(singles, max_size=7)))
+    freshness, tag = draw(trailers)
+    return SensorPacket(
+        draw(counters), flags, draw(instants), y, node, samples if y else 1, reference, nodes, draw(nonces), freshness, tag, 2
+    )
+
+
+@st.composite
+def control_packets_2(draw: st.DrawFn) -> ControlPacket:
+    freshness, tag = draw(trailers)
+    return draw(control_packets())._replace(nonce=draw(nonces), freshness=freshness, tag=tag, version=2)
+
+
 @st.composite
 def control_packets(draw: st.DrawFn) -> ControlPacket:
     count, inputs = draw(st.integers(0, 12)), draw(st.integers(1, 6))
@@ -49,7 +72,7 @@ def encode(packet: SensorPacket | ControlPacket) -> bytes:
     return encode_sensor(packet) if isinstance(packet, SensorPacket) else encode_control(packet)
 
 
-packets = st.one_of(sensor_packets(), control_packets())
+packets = st.one_of(sensor_packets(), control_packets(), sensor_packets_2(), control_packets_2())
 
 
 @given(packets)
@@ -81,13 +104,46 @@ def test_byte_layout_is_the_stated_one() -> None:
     assert data[2:] == struct.pack("<BBIqqhBBfff8x", 0x12, 3, 9, 5, 6, -1, 3, 1, 1.0, 2.0, 3.0)
 
 
+def test_byte_layout_of_version_2_is_the_stated_one() -> None:
+    tag = bytes(range(8))
+    sensor = SensorPacket(7, MORE, -2, (1.5, -2.0), 1, 2, (3.0,), 4, 2**64 - 2, 9, tag, 2)
+    data = encode_sensor(sensor)
+    assert data[2:] == struct.pack(
+        "<BBIQqBBBBfffI8s12x", 0x21, 0x40 | 1, 7, 2**64 - 2, -2, 1, 2, 0x80 | 1, 4, 1.5, -2.0, 3.0, 9, tag
+    )
+    control = ControlPacket(7, 5, 6, -1, 3, ((1.0,), (2.0,)), 2**64 - 2, 9, tag, 2)
+    data = encode_control(control)
+    assert data[2:] == struct.pack(
+        "<BBIQqqhBBffI8s8x", 0x22, 0x80 | 3, 7, 2**64 - 2, 5, 6, -1, 2, 1, 1.0, 2.0, 9, tag
+    )
+
+
+def test_motor_packets_of_version_2_fit_one_fd_frame_with_a_tag_too() -> None:
+    for tag in (b"", bytes(8)):
+        assert len(encode_sensor(SensorPacket(1, 0, 5, (3.0,), reference=(3.0,), tag=tag, version=2))) == 48
+        assert len(encode_control(ControlPacket(1, 0, 0, 1, 1, ((1.0,), (2.0,)), tag=tag, version=2))) == (64 if tag else 48)
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [
+        ("y", {"samples": 2}), ("y", {"y": (0.0,) * 64}), ("y", {"y": (0.0,) * 256, "samples": 256}),
+        ("reference", {"reference": (0.0,) * 128}), ("reference", {"y": (0.0,) * 945, "samples": 15, "reference": (0.0,) * 56}),
+        ("node", {"node": 1}), ("tag", {"tag": b"short"}),
+    ],
+)  # fmt: skip
+def test_sensor_packet_that_version_2_cannot_carry_is_refused_with_its_field(field: str, change: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=rf"^{field}: "):
+        encode_sensor(SensorPacket(0, 0, 0, (1.0,), version=2)._replace(**change))
+
+
 @given(st.binary(max_size=300))
 def test_arbitrary_bytes_never_raise(data: bytes) -> None:
     packet = decode(data)
     assert packet is None or packet_size(data) <= len(data)  # type: ignore[operator]
 
 
-@given(st.binary(max_size=120), st.sampled_from((0x11, 0x12)))
+@given(st.binary(max_size=120), st.sampled_from((0x11, 0x12, 0x21, 0x22)))
 def test_arbitrary_bytes_with_a_true_header_and_crc_never_raise_and_are_never_read_beyond(
     body: bytes, kind: int
 ) -> None:
@@ -173,13 +229,14 @@ def hostile_inputs(number: int, rng: random.Random) -> None:
         for rows in range(1, 7)
         for inputs in range(1, 4)
     ]
+    valid += [encode(packet._replace(nonce=index, version=2)) for index, packet in enumerate(map(decode, valid)) if packet]
     for index in range(number):
         choice = index & 3
         if choice == 0:
             data = bytearray(rng.randbytes(rng.randrange(0, 90)))
         elif choice == 1:
             data = bytearray(rng.randbytes(rng.randrange(3, 90)))
-            data[2] = 0x11 + (index >> 2 & 1)
+            data[2] = (0x11, 0x12, 0x21, 0x22)[index >> 2 & 3]
         else:
             data = bytearray(rng.choice(valid))
             for _ in range(rng.randrange(1, 5)):

@@ -135,6 +135,28 @@ def split_uri(uri: str) -> tuple[str, str, dict[str, str]]:
     return scheme, address, options
 
 
+def wire_version(uri: str) -> Literal[1, 2]:
+    """Return the version of the wire format that a URI asks for by ``version=``, 2 by default.
+
+    Raises:
+        TransportError: another version than 1 or 2.
+
+    >>> wire_version("can:hil:rig0"), wire_version("can:hil:rig0?version=1")
+    (2, 1)
+    """
+    said = split_uri(uri)[2].get("version", "2")
+    if said not in ("1", "2"):
+        raise TransportError(f"link {uri!r}: version={said}, expected 1 or 2 (of the wire format)")
+    return 1 if said == "1" else 2
+
+
+def _without_version(uri: str) -> str:
+    """Return the URI that the plug-in reads: every link carries the packets of either version."""
+    address, _, query = uri.partition("?")
+    kept = "&".join(option for option in query.split("&") if option.partition("=")[0] != "version")
+    return f"{address}?{kept}" if kept else address
+
+
 def find_link(uri: str) -> EntryPoint:
     """Return the plug-in that a URI names; nothing is opened or imported.
 
@@ -158,7 +180,7 @@ def find_link(uri: str) -> EntryPoint:
         hint = f"did you mean '{near[0]}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
         raise TransportError(f"link {uri!r}: no link is called {scheme!r}, {hint}")
     if scheme in _FORMS:
-        split_uri(uri)
+        wire_version(uri)
     return found[scheme]
 
 
@@ -178,6 +200,7 @@ def open_link(uri: str, role: Role) -> Link:
     if role not in get_args(Role):
         raise TransportError(f"link {uri!r}: role {role!r}, expected 'rig' or 'controller'")
     plugin = find_link(uri)
+    uri = _without_version(uri) if "version=" in uri else uri
     try:
         opener = plugin.load()
     except (ImportError, AttributeError) as error:

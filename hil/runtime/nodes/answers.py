@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from math import isfinite
+from typing import Literal
 
 from design.controllers import row_count
 from hil.runtime.nodes.controller_node import HELLO
 from hil.runtime.nodes.journal import Journal
+from hil.runtime.nodes.wire import Wire
 from transport.packets import SELECTIONS, ControlPacket, decode
 
 FLOOD = 64
@@ -20,27 +21,33 @@ REMEMBERED = 64
 """Slots for which a second answer is compared with the first one."""
 
 
+Arrival = Literal["early", "in time", "late"]
+"""When a frame came: before the question, before the deadline, after it."""
+
+
 class Answers:
     """Takes frames from the link: one may answer the slot, the rest is counted by what it is.
 
     A frame is *malformed* (no control packet), *late* (the first answer to a slot that had none in time), or *foreign*: nobody
-    was asked for it. A second answer that differs from the first, and an answer to a slot that was not yet asked, show that
-    somebody else answers too.
+    was asked for it. A second answer that differs from the first, an answer to a slot that was not yet asked, and one without the
+    nonce of its question show that somebody else answers too.
 
     Args:
         inputs: number m of inputs.
         d_max: largest age that the rows cover, samples.
         journal: takes records and events.
+        wire: version and nonces of the session; an answer counts only if it has both.
     """
 
-    def __init__(self, inputs: int, d_max: int, journal: Journal) -> None:
-        self._inputs, self._journal = inputs, journal
+    def __init__(self, inputs: int, d_max: int, journal: Journal, wire: Wire) -> None:
+        self._inputs, self._journal, self._wire = inputs, journal, wire
         self._row_counts = [row_count(selection, d_max) for selection in SELECTIONS]
         self._k = -1
         self._t_ns = 0
+        self._nonce = 0
         self._thrown = self._logged = 0
-        self._answered: OrderedDict[int, bytes] = OrderedDict()
-        self._missing: OrderedDict[int, bytes] = OrderedDict()
+        self._answered: dict[int, bytes] = {}
+        self._missing: set[int] = set()
         self._packet: ControlPacket | None = None
         self.data = b""
         self.late = 0
@@ -48,22 +55,26 @@ class Answers:
         self.malformed = self.foreign = self.refused = 0
         self.contradicted = self.flooded = False
 
-    def open(self, t_ns: int, k: int) -> None:
-        """Begin slot k, whose answer is to come.
+    def open(self, t_ns: int, k: int) -> int:
+        """Begin slot k, whose answer is to come; return its nonce.
 
         Args:
             t_ns: nominal time of the slot, ns.
             k: slot.
         """
         self._t_ns, self._k, self._packet = t_ns, k, None
+        self._nonce = self._wire.nonce(k)
+        self._answered.pop(k - REMEMBERED, None)
+        self._missing.discard(k - REMEMBERED)
         self._thrown = self._logged = 0
+        return self._nonce
 
-    def take(self, data: bytes, in_time: bool = True) -> bool:
+    def take(self, data: bytes, when: Arrival = "in time") -> bool:
         """Take one frame; return whether it answers the open slot.
 
         Args:
             data: as it came.
-            in_time: whether it came before the deadline; a later one never answers.
+            when: only what came between the question and the deadline answers it.
         """
         packet = decode(data)
         if not isinstance(packet, ControlPacket):
@@ -71,20 +82,26 @@ class Answers:
             self._throw_away()
             return False
         seq = packet.seq
-        if seq == self._k and self._packet is None and in_time:
+        nonce = self._nonce if seq == self._k else self._wire.nonce(seq)
+        if packet.nonce != nonce or packet.version != self._wire.version:
+            self._contradict(self._stranger(packet), seq)
+            self._foreign(seq, data)
+            return False
+        open_now = seq == self._k and self._packet is None
+        if open_now and when == "in time":
             self._packet, self.data = packet, data
-            _remember(self._answered, seq, data)
+            self._answered[seq] = data
             return True
-        if seq == self._k and self._packet is None:
+        if open_now and when == "late":
             self._late(seq, data)  # the slot is not booked as missing before it is closed
         elif seq in self._missing:
-            del self._missing[seq]
+            self._missing.remove(seq)
             self._late(seq, data)
         elif seq in self._answered:
             if data != self._answered[seq]:
                 self._contradict(f"slot {seq} was answered twice, differently", seq)
             self._foreign(seq, data)
-        elif seq != HELLO and seq > self._k:
+        elif seq != HELLO and (seq > self._k or open_now):
             self._contradict(f"slot {seq} was answered before it was asked", seq)
             self._foreign(seq, data)
         else:
@@ -95,7 +112,7 @@ class Answers:
         """End the slot; return its answer, None if none came in time."""
         if self._packet is None:
             self.late += 1
-            _remember(self._missing, self._k, b"")
+            self._missing.add(self._k)
             if self.first_late is None:
                 self.first_late = self._k
                 self._journal.event(
@@ -122,6 +139,12 @@ class Answers:
         if self.refused == 1:
             self._journal.event(self._t_ns, "refused", f"control packet refused: {fault}", tick=self._k, severity="error")
         return False
+
+    def _stranger(self, packet: ControlPacket) -> str:
+        if packet.version != self._wire.version:
+            hint = "; a controller of version 1 needs ?version=1 behind the link's address" if packet.version == 1 else ""
+            return f"slot {packet.seq} was answered in wire version {packet.version}, asked in version {self._wire.version}{hint}"
+        return f"slot {packet.seq} was answered without the nonce of its question"
 
     def _late(self, seq: int, data: bytes) -> None:
         if self._logged < LOGGED:
@@ -159,9 +182,3 @@ class Answers:
             "foreign": self.foreign,
             "refused": self.refused,
         }
-
-
-def _remember(kept: OrderedDict[int, bytes], seq: int, data: bytes) -> None:
-    kept[seq] = data
-    if len(kept) > REMEMBERED:
-        kept.popitem(last=False)

@@ -9,7 +9,7 @@ HELLO = 0xFFFFFFFF  # seq of the rig's question "is anybody there", answered bef
 
 
 class ControlNode:
-    """Measures tau from time stamps and answers the frame that closes a slot.
+    """Measures tau from time stamps and answers the frame that closes a slot, in its version, with its nonce.
 
     When a rig asks "is anybody there" again, the next session begins, whose time begins at 0, with a fresh control law.
 
@@ -36,7 +36,7 @@ class ControlNode:
         if not isinstance(packet, SensorPacket):
             self.malformed += 1
             return None
-        seq, flags, sample_ns, y = packet
+        seq, flags, sample_ns, y = packet[:4]
         if seq == HELLO and self._sample_ns >= 0:
             self._sample_ns, self._y = -1, ()
             self._controller = self._start()
@@ -50,10 +50,13 @@ class ControlNode:
             return None
         t_ns = seq * self._period_ns if seq != HELLO else 0
         if self._sample_ns < 0 or seq == HELLO:
-            return encode_control(ControlPacket(seq, -1, t_ns, 0, self._selection, self._zeros))
+            nothing = ControlPacket(seq, -1, t_ns, 0, self._selection, self._zeros, packet.nonce, version=packet.version)
+            return encode_control(nothing)
         tau = (t_ns - self._sample_ns) // self._period_ns
         if tau < 0:  # a sample from the future: two rigs on one link, or not our rig
             self.malformed += 1
             return None
         rows = self._controller.rows(seq, tau, self._y, self._reference(seq))
-        return encode_control(ControlPacket(seq, self._sample_ns, t_ns, tau, self._selection, rows))
+        return encode_control(
+            ControlPacket(seq, self._sample_ns, t_ns, tau, self._selection, rows, packet.nonce, version=packet.version)
+        )

@@ -18,6 +18,7 @@ from hil.runtime.nodes.answers import Answers
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.safety import Safety
 from hil.runtime.nodes.sensor_node import EverySlot, SensorNode
+from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
 from transport.medium.independent import impair
 from transport.medium.medium import Delivery, IndependentChannels, Medium
@@ -33,23 +34,32 @@ class Rig:
         sink: where records go.
         channels: the table of what is logged.
         stop: ends the run (after a trip of the safety, once ``after_trip`` has passed).
+        wire: version and nonces; by default version 2 without nonces, as nobody else can speak in virtual time.
     """
 
     def __init__(
-        self, loop: Loop, seed: int, sink: Sink, channels: dict[str, Channel], stop: Callable[[], None]
+        self,
+        loop: Loop,
+        seed: int,
+        sink: Sink,
+        channels: dict[str, Channel],
+        stop: Callable[[], None],
+        wire: Wire | None = None,
     ) -> None:
         e = loop.experiment
         inputs, names = len(e.plant.inputs), [s.name for s in e.plant.states]
         deadline_s = e.timing.deadline * float(e.period)
         self._period_ns = e.period_ns
         self._plant = e.plant.start(rng_for(seed, "plant"))
+        self._samples = loop.samples
         self._sensors = (SensorNode(None, loop.samples, EverySlot()),)
         self._uplink: Medium = IndependentChannels([impair(loop.sc_law, rng_for(seed, "link.sc"), float(e.period), deadline_s)])
         self._downlink: Medium = IndependentChannels([impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)])
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
         self.actuator = ActuatorNode(inputs, loop.model.d_max, Safety(e.limits.input, limits, e.limits.watchdog_ticks))
         self._journal = Journal(sink, channels, loop.rows * inputs)
-        self.answers = Answers(inputs, loop.model.d_max, self._journal)
+        self._wire = wire or VIRTUAL
+        self.answers = Answers(inputs, loop.model.d_max, self._journal, self._wire)
         self._reference, self._disturbance = loop.reference(), loop.disturbance()
         self._after_trip = round(e.limits.after_trip / e.period)
         self._end: int | None = None
@@ -66,23 +76,29 @@ class Rig:
         if k:
             plant.advance(self._period_ns, self.actuator.u, self._w)
         y = self._y = plant.measure()
-        self.answers.open(t_ns, k)
+        nonce = self.answers.open(t_ns, k)
         for i, node in enumerate(self._sensors):
             sample = node.measure(k, y)
             if sample is not None:
                 self._uplink.offer(i, k, sample)
         self._sent = self._uplink.collect(k)
-        return self._frames(k)
+        return self._frames(k, nonce)
 
-    def _frames(self, k: int) -> list[bytes]:
-        arrivals = self._sent[0][1]
+    def _frames(self, k: int, nonce: int) -> list[bytes]:
+        arrivals, version, samples = self._sent[0][1], self._wire.version, self._samples
+        reference = self._reference(k)
         if not arrivals:
-            return [encode_sensor(SensorPacket(k, EMPTY, 0, ()))]
+            return [encode_sensor(SensorPacket(k, EMPTY, 0, (), reference=reference, nonce=nonce, version=version))]
         last = len(arrivals) - 1
         return [
-            encode_sensor(SensorPacket(k, MORE if i < last else 0, g * self._period_ns, y))  # type: ignore[arg-type]
+            encode_sensor(
+                SensorPacket(
+                    k, MORE if i < last else 0, g * self._period_ns, y, samples=samples,  # type: ignore[arg-type]
+                    reference=reference, nonce=nonce, version=version,
+                )
+            )
             for i, (g, y) in enumerate(arrivals)
-        ]
+        ]  # fmt: skip
 
     def record(self, t_ns: int, frames: Sequence[bytes]) -> None:
         """Record what was sensed and sent, and trip on a state beyond its limit.
@@ -103,7 +119,11 @@ class Rig:
 
     def hear_late(self, data: bytes) -> None:
         """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
-        self.answers.take(data, in_time=False)
+        self.answers.take(data, "late")
+
+    def hear_early(self, data: bytes) -> None:
+        """Take a frame that came before the question left: it answers nothing that was asked."""
+        self.answers.take(data, "early")
 
     def actuate(self, t_ns: int) -> None:
         """Let the medium pass what it passes, choose the row, and hold it until the next slot."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from hil.runtime.nodes.controller_node import HELLO
+from hil.runtime.nodes.wire import Wire
 from hil.runtime.slot import Hear
 from transport.links.link import Link
 from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
@@ -25,6 +26,10 @@ class Listener(Protocol):
 
     def hear_late(self, data: bytes) -> None:
         """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
+        ...
+
+    def hear_early(self, data: bytes) -> None:
+        """Take a frame that came before the question left: it answers nothing that was asked."""
         ...
 
 
@@ -53,13 +58,15 @@ class Greeter:
         timeout_s: limit of time for all of it, s.
         stopped: whether the run was ended from outside.
         now: monotonic time, ns.
+        wire: version and nonces of the session.
     """
 
-    def __init__(self, link: Link, timeout_s: float, stopped: Callable[[], bool], now: Now) -> None:
+    def __init__(self, link: Link, timeout_s: float, stopped: Callable[[], bool], now: Now, wire: Wire) -> None:
         self._link, self._stopped, self._now = link, stopped, now
         self._limit = now() + round(timeout_s * 1e9)
         self._questions = self._answers = self._foreign = 0
-        self._hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, ()))
+        self._echo = wire.version, wire.nonce(HELLO)
+        self._hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=wire.nonce(HELLO), version=wire.version))
 
     def greet(self) -> Greeting:
         """Return whether a controller answered, and what was counted."""
@@ -102,7 +109,10 @@ class Greeter:
         """Take one frame; return whether it answers "is anybody there". A question has one answer: more are foreign."""
         data = self._link.receive(max(wait_s, 0.0))
         packet = decode(data) if data is not None else None
-        answer = isinstance(packet, ControlPacket) and packet.seq == HELLO and self._answers < self._questions
+        answer = (
+            isinstance(packet, ControlPacket) and packet.seq == HELLO and (packet.version, packet.nonce) == self._echo
+            and self._answers < self._questions
+        )  # fmt: skip
         self._answers += answer
         self._foreign += data is not None and not answer
         return answer
@@ -120,11 +130,14 @@ class LinkExchange:
         deadline_ns: how long the answer may take, ns.
         stopped: whether the run was ended from outside.
         now: session time, ns.
+        drain: empty the link before every question: without a nonce (wire version 1) nothing else tells an answer from one
+            that was sent ahead.
     """
 
     def __init__(
-        self, link: Link, listener: Listener, deadline_ns: int, stopped: Callable[[], bool], now: Now
+        self, link: Link, listener: Listener, deadline_ns: int, stopped: Callable[[], bool], now: Now, drain: bool = False
     ) -> None:
+        self._drain = drain
         self._link, self._listener, self._deadline_ns, self._stopped, self._now = link, listener, deadline_ns, stopped, now
         self._sent_ns = 0
         self.round_trip_us = math.nan
@@ -132,6 +145,12 @@ class LinkExchange:
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
         """Put the question on the link."""
+        if self._drain:
+            for _ in range(MOST_FRAMES):
+                data = self._link.receive(0.0)
+                if data is None:
+                    break
+                self._listener.hear_early(data)
         for frame in frames:
             self._sent_ns = self._now()
             self._link.send(frame)

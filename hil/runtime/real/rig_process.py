@@ -6,6 +6,7 @@ non-blocking pipe; nothing here writes a file.
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 import sys
@@ -17,12 +18,13 @@ from hil.compose.loop import Loop
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.rig import Rig
+from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
 from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.runtime.time.kernel import Kernel
-from transport.links.link import Link, TransportError, open_link
+from transport.links.link import Link, TransportError, open_link, wire_version
 from transport.packets import SELECTIONS, ControlPacket, encode_control
 
 SETTLE_NS = 5_000_000
@@ -44,19 +46,21 @@ class Job:
 class RealLoop:
     """The slots of a rig on a real link, timed."""
 
-    def __init__(self, job: Job, link: Link, sink: PipeSink) -> None:
+    def __init__(self, job: Job, link: Link, sink: PipeSink, wire: Wire) -> None:
         e = job.loop.experiment
         channels = job.loop.channels()
         self.clock = RealClock(monotonic_ns() + SETTLE_NS)
         self.kernel = Kernel(self.clock)
-        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop)
+        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire)
         self.overruns = 0
         self._sink = sink
         self._period_ns = e.period_ns
         self._put, self._pack = sink.channel("/timing/tick"), channels["/timing/tick"].schema.pack
         self._woken_ns = self._late = 0
         deadline_ns = round(e.timing.deadline * e.period_ns)
-        self._exchange = LinkExchange(link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now)
+        self._exchange = LinkExchange(
+            link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, drain=wire.version == 1
+        )
         self._slot = Slot(self.rig, self._exchange, self._commit, lambda: self.kernel.stopped)
         self.kernel.every(e.period_ns, e.ticks, self._run)
 
@@ -96,7 +100,7 @@ class Rehearsal:
 def warm_up(loop: Loop) -> None:
     """Run a rig through a few slots without a link, so that slot 0 does not pay for what is done once (tables, first calls)."""
     e = loop.experiment
-    rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), lambda: None)
+    rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), lambda: None, VERSION_1)
     slot = Slot(rig, Rehearsal(loop))
     for k in range(min(e.ticks, 50)):
         slot.run(k * e.period_ns)
@@ -121,9 +125,10 @@ def main() -> None:
     timing = job.loop.experiment.timing
     # Before the link is opened, so that the threads of a link inherit the priority.
     scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None, timing.idle == "awake")
+    wire = VERSION_1 if wire_version(job.uri) == 1 else session_wire(os.urandom(KEY_BYTES))
     with open_link(job.uri, "rig") as link:
         warm_up(job.loop)
-        greeting = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns).greet()
+        greeting = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire).greet()
         if not greeting.answered:
             if greeting.foreign:
                 sys.stderr.write(f"hil: {greeting.foreign} frames that are no answer came on {job.uri} meanwhile\n")
@@ -131,7 +136,7 @@ def main() -> None:
             raise SystemExit(NOBODY)
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
         sink.commit()
-        real = RealLoop(job, link, sink)
+        real = RealLoop(job, link, sink, wire)
         loops.append(real)
         if not stopped:
             real.kernel.run()

@@ -17,6 +17,7 @@ from hil.runtime.real.scheduling import go_ahead_of_others
 from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
+from transport.links.link import wire_version
 
 POLL_S = 0.02
 HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0
@@ -110,7 +111,8 @@ def run_real(
     outcome.rig_status = children[0].poll()
     if signals.seen is None and not outcome.pump.records:
         if outcome.controller_lost is None and outcome.rig_status == rig_process.NOBODY:
-            raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s")
+            hint = "; one of wire version 1 needs ?version=1 behind the address" if external and wire_version(uri) == 2 else ""
+            raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s{hint}")
         why = outcome.rig_silent or outcome.controller_lost or children[0].how()
         raise HilError(f"{why} before the run began; its message, if any, stands above")
     return outcome

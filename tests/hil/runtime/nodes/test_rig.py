@@ -14,6 +14,7 @@ from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE
 from hil.runtime.nodes.answers import LOGGED
 from hil.runtime.nodes.rig import Rig
+from hil.runtime.nodes.wire import VERSION_1, session_wire
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import VirtualClock
 from hil.runtime.time.kernel import Kernel
@@ -71,7 +72,7 @@ def drive(loop: Loop, answer: Callable[[int], bytes | None], ticks: int) -> Memo
     """Run a rig whose controller is a function of the slot."""
     sink = MemorySink(loop.channels())
     kernel = Kernel(VirtualClock())
-    rig = Rig(loop, 0, sink, loop.channels(), kernel.stop)
+    rig = Rig(loop, 0, sink, loop.channels(), kernel.stop, VERSION_1)
     kernel.every(loop.experiment.period_ns, ticks, Slot(rig, Script(loop, answer)).run)
     kernel.run()
     return sink
@@ -150,7 +151,7 @@ def test_late_answer_is_lost_and_logged_never_another_delay(loop: Loop) -> None:
 def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> None:
     rng = np.random.default_rng(0)
     sink = MemorySink(loop.channels())
-    rig = Rig(loop, 0, sink, loop.channels(), lambda: None)
+    rig = Rig(loop, 0, sink, loop.channels(), lambda: None, VERSION_1)
     rig.sense(0)
     for _ in range(300):
         assert rig.hear(rng.bytes(int(rng.integers(0, 80)))) is False
@@ -184,7 +185,7 @@ def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_o
     from hil.log.read.run import Run
 
     sink = MemorySink(loop.channels())
-    rig = Rig(loop, 0, sink, loop.channels(), lambda: None)
+    rig = Rig(loop, 0, sink, loop.channels(), lambda: None, VERSION_1)
     frames = {0: [], 1: [control(0), control(0), b"junk", *[control(0, 0.1 * i) for i in range(100)], control(1)]}
     slot = Slot(rig, Script(loop, lambda k: frames[k]))
     for k in range(2):
@@ -200,3 +201,32 @@ def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_o
 def test_answers_that_a_stalled_controller_sends_late_are_no_flood(loop: Loop) -> None:
     sink = drive(loop, lambda k: [] if k < 60 else [control(g) for g in range(61)], 61)
     assert "flood" not in kinds(sink) and "second controller" not in kinds(sink)
+
+
+def echo(k: int, nonce: int, u: float = 0.0) -> bytes:
+    return encode_control(ControlPacket(k, 0, 0, 0, 1, ((u,), (u,)), nonce=nonce, version=2))
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        lambda k, nonce: echo(k, 0, 2.0),
+        lambda k, nonce: echo(k, nonce(k - 1), 2.0),  # an old nonce, replayed
+        lambda k, nonce: control(k, 2.0),  # of version 1
+    ],
+    ids=["none", "old", "version 1"],
+)
+def test_answer_without_the_nonce_of_its_question_is_never_applied_and_told(
+    loop: Loop, forged: Callable[[int, Callable[[int], int]], bytes]
+) -> None:
+    from hil.log.read.run import Run
+
+    sink, wire = MemorySink(loop.channels()), session_wire(b"k" * 16)
+    rig = Rig(loop, 0, sink, loop.channels(), lambda: None, wire)
+    slot = Slot(rig, Script(loop, lambda k: [forged(k, wire.nonce) if k else b"", echo(k, wire.nonce(k))]))
+    for k in range(30):
+        slot.run(k * loop.experiment.period_ns)
+    assert kinds(sink) == ["second controller"]
+    applied = Run.from_memory(sink).arrays["/actuator/applied"]
+    assert np.abs(applied["voltage"]).max() == 0.0 and OK in applied["status"]
+    assert rig.outcome()["late"] == 0 and rig.outcome()["foreign"] == 29

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from hil.runtime.nodes.controller_node import HELLO
+from hil.runtime.nodes.wire import VERSION_1, session_wire
 from hil.runtime.real.exchange import MOST_FRAMES, REHEARSALS, Greeter, LinkExchange
 from transport.links.memory import MemoryLink
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
@@ -60,6 +61,7 @@ class Ear:
     def __init__(self) -> None:
         self.heard: list[bytes] = []
         self.late: list[bytes] = []
+        self.early: list[bytes] = []
 
     def hear(self, data: bytes) -> bool:
         self.heard.append(data)
@@ -67,6 +69,9 @@ class Ear:
 
     def hear_late(self, data: bytes) -> None:
         self.late.append(data)
+
+    def hear_early(self, data: bytes) -> None:
+        self.early.append(data)
 
 
 def exchange(link: Bench, ear: Ear, stopped: Callable[[], bool] = lambda: False) -> LinkExchange:
@@ -125,7 +130,7 @@ def hello() -> bytes:
 def test_controller_is_asked_once_then_rehearsed_and_the_link_is_empty_before_slot_0() -> None:
     link = Bench()
     link.on_question = lambda: link.arrive(MS, hello())
-    greeting = Greeter(link, 15.0, lambda: False, link.now).greet()
+    greeting = Greeter(link, 15.0, lambda: False, link.now, VERSION_1).greet()
     assert greeting.answered
     assert len(link.asked) == greeting.questions == 1 + REHEARSALS
     assert {q.seq for q in link.asked} == {HELLO}
@@ -143,7 +148,7 @@ def test_controller_that_joins_late_and_then_answers_everything_leaves_an_empty_
             link.arrive(MS, hello())
 
     link.on_question = answer_from_the_fourth_on
-    greeting = Greeter(link, 15.0, lambda: False, link.now).greet()
+    greeting = Greeter(link, 15.0, lambda: False, link.now, VERSION_1).greet()
     assert greeting.answered and not link.inbox
 
 
@@ -155,7 +160,7 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
         link.arrive(i * 50 * MS, bytes(8))
     if answers:
         link.on_question = lambda: link.inbox.appendleft((link.t_ns + MS, hello()))
-    greeting = Greeter(link, 15.0, lambda: False, link.now).greet()
+    greeting = Greeter(link, 15.0, lambda: False, link.now, VERSION_1).greet()
     assert greeting.answered == answers
     assert link.t_ns <= (1_000 * MS if answers else 15_001 * MS)
     assert greeting.foreign > 0
@@ -164,5 +169,32 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
 def test_stranger_who_repeats_the_answer_for_ever_does_not_hold_the_session() -> None:
     link = Bench(taking_ns=MS)
     link.endless = hello()
-    greeting = Greeter(link, 15.0, lambda: False, link.now).greet()
+    greeting = Greeter(link, 15.0, lambda: False, link.now, VERSION_1).greet()
     assert greeting.answered and link.t_ns < 400 * MS and greeting.foreign > 0
+
+
+def test_greeting_needs_the_nonce_of_the_session() -> None:
+    link, wire = Bench(), session_wire(b"n" * 16)
+    link.on_question = lambda: link.arrive(MS, hello())
+    assert not Greeter(link, 1.0, lambda: False, link.now, wire).greet().answered
+
+    link = Bench()
+
+    def echo() -> None:
+        packet = ControlPacket(HELLO, -1, 0, 0, 0, ((0.0,),), nonce=link.asked[-1].nonce, version=2)
+        link.arrive(MS, encode_control(packet))
+
+    link.on_question = echo
+    assert Greeter(link, 1.0, lambda: False, link.now, wire).greet().answered
+
+
+def test_link_of_version_1_is_drained_before_every_question() -> None:
+    link, ear = Bench(), Ear()
+    one = LinkExchange(link, ear, 30 * MS, lambda: False, link.now, drain=True)
+    for _ in range(3):
+        link.arrive(0, b"answer")  # sent ahead
+    one.ask(0, question())
+    assert ear.early == [b"answer"] * 3
+    link.arrive(MS, b"answer")
+    one.answer(0, ear.hear)
+    assert ear.heard == [b"answer"]

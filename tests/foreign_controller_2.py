@@ -1,0 +1,41 @@
+"""A controller that knows only wire version 2 in the README: python-can, struct and the CRC; nothing of hilrig.
+
+Usage: foreign_controller_2.py CHANNEL [INTERFACE]
+"""
+
+import struct
+import sys
+from binascii import crc_hqx
+
+import can
+
+GAIN, PERIOD_NS = -0.08, 50_000_000
+
+
+def main() -> None:
+    with can.Bus(interface=sys.argv[2] if len(sys.argv) > 2 else "hil", channel=sys.argv[1], fd=True) as bus:
+        y, sample_ns = None, -1
+        for frame in bus:
+            if frame.arbitration_id != 0x100 or len(frame.data) < 28:
+                continue  # not the rig's sensor packet
+            crc, kind, flags, seq, nonce, stamp = struct.unpack_from("<HBBIQq", frame.data)
+            if kind != 0x21 or crc != crc_hqx(bytes(frame.data[2:]), 0xFFFF):
+                continue
+            _node, samples, references, _nodes = frame.data[24:28]
+            values = struct.unpack_from(f"<{(flags & 0x3F) * samples + (references & 0x7F)}f", frame.data, 28)
+            if not flags & 0x80:  # not EMPTY: there is a sample, the newest first
+                y, sample_ns = values[0], stamp
+            if flags & 0x40:  # MORE: another frame of this slot follows
+                continue
+            now_ns = seq * PERIOD_NS if seq != 0xFFFFFFFF else 0
+            r = values[-1] if references else 0.0  # the reference travels with the question
+            u = GAIN * (y - r) if y is not None else 0.0
+            tau = (now_ns - sample_ns) // PERIOD_NS if y is not None else -1
+            # kind 0x22, selection 0 ("constant": one row for every delay), the question's nonce, one row of one input
+            body = struct.pack("<BBIQqqhBBf", 0x22, 0, seq, nonce, sample_ns, now_ns, min(tau, 32767), 1, 1, u).ljust(46, b"\0")
+            data = struct.pack("<H", crc_hqx(body, 0xFFFF)) + body
+            bus.send(can.Message(arbitration_id=0x140, is_extended_id=False, is_fd=True, data=data))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The bytes of packets, one file per version. Use `transport.packets`."""
