@@ -26,6 +26,7 @@ COMMANDS = {
     "compare": "Compare experiments under common random numbers.",
     "controller": "Run only the controller of an experiment, on a link.",
     "design": "Solve a design and certify it.",
+    "stiffness-map": "Map how stiff a virtual wall may be, certified.",
     "reproduce": "Put the thesis's numbers beside computed ones.",
     "bench": "Measure timing, links and designs on this machine.",
     "schema": "Print the JSON Schema of experiment files.",
@@ -62,7 +63,7 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = importlib.import_module(f"hil.cli.{cmd_name}").command
+        command: click.Command = importlib.import_module(f"hil.cli.{cmd_name.replace('-', '_')}").command
         return command
 
     def invoke(self, ctx: click.Context) -> Any:

@@ -16,8 +16,24 @@ if TYPE_CHECKING:
     from design.tracking.synthesis import Design
 
 
-@click.command()
-@click.argument("place", metavar="PLANT|EXPERIMENT")
+class GainsOrWall(click.Command):
+    """Hands what follows ``wall`` to `hil.cli.design_wall`."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        if args[:1] == ["wall"]:
+            from hil.cli.design_wall import command as wall
+
+            return wall.make_context(f"{info_name} wall", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        return super().invoke(ctx) if ctx.command is self else ctx.command.invoke(ctx)
+
+
+@click.command(cls=GainsOrWall)
+@click.argument("place", metavar="PLANT|EXPERIMENT|wall")
 @click.option("--objective", type=click.Choice(["h2", "hinf", "mixed"]), default="h2", show_default=True)
 @click.option(
     "--information",
@@ -49,6 +65,8 @@ def command(
     seed: int, method: str, path: Path | None, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
+
+    ``hil design wall --help``: the coupler of a virtual wall.
 
     Exit status 2 where no gains meet the request; the message has the number that decides it.
     """

@@ -11,7 +11,7 @@ from hil.errors import HilError
 
 ORDER = (
     "quick-start", "experiments", "own-plant-law-controller", "wire-format", "real-time", "faults", "logs-and-reports",
-    "designs-and-certificates", "reproducing-the-thesis", "errata", "decisions",
+    "designs-and-certificates", "haptic-walls", "reproducing-the-thesis", "errata", "decisions",
 )  # fmt: skip
 """Topics in reading order; a page that is not named here comes last."""
 

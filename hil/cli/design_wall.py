@@ -1,0 +1,76 @@
+"""``hil design wall``: the taps of a certified coupler, as JSON and as a C99 header for a device's callback."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from hil.cli.number_lists import NumberList
+from hil.errors import HilError
+
+
+@click.command()
+@click.option("--period", type=float, default=0.001, show_default=True, help="Sample period T in s.")
+@click.option("--delay", type=NumberList(whole=True), default="0..6", show_default=True, help="Delays in samples that are safe.")
+@click.option("--hand", type=click.FloatRange(min=0.0), default=0.0, show_default=True, help="Least damping of a hand in N s/m.")
+@click.option("--damping", type=click.FloatRange(min=0.0), help="Damping b of the device in N s/m [the Omni's].")
+@click.option("--stiffness", type=click.FloatRange(min=0.0, min_open=True), help="Static stiffness in N/m to be reached.")
+@click.option("--taps", type=click.IntRange(1), help="Number of taps [as the delays call for].")
+@click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design as JSON here.")
+@click.option("--c", "header", type=click.Path(path_type=Path, dir_okay=False), help="Write a C99 header here.")
+@click.option("--force", is_flag=True, help="Overwrite existing files.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(
+    period: float, delay: tuple[float, ...], hand: float, damping: float | None, stiffness: float | None, taps: int | None,
+    path: Path | None, header: Path | None, force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Design the stiffest coupler that is safe for every passive hand at every delay of a set.
+
+    Exit status 2 where the stiffness cannot be reached; the message has the number that decides it.
+    """
+    from design.errors import DesignError
+    from design.passivity.condition import damping_needed
+    from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
+    from hil.cli.outputs import check_output, write_output
+    from hil.compose.coupler_header import coupler_header
+    from plants.omni import Omni
+
+    for target in filter(None, (path, header)):
+        check_output(target, fresh=not force, remedy="choose another name or add --force")
+    beta = (Omni().damping if damping is None else damping) + hand
+    delays = [int(d) for d in delay]
+    try:
+        found = stiffest_coupler(delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness)
+    except DesignError as error:
+        raise HilError(f"design: {error}") from error
+    document = {
+        "kind": "coupler",
+        "period_s": period,
+        "delays": list(found.delays),
+        "damping_n_s_per_m": beta,
+        "taps_m_per_n": list(found.coupler.taps_m_per_n),
+        "static_compliance_m_per_n": found.coupler.static_compliance_m_per_n,
+        "stiffness_n_per_m": found.stiffness_n_per_m,
+        "ceiling_n_per_m": ceiling_n_per_m(period, beta, max(delays)),
+        "bound_m_per_n": found.bound_m_per_n,
+        "damping_needed_n_s_per_m": damping_needed(found.coupler, period, delays).damping_n_s_per_m,
+        "proof": "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in whole numbers (Sturm)",
+    }
+    text = json.dumps(document, indent=2) + "\n"
+    if path is not None:
+        write_output(path, text)
+    if header is not None:
+        write_output(header, coupler_header(found))
+    if as_json:
+        print(text, end="")
+        return
+    compliance = found.coupler.static_compliance_m_per_n
+    for name, value in (
+        ("stiffness", f"{found.stiffness_n_per_m:.6g} N/m, {document['ceiling_n_per_m']:.6g} N/m is the ceiling"),
+        ("static compliance", f"{compliance:.6g} m/N, at least {found.bound_m_per_n:.6g} m/N for these delays"),
+        ("certified", f"delays {found.delays[0]} to {found.delays[-1]} samples, any passive hand, {beta:g} N s/m of damping"),
+        ("taps", f"{len(found.coupler.taps_m_per_n)}: " + " ".join(f"{c:.5g}" for c in found.coupler.taps_m_per_n)),
+    ):
+        click.echo(f"{name:>18}  {value}")

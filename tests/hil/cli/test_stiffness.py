@@ -1,0 +1,125 @@
+"""``hil stiffness-map`` and ``hil design wall``: numbers, files, the header in a compiler, refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from design.controllers.coupler import Coupler
+from design.controllers.wall import Contact, Material, Wall
+from design.passivity.condition import is_passive_over
+from hil.cli import main
+from hil.cli.design import command as design
+from hil.cli.stiffness_map import command as stiffness_map
+
+MAP = ("--period", "0.05,0.001", "--delay", "0,6", "--hand", "0,10")
+WALL = ("wall", "--period", "0.001", "--delay", "0..4", "--hand", "5")
+
+
+def mapped(*arguments: str) -> Result:
+    return CliRunner().invoke(stiffness_map, list(arguments), catch_exceptions=False)
+
+
+def designed(*arguments: str) -> Result:
+    return CliRunner().invoke(design, list(arguments), catch_exceptions=False)
+
+
+def test_the_map_has_the_published_limits_and_certified_is_below_the_ceiling() -> None:
+    cells = json.loads(mapped(*MAP, "--json").stdout)["cells"]
+    at = {(c["period_s"], c["delay"], c["hand_damping_n_s_per_m"]): c for c in cells}
+    assert len(at) == 8
+    assert at[0.05, 6, 0.0]["ceiling_n_per_m"] == pytest.approx(11.347, abs=1e-3)
+    assert at[0.001, 6, 10.0]["ceiling_n_per_m"] == pytest.approx(3425, abs=1)
+    assert at[0.05, 6, 0.0]["exact_n_per_m"] == pytest.approx(6.81, abs=0.01)
+    assert at[0.05, 6, 0.0]["gil_hulin_n_per_m"] == pytest.approx(6.11, abs=0.01)
+    assert at[0.05, 0, 0.0]["colgate_n_per_m"] == pytest.approx(79.43, abs=0.01) and at[0.05, 6, 0.0]["colgate_n_per_m"] is None
+    for (period, delay, hand), c in at.items():
+        assert c["certified_n_per_m"] <= c["ceiling_n_per_m"] * (1 + 1e-12)
+        assert c["certified_n_per_m"] > 1.3 * c["gil_hulin_n_per_m"] or delay == 0
+        coupler = Coupler(taps_m_per_n=tuple(c["taps_m_per_n"]))
+        assert all(is_passive_over(coupler, period, 1.9857 + hand, d) for d in range(delay + 1))
+
+
+def test_the_map_as_a_table_a_csv_and_a_page(tmp_path: Path) -> None:
+    shown = mapped(*MAP, "--csv", str(tmp_path / "m.csv"), "-o", str(tmp_path / "m.html"))
+    assert "safe for every passive hand" in shown.stdout and "0..6" in shown.stdout
+    rows = list(csv.DictReader((tmp_path / "m.csv").open()))
+    assert len(rows) == 8 and len(rows[-1]["taps_m_per_n"].split()) == 24
+    page = (tmp_path / "m.html").read_text()
+    assert page.startswith("<!doctype html>") and "Contours at T = 50 ms" in page and "ceiling" in page
+    assert rows[-1]["taps_m_per_n"].split()[0] in page
+
+
+def test_a_joint_with_a_lever_is_stiffer() -> None:
+    tip, joint = (json.loads(mapped(*MAP, "--lever", lever, "--json").stdout) for lever in ("1", "0.135"))
+    assert joint["device"]["damping_n_s_per_m"] == pytest.approx(1.9857 / 0.135**2)
+    assert joint["cells"][0]["certified_n_per_m"] > 50 * tip["cells"][0]["certified_n_per_m"]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler: install one to check the header that users compile")
+def test_the_header_compiles_as_c99_and_renders_what_the_rig_renders(tmp_path: Path) -> None:
+    done = designed(*WALL, "-o", str(tmp_path / "wall.json"), "--c", str(tmp_path / "wall.h"))
+    assert done.exit_code == 0, done.output
+    document = json.loads((tmp_path / "wall.json").read_text())
+    taps = document["taps_m_per_n"]
+    rng = np.random.default_rng(4)
+    positions = np.cumsum(rng.normal(0, 2e-3, 600)).tolist()
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "wall.h"\nint main(void) {\n    struct hil_wall w = {{0}, 0};\n    double x;\n'
+        '    while (scanf("%lf", &x) == 1) printf("%.17g\\n", hil_wall_force(&w, x, 800.0, 5.0));\n    return 0;\n}\n'
+    )
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
+    subprocess.run(["cc", *flags, "main.c", "-o", "wall"], cwd=tmp_path, check=True, timeout=60)
+    text = "\n".join(map(repr, positions))
+    out = subprocess.run([tmp_path / "wall"], input=text, capture_output=True, text=True, check=True, timeout=60).stdout
+    wall = Wall(materials=(Material(stiffness_n_per_m=800.0, damping_n_s_per_m=5.0),))
+    contact, past, expected = Contact(wall, 0.001), [0.0] * 64, []
+    for x in positions:
+        force = contact.press(x - sum(c * f for c, f in zip(taps[1:], past)), taps[0])
+        past = [force, *past]
+        expected.append(force)
+    assert max(expected) > 1.0 and min(expected) == 0.0
+    assert np.allclose([float(line) for line in out.split()], expected, rtol=1e-9, atol=1e-9)
+    assert all(is_passive_over(Coupler(taps_m_per_n=tuple(taps)), 0.001, document["damping_n_s_per_m"], d) for d in range(5))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((*WALL, "--stiffness", "90000"), "is above the ceiling 2 b/((nd + 1) T) = 2794.28 N/m"),
+        ((*WALL, "--taps", "3"), "taps: 3, expected 5"),
+        (("wall", "--hand", "-1"), "-1.0 is not in the range x>=0"),
+        (("wall", "--delay", "3..x"), "'3..x' is no whole number or range"),
+        (("wall", "--period", "0"), "period_s: 0.0"),
+    ],
+)
+def test_a_wall_that_cannot_be_is_refused_and_nothing_is_written(
+    arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["design", *arguments, "-o", str(tmp_path / "x.json")])
+    assert end.value.code == 2 and message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--hand", "-1"), "-1, expected a number of at least 0"),
+        (("--period", "0"), "0, expected a number above 0"),
+        (("--delay", "41"), "--delay: 41"),
+        (("--lever", "-0.1"), "--lever: -0.1"),
+        (("-o", "/no/such/folder/x.html"), "there is no folder"),
+    ],
+)
+def test_a_map_that_cannot_be_is_refused(arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["stiffness-map", *arguments])
+    assert end.value.code == 2 and message in capsys.readouterr().err
