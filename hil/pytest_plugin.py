@@ -53,6 +53,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("hil", "hardware-in-the-loop")
     group.addoption("--hil-require", default="", metavar="WHAT", help=f"comma list of {', '.join(NEEDS)}: fail, don't skip")
     group.addoption("--hil-slow", action="store_true", help="run tests marked slow")
+    group.addoption("--hil-hostile", action="store_true", help="run tests marked hostile")
     group.addoption("--hil-clock", choices=["virtual", "real"], default="virtual", help="clock of hil.run() [virtual]")
     group.addoption("--hil-link", metavar="URI", help="link of hil.run() in real time")
     group.addoption("--hil-logs", metavar="DIR", help="keep the logs of hil.run() here")
@@ -63,6 +64,7 @@ def pytest_configure(config: pytest.Config) -> None:
     for name, need in NEEDS.items():
         config.addinivalue_line("markers", f"{name}: skipped, or failed with --hil-require={name}, where there is {need.remedy}")
     config.addinivalue_line("markers", "slow: minutes of computing; runs with --hil-slow")
+    config.addinivalue_line("markers", "hostile: attacks that last for minutes; runs with --hil-hostile")
     unknown = set(_required(config)) - set(NEEDS)
     if unknown:
         raise pytest.UsageError(f"--hil-require: {', '.join(sorted(unknown))} is not one of {', '.join(NEEDS)}")
@@ -83,11 +85,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         skip = pytest.mark.skip(reason=f"{need.remedy} (--hil-require={name} makes this a failure)")
         for item in marked:
             item.add_marker(skip)
-    if not config.getoption("--hil-slow"):
-        skip = pytest.mark.skip(reason="slow: runs with --hil-slow")
-        for item in items:
-            if item.get_closest_marker("slow"):
-                item.add_marker(skip)
+    for name in ("slow", "hostile"):
+        if not config.getoption(f"--hil-{name}"):
+            skip = pytest.mark.skip(reason=f"{name}: runs with --hil-{name}")
+            for item in items:
+                if item.get_closest_marker(name):
+                    item.add_marker(skip)
 
 
 class Rig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -33,7 +34,8 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     check_output(target, page=True)
     view = view_of(run)
     theory = theory_section(view)
-    page = render_report(view, {**summarise(view), **run.summary}, sections=[theory] if theory else [])
+    said: dict[str, Any] = {name: run.summary[name] for name in ("problems", "log") if name in run.summary}
+    page = render_report(view, {**summarise(view), **said}, sections=[theory] if theory else [])
     write_output(target, page)
     click.echo(f"written: {visible(target)} ({len(page.encode()) / 1e6:.1f} MB)")
     if show:

@@ -33,7 +33,7 @@ class Seconds(float):
         if isinstance(value, bool) or not isinstance(value, str | int | float):
             raise ValueError(f"expected a duration such as '50 ms' or 0.05, got {value!r:.60}")
         if not isinstance(value, str):
-            seconds = float(value)
+            seconds = float(value) if isinstance(value, float) or value.bit_length() <= 64 else math.inf
         else:
             number, _, unit = value.strip().partition(" ")
             scale = UNITS.get(unit.strip() or "s")

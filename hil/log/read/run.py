@@ -15,6 +15,7 @@ from mcap.records import Channel
 from hil.errors import HilError
 from hil.log.read.arrays import StructuredArray, assemble
 from hil.log.read.columns import Columns
+from hil.log.read.foreign import check_events, check_topics, check_words
 from hil.log.read.mcap_content import MESSAGE_PAYLOAD_AT, Content
 from hil.log.read.mcap_file import open_mcap
 from hil.log.read.mcap_walk import Budget, Checksums, DamagedRecord, Record, TornFile, walk
@@ -174,9 +175,13 @@ def _run(
 ) -> Run:
     if not arrays:
         raise HilError("holds no records: the session ended before the first of them was written")
+    resolved = _attached_json(content, "resolved.json")
     summary = _json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'")
-    if content.metadata.get("recovery", {}).get("closed") == "False":
-        summary.setdefault("problems", {})["recovered"] = "rebuilt from a torn log: its end is missing"
+    if content.metadata.get("recovery", {}).get("closed") == "False" and isinstance(summary.setdefault("problems", {}), dict):
+        summary["problems"]["recovered"] = "rebuilt from a torn log: its end is missing"
+    check_topics(schemas)
+    check_events(events)
+    check_words(content.metadata["hilrig"], resolved, summary)
     text = content.attachments.get("experiment.toml")
     return Run(
         arrays=arrays,
@@ -187,7 +192,7 @@ def _run(
         session=content.metadata.get("session", {}),
         codes={name: names.split(",") for name, names in content.metadata.get("codes", {}).items()},
         experiment_text=text.data.decode(errors="replace") if text is not None else "",
-        resolved=_attached_json(content, "resolved.json"),
+        resolved=resolved,
         certificate=_attached_json(content, "certificate.json"),
         summary=summary,
     )
@@ -206,7 +211,7 @@ def _json_object(text: str | bytes, what: str) -> dict[str, Any]:
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise HilError(f"{what} is no JSON: {error}") from error
+        raise HilError(f"{what} is no JSON: {error!s:.200}") from error
     if not isinstance(value, dict):
         raise HilError(f"{what} is no JSON object")
     return value
