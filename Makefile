@@ -9,7 +9,7 @@ RUN := runs/make-run
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test mutations test-vcan .vcan-virtual .vcan-real bench clean
+.PHONY: help run test test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,6 +50,13 @@ test-vcan: $(INSTALLED) ## the tests that need a real vcan0, in this kernel or a
 
 .vcan-real:
 	tests/with_vcan -v --timeout 600 -- $(PYTEST_VCAN) -m "$(VCAN)" $(VCAN_TESTS)
+
+test-hostile: export OMP_NUM_THREADS = 1
+test-hostile: $(INSTALLED) ## the attacks at length: a million inputs at every boundary, ten floods; an hour or more
+	$(BIN)/pytest -n 0 --hil-hostile -m hostile tests/hostile $(PYTEST_ARGS)
+
+sbom: $(INSTALLED) ## what is installed, and under which licence
+	@$(BIN)/hil licences
 
 bench: $(INSTALLED) ## timing beside cyclictest, round trips of all links
 	$(BIN)/hil bench timing

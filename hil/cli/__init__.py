@@ -31,6 +31,7 @@ COMMANDS = {
     "bench": "Measure timing, links and designs on this machine.",
     "schema": "Print the JSON Schema of experiment files.",
     "guide": "Print a page of the guide.",
+    "licences": "List what is installed, and under which licence.",
     "doctor": "Check what this machine offers, with the remedy.",
 }
 
