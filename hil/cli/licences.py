@@ -45,10 +45,11 @@ def bill() -> list[dict[str, Any]]:
 
 
 def _licence(d: Distribution) -> str:
-    words = d.metadata.get("License-Expression") or ""
+    stated = d.metadata.get_all("License-Expression") or []
+    words = stated[0] if stated else ""
     if not words:
         classes = [c.rpartition(" :: ")[2] for c in d.metadata.get_all("Classifier") or [] if c.startswith("License ::")]
-        words = ", ".join(classes) or (d.metadata.get("License") or "").strip().partition("\n")[0]
+        words = ", ".join(classes) or (d.metadata.get_all("License") or [""])[0].strip().partition("\n")[0]
     return words[:80] or "not stated"
 
 
