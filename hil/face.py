@@ -139,7 +139,7 @@ def sweep(source: Source, *, runs: int = 100, first_seed: int = 0, jobs: int = -
     """
     if runs < 1 or first_seed < 0:
         raise HilError(f"runs: {runs}, first_seed: {first_seed}; expected at least one run and no negative seed")
-    return run_sweep(_checked(source, None, None, changes), range(first_seed, first_seed + runs), ladder=here(jobs))
+    return run_sweep(_checked(source, None, None, changes), range(first_seed, first_seed + runs), workers=here(jobs))
 
 
 def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -> Comparison:

@@ -93,7 +93,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                     item.add_marker(skip)
 
 
-class Rig:
+class Runner:
     """What the ``hil`` fixture gives: runs experiments, keeps their logs where the test's report can name them."""
 
     def __init__(self, folder: Path, clock: ClockName, link: str | None) -> None:
@@ -136,11 +136,11 @@ class Rig:
 
 
 @pytest.fixture
-def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
-    """Run experiments from a test; see :class:`Rig`."""
+def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runner]:
+    """Run experiments from a test; see :class:`Runner`."""
     keep = request.config.getoption("--hil-logs")
     folder = Path(keep) / request.node.name.replace("/", "_") if keep else tmp_path / "hil"
-    rig = Rig(folder, request.config.getoption("--hil-clock"), request.config.getoption("--hil-link"))
+    rig = Runner(folder, request.config.getoption("--hil-clock"), request.config.getoption("--hil-link"))
     yield rig
     request.node.user_properties += [("hil_log", s.summary["log"]["path"]) for s in rig.sessions]
 
@@ -151,7 +151,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> 
     outcome: Any = yield
     report = outcome.get_result()
     rig = getattr(item, "funcargs", {}).get("hil")
-    if report.when == "call" and report.failed and isinstance(rig, Rig):
+    if report.when == "call" and report.failed and isinstance(rig, Runner):
         for s in rig.sessions:
             line = f"{s.summary['experiment']} seed {s.summary['seed']}: {s.summary['log']['path']}"
             report.sections.append(("hil log", line))

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.jump_linear.mjls import MJLS
-from design.monte_carlo.parallel import Ladder, chunk_numbers, inside_chunk, spread
+from design.monte_carlo.parallel import Workers, chunk_numbers, inside_chunk, spread
 from design.monte_carlo.random_streams import CHAIN, NOISE, DrawTable
 
 FloatArray = npt.NDArray[np.float64]
@@ -27,7 +27,7 @@ IntArray = npt.NDArray[np.intp]
 
 CHUNK = 512
 PAGE = 64
-ONE_CORE = Ladder()
+ONE_CORE = Workers()
 BLAS_ONE_THREAD = 100_000
 """Multiplications in one product; OpenBLAS begins to share them out at 262,144."""
 
@@ -124,7 +124,7 @@ def simulate_mjls(
     noise: bool = False,
     seed: int = 0,
     first: int = 0,
-    ladder: Ladder = ONE_CORE,
+    workers: Workers = ONE_CORE,
     progress: Callable[[int], None] = _nothing,
 ) -> MarkovBatch:
     """Simulate many runs of a jump-linear system, the same numbers for every split.
@@ -159,7 +159,7 @@ def simulate_mjls(
     )
     chunks = chunk_numbers(first, runs, CHUNK)
     parts = []
-    for done, part in enumerate(spread(task, chunks, ladder), 1):
+    for done, part in enumerate(spread(task, chunks, workers), 1):
         parts.append(part)
         progress(min(done * CHUNK, runs))
     columns = list(zip(*parts, strict=True))

@@ -1,4 +1,4 @@
-"""The ladder of a Monte Carlo study: one core, all cores, many machines, with the same numbers on every rung.
+"""Where a Monte Carlo study is computed: one core, all cores, many machines, with the same numbers on all of them.
 
 The runs are cut into chunks by their number, always at the same places. A chunk is computed the same way wherever it is
 computed, so no split into jobs can change a bit of the result: not by vector units that treat the ends of an array
@@ -24,7 +24,7 @@ Job = TypeVar("Job")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ladder:
+class Workers:
     """Where the runs are computed.
 
     Args:
@@ -51,7 +51,7 @@ class Ladder:
             )
 
 
-def spread(task: Callable[[Job], Result], jobs: Sequence[Job], ladder: Ladder) -> Iterator[Result]:
+def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers) -> Iterator[Result]:
     """Results of task(job) for every job, in order, each as soon as it and those before it are there.
 
     Closing the iterator (or Ctrl-C) cancels what has not begun.
@@ -59,17 +59,17 @@ def spread(task: Callable[[Job], Result], jobs: Sequence[Job], ladder: Ladder) -
     Raises:
         DesignError: the dask scheduler does not answer.
     """
-    if ladder.backend == "serial" or not jobs:
+    if workers.backend == "serial" or not jobs:
         yield from map(task, jobs)
         return
     from joblib import Parallel, delayed, parallel_config
 
     with ExitStack() as stack:
-        options: dict[str, Any] = {"backend": ladder.backend, "n_jobs": ladder.jobs}
-        if ladder.backend == "loky":
+        options: dict[str, Any] = {"backend": workers.backend, "n_jobs": workers.jobs}
+        if workers.backend == "loky":
             options["inner_max_num_threads"] = 1
-        if ladder.backend == "dask":
-            options["client"] = stack.enter_context(_client(ladder))
+        if workers.backend == "dask":
+            options["client"] = stack.enter_context(_client(workers))
         stack.enter_context(parallel_config(**options))
         with _deaf_children():
             results = Parallel(return_as="generator")(delayed(task)(job) for job in jobs)
@@ -94,17 +94,17 @@ def _deaf_children() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
 
 
-def _client(ladder: Ladder) -> Any:
+def _client(workers: Workers) -> Any:
     try:
         connect: Any = import_module("distributed").Client
         resolve: Any = import_module("distributed.comm").resolve_address
     except ImportError as error:
         raise DesignError("backend dask: the package dask[distributed] is not installed") from error
     try:
-        resolve(ladder.scheduler)  # first: a client of what is no address takes many seconds to close
-        return connect(ladder.scheduler, timeout=ladder.connect_timeout_s, set_as_default=False)
+        resolve(workers.scheduler)  # first: a client of what is no address takes many seconds to close
+        return connect(workers.scheduler, timeout=workers.connect_timeout_s, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise DesignError(f"scheduler: no dask scheduler answers at {ladder.scheduler} ({error})") from error
+        raise DesignError(f"scheduler: no dask scheduler answers at {workers.scheduler} ({error})") from error
 
 
 def chunk_numbers(first: int, runs: int, size: int) -> range:

@@ -20,14 +20,14 @@ import numpy.typing as npt
 
 from design.monte_carlo.batched_flow import MatrixFlow
 from design.monte_carlo.jump_loop import JumpLoop, Segments, segments
-from design.monte_carlo.parallel import Ladder, chunk_numbers, inside_chunk, spread
+from design.monte_carlo.parallel import Workers, chunk_numbers, inside_chunk, spread
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
 CHUNK = 1024
 """Runs computed together. Part of the definition of the result's last bits: change it and they may change."""
-ONE_CORE = Ladder()
+ONE_CORE = Workers()
 
 
 def _nothing(done: int) -> None:
@@ -120,7 +120,7 @@ def settling_times(
     band: float = 0.015,
     seed: int = 0,
     first: int = 0,
-    ladder: Ladder = ONE_CORE,
+    workers: Workers = ONE_CORE,
     progress: Callable[[int], None] = _nothing,
 ) -> FloatArray:
     """Settling times (2.28): the first grid time from which on |x(t)|_2 <= band |x(0)|_2 up to the end.
@@ -144,7 +144,7 @@ def settling_times(
     chunks = chunk_numbers(first, runs, CHUNK)
     parts: list[FloatArray] = []
     done = 0
-    for chunk, part in zip(chunks, spread(study.settle, chunks, ladder)):
+    for chunk, part in zip(chunks, spread(study.settle, chunks, workers)):
         parts.append(part[inside_chunk(chunk, first, runs, CHUNK)])
         done += parts[-1].size
         progress(done)
@@ -209,7 +209,7 @@ def mean_states(
     dt_s: float = 0.01,
     seed: int = 0,
     first: int = 0,
-    ladder: Ladder = ONE_CORE,
+    workers: Workers = ONE_CORE,
     progress: Callable[[int], None] = _nothing,
 ) -> MeanStates:
     """Average trajectory and second moments on the grid (Figure 2.4a); arguments as ``settling_times``."""
@@ -217,7 +217,7 @@ def mean_states(
     chunks = chunk_numbers(first, runs, CHUNK)
     sums = _Sums(study=study, first=first, runs=runs)
     total: tuple[FloatArray, ...] | None = None
-    for done, part in enumerate(spread(sums, chunks, ladder), 1):
+    for done, part in enumerate(spread(sums, chunks, workers), 1):
         # Added in the order of the chunks: a sum of floats depends on its order.
         total = part if total is None else tuple(a + b for a, b in zip(total, part, strict=True))
         progress(min(done * CHUNK, runs))

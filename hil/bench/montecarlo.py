@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from design.as_printed.examples import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_system
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls
-from design.monte_carlo.parallel import Ladder
+from design.monte_carlo.parallel import Workers
 from design.monte_carlo.studies import CHUNK, mean_states, settling_times
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.rates import WeibullRate
@@ -110,8 +110,8 @@ def bench_montecarlo(progress: Callable[[str], None] = lambda text: None) -> lis
     cores = len(os.sched_getaffinity(0))
     rows: list[dict[str, Any]] = []
 
-    def engine(loop: JumpLoop, ladder: Ladder) -> FloatArray:
-        return settling_times(loop, RUNS, duration_s=DURATION_S, dt_s=DT_S, band=BAND, seed=SEED, ladder=ladder)
+    def engine(loop: JumpLoop, workers: Workers) -> FloatArray:
+        return settling_times(loop, RUNS, duration_s=DURATION_S, dt_s=DT_S, band=BAND, seed=SEED, workers=workers)
 
     def row(what: str, work: Callable[[], Any], *, runs: int = RUNS, repeats: int = 1) -> Any:
         progress(what)
@@ -125,8 +125,8 @@ def bench_montecarlo(progress: Callable[[str], None] = lambda text: None) -> lis
         rows.append({"what": what, "runs": runs, "s per 10,000": took, "ratio": ratio, "largest difference, s": ""})
         return result
 
-    engine(loop, Ladder())  # warm-up
-    exact = row("engine, one core", lambda: engine(loop, Ladder()), repeats=REPEATS)
+    engine(loop, Workers())  # warm-up
+    exact = row("engine, one core", lambda: engine(loop, Workers()), repeats=REPEATS)
 
     def compare(found: FloatArray) -> None:
         # Not-settled on both sides is no difference.
@@ -136,16 +136,16 @@ def bench_montecarlo(progress: Callable[[str], None] = lambda text: None) -> lis
         rows[-1]["largest difference, s"] = float(gap.max())
 
     for jobs in sorted({min(2, cores), cores} - {1}):
-        ladder = Ladder(backend="loky", jobs=jobs)
-        engine(loop, ladder)  # starts the processes
-        compare(row(f"engine, {jobs} cores", partial(engine, loop, ladder), repeats=REPEATS))
+        workers = Workers(backend="loky", jobs=jobs)
+        engine(loop, workers)  # starts the processes
+        compare(row(f"engine, {jobs} cores", partial(engine, loop, workers), repeats=REPEATS))
     row(
         "engine, one core, every grid state: E x, E xx'",
         lambda: mean_states(loop, RUNS, duration_s=DURATION_S, dt_s=DT_S, seed=SEED),
     )
     weibull = WeibullRate(scale_s=1.0, shape=2.0)
     newton = replace(loop, process=SemiMarkov(rates=((None, weibull), (weibull, None))))
-    row("engine, one core, Weibull(1, 2) rates", lambda: engine(newton, Ladder()))
+    row("engine, one core, Weibull(1, 2) rates", lambda: engine(newton, Workers()))
     slow = paths(loop, LOOP_RUNS)
     numpy_loop(slow[0])
     ode_solver(slow[0])

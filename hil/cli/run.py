@@ -160,7 +160,7 @@ def show(summary: dict[str, Any]) -> None:
     table.add_column(style="bold")
     table.add_column()
     row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
-    row("ran", f"{summary['ticks']} ticks, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
+    row("ran", f"{summary['ticks']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
     for name, value in summary["metrics"].items():
         row(name, text(value))
     for side in ("sc", "ca"):
@@ -176,7 +176,7 @@ def show(summary: dict[str, Any]) -> None:
         row("timing", ("valid" if timing["valid"] else "NOT VALID") + f", {timing['scheduler'] or 'no slot was run'}")
         for name in ("lateness_us", "round_trip_us"):
             row(name, "  ".join(f"{q} {text(v)}" for q, v in timing[name].items()))
-        row("overruns", f"{timing['overruns']}; first late tick: {'none' if late is None else late}")
+        row("overruns", f"{timing['overruns']}; first late slot: {'none' if late is None else late}")
     claim = summary.get("certificate")
     if claim:
         state = str(claim.get("state", "no verdict"))

@@ -56,7 +56,7 @@ def command(
     from rich.markup import escape
     from rich.progress import Progress, TimeRemainingColumn
 
-    from design.monte_carlo.parallel import Ladder
+    from design.monte_carlo.parallel import Workers
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.sweeps.seeds import columns_of, here, run_sweep, statistics
@@ -75,7 +75,7 @@ def command(
     columns = columns_of(checked)
     metrics = columns[1:]
     rule = stop_rule(until, level, metrics) if until is not None else None
-    ladder = Ladder(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
+    workers = Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     begun = time.perf_counter()
     err = Console(stderr=True)
     with ExitStack() as stack:
@@ -86,7 +86,7 @@ def command(
         found = run_sweep(
             checked,
             range(first_seed, first_seed + runs),
-            ladder=ladder,
+            workers=workers,
             progress=lambda done: bar.update(task, completed=done),
             store=store,
             until=rule,

@@ -273,7 +273,7 @@ class Experiment(Table, frozen=True, kw_only=True):
             if not duration >= period:  # NaN is no duration either
                 yield f"duration: {duration:g} s is shorter than the period {period:g} s"
             elif duration / period > 1e8:
-                yield f"duration: {duration / period:.3g} ticks; at most 1e8"
+                yield f"duration: {duration / period:.3g} slots; at most 1e8"
         if not 0 <= values.get("seed", 0) < 2**63:
             yield f"seed: {values['seed']} is not between 0 and 2^63 - 1"
 

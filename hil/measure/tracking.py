@@ -39,7 +39,7 @@ class Tracking:
         unit, squared = signals.tracked_unit() or "", squared_unit(signals)
         return (
             Quantity(name="sse", title="squared tracking error", unit=squared, note="whole run, × T"),
-            Quantity(name="sse_after_5s", title="squared tracking error after 5 s", unit=squared, note="× T"),
+            Quantity(name="sse_after_5s", title="squared error after 5 s", unit=squared, note="× T"),
             Quantity(name="overshoot", title="overshoot", share_of="the step", needs=REFERENCE_STEP),
             Quantity(
                 name="settling_time_s", title="settling time", unit="s", note="to 2 %", absent="not settled to 2 %",

@@ -54,7 +54,7 @@ def compare(
     quantities = common_quantities([quantities_in(experiment) for experiment in experiments.values()])
     values: dict[str, Mapping[str, NDArray[np.float64]]] = {}
     for name, experiment in experiments.items():
-        ran = run_sweep(experiment, range(runs), ladder=here(jobs), progress=lambda done, name=name: progress(name, done))  # type: ignore[misc]
+        ran = run_sweep(experiment, range(runs), workers=here(jobs), progress=lambda done, name=name: progress(name, done))  # type: ignore[misc]
         if ran.interrupted:
             return Comparison(runs=runs, values=values, quantities=quantities, interrupted=ran.interrupted)
         values[name] = ran.values

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval, StopRule
-from design.monte_carlo.parallel import Ladder, spread
+from design.monte_carlo.parallel import Workers, spread
 from hil.compose.loop import Loop, compose
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity, measures_of, quantities_of
@@ -68,19 +68,19 @@ def sweep(
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[str, NDArray[np.float64]]:
     """Run an experiment for every seed on this machine; as `run_sweep`, but only its values."""
-    return run_sweep(experiment, seeds, ladder=here(jobs), progress=progress).values
+    return run_sweep(experiment, seeds, workers=here(jobs), progress=progress).values
 
 
-def here(jobs: int) -> Ladder:
+def here(jobs: int) -> Workers:
     """So many processes on this machine, -1 for one per core."""
-    return Ladder(backend="serial") if jobs == 1 else Ladder(backend="loky", jobs=jobs)
+    return Workers(backend="serial") if jobs == 1 else Workers(backend="loky", jobs=jobs)
 
 
 def run_sweep(
     experiment: Experiment,
     seeds: Sequence[int],
     *,
-    ladder: Ladder,
+    workers: Workers,
     progress: Callable[[int], None] = lambda done: None,
     store: SweepStore | None = None,
     until: tuple[str, StopRule] | None = None,
@@ -92,7 +92,7 @@ def run_sweep(
     Args:
         experiment: what to run, in virtual time.
         seeds: one run each; with ``until`` the most that may be run.
-        ladder: Where: this process, the cores of this machine, or a dask cluster.
+        workers: Where: this process, the cores of this machine, or a dask cluster.
         progress: told how many runs have been done.
         store: where finished runs are kept, and taken from instead of being run again.
         until: (metric, StopRule). Stop as soon as the interval of the metric is narrow enough. It is looked at only at the rule's
@@ -109,7 +109,7 @@ def run_sweep(
                 wanted = seeds[: until[1].runs(look)]
             progress(sum(seed in done for seed in wanted))
             missing = [seed for seed in wanted if seed not in done]
-            for rows in spread(partial(run_seeds, loop), _parts(missing, ladder), ladder):
+            for rows in spread(partial(run_seeds, loop), _parts(missing, workers), workers):
                 done.update((int(row["seed"]), row) for row in rows)
                 if store:
                     store.add(rows)
@@ -127,10 +127,10 @@ def run_sweep(
     return Sweep(values, interrupted, interval, reached)
 
 
-def _parts(seeds: Sequence[int], ladder: Ladder) -> list[Sequence[int]]:
+def _parts(seeds: Sequence[int], workers: Workers) -> list[Sequence[int]]:
     """Seeds for one job each: few enough that Ctrl-C loses little, and that all workers have work to the end."""
-    workers = ladder.jobs if ladder.jobs > 0 else len(os.sched_getaffinity(0))
-    size = max(1, min(25, -(-len(seeds) // (4 * workers))))
+    count = workers.jobs if workers.jobs > 0 else len(os.sched_getaffinity(0))
+    size = max(1, min(25, -(-len(seeds) // (4 * count))))
     return [seeds[i : i + size] for i in range(0, len(seeds), size)]
 
 

@@ -40,8 +40,8 @@ def network_blocks(run: Run, network: Mapping[str, Any], laws: Mapping[str, Any 
         ages = getattr(law, "mode_ages", None)
         plain = ages is not None and list(ages) == list(range(len(found["mode_counts"])))
         what = f"{symbol} (samples)" if plain else "mode of the law"
-        blocks.append(_frequencies(found, law, f"{_capital(way)}: how often", what))
-        blocks.append(_transitions(found, law, f"{_capital(way)}: what followed what", symbol if plain else "mode"))
+        blocks.append(_frequencies(found, law, f"{_capital(way)}: mode frequencies", what))
+        blocks.append(_transitions(found, law, f"{_capital(way)}: transitions", symbol if plain else "mode"))
         blocks += _sojourns(run, side, law)
     blocks += [block for side in DIRECTIONS if (block := _measured_ages(run, network, side)) is not None]
     return blocks
@@ -192,7 +192,7 @@ def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:
         ["verdict", "valid" if timing["valid"] else "not valid: " + "; ".join(timing["why"])],
         ["scheduler", timing["scheduler"]],
         ["slots without an answer in time", text_of(timing["late"])],
-        ["first of them", "none" if timing["first_late_tick"] is None else f"tick {timing['first_late_tick']}"],
+        ["first of them", "none" if timing["first_late_tick"] is None else f"slot {timing['first_late_tick']}"],
         ["overruns", text_of(timing["overruns"])],
     ]
     blocks.append(Table(title="Slots", columns=["what", "value"], rows=counts))

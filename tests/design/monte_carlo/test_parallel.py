@@ -14,7 +14,7 @@ from design.errors import DesignError
 from design.jump_linear.mjls import MJLS
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls
-from design.monte_carlo.parallel import Ladder, spread
+from design.monte_carlo.parallel import Workers, spread
 from design.monte_carlo.studies import CHUNK, mean_states, settling_times
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov
@@ -29,7 +29,7 @@ LOOP = JumpLoop(
     uncertain=True,
 )
 RUNS = 3 * CHUNK + 100
-ONE_CORE = Ladder()
+ONE_CORE = Workers()
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +43,10 @@ def cluster() -> Iterator[str]:
         yield local.scheduler_address
 
 
-def rungs(request: pytest.FixtureRequest, name: str) -> Ladder:
+def workers_of(request: pytest.FixtureRequest, name: str) -> Workers:
     if name == "dask":
-        return Ladder(backend="dask", scheduler=request.getfixturevalue("cluster"))
-    return Ladder(backend=name, jobs=3)  # type: ignore[arg-type]
+        return Workers(backend="dask", scheduler=request.getfixturevalue("cluster"))
+    return Workers(backend=name, jobs=3)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -64,21 +64,21 @@ def test_any_split_into_batches_gives_the_same_bits(alone: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("backend", ["threading", "loky", "dask"])
-def test_every_rung_gives_the_same_bits(request: pytest.FixtureRequest, backend: str, alone: np.ndarray) -> None:
-    ladder = rungs(request, backend)
-    np.testing.assert_array_equal(settling_times(LOOP, RUNS, duration_s=3.0, seed=4, ladder=ladder), alone)
-    one, many = (mean_states(LOOP, RUNS, duration_s=1.0, seed=4, ladder=rung) for rung in (ONE_CORE, ladder))
+def test_every_backend_gives_the_same_bits(request: pytest.FixtureRequest, backend: str, alone: np.ndarray) -> None:
+    workers = workers_of(request, backend)
+    np.testing.assert_array_equal(settling_times(LOOP, RUNS, duration_s=3.0, seed=4, workers=workers), alone)
+    one, many = (mean_states(LOOP, RUNS, duration_s=1.0, seed=4, workers=each) for each in (ONE_CORE, workers))
     for a, b in zip(one, many, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("backend", ["loky", "dask"])
-def test_every_rung_gives_the_same_bits_in_discrete_time(request: pytest.FixtureRequest, backend: str) -> None:
+def test_every_backend_gives_the_same_bits_in_discrete_time(request: pytest.FixtureRequest, backend: str) -> None:
     rng = np.random.default_rng(0)
     system = MJLS(A=rng.normal(size=(3, 6, 6)) / 4, B=np.eye(6), C=np.eye(6), transition=rng.dirichlet(np.ones(3), 3))
     one, many = (
-        simulate_mjls(system, 1500, 30, start=np.ones(6), noise=True, seed=2, ladder=rung)
-        for rung in (ONE_CORE, rungs(request, backend))
+        simulate_mjls(system, 1500, 30, start=np.ones(6), noise=True, seed=2, workers=each)
+        for each in (ONE_CORE, workers_of(request, backend))
     )
     for a, b in zip(one, many, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -95,29 +95,29 @@ def test_the_cluster_really_is_two_other_processes(cluster: str) -> None:
         workers = set(client.run(os.getpid).values())
     assert len(workers) == 2
     assert os.getpid() not in workers
-    assert set(spread(process_of, range(8), Ladder(backend="dask", scheduler=cluster))) <= workers
+    assert set(spread(process_of, range(8), Workers(backend="dask", scheduler=cluster))) <= workers
 
 
 def test_results_come_in_order_and_an_error_in_a_job_is_raised() -> None:
     def reciprocal(k: int) -> float:
         return 1.0 / (k - 3)
 
-    assert list(spread(abs, range(20), Ladder(backend="loky", jobs=2))) == list(range(20))
+    assert list(spread(abs, range(20), Workers(backend="loky", jobs=2))) == list(range(20))
     with pytest.raises(ZeroDivisionError):
-        list(spread(reciprocal, range(6), Ladder(backend="threading", jobs=2)))
+        list(spread(reciprocal, range(6), Workers(backend="threading", jobs=2)))
 
 
 def test_a_scheduler_that_is_not_there_is_said() -> None:
-    ladder = Ladder(backend="dask", scheduler="tcp://127.0.0.1:9", connect_timeout_s=0.5)
+    workers = Workers(backend="dask", scheduler="tcp://127.0.0.1:9", connect_timeout_s=0.5)
     with pytest.raises(DesignError, match=r"^scheduler: no dask scheduler answers at tcp://127.0.0.1:9"):
-        list(spread(abs, [1], ladder))
+        list(spread(abs, [1], workers))
 
 
 @pytest.mark.parametrize("address", ["garbage", "foo://x:1", "tcp://", ""])
 def test_what_is_no_address_of_a_scheduler_makes_no_client(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
     monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail("a client was made, and takes seconds to close"))
     with pytest.raises(DesignError, match=f"^scheduler: no dask scheduler answers at {address} "):
-        list(spread(abs, [1], Ladder(backend="dask", scheduler=address)))
+        list(spread(abs, [1], Workers(backend="dask", scheduler=address)))
 
 
 @pytest.mark.parametrize(
@@ -129,6 +129,6 @@ def test_what_is_no_address_of_a_scheduler_makes_no_client(monkeypatch: pytest.M
         ({"scheduler": "tcp://127.0.0.1:1"}, "scheduler: 'tcp"),
     ],
 )
-def test_a_ladder_that_cannot_be_is_refused(change: dict[str, object], message: str) -> None:
+def test_workers_that_cannot_be_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match="^" + message):
-        Ladder(**change)  # type: ignore[arg-type]
+        Workers(**change)  # type: ignore[arg-type]

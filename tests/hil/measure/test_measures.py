@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from design.monte_carlo.parallel import Ladder
+from design.monte_carlo.parallel import Workers
 from hil.errors import HilError
 from hil.experiment import load as loading
 from hil.experiment import load_experiment, plugins
@@ -61,7 +61,7 @@ def test_a_measure_of_ones_own_stands_in_summary_sweep_and_page(tmp_path: Path) 
     assert session.metrics["effort"] == pytest.approx(float(np.sum(u**2)) * 0.05)
     assert session.summary["units"]["effort"] == "V² s" and session.summary["units"]["sse"] == "rad² s"
     assert columns_of(experiment)[-1] == "effort"
-    swept = run_sweep(experiment, [0], ladder=Ladder()).values
+    swept = run_sweep(experiment, [0], workers=Workers()).values
     assert swept["effort"][0] == session.metrics["effort"]
     page = render_report(view_of(session.run, experiment), session.summary)
     assert "Input energy" in page and "input energy (V² s)" in page

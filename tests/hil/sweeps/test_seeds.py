@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from design.monte_carlo.confidence import StopRule
-from design.monte_carlo.parallel import Ladder
+from design.monte_carlo.parallel import Workers
 from hil.cli.sweep import command, stop_rule
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
@@ -25,7 +25,7 @@ from hil.sweeps.seeds import columns_of, run_sweep, sweep
 from hil.sweeps.store import SweepStore
 from tests.waiting import until
 
-ONE_CORE = Ladder()
+ONE_CORE = Workers()
 COLUMNS = columns_of(load_experiment("dc-motor-hinf"))
 
 
@@ -71,11 +71,11 @@ def test_a_resumed_sweep_has_the_numbers_of_one_that_was_never_interrupted(
 ) -> None:
     told: list[int] = []
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
-        run_sweep(experiment, range(10, 25), ladder=ONE_CORE, store=store)
+        run_sweep(experiment, range(10, 25), workers=ONE_CORE, store=store)
     with open(tmp_path / "s", "ab") as torn:
         torn.write(b'{"seed": 77, "ss')  # the machine died while it wrote
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
-        found = run_sweep(experiment, range(40), ladder=ONE_CORE, store=store, progress=told.append)
+        found = run_sweep(experiment, range(40), workers=ONE_CORE, store=store, progress=told.append)
     same(found.values, plain)
     assert (told[0], told[-1]) == (15, 40)
     assert len((tmp_path / "s").read_text().splitlines()) == 41
@@ -87,7 +87,7 @@ def test_a_full_disk_is_said_and_costs_only_the_rows_that_did_not_fit(tmp_path: 
         try:
             resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
             with pytest.raises(HilError, match="s: cannot be written: File too large"):
-                run_sweep(experiment, range(20), ladder=ONE_CORE, store=store)
+                run_sweep(experiment, range(20), workers=ONE_CORE, store=store)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
@@ -100,12 +100,12 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, experiment: Experiment, plain
             raise KeyboardInterrupt
 
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
-        found = run_sweep(experiment, range(40), ladder=ONE_CORE, store=store, progress=interrupt)
+        found = run_sweep(experiment, range(40), workers=ONE_CORE, store=store, progress=interrupt)
         assert found.interrupted
         assert 5 <= found.values["seed"].size < 40
         assert len(store.rows) == found.values["seed"].size
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
-        same(run_sweep(experiment, range(40), ladder=ONE_CORE, store=store).values, plain)
+        same(run_sweep(experiment, range(40), workers=ONE_CORE, store=store).values, plain)
 
 
 @pytest.mark.parametrize(("number", "status", "send"), [(signal.SIGINT, 130, os.killpg), (signal.SIGTERM, 143, os.kill)])
@@ -130,11 +130,11 @@ def test_a_signal_on_the_command_line_prints_and_exits_with_its_status(
 
 def test_it_stops_when_the_interval_is_narrow_enough(experiment: Experiment, plain: dict[str, Any]) -> None:
     rule = StopRule(half_width=1.0, first_look=30)
-    found = run_sweep(experiment, range(40), ladder=ONE_CORE, until=("sse", rule))
+    found = run_sweep(experiment, range(40), workers=ONE_CORE, until=("sse", rule))
     assert found.reached
     assert found.values["seed"].size == 30
     np.testing.assert_array_equal(found.values["sse"], plain["sse"][:30])
-    never = run_sweep(experiment, range(40), ladder=ONE_CORE, until=("sse", StopRule(half_width=1e-9, first_look=30)))
+    never = run_sweep(experiment, range(40), workers=ONE_CORE, until=("sse", StopRule(half_width=1e-9, first_look=30)))
     assert not never.reached
     assert never.interval is not None
     assert never.interval.n == 40
@@ -146,8 +146,8 @@ def test_a_cluster_of_two_workers_gives_the_same_numbers(experiment: Experiment,
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs=50
     ) as cluster:
-        ladder = Ladder(backend="dask", scheduler=cluster.scheduler_address)
-        same(run_sweep(experiment, range(40), ladder=ladder).values, plain)
+        workers = Workers(backend="dask", scheduler=cluster.scheduler_address)
+        same(run_sweep(experiment, range(40), workers=workers).values, plain)
 
 
 def test_a_file_of_another_sweep_is_refused(tmp_path: Path, experiment: Experiment) -> None:
