@@ -20,6 +20,7 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of both directions of EXPERIMENT's network."""
     from hil.experiment import load_experiment
     from transport.laws.analysis import analyse_law
+    from transport.laws.modes import mode_transitions
 
     checked = load_experiment(experiment, sets)
     period_s = float(checked.period)
@@ -31,7 +32,8 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     if as_json:
         laws = {side: _json(asdict(analysis)) for side, analysis in directions.items()}
         for side, direction in (("sc", checked.links.sc), ("ca", checked.links.ca)):
-            laws[side]["transition_matrix"] = _matrix(direction.law)
+            matrix = mode_transitions(direction.law)
+            laws[side]["transition_matrix"] = None if matrix is None else matrix.tolist()
         print(json.dumps({"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws}, indent=2))
         return
     _print(checked.name, period_s, directions)
@@ -71,11 +73,6 @@ def _print(name: str, period_s: float, directions: dict[str, Any]) -> None:
         if not math.isnan(law.unused):
             print(f"  never used                {law.unused:.4g} of the packets")
         print()
-
-
-def _matrix(law: Any) -> list[list[float]] | None:
-    method = getattr(law, "transition_matrix", None)
-    return None if method is None else method().tolist()
 
 
 def _json(value: Any) -> Any:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, sojourns_told
 from hil.experiment import Experiment
-from transport.laws.age import ConstantAge, IidAge, MarkovAge
-from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
+from transport.laws.delay_states import delay_states
+from transport.laws.protocols import SemiMarkovLaw
 
 
 def delay_chains(e: Experiment) -> tuple[Any | None, Any | None]:
@@ -24,7 +24,9 @@ def delay_chains(e: Experiment) -> tuple[Any | None, Any | None]:
 
 
 def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
-    """Return the delay chain of a network law, None where it has none (packet laws, traces).
+    """Return the chain of the delay that the receiver measures under a network law, None where the law states no chain.
+
+    A receiver keeps the newest packet: where the law's age may grow by more than one per slot it measures another delay.
 
     Args:
         law: the network law.
@@ -36,25 +38,32 @@ def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
     from design.processes.delay_chain import DelayChain
 
     most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
-    if most > 1 and not isinstance(law, SemiMarkovAge):
+    if most > 1 and not isinstance(law, SemiMarkovLaw):
         raise ValueError("sojourns: for a semi-Markov law only; over any other the delay says all that its length of stay could")
-    if isinstance(law, SemiMarkovAge):
-        augmented = augmented_chain(law)
-        delays = np.asarray(law.mode_ages)[augmented.modes]
-        if most == 1:
-            return DelayChain(transition=augmented.matrix, delays=delays)
-        if len(set(law.mode_ages)) < len(law.mode_ages):
-            raise ValueError(f"sojourns: modes share a delay (ages {list(law.mode_ages)}), whose length of stay is not theirs")
-        longest = [int(augmented.slots[delays == d].max(initial=0)) for d in range(int(delays.max()) + 1)]
-        counts = [min(n, most) for n in longest] if isinstance(sojourns, int) else list(sojourns)
-        if len(counts) < len(longest) or any(n > 0 and not count for n, count in zip(longest, counts)):
-            raise ValueError(f"sojourns: {counts}, but the delay reaches {len(longest) - 1}")
-        first = np.concatenate([[0], np.cumsum(counts)])[delays]
-        labels = first + np.minimum(augmented.slots, np.asarray(counts)[delays]) - 1
-        return DelayChain(transition=augmented.matrix, delays=delays, labels=labels)
-    if isinstance(law, ConstantAge | IidAge | MarkovAge):
-        return DelayChain(transition=law.transition_matrix(), delays=np.asarray(law.mode_ages))
-    return None
+    states = delay_states(law)
+    if states is None:
+        return None
+    between = None if np.array_equal(states.low, states.high) else (states.low, states.high)
+    if most == 1:
+        return DelayChain(transition=states.matrix, delays=states.ages, between=between)
+    if len(set(law.mode_ages)) < len(law.mode_ages):
+        raise ValueError(f"sojourns: modes share a delay (ages {list(law.mode_ages)}), whose length of stay is not theirs")
+    if states.has_gaps:
+        raise ValueError("sojourns: this delay may grow by more than one per slot, and the receiver measures another stay")
+    delays, slots = states.ages, states.slots
+    longest = [int(slots[delays == d].max(initial=0)) for d in range(int(delays.max()) + 1)]
+    counts = [min(n, most) for n in longest] if isinstance(sojourns, int) else list(sojourns)
+    if len(counts) < len(longest) or any(n > 0 and not count for n, count in zip(longest, counts)):
+        raise ValueError(f"sojourns: {counts}, but the delay reaches {len(longest) - 1}")
+    first = np.concatenate([[0], np.cumsum(counts)])[delays]
+    labels = first + np.minimum(slots, np.asarray(counts)[delays]) - 1
+    return DelayChain(transition=states.matrix, delays=delays, labels=labels, between=between)
+
+
+def initial_laws(e: Experiment) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return the distributions of the modes of both delay chains in slot 0, None where a law has no chain."""
+    sc, ca = delay_states(e.links.sc.law), delay_states(e.links.ca.law)
+    return None if sc is None or ca is None else (sc.initial, ca.initial)
 
 
 def gains_over(controller: GainTable, model: LoopModel, sc: Any, ca: Any) -> NDArray[np.float64]:

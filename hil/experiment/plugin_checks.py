@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from design.controllers import (
     Controller,
@@ -22,7 +23,13 @@ from design.controllers import (
     packet_samples,
     row_count,
 )
+from transport.laws.delay_states import delay_states
+from transport.laws.protocols import BoundedTail, ChainLaw, ChannelLaw, RecordedLaw, SemiMarkovLaw, prepare, slots_served
+from transport.laws.statistics import law_p_value
 from transport.medium.independent import impair
+
+DIFFERS = 1e-6
+"""A law whose record is this unlikely is not the one that was stated: one right law in a million is refused."""
 
 
 def check_controller(controller: Controller, model: LoopModel) -> list[str]:
@@ -74,9 +81,18 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     return said
 
 
-def check_law(law: Any, slots: int = 400) -> None:
-    """Check a network law: reproducible, nothing from the future, ages within their bound and growing by one at most."""
+def check_law(law: Any, slots: int = 400) -> list[str]:
+    """Check a network law: reproducible, nothing from the future, ages within their bound, and drawn as it states.
+
+    Returns:
+        Which protocols of :mod:`transport.laws.protocols` the law fulfils and what each earns, a sentence each.
+
+    Raises:
+        AssertionError: naming the first rule that is broken.
+    """
     assert msgspec.json.encode(law), "parameters must be plain data"
+    law, name = prepare(law), type(law).__name__
+    bound = law.max_age if law.family == "age" else None
 
     def arrivals() -> list[list[int]]:
         impairment = impair(law, np.random.default_rng(5), 0.01, 0.006)
@@ -86,10 +102,49 @@ def check_law(law: Any, slots: int = 400) -> None:
             draws, arrived = impairment.collect(k)
             assert all(d.tick == k for d in draws), "a draw is booked in another slot"
             assert all(packet == g <= k for g, packet in arrived), "a packet came from the future, or under another number"
-            if getattr(law, "max_age", None) is not None and arrived:
-                newest = max(g for g, _ in arrived)
-                assert k - newest <= max(law.max_age, k), "older than the law's bound"
+            if bound is not None and arrived:
+                newest = max(newest, *(g for g, _ in arrived))
+                assert k - newest <= max(bound, k), "older than the law's bound"
             out.append([g for g, _ in arrived])
         return out
 
     assert arrivals() == arrivals(), "the same generator must give the same fates"
+    if law.family == "packet":
+        said = [f"{name} is a PacketLaw: it can run in a loop"]
+        if isinstance(law, ChannelLaw):
+            said.append(f"{name} is a ChannelLaw: its losses are analysed exactly, and every record is tested against it")
+        return [*said, f"{name} is neither a ChainLaw nor a SemiMarkovLaw: loops over it run with allow_uncertified only"]
+    said = [f"{name} is an AgeLaw: it can run in a loop"]
+    modes = _check_drawn(law, slots)
+    if isinstance(law, RecordedLaw):
+        said.append(f"{name} is a RecordedLaw: its ages are analysed exactly, and every record is tested against it")
+    elif isinstance(law, SemiMarkovLaw):
+        said.append(f"{name} is a SemiMarkovLaw: loops over it, and stays in it, can be certified, designed for and predicted")
+        silent = [i for i, sojourn in enumerate(law.sojourn) if not isinstance(sojourn, BoundedTail)]
+        if silent:
+            said.append(f"{name}: the sojourn laws of modes {silent} are no BoundedTail: nothing is assumed beyond the cut")
+    elif isinstance(law, ChainLaw):
+        said.append(f"{name} is a ChainLaw: loops over it can be certified, designed for and predicted")
+    else:
+        said.append(f"{name} is neither a ChainLaw nor a SemiMarkovLaw: loops over it run with allow_uncertified only")
+    states = delay_states(law)
+    if states is not None:
+        p_value = law_p_value(law, modes)
+        assert not p_value < DIFFERS, f"the modes drawn do not follow the chain that it states: p = {p_value:.2g}"
+        if states.has_gaps:
+            said.append(f"{name}: the age may grow by more than one per slot; what runs is min(age, last + 1), certified so")
+    return said
+
+
+def _check_drawn(law: Any, slots: int) -> NDArray[np.int64]:
+    """Return the modes of a run; every age must be a whole number within the bound, and that of its mode."""
+    draw = law.start(np.random.default_rng(5)).draw
+    served = slots_served(law)
+    drawn = [draw() for _ in range(slots if served is None else min(slots, served))]
+    bound = law.max_age
+    assert all(0 <= age <= bound for _, age in drawn), f"an age outside 0 .. {bound}"
+    if isinstance(law, ChainLaw | SemiMarkovLaw):
+        ages = list(law.mode_ages)
+        assert max(ages) <= bound, f"a mode has age {max(ages)}, above max_age {bound}"
+        assert all(0 <= mode < len(ages) and age == ages[mode] for mode, age in drawn), "an age that is not its mode's"
+    return np.array([mode for mode, _ in drawn], dtype=np.int64)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from transport.laws.modes import mode_shares, mode_transitions
 from transport.laws.statistics import law_p_value, mode_counts, transition_counts
 from transport.medium.draws import REASONS
 
@@ -56,18 +57,17 @@ def network_metrics(
 
 def expected_transitions(law: Any | None) -> npt.NDArray[np.float64] | None:
     """Return the transition matrix that the law states for its modes, None where it is no Markov chain."""
-    return _stated(law, "transition_matrix")
+    return _stated(law, mode_transitions)
 
 
 def expected_frequencies(law: Any | None) -> npt.NDArray[np.float64] | None:
     """Return the stationary frequency of every mode that the law states, None where it states none."""
-    return _stated(law, "stationary")
+    return _stated(law, mode_shares)
 
 
-def _stated(law: Any | None, name: str) -> npt.NDArray[np.float64] | None:
-    method = getattr(law, name, None)
+def _stated(law: Any | None, of: Callable[[object], npt.NDArray[np.float64] | None]) -> npt.NDArray[np.float64] | None:
     try:
-        return np.asarray(method(), dtype=np.float64) if callable(method) else None
+        return of(law)
     except ValueError:  # for instance a chain with several closed classes has no single stationary law
         return None
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from hil.compose.delay_chains import delay_chains
+from hil.compose.delay_chains import delay_chains, gains_over
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.session import simulate
@@ -12,14 +12,16 @@ from hil.session import simulate
 QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the prediction knows nothing of it
 
 
-def predicted_of(loop, ticks):
+def predicted_of(loop, ticks, **options):
     from design.networked_loop.prediction import predict_tracking
 
-    reference, disturbance = loop.reference(), loop.disturbance()
+    reference, disturbance, chains = loop.reference(), loop.disturbance(), delay_chains(loop.experiment)
     return predict_tracking(
-        loop.model.A, loop.model.B, loop.model.C, *delay_chains(loop.experiment),
-        loop.controller.table(loop.model), loop.controller.selection, np.array([reference(k) for k in range(ticks)]),
-        period_s=loop.model.period_s, samples=loop.samples, disturbance=np.array([disturbance(k) for k in range(ticks)]),
+        loop.model.A, loop.model.B, loop.model.C, *chains,
+        gains_over(loop.controller, loop.model, *chains), loop.controller.selection,
+        np.array([reference(k) for k in range(ticks)]),
+        period_s=loop.model.period_s, samples=loop.samples,
+        disturbance=np.array([disturbance(k) for k in range(ticks)]), **options,
     )  # fmt: skip
 
 

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.laws.delay_states import delay_states, measured_ages
 from transport.laws.latency import LatencyTrace, QuantileTable, latency
-from transport.laws.packet import SLOT_TOLERANCE, PacketLaw
-from transport.laws.protocols import prepare
-from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
+from transport.laws.modes import mode_bursts, mode_shares
+from transport.laws.packet import SLOT_TOLERANCE
+from transport.laws.protocols import ChainLaw, ChannelLaw, RecordedLaw, prepare, slots_served
 from transport.laws.stochastic_matrix import stationary_row
-from transport.laws.trace import TraceAge
 from transport.medium.draws import DELIVERED, NO_MODE, OVERFLOW
 from transport.medium.independent import impair
 
@@ -61,45 +62,60 @@ def analyse_law(law: Any, period_s: float, deadline_s: float) -> LawAnalysis:
     """Return what a law does in the long run.
 
     Args:
-        law: parameters of a network law; the methods `stationary` and `mean_bursts` are used where it has them.
+        law: parameters of a network law, ours or a stranger's; what it states by the protocols of `transport.laws.protocols` is
+            exact, the rest comes from a run.
         period_s: length T of a slot, seconds.
         deadline_s: seconds after the start of a slot at which it closes.
     """
     law = prepare(law)
-    stationary = law.stationary() if hasattr(law, "stationary") else np.zeros(0)
+    stationary, bursts = mode_shares(law), mode_bursts(law)
     method: Literal["exact", "simulated"] = "exact"
     overflow = 0.0
-    if isinstance(law, PacketLaw):
+    loss, mean_latency_s = 0.0, math.nan
+    ages: Sequence[int] | None = None
+    if isinstance(law, ChannelLaw):
         latencies = latency(law.latency)
+        loss, mean_latency_s = law.loss_probability, latencies.mean_s
         if law.reordering and not isinstance(latencies, LatencyTrace) and not _may_overflow(law, latencies, period_s, deadline_s):
             shares, unused = packet_age_shares(law, period_s, deadline_s), math.nan
         else:
             method = "simulated"
             shares, unused, overflow = _simulated(law, period_s, deadline_s)
-    elif hasattr(law, "stationary") and hasattr(law, "mode_ages"):
-        shares = np.bincount(law.mode_ages, weights=stationary).astype(np.float64)
-        unused = _unused(law)
+    elif isinstance(law, RecordedLaw):
+        recorded, ends = law.recorded(), slots_served(law) is not None
+        ages = range(int(recorded.max()) + 1)
+        cycle = measured_ages(recorded if ends else np.tile(recorded, 2))  # the second round knows what came before
+        measured = cycle[-len(recorded) :]
+        shares = np.bincount(measured) / len(measured)
+        grown = np.diff(cycle[-len(recorded) - (not ends) :]) == 1
+        unused = float(grown.mean()) if len(grown) else 0.0
+    elif (states := delay_states(law)) is not None:
+        ages = cast(ChainLaw, law).mode_ages
+        weights = stationary_row(states.matrix)
+        shares = np.bincount(states.ages, weights=weights).astype(np.float64)
+        # a packet is passed over exactly when the measured age grows by one
+        unused = float(weights @ (states.matrix * (states.ages[None, :] == states.ages[:, None] + 1)).sum(axis=1))
     else:
         method = "simulated"
         shares, unused, overflow = _simulated(law, period_s, deadline_s)
     older = max(0.0, 1.0 - float(shares.sum())) if len(shares) == LONGEST else 0.0
     return LawAnalysis(
-        kind=str(getattr(law, "kind", type(law).__name__)),
-        mode_ages=() if isinstance(law, PacketLaw) else tuple(getattr(law, "mode_ages", ())),
-        stationary=tuple(stationary.tolist()),
-        mean_bursts=tuple(law.mean_bursts().tolist()) if hasattr(law, "mean_bursts") else (),
+        kind=str(law.kind),
+        mode_ages=() if ages is None else tuple(ages),
+        stationary=() if stationary is None else tuple(stationary.tolist()),
+        mean_bursts=() if bursts is None else tuple(bursts.tolist()),
         age_shares=tuple(shares.tolist()),
         mean_age=float(shares @ np.arange(len(shares))) + older * len(shares) if len(shares) else math.inf,
         older=older,
         age_method=method,
-        loss_probability=float(getattr(law, "loss_probability", 0.0)) + overflow,
+        loss_probability=float(loss) + overflow,
         overflow=overflow,
         unused=unused,
-        mean_latency_s=latency(law.latency).mean_s if isinstance(law, PacketLaw) else math.nan,
+        mean_latency_s=mean_latency_s,
     )
 
 
-def packet_age_shares(law: PacketLaw, period_s: float, deadline_s: float) -> NDArray[np.float64]:
+def packet_age_shares(law: ChannelLaw, period_s: float, deadline_s: float) -> NDArray[np.float64]:
     """Return the stationary law of the age of the newest packet at the receiver, (ages,), under reordering.
 
     Packet k-b has not arrived at slot k with probability 1 - (1 - loss)(1 - s_b), where s_b = Pr(latency > deadline +
@@ -110,7 +126,7 @@ def packet_age_shares(law: PacketLaw, period_s: float, deadline_s: float) -> NDA
     latencies = latency(law.latency)
     if not latencies.lost and law.loss_probability < 1.0:
         losses, chain = np.array(law.channel_losses()), law.transition_matrix()
-        older = law.stationary()
+        older = stationary_row(chain)
         shares: list[float] = []
         while older.sum() > NEGLIGIBLE and len(shares) < LONGEST:
             due = np.array([deadline_s + (len(shares) + SLOT_TOLERANCE) * period_s])
@@ -123,7 +139,7 @@ def packet_age_shares(law: PacketLaw, period_s: float, deadline_s: float) -> NDA
     return np.zeros(0)
 
 
-def _may_overflow(law: PacketLaw, latencies: QuantileTable, period_s: float, deadline_s: float) -> bool:
+def _may_overflow(law: ChannelLaw, latencies: QuantileTable, period_s: float, deadline_s: float) -> bool:
     """Whether the queue can fill, in more than one slot of 10^12.
 
     A bounded latency bounds the packets in flight. Otherwise their number is a sum of independent ones of mean m <= (1 +
@@ -136,30 +152,10 @@ def _may_overflow(law: PacketLaw, latencies: QuantileTable, period_s: float, dea
     return q <= m or q - m - q * math.log(q / m) > math.log(NEGLIGIBLE)
 
 
-def _unused(law: Any) -> float:
-    """A packet is passed over exactly when the age grows by one; with gaps it may still come back, so nothing is claimed."""
-    if getattr(law, "allow_gaps", True):
-        return math.nan
-    if isinstance(law, TraceAge):
-        ages = np.array(law.loaded().ages)
-        steps = np.diff(np.append(ages, ages[0]) if law.past_end == "repeat" else ages)
-        return float((steps == 1).mean()) if len(steps) else 0.0
-    ages = np.array(law.mode_ages)
-    if isinstance(law, SemiMarkovAge):
-        chain = augmented_chain(law)
-        matrix, ages = chain.matrix, ages[chain.modes]
-    elif hasattr(law, "transition_matrix"):
-        matrix = law.transition_matrix()
-    else:
-        return math.nan
-    return float(stationary_row(matrix) @ (matrix * (ages[None, :] == ages[:, None] + 1)).sum(axis=1))
-
-
 def _simulated(law: Any, period_s: float, deadline_s: float) -> tuple[NDArray[np.float64], float, float]:
     """Ages, without the slots before the first arrival, unused share and overflow of a run in which every slot sends."""
     network = impair(law, np.random.default_rng(0), period_s, deadline_s)
-    length: int | None = getattr(law, "length", None)
-    slots = min(SIMULATED_SLOTS, length or SIMULATED_SLOTS)
+    slots = min(SIMULATED_SLOTS, slots_served(law) or SIMULATED_SLOTS)
     newest, ages, used, overflow = -1, [], 0, 0
     for k in range(slots):
         network.offer(k, None)

@@ -3,15 +3,19 @@
 Two families. An *age law* says in every slot k that the newest usable packet is the one of slot k - age. A *packet
 law* gives every packet its own latency, loss and duplicates. A law is a frozen set of parameters; `start` makes the
 running process from it.
+
+What a law says beyond that earns what can be computed of it, whoever wrote it: a `ChainLaw` or a `SemiMarkovLaw` gets a
+certificate, a design and a prediction; these, a `RecordedLaw` and a `ChannelLaw` an analysis and a test of every record.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import ClassVar, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transport.medium.draws import Draw
 
@@ -25,7 +29,7 @@ class AgeProcess(Protocol):
         ...
 
 
-class AgeFamily(Protocol):
+class AgeLaw(Protocol):
     """Parameters of an age law, a plug-in of group `hil.laws`. An age that grows by one means: nothing newer came."""
 
     kind: ClassVar[str]
@@ -49,7 +53,7 @@ class PacketProcess(Protocol):
         ...
 
 
-class PacketFamily(Protocol):
+class PacketLaw(Protocol):
     """Parameters of a packet law, a plug-in of group `hil.laws`."""
 
     kind: ClassVar[str]
@@ -70,6 +74,153 @@ class PacketFamily(Protocol):
         ...
 
 
+@runtime_checkable
+class MarkovModes(Protocol):
+    """A law whose modes are a Markov chain, whatever a mode means."""
+
+    def transition_matrix(self) -> NDArray[np.float64]:
+        """Return Pr(mode j in the next slot | mode i), (n, n)."""
+        ...
+
+
+@runtime_checkable
+class ChainLaw(MarkovModes, Protocol):
+    """An age law whose modes are a Markov chain, each with its age."""
+
+    @property
+    def mode_ages(self) -> Sequence[int]:
+        """Age of every mode, in slots."""
+        ...
+
+
+class Sojourn(Protocol):
+    """Law of the time in slots, at least one, that a mode lasts."""
+
+    def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return S(n) = Pr(h > n) for an array of n >= 0, same shape."""
+        ...
+
+    @property
+    def support(self) -> int:
+        """Largest sojourn time, or the one beyond which the probability is below 1e-12."""
+        ...
+
+
+@runtime_checkable
+class BoundedTail(Protocol):
+    """A sojourn law that says what its hazard does for ever; of one that does not say nothing is assumed."""
+
+    def hazard_beyond(self, slots: int) -> tuple[float, float]:
+        """Return the infimum and the supremum of Pr(h = n | h >= n) over all n > slots."""
+        ...
+
+
+@runtime_checkable
+class SemiMarkovLaw(Protocol):
+    """An age law that stays in mode i for a time of its own law, and then goes to mode j with probability matrix[i][j]."""
+
+    @property
+    def mode_ages(self) -> Sequence[int]:
+        """Age of every mode, in slots."""
+        ...
+
+    @property
+    def matrix(self) -> Sequence[Sequence[float]]:
+        """The embedded chain, (n, n)."""
+        ...
+
+    @property
+    def sojourn(self) -> Sequence[Sojourn]:
+        """One sojourn law per mode."""
+        ...
+
+
+@runtime_checkable
+class RecordedLaw(Protocol):
+    """An age law without chance: the mode is the age, and every one is known."""
+
+    def recorded(self) -> NDArray[np.int64]:
+        """Return the ages of slots 0, 1, ...; a law without end repeats them (see `FiniteLaw`)."""
+        ...
+
+
+@runtime_checkable
+class ChannelLaw(MarkovModes, Protocol):
+    """A packet law whose losses follow a Markov chain of the channel's modes, and whose latencies are independent of them."""
+
+    latency: float | str | dict[str, Any]
+    duplication: float
+    queue: int
+    reordering: bool
+    loss_probability: float
+
+    def channel_losses(self) -> Sequence[float]:
+        """Return the loss probability in every mode, (n,)."""
+        ...
+
+
+@runtime_checkable
+class LongRunLaw(Protocol):
+    """A law that says itself what it does in the long run."""
+
+    def stationary(self) -> NDArray[np.float64]:
+        """Return the share of slots in every mode, (n,)."""
+        ...
+
+    def mean_bursts(self) -> NDArray[np.float64]:
+        """Return the mean number of slots that a mode lasts, (n,)."""
+        ...
+
+
+@runtime_checkable
+class InitialLaw(Protocol):
+    """A law that says in which mode it begins; one that does not is met in a long run."""
+
+    @property
+    def initial(self) -> str | Sequence[float]:
+        """ "stationary" when slot 0 is met in a long run, else how the first mode is drawn."""
+        ...
+
+    def initial_law(self) -> NDArray[np.float64]:
+        """Return the law of the mode in slot 0, (n,)."""
+        ...
+
+
+@runtime_checkable
+class GapLaw(Protocol):
+    """An age law that says whether its age may grow by more than one per slot; one that does not say may."""
+
+    allow_gaps: bool
+
+
+@runtime_checkable
+class FiniteLaw(Protocol):
+    """A law that may have nothing more to give."""
+
+    @property
+    def length(self) -> int | None:
+        """Number of slots that the law serves, None for without end."""
+        ...
+
+
+@runtime_checkable
+class FileLaw(Protocol):
+    """A law that names files."""
+
+    def loaded(self, directory: str | PathLike[str] | None = None) -> Self:
+        """Return the same law with its files read."""
+        ...
+
+
+@runtime_checkable
+class PreparedLaw(Protocol):
+    """A law that tabulates what the processes that keep time shall not compute."""
+
+    def prepared(self) -> Self:
+        """Return the same law, tabulated, with its files read."""
+        ...
+
+
 _Law = TypeVar("_Law")
 
 
@@ -83,8 +234,7 @@ def load_files(law: _Law, directory: str | PathLike[str] | None = None) -> _Law:
     Raises:
         ValueError: a file is missing or faulty; the message starts with the field.
     """
-    loaded = getattr(law, "loaded", None)
-    return law if loaded is None else loaded(directory)
+    return law.loaded(directory) if isinstance(law, FileLaw) else law
 
 
 def prepare(law: _Law) -> _Law:
@@ -93,11 +243,9 @@ def prepare(law: _Law) -> _Law:
     A prepared law needs neither the disk nor scipy.stats, so that it can be pickled into a process that keeps time. A
     law without a method `prepared` needs no preparation.
     """
-    prepared = getattr(law, "prepared", None)
-    return load_files(law) if prepared is None else prepared()
+    return law.prepared() if isinstance(law, PreparedLaw) else load_files(law)
 
 
 def slots_served(law: object) -> int | None:
     """Return for how many slots a law can draw, None for without end (a trace that does not repeat has an end)."""
-    length: int | None = getattr(law, "length", None)
-    return length
+    return law.length if isinstance(law, FiniteLaw) else None

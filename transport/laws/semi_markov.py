@@ -11,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.laws.age import AgePath, ChainAge
-from transport.laws.sojourn import SojournLaw, hazards, mean_sojourn, remaining_sampler
+from transport.laws.protocols import SemiMarkovLaw, Sojourn
+from transport.laws.sojourn import SojournLaw, hazard_bounds, hazards, mean_sojourn, remaining_sampler
 from transport.laws.stochastic_matrix import cumulative, stationary_row, uniforms
+
+RESOLUTION = 1e-12
+"""Hazards closer than this are the same one: the ratios of survival probabilities are not known any better."""
 
 
 class AugmentedChain(NamedTuple):
@@ -22,11 +26,14 @@ class AugmentedChain(NamedTuple):
         matrix: (N, N) row-stochastic.
         modes: mode of every state, (N,).
         slots: slots spent in the mode, this one included, (N,); the last of a mode may stand for all longer ones.
+        low, high: entrywise bounds of the matrix, (N, N), from the hazards of all the slots that a state stands for.
     """
 
     matrix: NDArray[np.float64]
     modes: NDArray[np.int64]
     slots: NDArray[np.int64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,12 +100,13 @@ class SemiMarkovAge(ChainAge):
         return np.array([mean_sojourn(law) for law in self.sojourn])
 
 
-def augmented_chain(law: SemiMarkovAge, longest: int = 1000) -> AugmentedChain:
+def augmented_chain(law: SemiMarkovLaw, longest: int = 1000) -> AugmentedChain:
     """Return the Markov chain on (mode, slots spent in it) that a semi-Markov law is.
 
     From (i, h) the chain leaves to (j, 1) with probability hazard_i(h) matrix[i][j] and else goes on to (i, h+1). A
     constant hazard needs one state. The last state of a mode goes on to itself with its own hazard: exact where the
-    sojourn law ends or its hazard is constant from there on, otherwise an approximation beyond `longest` slots.
+    sojourn law ends or its hazard is constant from there on, otherwise an approximation, and `low` and `high` say between
+    which bounds the tail lies that is cut. A sojourn law that does not bound its hazard may do anything beyond the cut.
 
     Args:
         law: the semi-Markov law, n modes.
@@ -111,20 +119,34 @@ def augmented_chain(law: SemiMarkovAge, longest: int = 1000) -> AugmentedChain:
     >>> augmented_chain(law).matrix.tolist()
     [[0.75, 0.25, 0.0], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]]
     """
-    rows = [_distinct(hazards(sojourn, min(sojourn.support, longest))) for sojourn in law.sojourn]
+    known = [hazards(sojourn, min(sojourn.support, longest)) for sojourn in law.sojourn]
+    rows = [_distinct(hazard) for hazard in known]
     first = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     matrix = np.zeros((first[-1], first[-1]))
-    for i, row in enumerate(rows):
+    low, high = np.zeros_like(matrix), np.zeros_like(matrix)
+    for i, (row, hazard, sojourn) in enumerate(zip(rows, known, law.sojourn, strict=True)):
+        jumps = np.array(law.matrix[i])
         for h, leaving in enumerate(row):
-            state = first[i] + h
-            matrix[state, first[:-1]] = leaving * np.array(law.matrix[i])
-            matrix[state, min(state + 1, first[i + 1] - 1)] += 1.0 - leaving
+            least, most = (leaving, leaving) if h + 1 < len(row) else _tail(hazard[h:], sojourn, len(hazard))
+            state, following = first[i] + h, min(first[i] + h + 1, first[i + 1] - 1)
+            for chain, out, stay in ((matrix, leaving, leaving), (low, least, most), (high, most, least)):
+                chain[state, first[:-1]] = out * jumps
+                chain[state, following] += 1.0 - stay
     modes = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
     slots = np.concatenate([np.arange(1, len(row) + 1) for row in rows])
-    return AugmentedChain(matrix, modes, slots)
+    return AugmentedChain(matrix, modes, slots, low, high)
+
+
+def _tail(known: NDArray[np.float64], sojourn: Sojourn, cut: int) -> tuple[float, float]:
+    """Bounds of the hazard in the state that stands for all that is left: of what is known of it, and beyond the cut."""
+    least, most = hazard_bounds(sojourn, cut)
+    ended = known[-1] == 1.0  # no sojourn is longer, so that nothing is beyond
+    least, most = (1.0, 1.0) if ended else (least, most)
+    least, most = min(least, float(known.min())), max(most, float(known.max()))
+    return (known[0], known[0]) if most - least <= RESOLUTION else (least, most)
 
 
 def _distinct(hazard: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cut the tail in which the hazard no longer changes."""
-    changes = np.flatnonzero(np.abs(np.diff(hazard)) > 1e-12)
+    changes = np.flatnonzero(np.abs(np.diff(hazard)) > RESOLUTION)
     return hazard[: 1 if not len(changes) else changes[-1] + 2]

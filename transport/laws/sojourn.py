@@ -15,26 +15,18 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from transport.laws.protocols import BoundedTail, Sojourn
 from transport.laws.stochastic_matrix import checked_row
 
 LONGEST = 100_000
 TAIL = 1e-12
 
 
-class Sojourn(Protocol):
-    """Law of a sojourn time in slots, at least one."""
-
-    def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return S(n) = Pr(h > n) for an array of n >= 0, same shape."""
-        ...
+class SampledSojourn(Sojourn, Protocol):
+    """A sojourn law that can be drawn from."""
 
     def sampler(self) -> Callable[[float], int]:
         """Return the map from a uniform number of [0, 1) to a sojourn time."""
-        ...
-
-    @property
-    def support(self) -> int:
-        """Largest sojourn time, or the one beyond which the probability is below 1e-12."""
         ...
 
 
@@ -63,6 +55,10 @@ class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, t
     def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return S(n) = (1-p)^n."""
         return np.asarray((1.0 - self.p) ** slots, dtype=np.float64)
+
+    def hazard_beyond(self, slots: int) -> tuple[float, float]:
+        """Return the infimum and the supremum of the hazard: both are p."""
+        return self.p, self.p
 
     def sampler(self) -> Callable[[float], int]:
         """Return the inverse of the distribution function."""
@@ -105,6 +101,13 @@ class DiscreteWeibull(
         """Return S(n) = q^(n^beta)."""
         return np.asarray(self.q ** (slots.astype(np.float64) ** self.beta), dtype=np.float64)
 
+    def hazard_beyond(self, slots: int) -> tuple[float, float]:
+        """Return the bounds over n > slots of 1 - q^(n^beta - (n-1)^beta), which tends to 0 for beta < 1, to 1 for beta > 1."""
+        if self.beta == 1.0:
+            return 1.0 - self.q, 1.0 - self.q
+        following = -math.expm1(math.log(self.q) * ((slots + 1.0) ** self.beta - float(slots) ** self.beta))
+        return (0.0, following) if self.beta < 1.0 else (following, 1.0)
+
     def sampler(self) -> Callable[[float], int]:
         """Return the inverse of the distribution function."""
         scale, power = 1.0 / math.log(self.q), 1.0 / self.beta
@@ -138,6 +141,10 @@ class Uniform(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
         """Return S(n) = (high - n)/(high - low + 1), within 0 and 1."""
         return np.clip((self.high - slots) / (self.high - self.low + 1), 0.0, 1.0)
 
+    def hazard_beyond(self, slots: int) -> tuple[float, float]:
+        """Return the bounds of the hazard at the slots that are left; (1, 1) where no sojourn lasts longer."""
+        return bounds_until_the_end(self, slots)
+
     def sampler(self) -> Callable[[float], int]:
         """Return the inverse of the distribution function."""
         low, count = self.low, self.high - self.low + 1
@@ -167,6 +174,10 @@ class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_f
         kept = np.array(self.probabilities[: self.support])
         tails = np.append(np.cumsum(kept[::-1])[::-1] / kept.sum(), 0.0)
         return np.asarray(tails[np.minimum(slots, len(kept))], dtype=np.float64)
+
+    def hazard_beyond(self, slots: int) -> tuple[float, float]:
+        """Return the bounds of the hazard at the slots that are left; (1, 1) where no sojourn lasts longer."""
+        return bounds_until_the_end(self, slots)
 
     def sampler(self) -> Callable[[float], int]:
         """Return the inverse of the distribution function, by bisection."""
@@ -213,6 +224,25 @@ def hazards(law: Sojourn, longest: int | None = None) -> NDArray[np.float64]:
     survival = law.survival(np.arange((law.support if longest is None else longest) + 1))
     before, after = survival[:-1], survival[1:]
     return 1.0 - np.divide(after, before, out=np.zeros_like(after), where=before > 0.0)
+
+
+def bounds_until_the_end(law: Sojourn, slots: int) -> tuple[float, float]:
+    """Return the smallest and the largest hazard at n > slots of a law that ends with its support.
+
+    >>> bounds_until_the_end(Uniform(low=1, high=4), 2)
+    (0.5, 1.0)
+    """
+    left = hazards(law)[slots:]
+    return (float(left.min()), float(left.max())) if len(left) else (1.0, 1.0)
+
+
+def hazard_bounds(law: Sojourn, slots: int) -> tuple[float, float]:
+    """Return the infimum and the supremum of the hazard at all n > slots: (0, 1) for a law that does not say.
+
+    >>> hazard_bounds(Geometric(p=0.25), 7)
+    (0.25, 0.25)
+    """
+    return law.hazard_beyond(slots) if isinstance(law, BoundedTail) else (0.0, 1.0)
 
 
 def mean_sojourn(law: Sojourn) -> float:

@@ -8,19 +8,15 @@ are pooled.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.laws.age import ConstantAge
 from transport.laws.latency import LatencyTrace, latency
-from transport.laws.packet import PacketLaw
-from transport.laws.semi_markov import SemiMarkovAge
+from transport.laws.protocols import ChannelLaw, MarkovModes, RecordedLaw, SemiMarkovLaw, slots_served
 from transport.laws.sojourn import hazards
-from transport.laws.trace import TraceAge
-from transport.medium.draws import COPIED, DUPLICATED, LOST, OVERFLOW, REASONS, SENT, Draw
+from transport.medium.draws import COPIED, LOST, OVERFLOW, SENT, Draw
 
 EXPECTED = 5.0
 LATENCY_BINS = 10
@@ -38,54 +34,6 @@ class Evidence(NamedTuple):
     freedom: int
     possible: bool = True
     scarce: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NetworkStatistics:
-    """What one direction of the network did in a run.
-
-    Attributes:
-        law: kind of the law.
-        mode_counts: slots spent in every mode, (n,).
-        transition_counts: how often mode j followed mode i, (n, n).
-        p_value: probability of a record at least as unlike the law if the law is right; NaN for a law that cannot be
-            tested, and for a record too short to test it.
-        lost: packets that the law lost or its queue dropped.
-        duplicated: copies that arrived.
-        reasons: number of records of every reason that occurred.
-    """
-
-    law: str
-    mode_counts: list[int]
-    transition_counts: list[list[int]]
-    p_value: float
-    lost: int
-    duplicated: int
-    reasons: dict[str, int]
-
-
-def network_statistics(law: Any, draws: Any) -> NetworkStatistics:
-    """Return the statistics of one direction.
-
-    Args:
-        law: parameters of the law.
-        draws: the records of the whole run from slot 0: a list of `Draw`, or a structured array with its fields `tick`,
-            `mode`, `latency_s` and `reason`.
-    """
-    table = _columns(draws)
-    drawn = table["mode"] >= 0
-    modes = table["mode"][drawn]
-    size = max(_mode_number(law), int(modes.max(initial=0)) + 1)
-    reasons = np.bincount(table["reason"], minlength=len(REASONS))
-    return NetworkStatistics(
-        law=str(getattr(law, "kind", type(law).__name__)),
-        mode_counts=mode_counts(modes, size).tolist(),
-        transition_counts=transition_counts(modes, size).tolist(),
-        p_value=law_p_value(law, modes, draws),
-        lost=int((drawn & np.isin(table["reason"], (LOST, OVERFLOW))).sum()),
-        duplicated=int(reasons[DUPLICATED]),
-        reasons={name: int(count) for name, count in zip(REASONS, reasons, strict=False) if count},
-    )
 
 
 def mode_counts(modes: Modes, size: int | None = None) -> NDArray[np.int64]:
@@ -112,15 +60,16 @@ def law_p_value(law: Any, modes: Modes, draws: Any = None) -> float:
     """Return the p-value of a record under its law: uniform on [0, 1] if the law is right, up to the chi-square
     approximation.
 
-    Markov and iid laws are tested by the rows of their transition counts; semi-Markov laws by the hazard of leaving a
-    mode at every sojourn time, and by the embedded chain; a constant or a trace agrees (1.0) or does not (0.0); packet
-    laws by their channel's transitions, and with `draws` by losses and latencies too. A plug-in is tested if it has
-    `transition_matrix()`. NaN where there is no test (see `is_testable`), or too little was drawn for one.
+    Chains are tested by the rows of their transition counts; semi-Markov laws by the hazard of leaving a
+    mode at every sojourn time, and by the embedded chain; a record agrees (1.0) or does not (0.0); packet
+    laws by their channel's transitions, and with `draws` by losses and latencies too. A stranger's law is tested by the
+    protocol that it fulfils. NaN where there is no test (see `is_testable`), or too little was drawn for one.
 
     Args:
         law: parameters of the law.
         modes: mode of every slot from slot 0, (slots,).
-        draws: packet laws only: all records, see `network_statistics`.
+        draws: packet laws only: the records of the whole run from slot 0, a list of `Draw`, or a structured array with its fields
+            `tick`, `mode`, `latency_s` and `reason`.
     """
     from scipy.special import gammaincc
 
@@ -138,25 +87,23 @@ def law_p_value(law: Any, modes: Modes, draws: Any = None) -> float:
 
 def is_testable(law: Any) -> bool:
     """Return whether a record that is long enough can be tested against the law."""
-    return isinstance(law, ConstantAge | TraceAge | SemiMarkovAge) or hasattr(law, "transition_matrix")
+    return isinstance(law, RecordedLaw | SemiMarkovLaw | MarkovModes)
 
 
 def _evidence(law: Any, modes: Modes, draws: Any) -> Iterator[Evidence]:
-    if isinstance(law, ConstantAge):
-        yield Evidence(0.0, 0, bool((modes == 0).all()))
-    elif isinstance(law, TraceAge):
-        ages = np.array(law.loaded().ages)
-        served = law.past_end == "repeat" or len(modes) <= len(ages)
-        yield Evidence(0.0, 0, served and bool((modes == np.resize(ages, len(modes))).all()))
-    elif isinstance(law, SemiMarkovAge):
+    if isinstance(law, RecordedLaw):
+        ages, served = law.recorded(), slots_served(law)
+        enough = served is None or len(modes) <= served
+        yield Evidence(0.0, 0, enough and bool((modes == np.resize(ages, len(modes))).all()))
+    elif isinstance(law, SemiMarkovLaw):
         yield from _sojourn_evidence(law, modes)
-    elif hasattr(law, "transition_matrix"):
-        matrix = law.transition_matrix()
+    elif isinstance(law, MarkovModes):
+        matrix = np.asarray(law.transition_matrix(), dtype=np.float64)
         if modes.max(initial=0) >= len(matrix):
             yield Evidence(0.0, 0, False)
             return
         yield from _row_evidence(transition_counts(modes, len(matrix)), matrix)
-        if isinstance(law, PacketLaw) and draws is not None:
+        if isinstance(law, ChannelLaw) and draws is not None:
             yield from _packet_evidence(law, draws)
 
 
@@ -183,7 +130,7 @@ def _cells_evidence(observed: NDArray[np.int64], probabilities: NDArray[np.float
     return Evidence(float(sum((o - e) ** 2 / e for o, e in pools)), len(pools) - 1, possible)
 
 
-def _sojourn_evidence(law: SemiMarkovAge, modes: Modes) -> Iterator[Evidence]:
+def _sojourn_evidence(law: SemiMarkovLaw, modes: Modes) -> Iterator[Evidence]:
     size = len(law.matrix)
     if modes.max(initial=0) >= size:
         yield Evidence(0.0, 0, False)
@@ -227,7 +174,7 @@ def _hazard_evidence(left: NDArray[np.int64], at_risk: NDArray[np.int64], hazard
     yield Evidence(float(sum(more**2 / spread for more, spread in usable)), len(usable), possible, scarce=chance and not usable)
 
 
-def _packet_evidence(law: PacketLaw, draws: Any) -> Iterator[Evidence]:
+def _packet_evidence(law: ChannelLaw, draws: Any) -> Iterator[Evidence]:
     table = _columns(draws)
     fate = (table["mode"] >= 0) & np.isin(table["reason"], (SENT, LOST))
     sent = fate & (table["reason"] == SENT)
@@ -266,8 +213,3 @@ def _columns(draws: Any) -> dict[str, NDArray[Any]]:
         "latency_s": np.array([draw.latency_s for draw in rows], dtype=np.float64),
         "reason": np.array([draw.reason for draw in rows], dtype=np.int64),
     }
-
-
-def _mode_number(law: Any) -> int:
-    stationary = getattr(law, "stationary", None)
-    return 1 if stationary is None else len(stationary())

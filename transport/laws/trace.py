@@ -91,6 +91,10 @@ class TraceAge:
         """Number of slots that the trace serves, None for without end."""
         return None if self.past_end == "repeat" else len(self.loaded().ages)
 
+    def recorded(self) -> NDArray[np.int64]:
+        """Return the ages of slots 0, 1, ... (ages,)."""
+        return np.array(self.loaded().ages, dtype=np.int64)
+
     @property
     def mode_ages(self) -> tuple[int, ...]:
         """Age of every mode, in slots: the mode itself."""

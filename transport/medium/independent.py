@@ -10,7 +10,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from transport.laws.protocols import AgeFamily, AgeProcess, PacketFamily, PacketProcess
+from transport.laws.protocols import AgeLaw, AgeProcess, GapLaw, PacketLaw, PacketProcess
 from transport.medium.draws import (
     ABSENT,
     COPIED,
@@ -229,7 +229,7 @@ class PacketImpairment:
         return parcel.tick, parcel.packet
 
 
-def impair(law: AgeFamily | PacketFamily, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:
+def impair(law: AgeLaw | PacketLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:
     """Return the emulated network of one direction under a law.
 
     Args:
@@ -242,12 +242,12 @@ def impair(law: AgeFamily | PacketFamily, rng: np.random.Generator, period_s: fl
         ValueError: `law.family` is neither "age" nor "packet".
     """
     if law.family == "age":
-        age_law = cast(AgeFamily, law)
+        age_law = cast(AgeLaw, law)
         # A foreign law that does not say is taken to have gaps: that is safe, it only holds packets for longer.
-        gaps = bool(getattr(law, "allow_gaps", True))
+        gaps = law.allow_gaps if isinstance(law, GapLaw) else True
         return AgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age, gaps=gaps)
     if law.family == "packet":
-        packet_law = cast(PacketFamily, law)
+        packet_law = cast(PacketLaw, law)
         process = packet_law.start(rng, period_s, deadline_s)
         return PacketImpairment(process, period_s=period_s, reordering=packet_law.reordering, queue=packet_law.queue)
     raise ValueError(f'family: got {law.family!r} from law {type(law).__name__}, expected "age" or "packet"')

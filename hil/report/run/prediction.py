@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from design.controllers import GainTable, integrates
-from hil.compose.delay_chains import delay_chains, gains_over
+from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.measure.signals import with_unit
@@ -94,12 +94,6 @@ def _starts(loop: Loop, ticks: int) -> tuple[int, ...]:
     return (0, after) if after < ticks else (0,)
 
 
-def _initial(law: Any, chain: Any) -> np.ndarray[Any, Any]:
-    """Return the distribution of the chain's modes in slot 0: the law's own, where its modes are the chain's."""
-    own = law.initial_law() if hasattr(law, "initial_law") else chain.stationary
-    return np.asarray(own if len(own) == chain.modes else chain.stationary)
-
-
 def _predict(loop: Loop, controller: GainTable, chains: tuple[Any, Any], r: np.ndarray[Any, Any]) -> Any | None:
     from design.errors import DesignError
     from design.networked_loop.prediction import predict_tracking
@@ -111,7 +105,7 @@ def _predict(loop: Loop, controller: GainTable, chains: tuple[Any, Any], r: np.n
         "disturbance": np.array([at(k) for k in range(len(r))]),
         "samples": loop.samples,
         "integral": integrates(controller),
-        "initial": tuple(map(_initial, (loop.sc_law, loop.ca_law), chains)),
+        "initial": initial_laws(loop.experiment),
     }
     arguments = (model.A, model.B, model.C, *chains, gains, controller.selection, r)
     try:

@@ -12,7 +12,7 @@ from hil.log.read.run import Run
 from hil.measure.network import expected_frequencies, expected_transitions, mode_sequence
 from hil.report.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
 from hil.report.html.numbers import text_of
-from transport.laws.semi_markov import SemiMarkovAge
+from transport.laws.protocols import ChainLaw, RecordedLaw, SemiMarkovLaw
 from transport.laws.sojourn import hazards
 from transport.laws.statistics import is_testable
 
@@ -37,8 +37,8 @@ def network_blocks(run: Run, network: Mapping[str, Any], laws: Mapping[str, Any 
         found, law = network[side], laws.get(side)
         if not found["mode_counts"]:
             continue
-        ages = getattr(law, "mode_ages", None)
-        plain = ages is not None and list(ages) == list(range(len(found["mode_counts"])))
+        ages = law.mode_ages if isinstance(law, ChainLaw | SemiMarkovLaw) else range(0)
+        plain = isinstance(law, RecordedLaw) or list(ages) == list(range(len(found["mode_counts"])))
         what = f"{symbol} (samples)" if plain else "mode of the law"
         blocks.append(_frequencies(found, law, f"{_capital(way)}: mode frequencies", what))
         blocks.append(_transitions(found, law, f"{_capital(way)}: transitions", symbol if plain else "mode"))
@@ -120,7 +120,7 @@ def _transitions(found: Mapping[str, Any], law: Any, title: str, symbol: str) ->
 
 def _sojourns(run: Run, side: str, law: Any) -> list[Block]:
     """How long every mode of a semi-Markov law lasted, beside its sojourn law; modes met too rarely are left out."""
-    if not isinstance(law, SemiMarkovAge):
+    if not isinstance(law, SemiMarkovLaw):
         return []
     modes = mode_sequence(run.arrays[f"/network/{side}"])
     starts = np.flatnonzero(np.diff(modes)) + 1

@@ -49,11 +49,19 @@ def test_count_of_the_controller_is_the_label_of_the_chain(sojourns: int | tuple
 
 
 def test_a_delay_that_never_comes_has_the_table_that_its_label_gives_it() -> None:
-    gap = SemiMarkovAge(matrix=BURSTY.matrix, sojourn=BURSTY.sojourn, ages=(0, 1, 3), allow_gaps=True)
-    by_delay, by_stay = delay_chain(gap), delay_chain(gap, 2)
+    later = SemiMarkovAge(matrix=BURSTY.matrix, sojourn=BURSTY.sojourn, ages=(1, 2, 3))
+    by_delay, by_stay = delay_chain(later), delay_chain(later, 2)
     assert by_delay is not None and by_stay is not None
-    assert by_delay.sojourns == (1, 1, 1, 1)  # labels are delays, so 2 has a table of its own that nobody uses
-    assert by_stay.sojourns == (2, 2, 0, 2)
+    assert by_delay.sojourns == (1, 1, 1, 1)  # labels are delays, so 0 has a table of its own that nobody uses
+    assert by_stay.sojourns == (0, 2, 2, 2)
+
+
+def test_a_stay_is_not_told_where_the_receiver_measures_another_one() -> None:
+    gap = SemiMarkovAge(matrix=BURSTY.matrix, sojourn=BURSTY.sojourn, ages=(0, 1, 3), allow_gaps=True)
+    chain = delay_chain(gap)
+    assert chain is not None and sorted(set(chain.delay.tolist())) == [0, 1, 2, 3]  # 2 on the way from 1 to 3
+    with pytest.raises(ValueError, match="the receiver measures another stay"):
+        delay_chain(gap, 2)
 
 
 def test_log_shows_the_gain_of_the_slot() -> None:

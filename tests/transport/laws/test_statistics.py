@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hil.measure.network import network_metrics
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.semi_markov import SemiMarkovAge
 from transport.laws.sojourn import DiscreteWeibull, Geometric, Table, Uniform
-from transport.laws.statistics import is_testable, law_p_value, mode_counts, network_statistics, transition_counts
+from transport.laws.statistics import is_testable, law_p_value, mode_counts, transition_counts
 from transport.laws.trace import TraceAge
-from transport.medium.draws import DELIVERED, DUPLICATED, LOST, Draw
+from transport.medium.draws import DUPLICATED, LOST, Draw
 from transport.medium.independent import impair
 
 LAMBDA = MarkovAge(matrix=((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1)))
@@ -46,7 +47,7 @@ def records(law: Any, slots: int, seed: int) -> list[Draw]:
 
 
 def packet_p_value(law: PacketLaw, draws: list[Draw]) -> float:
-    return network_statistics(law, draws).p_value
+    return law_p_value(law, np.array([draw.mode for draw in draws if draw.mode >= 0]), draws)
 
 
 @pytest.mark.parametrize("law", [LAMBDA, PI, BURSTY, IidAge(probabilities=(0.8, 0.2))], ids=["lambda", "pi", "bursty", "iid"])
@@ -151,11 +152,11 @@ def test_statistics_come_from_records_or_from_a_log_alike() -> None:
     draws = records(GAMMA, 500, 2)
     kinds = [("tick", "<i8"), ("mode", "<i4"), ("latency_s", "<f8"), ("reason", "u1")]
     log = np.array([(d.tick, d.mode, d.latency_s, d.reason) for d in draws], dtype=kinds)
-    found = network_statistics(GAMMA, draws)
-    assert network_statistics(GAMMA, log) == found
-    assert found.law == "packet"
-    assert sum(found.mode_counts) == 500
-    assert np.sum(found.transition_counts) == 499
-    assert found.lost == sum(d.reason == LOST for d in draws) == found.reasons["lost"]
-    assert found.duplicated == sum(d.reason == DUPLICATED for d in draws) > 0
-    assert network_statistics(LAMBDA, [Draw(0, 0, 0, 0, 0.0, DELIVERED)]).mode_counts == [1, 0, 0]
+    found = network_metrics(log, GAMMA, "packet")
+    assert found["p_value"] == packet_p_value(GAMMA, draws)
+    assert found["law"] == "packet"
+    assert sum(found["mode_counts"]) == 500
+    assert np.sum(found["transition_counts"]) == 499
+    assert found["lost"] == sum(d.reason == LOST for d in draws) == found["fates"]["lost"]
+    assert found["duplicated"] == sum(d.reason == DUPLICATED for d in draws) > 0
+    assert network_metrics(log[:1], LAMBDA, "markov")["mode_counts"] == [1, 0, 0]

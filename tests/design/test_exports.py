@@ -1,0 +1,31 @@
+"""The names of the package are functions and classes, whichever was imported before."""
+
+import subprocess
+import sys
+
+import pytest
+
+ORDERS = [
+    "import design; design.robust_feedback; design.delayed_hinf; rf, dh = design.robust_feedback, design.delayed_hinf",
+    "from design import analyse_delayed, delayed_hinf as dh, robust_feedback as rf",
+    "from design import delayed_hinf as dh, fastest_feedback, robust_feedback as rf; import design; dh = design.delayed_hinf",
+    "import design.semi_markov_loop.robust_feedback, design.semi_markov_loop.delayed_hinf; "
+    "from design import robust_feedback as rf, delayed_hinf as dh",
+    "import design; design.robust_feedback; from design import *; rf, dh = robust_feedback, delayed_hinf",
+    "from design import *; rf, dh = robust_feedback, delayed_hinf",
+]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_name_means_the_function_every_time(order):
+    code = f"{order}; import types; assert isinstance(rf, types.FunctionType) and isinstance(dh, types.FunctionType), (rf, dh)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert found.returncode == 0, found.stderr
+
+
+def test_no_name_is_that_of_a_module_beside_it():
+    import pkgutil
+
+    import design
+
+    assert not {module.name for module in pkgutil.iter_modules(design.__path__)} & set(design.__all__)
