@@ -30,9 +30,7 @@ class NoisyRuns(NamedTuple):
     size: FloatArray
 
 
-def _norms(
-    time_s: FloatArray, x: FloatArray, c: FloatArray, noise: FloatArray, noise_s: float
-) -> tuple[FloatArray, FloatArray]:
+def _norms(time_s: FloatArray, x: FloatArray, c: FloatArray, noise: FloatArray, noise_s: float) -> tuple[FloatArray, FloatArray]:
     z = x @ c.T
     size = np.sqrt(np.trapezoid((z * z).sum(axis=-1), time_s, axis=-1))
     with np.errstate(divide="ignore"):
@@ -89,9 +87,7 @@ def delayed_runs(
             t: float, y: FloatArray, k: int = k, mode: npt.NDArray[np.intp] = mode, loop: FloatArray = loop, ad: FloatArray = ad,
             push: FloatArray = push,
         ) -> FloatArray:  # fmt: skip
-            return np.asarray(
-                np.einsum("rij,rj->ri", loop, y) + np.einsum("rij,rj->ri", ad, delayed(k, t, y, mode)) + push
-            )
+            return np.asarray(np.einsum("rij,rj->ri", loop, y) + np.einsum("rij,rj->ri", ad, delayed(k, t, y, mode)) + push)
 
         one = flow(t, x[k])
         two = flow(t + 0.5 * step_s, x[k] + 0.5 * step_s * one)
@@ -184,9 +180,7 @@ def _propagate(
     return out
 
 
-def _held(
-    system: JumpSystem, gain: ScheduledGain, key: tuple[int, int, int], step_s: float
-) -> tuple[FloatArray, FloatArray]:
+def _held(system: JumpSystem, gain: ScheduledGain, key: tuple[int, int, int], step_s: float) -> tuple[FloatArray, FloatArray]:
     """Transition and input matrix over a step with the noise held."""
     i, mode, section = key
     assert system.e is not None

@@ -165,7 +165,19 @@ class Badge:
     detail: str = ""
 
 
-Cell: TypeAlias = str | int | float | bool | Badge | None
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Link:
+    """A cell that leads to another page: the words, and a file name beside this page (no other address is taken)."""
+
+    label: str
+    href: str
+
+    def __post_init__(self) -> None:
+        if not self.href or any(sign in self.href for sign in ":/\\"):
+            raise ValueError(f"href: {self.href!r}, expected a file name beside the page")
+
+
+Cell: TypeAlias = str | int | float | bool | Badge | Link | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.report.html.decimation import bucket_extremes, step_ends
-from hil.report.html.figures import Badge, Bars, Block, Cell, Figure, Histogram, Matrix, Series, Table, Text, Tile
+from hil.report.html.figures import Badge, Bars, Block, Cell, Figure, Histogram, Link, Matrix, Series, Table, Text, Tile
 from hil.report.html.numbers import text_of
 from hil.report.html.svg import draw_bars, draw_histogram
 
@@ -248,6 +248,8 @@ def _table(table: Table) -> str:
 
 
 def _words(cell: Cell) -> str:
+    if isinstance(cell, Link):
+        return cell.label
     return f"{cell.label} {cell.detail}" if isinstance(cell, Badge) else str(cell)
 
 
@@ -258,6 +260,8 @@ def _is_number(cell: Cell) -> bool:
 def _cell(cell: Cell) -> str:
     if isinstance(cell, Badge):
         return badge_html(cell)
+    if isinstance(cell, Link):
+        return f'<a href="{escape(cell.href, quote=True)}">{escape(cell.label)}</a>'
     return escape(text_of(cell, 6) if isinstance(cell, float) else text_of(cell))
 
 

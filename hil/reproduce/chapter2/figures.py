@@ -10,7 +10,7 @@ import numpy.typing as npt
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.studies import mean_states, trajectories
 from hil.report.html.figures import BarGroup, Bars, Figure, Histogram, Series
-from hil.reproduce import Plot
+from hil.reproduce.chapter import Plot
 
 FloatArray = npt.NDArray[np.float64]
 DT_S = 0.01
@@ -54,9 +54,7 @@ def one_run(published: JumpLoop, reference: JumpLoop, seed: int = 3) -> Plot:
         )
         for n in (0, 1)
     ]
-    return Plot(
-        title="Figure 2.2", panels=tuple(panels), intro="One run of both controllers, and 20 semi-Markov paths."
-    )
+    return Plot(title="Figure 2.2", panels=tuple(panels), intro="One run of both controllers, and 20 semi-Markov paths.")
 
 
 def monte_carlo_average(published: JumpLoop, reference: JumpLoop, settled: Settling, runs: int, seed: int) -> Plot:
@@ -77,9 +75,7 @@ def monte_carlo_average(published: JumpLoop, reference: JumpLoop, settled: Settl
     for name, values in (("(2.27)", settled.published), ("[1, 2]", settled.reference)):
         counts, edges = np.histogram(values[np.isfinite(values)], bins=60)
         panels.append(
-            Histogram(
-                title=f"2.3b: settling time of {name}", edges=edges, counts=counts, x_label="settling time", x_unit="s"
-            )
+            Histogram(title=f"2.3b: settling time of {name}", edges=edges, counts=counts, x_label="settling time", x_unit="s")
         )
     return Plot(title="Figure 2.3", panels=tuple(panels))
 
@@ -114,8 +110,7 @@ def certified_scales(scales: dict[tuple[str, int], float]) -> Plot:
     counts = (1, 2, 4, 8)
     names = {"pwl": "linear in h (ours)", "pwc": "constant per section (sound)", "printed": "printed (unsound)"}
     groups = tuple(
-        BarGroup(label=names[m], values=[scales[m, n] for n in counts], hollow=m == "printed")
-        for m in ("pwl", "pwc", "printed")
+        BarGroup(label=names[m], values=[scales[m, n] for n in counts], hollow=m == "printed") for m in ("pwl", "pwc", "printed")
     )
     bars = Bars(
         title="largest certified scale of the uncertainty",

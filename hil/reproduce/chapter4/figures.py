@@ -10,7 +10,7 @@ import numpy.typing as npt
 from design.processes.lifetimes import ColdStandbyRate, KOutOfNRate
 from design.processes.semi_markov import FaultDetection, sample_fault_detection
 from hil.report.html.figures import Figure, Histogram, Series
-from hil.reproduce import Plot
+from hil.reproduce.chapter import Plot
 
 FloatArray = npt.NDArray[np.float64]
 STATES = (("x1", "horizontal velocity", "knot"), ("x2 = y", "vertical velocity", "knot"), ("x3", "pitch rate", "deg/s"),
@@ -89,8 +89,7 @@ def _states(ensembles: dict[str, Ensemble], run: int | None) -> tuple[Figure, ..
 def ratios(ensembles: dict[str, Ensemble]) -> Plot:
     """Figure 4.8: ||y|| / ||w|| of every run."""
     series = tuple(
-        Series(label=label, x=np.arange(1.0, e.ratio.size + 1), y=e.ratio, style="points")
-        for label, e in ensembles.items()
+        Series(label=label, x=np.arange(1.0, e.ratio.size + 1), y=e.ratio, style="points") for label, e in ensembles.items()
     )
     panels: list[Figure | Histogram] = [
         Figure(title="4.8: ||y|| / ||w|| per run", x_label="run", x_unit="", y_label="ratio", series=series, sync=None)
@@ -107,9 +106,7 @@ def text_rule(diverging: Ensemble, calm: Ensemble) -> Plot:
     panels = []
     for title, e in (("(4.30) as K_kk", diverging), ("(4.31) as K_kk,m", calm)):
         size = np.maximum(np.linalg.norm(e.x, axis=2), 1e-12)
-        series = tuple(
-            Series(label="single runs", x=e.time_s, y=size[k], colour=0, faint=True) for k in range(size.shape[0])
-        )
+        series = tuple(Series(label="single runs", x=e.time_s, y=size[k], colour=0, faint=True) for k in range(size.shape[0]))
         panels.append(Figure(title=title, y_label="|x|", y_log=True, series=series))
     return Plot(
         title="Gains that see r only", panels=tuple(panels),

@@ -7,8 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from design.jump_linear.h2 import h2_norm
+from design.jump_linear.mjls import MJLS
+from design.monte_carlo.markov_batch import simulate_mjls
+from design.networked_loop.closed_loop import loop_structure
 from hil.compose.design_problem import LAMBDA, PI, PRINTED_VTOL
-from hil.reproduce import Row, row
+from hil.reproduce.judgement import Row, above, below, near, row, within_error
 from plants import VTOL, DCMotor
 
 Array = npt.NDArray[np.float64]
@@ -23,7 +27,7 @@ VTOL_H2 = np.array(
 VTOL_HINF = np.array(
     [[[-5.6786, 7.4750], [-6.5506, 8.7246]], [[-1.8669, 2.5136], [-1.2499, 1.6792]], [[-1.0491, 1.4216], [-0.9730, 1.3288]]]
 )[..., None]
-VTOL_LOCAL_H2 = np.array([[-56.0196], [-10.5998]])
+VTOL_LOCAL = np.array([[-56.0196], [-10.5998]])
 NETWORK = (np.array(LAMBDA), np.array(PI))
 
 
@@ -58,28 +62,36 @@ def model_rows() -> list[Row]:
     right = motor()
     printed = np.sort(np.linalg.eigvals(A))
     needed = -float(np.log(printed[0])) / 3.5287
+    smaller = float(np.exp(-3.5287 * 0.05))
     exact = VTOL().model().discretise(0.01)
     A_v, B_v, _ = vtol()
     off = max(float(np.abs(np.asarray(exact.A) - A_v).max()), float(np.abs(np.asarray(exact.B) - B_v).max()))
     pair = np.linalg.eigvals(np.asarray(exact.A))
-    pair = pair[np.argsort(-np.abs(pair))]
+    pair = pair[np.lexsort((-pair.imag, -np.round(np.abs(pair), 9)))]
     rounded = max(float(v.imag) for v in np.linalg.eigvals(A_v))
     return [
         row(
             "motor: A, B at T = 0.05 s", "[1.00021 .00460; .00460 .00004], [.34868; 7.68069]",
-            f"[1 {right.A[0, 1]:.6f}; 0 {right.A[1, 1]:.6f}], [{right.B[0, 0]:.6f}; {right.B[1, 0]:.6f}]", "claim false",
-            f"a hold has the eigenvalues 1 and exp(-3.5287 T); the printed ones are {printed[1]:.5f} and {printed[0]:.5f}, so "
-            f"the first is never met and the second asks for T = {needed:.1f} s",
+            near("largest eigenvalue", printed[1], 1.0, absolute=0.5e-5),
+            near("smallest eigenvalue", printed[0], smaller, absolute=0.5e-5),
+            computed=f"[1 {right.A[0, 1]:.6f}; 0 {right.A[1, 1]:.6f}], [{right.B[0, 0]:.6f}; {right.B[1, 0]:.6f}]",
+            witness=(above("distance of the printed A from any hold: largest eigenvalue - 1", printed[1] - 1.0, 1e-4),),
+            basis=f"a hold has the eigenvalues 1 and exp(-3.5287 T) at every T; the printed ones are {printed[1]:.5f} and "
+            f"{printed[0]:.5f}, so the first is never met and the second asks for T = {needed:.1f} s",
         ),
         row(
-            "VTOL: A, B at T = 0.01 s", "4 decimals", f"largest difference {off:.1e}", "reproduced",
-            "zero-order hold of the matrices of Chapters 3 and 4",
+            "VTOL: A, B at T = 0.01 s", "4 decimals", below("largest difference", off, 0.51e-4),
+            basis="zero-order hold of the matrices of Chapters 3 and 4",
         ),
         row(
             "VTOL: eigenvalues of A", "0.9977, 0.9795, 1.0028 +- 0.0026i",
-            ", ".join(f"{v.real:.4f}{v.imag:+.4f}i" if v.imag else f"{v.real:.4f}" for v in pair),
-            "reproduced" if np.allclose(np.sort(np.abs(pair)), [0.9795, 0.9977, 1.0028, 1.0028], atol=1e-4) else "not reproduced",
-            f"of the unrounded hold; the printed four decimals have the imaginary part {rounded:.4f}",
+            *(
+                near(f"{part} of eigenvalue {n + 1}", value, wanted, absolute=0.51e-4)
+                for n, (v, w) in enumerate(zip(pair, (1.0028 + 0.0026j, 1.0028 - 0.0026j, 0.9977, 0.9795), strict=True))
+                for part, value, wanted in (("real part", v.real, complex(w).real), ("imaginary part", v.imag, complex(w).imag))
+            ),
+            computed=", ".join(f"{v.real:.4f}{v.imag:+.4f}i" if v.imag else f"{v.real:.4f}" for v in pair),
+            basis=f"of the unrounded hold; the printed four decimals have the imaginary part {rounded:.4f}",
         ),
     ]  # fmt: skip
 
@@ -94,22 +106,51 @@ def theorem_rows() -> list[Row]:
     P2 = 10.0 * np.array([[1.0, 0.0], [0.0, 5.0]])
     P1 = P2 + np.eye(2)
     change = np.linalg.eigvalsh(gamma(P1) - gamma(P2))
+    valid = min(float(np.linalg.eigvalsh(-gamma(P)).min()) for P in (P1, P2))
     return [
         row(
             "Remark 7.5: P1 > P2 implies Gamma(P1) < Gamma(P2)", "monotonically decreasing",
-            f"Gamma(P1) - Gamma(P2) has the eigenvalues {change[0]:g} and {change[1]:g}", "claim false",
-            "one mode, A = [0 2; 0 0], P2 = diag(10, 50), P1 = P2 + I; both fulfil (7.17)",
+            below("largest eigenvalue of Gamma(P1) - Gamma(P2)", change[1], 0.0),
+            computed=f"Gamma(P1) - Gamma(P2) has the eigenvalues {change[0]:g} and {change[1]:g}",
+            witness=(
+                above("largest eigenvalue of Gamma(P1) - Gamma(P2)", change[1], 0.0),
+                above("margin of both in (7.17)", valid, 0.0),
+                above("smallest eigenvalue of P1 - P2", float(np.linalg.eigvalsh(P1 - P2).min()), 0.0),
+            ),
+            basis="one mode, A = [0 2; 0 0], P2 = diag(10, 50), P1 = P2 + I; both fulfil (7.17)",
         ),
-        row(
-            "(7.19): the H2 norm sums |E z|^2", "|| E z ||^2", "sum of E |z|^2 over k >= 1", "claim false",
-            "what (7.20)-(7.21) and the proof compute; both are offered (definition=\"mean\" is as printed)",
-        ),
-        row(
-            "(7.24c): X_i is the inverse of a sum over r and s", "sum over r, s", "sum over j, s: E_i(P) of (7.29)",
-            "claim false", "with the printed indices the mode that it belongs to is summed away",
-        ),
-        row(
-            "(7.35): payload of one control packet", "20 bytes", f"{(2 * 2 + 1) * 4} bytes", "reproduced",
-            "(d + 1) rows x 2 inputs + one time stamp, 4 bytes each: one CAN FD frame with our header",
-        ),
+        _definition(),
+        _payload(),
     ]  # fmt: skip
+
+
+def _definition() -> Row:
+    loop = loop_structure(*motor(), *NETWORK, "generated", output="sum").system(H2)
+    energy, mean = h2_norm(loop), h2_norm(loop, definition="mean")
+    runs = simulate_mjls(loop, 4000, 300, start=loop.matrices[1][0, :, 0], initial=_after_impulse(loop), seed=1).energy
+    found, error = float(runs.mean()), float(runs.std()) / len(runs) ** 0.5
+    return row(
+        "(7.19): the H2 norm sums |E z|^2", "|| E z ||^2",
+        near("norm by (7.20)-(7.21)", energy, mean, relative=0.01),
+        computed=f"with (7.37): {energy:.4f} by (7.20)-(7.21), {mean:.4f} by (7.19) as printed; sum of E |z|^2 over 4000 runs "
+        f"{found**0.5:.4f}",
+        witness=(
+            above("excess of (7.20)-(7.21) over (7.19)", energy / mean - 1.0, 0.01),
+            within_error("sum of E |z|^2 over 4000 runs", found, energy**2, error=error, why="4 standard errors of the runs"),
+        ),
+        basis="(7.20)-(7.21) and the proof compute the sum of E |z|^2; both are offered (definition=\"mean\" is as printed)",
+    )  # fmt: skip
+
+
+def _after_impulse(loop: MJLS) -> Array:
+    """Distribution of the mode one slot after a uniform start, when the impulse has entered the state."""
+    transition = loop.matrices[4]
+    return np.asarray(np.full(len(transition), 1.0 / len(transition)) @ transition)
+
+
+def _payload() -> Row:
+    words = len(PI) * vtol().B.shape[1] + 1
+    return row(
+        "(7.35): payload of one control packet", "20 bytes", near("bytes", words * 4, 20.0, absolute=0.5),
+        basis="(d + 1) rows x 2 inputs + one time stamp, 4 bytes each: one CAN FD frame with our header",
+    )  # fmt: skip

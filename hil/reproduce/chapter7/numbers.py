@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from hil.reproduce import Progress, Reproduction
+from hil.reproduce.chapter import Chapter, Part, Stage, Tell
+from hil.reproduce.chapter7.designs import designs, gain_bounds, information
+from hil.reproduce.chapter7.figures import motor_plots, smith, vtol_plots
+from hil.reproduce.chapter7.friction import experiment_rows, fit
+from hil.reproduce.chapter7.local import local_designs
+from hil.reproduce.chapter7.models import model_rows, theorem_rows
+from hil.reproduce.chapter7.tables import motor_table, vtol_table
 
 
-def reproduce(progress: Progress) -> Reproduction:
-    """Models, norms, gains, Tables 7.1 and 7.2, Figures 7.2 to 7.4 and 7.6 to 7.8, and the fitted motor."""
-    from hil.reproduce.chapter7.designs import design_rows, gain_bound_plot, information_plot
-    from hil.reproduce.chapter7.figures import motor_plots, smith_plot, vtol_plots
-    from hil.reproduce.chapter7.friction import experiment_rows, fit
-    from hil.reproduce.chapter7.models import model_rows, theorem_rows
-    from hil.reproduce.chapter7.tables import table_rows
+def _models(tell: Tell) -> Part:
+    """The printed models, and statements of Section 7.3."""
+    return Part(rows=(*model_rows(), *theorem_rows()))
 
-    progress("models and statements")
-    rows = [*model_rows(), *theorem_rows()]
-    rows += design_rows(progress)
-    information, claims = information_plot(progress)
-    rows += claims
-    progress("Tables 7.1 and 7.2")
-    rows += table_rows()
-    motor, misfit = fit(progress)
-    rows += experiment_rows(motor, misfit, progress)
-    smith, verdicts = smith_plot(progress)
-    rows += verdicts
-    bound = gain_bound_plot(progress)
-    figures = (*vtol_plots(progress), smith, *motor_plots(motor, progress), information, bound)
-    return Reproduction(
-        title="Chapter 7: robust tracking control of a networked DC motor", rows=tuple(rows), figures=figures
-    )
+
+def _experiment(tell: Tell) -> Part:
+    """The experiment column of Table 7.2 with a fitted motor, and Figures 7.6 to 7.8."""
+    motor, misfit = fit(tell)
+    rows = experiment_rows(motor, misfit, tell)
+    return Part(rows=tuple(rows), figures=tuple(motor_plots(motor, tell)))
+
+
+CHAPTER = Chapter(
+    title="Chapter 7: robust tracking control of a networked DC motor",
+    stages=(
+        Stage("models and statements", _models),
+        Stage("designs", designs),
+        Stage("designs without the network", local_designs),
+        Stage("Table 7.1", vtol_table),
+        Stage("Figures 7.2 and 7.3", vtol_plots),
+        Stage("Table 7.2, simulation", motor_table),
+        Stage("Smith predictor", smith),
+        Stage("fit of the motor, Table 7.2, experiment", _experiment),
+        Stage("what the actuator knows", information),
+        Stage("gain bounds", gain_bounds),
+    ),
+)

@@ -1,0 +1,118 @@
+"""A chapter as a list of stages, each of which gives rows and figures and stands alone: what was done could be kept.
+
+A chapter's room has a module ``numbers`` with ``CHAPTER = Chapter(title=..., stages=(Stage(...), ...))``. A stage takes a
+function that it tells how far it is, and returns a `Part`. Stages share nothing but the code they call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from hil.report.html.figures import Bars, Figure, Histogram
+from hil.reproduce.judgement import VERDICTS, Row
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plot:
+    """One figure of a chapter: its number there, and the panels that show it."""
+
+    title: str
+    panels: tuple[Figure | Bars | Histogram, ...]
+    intro: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """What a stage found."""
+
+    rows: tuple[Row, ...] = ()
+    figures: tuple[Plot, ...] = ()
+
+
+class Tell(Protocol):
+    """How a stage says how far it is: in words, and where it knows it as ``done`` of ``total`` steps."""
+
+    def __call__(self, text: str, done: int = 0, total: int = 0, /) -> None:
+        """Say it; costs nothing."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A piece of a chapter that stands alone.
+
+    Args:
+        title: what it computes, in a few words.
+        compute: takes a `Tell`, returns what it found.
+    """
+
+    title: str
+    compute: Callable[[Tell], Part]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chapter:
+    """A chapter before it is computed."""
+
+    title: str
+    stages: tuple[Stage, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """How far a reproduction is.
+
+    Args:
+        stage: title of the stage that runs.
+        number: its number, from 1.
+        stages: how many there are.
+        text: what the stage said last, empty when it begins.
+        done: steps of the stage that are done.
+        total: steps of the stage; 0 where they are not counted.
+    """
+
+    stage: str
+    number: int
+    stages: int
+    text: str = ""
+    done: int = 0
+    total: int = 0
+
+
+Progress = Callable[[Step], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reproduction:
+    """Everything of one chapter."""
+
+    title: str
+    rows: tuple[Row, ...]
+    figures: tuple[Plot, ...] = ()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many rows have which verdict."""
+        return {verdict: sum(row.verdict == verdict for row in self.rows) for verdict in VERDICTS}
+
+    def to_json(self) -> dict[str, object]:
+        """Title, rows and a count per verdict, as a dictionary that ``json.dumps`` takes."""
+        return {"title": self.title, "rows": [row.to_json() for row in self.rows], "counts": self.counts}
+
+
+def compute(chapter: Chapter, progress: Progress) -> Reproduction:
+    """Run every stage in order."""
+    rows: list[Row] = []
+    figures: list[Plot] = []
+    for number, stage in enumerate(chapter.stages, start=1):
+
+        def tell(text: str, done: int = 0, total: int = 0, /, number: int = number, stage: Stage = stage) -> None:
+            progress(Step(stage=stage.title, number=number, stages=len(chapter.stages), text=text, done=done, total=total))
+
+        tell("")
+        part = stage.compute(tell)
+        rows += part.rows
+        figures += part.figures
+    return Reproduction(title=chapter.title, rows=tuple(rows), figures=tuple(figures))

@@ -1,0 +1,76 @@
+"""Many runs of a loop of Section 7.4 at once, packet by packet: whose law the printed sums of squares are ranked in.
+
+Sensor, controller and actuator exchange packets as in Figure 7.1; modes start stationary. ``design.networked_loop`` predicts mean
+and deviation exactly; the sums of squares are skewed, so a printed run is judged by its rank among the runs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from design.networked_loop.steady_state import steady_state
+from hil.reproduce.chapter7.models import NETWORK, Array, Plant
+
+SEED = 7
+
+
+def stationary(transition: Array) -> Array:
+    """Stationary distribution of a row-stochastic matrix whose chain is ergodic."""
+    return np.asarray(np.linalg.matrix_power(transition, 1024)[0])
+
+
+def errors(
+    plant: Plant, gains: Array, selection: str, reference: Array, *, disturbance: Array, runs: int, seed: int = SEED
+) -> Array:
+    """Tracking errors y - r of single-output loops.
+
+    Args:
+        plant: A, B, C with one output.
+        gains: [tau][row][m][1].
+        selection: ``generated`` (the printed rule) or ``constant``.
+        reference: r(k), (K,).
+        disturbance: input disturbance, (K, m).
+        runs: how many.
+
+    Returns:
+        (K, runs); infinite from where a loop leaves all bounds.
+    """
+    rng = np.random.default_rng(seed)
+    every, zero = np.arange(runs), np.zeros(runs, dtype=np.intp)
+    sums = [np.cumsum(matrix, axis=1) for matrix in NETWORK]
+    tau, d = (rng.choice(len(P), p=stationary(P), size=runs) for P in NETWORK)
+    held = steady_state(*plant).input[:, 0]
+    x = np.zeros((runs, plant.A.shape[0]))
+    outputs: list[Array] = []
+    packets: list[Array] = []
+    made: list[npt.NDArray[np.intp]] = []
+    found = np.empty((len(reference), runs))
+    for k, r in enumerate(reference):
+        if k:
+            tau, d = (
+                np.minimum((rng.random(runs)[:, None] > total[mode]).sum(axis=1), len(total) - 1)
+                for total, mode in zip(sums, (tau, d), strict=True)
+            )
+        outputs = [x @ plant.C[0], *outputs[:2]]  # newest first, as are packets and the d at which they were made
+        made = [d, *made[:1]]
+        found[k] = outputs[0] - r
+        seen = np.stack([outputs[min(age, len(outputs) - 1)] for age in range(3)])[tau, every] - r
+        rows = held * r + gains[tau, :, :, 0] * seen[:, None, None]
+        rows[tau > k] = 0.0  # no sample has come
+        packets = [rows, *packets[:1]]
+        sent = np.stack([packets[min(age, len(packets) - 1)] for age in range(2)])[d, every]
+        row = np.where(d == 0, d, made[-1]) if selection == "generated" else zero
+        u = sent[every, row]
+        u[d > k] = 0.0  # no packet has come
+        with np.errstate(over="ignore", invalid="ignore"):
+            x = x @ plant.A.T + (u + disturbance[k]) @ plant.B.T
+        x[~np.isfinite(x)] = np.inf
+    return found
+
+
+def sums_of_squares(error: Array, period_s: float, start: int = 0) -> Array:
+    """T sum_{k >= start} |e(k)|^2 per run, (runs,); infinite where a run diverges."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = period_s * (error[start:] ** 2).sum(axis=0)
+    return np.asarray(np.where(np.isfinite(total), total, np.inf))

@@ -1,0 +1,53 @@
+"""What holds for every row of every chapter: each of its numbers, when it is wrong, turns the verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from hil.reproduce import Check, Row
+
+FACTORS = (-1e6, -10.0, -1.0, 0.0, 0.1, 0.5, 0.9, 0.99, 1.01, 1.1, 2.0, 10.0, 1e6)
+WORDS = ("certified", "refused", "undecided", "feasible", "found", "not found")
+
+
+def others(check: Check) -> Iterator[Check]:
+    """The check with another value: words for words, and numbers from near to far, also around its limits."""
+    if isinstance(check.value, str):
+        yield from (replace(check, value=word) for word in WORDS if word != check.value)
+        return
+    start = check.value if math.isfinite(check.value) else 1.0
+    limits = [float(v) for v in (getattr(check.rule, n, math.nan) for n in ("printed", "low", "high")) if math.isfinite(v)]
+    middle = [sum(limits) / len(limits)] if limits else []
+    around = [v + s * max(abs(v), 1e-3) * 1e-3 for v in limits for s in (-1, 1)]
+    for value in (*limits, *middle, *around, *(start * f for f in FACTORS), *(start + f for f in FACTORS)):
+        yield replace(check, value=value)
+
+
+def with_outcome(check: Check, holds: bool) -> Check:
+    """The check, or one of its perturbations, that holds or does not."""
+    for other in (check, *others(check)):
+        if other.holds is holds:
+            return other
+    raise AssertionError(f"no value of {check.what!r} {'meets' if holds else 'breaks'} {check.rule}: it judges nothing")
+
+
+def assert_every_number_decides(rows: Iterable[Row]) -> None:
+    """Each check alone turns a row whose other checks hold; each check of a witness alone takes the refutation back."""
+    for row in rows:
+        good = tuple(with_outcome(check, True) for check in row.checks)
+        bad = tuple(with_outcome(check, False) for check in row.checks)
+        assert replace(row, checks=good, witness=()).verdict == "reproduced", row.item
+        for k in range(len(good)):
+            broken = (*good[:k], bad[k], *good[k + 1 :])
+            assert replace(row, checks=broken, witness=()).verdict == "not reproduced", (row.item, row.checks[k].what)
+        if row.witness:
+            refuted = tuple(with_outcome(check, True) for check in row.witness)
+            assert replace(row, checks=bad, witness=refuted).verdict == "claim false", row.item
+            for k, check in enumerate(row.witness):
+                missing = (*refuted[:k], with_outcome(check, False), *refuted[k + 1 :])
+                assert replace(row, checks=bad, witness=missing).verdict == "not reproduced", (row.item, check.what)
+        for check in (*row.checks, *row.witness):
+            if not isinstance(check.value, str):
+                assert not replace(check, value=math.nan).holds, (row.item, check.what)

@@ -1,0 +1,96 @@
+"""Verdicts follow from numbers: the rules, what a wrong number does, and that no row is given its verdict."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hil.reproduce
+from hil.reproduce import VERDICTS
+from hil.reproduce.judgement import Row, above, below, near, rank, row, says, standard_errors, within
+from tests.hil.reproduce.judging import assert_every_number_decides
+
+ROOM = Path(hil.reproduce.__file__).parent
+HELPERS = ("near", "below", "above", "within", "says", "standard_errors", "within_error", "rank")
+
+
+def test_three_verdicts_and_what_leads_to_each() -> None:
+    claim = (below("radius", 0.9, 1.0),)
+    assert row("a", "stable", *claim).verdict == "reproduced"
+    assert row("a", "stable", below("radius", 1.1, 1.0)).verdict == "not reproduced"
+    refuted = row("a", "stable", below("radius", 1.1, 1.0), witness=(above("radius", 1.1, 1.0), says("by", "us", "us")))
+    assert refuted.verdict == "claim false"
+    unproved = row("a", "stable", below("radius", 1.1, 1.0), witness=(above("radius", 1.1, 1.0), says("by", "no", "us")))
+    assert unproved.verdict == "not reproduced"
+    assert row("a", "stable", *claim, witness=(above("radius", 0.9, 1.0),)).verdict == "reproduced"
+
+
+def test_a_row_without_a_check_is_refused() -> None:
+    with pytest.raises(ValueError, match="no check"):
+        Row(item="a", printed="1", computed="1", checks=())
+
+
+def test_tolerances_are_the_ones_stated() -> None:
+    assert near("x", 0.1224, 0.1225, absolute=0.00011).holds and not near("x", 0.1224, 0.1225, absolute=0.00009).holds
+    assert near("x", 102.0, 100.0, relative=0.03).holds and not near("x", 104.0, 100.0, relative=0.03).holds
+    assert not near("x", 1.0 + 1e-12, 1.0).holds
+    assert within("x", 0.5, 0.0, 1.0).holds and not within("x", 1.0, 0.0, 1.0).holds
+    assert not below("x", float("nan"), 1.0).holds and not above("x", float("nan"), 1.0).holds
+
+
+def test_standard_errors_count_both_samples() -> None:
+    inside = {"sd": 2.0, "runs": 10_000}
+    assert standard_errors("mean", 10.079, 10.0, **inside).holds and not standard_errors("mean", 10.081, 10.0, **inside).holds
+    both = {**inside, "printed_runs": 10_000}
+    assert standard_errors("mean", 10.113, 10.0, **both).holds and not standard_errors("mean", 10.114, 10.0, **both).holds
+
+
+def test_a_printed_run_is_judged_by_its_rank_whatever_the_law() -> None:
+    """Level: a run of the same law is turned away 1 time in 100. Power: one at the 0.9999 quantile always is."""
+    rng = np.random.default_rng(0)
+    skewed = np.exp(rng.standard_normal(10_000))
+    drawn = np.exp(rng.standard_normal(2000))
+    turned_away = np.mean([not rank("share", skewed, value).holds for value in drawn])
+    assert abs(turned_away - 0.01) < 4.0 * (0.01 * 0.99 / 2000) ** 0.5
+    assert not rank("share", skewed, float(np.exp(3.72))).holds and not rank("share", skewed, float(np.exp(-3.72))).holds
+    # mean +- 2.6 sd, which stood here before, would take every small value and turn away too many of the large ones
+    assert not abs(np.exp(-3.72) - skewed.mean()) > 2.6 * skewed.std()
+    assert rank("share", [1.0, np.inf, np.inf], 2.0, tail=0.1).holds and not rank("share", [1.0, np.nan], 2.0).holds
+
+
+def test_the_row_says_its_rule_and_its_numbers() -> None:
+    found = row("a", "0.2", near("norm", 0.25, 0.2, relative=0.01), witness=(above("norm", 0.25, 0.2),)).to_json()
+    assert found["rule"] == "norm within 0.002 of 0.2. Refuted by: norm > 0.2" and found["verdict"] == "claim false"
+    assert found["checks"] == [{"what": "norm", "value": 0.25, "rule": "within 0.002 of 0.2", "holds": False}]
+    assert {"item", "printed", "computed", "verdict", "basis"} <= set(found)
+
+
+def test_a_number_that_judges_nothing_is_found_out() -> None:
+    assert_every_number_decides([row("a", "1", near("x", 1.0, 1.0, relative=0.1), below("y", 3.0, 2.0))])
+    with pytest.raises(AssertionError, match="judges nothing"):
+        assert_every_number_decides([row("a", "1", within("x", 1.0, float("-inf"), float("inf")))])
+
+
+def sources() -> list[Path]:
+    return [path for path in sorted(ROOM.rglob("*.py")) if path.name != "judgement.py"]
+
+
+def test_no_row_is_given_a_literal_verdict() -> None:
+    for path in sources():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert node.value not in VERDICTS, f"{path.name}:{node.lineno} writes a verdict down"
+
+
+def test_no_check_is_given_a_literal_value() -> None:
+    found = 0
+    for path in sources():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in (*HELPERS, "Check"):
+                found += 1
+                names = [n for n in ast.walk(node.args[1]) if isinstance(n, ast.Name)]
+                assert names, f"{path.name}:{node.lineno}: the value of the check is written down"
+    assert found > 60

@@ -1,0 +1,66 @@
+"""``hil reproduce all``: one page per chapter, an index, one JSON object; and Ctrl-C words on standard error only."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import hil.reproduce
+from hil.cli.reproduce import command
+from hil.report.html.figures import Link
+from hil.reproduce import Reproduction, Step
+from hil.reproduce.judgement import below, row
+
+
+def quick(chapter: str, progress) -> Reproduction:
+    """A chapter of one row: what the command does with it is under test, not what it computes."""
+    progress(Step(stage="first", number=1, stages=2))
+    progress(Step(stage="first", number=1, stages=2, text="half", done=1, total=2))
+    return Reproduction(title=f"Title of {chapter} <b>", rows=(row("a", "1", below("x", 1.0, 2.0)),))
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(hil.reproduce, "reproduce", quick)
+    return lambda *arguments: CliRunner().invoke(command, [str(a) for a in arguments], catch_exceptions=True)
+
+
+def test_all_writes_one_page_per_chapter_and_an_index(run, tmp_path: Path) -> None:
+    outcome = run("all", "-o", tmp_path / "pages")
+    assert outcome.exit_code == 0, outcome.output
+    names = {f"{name}.html" for name in hil.reproduce.chapters()}
+    assert {path.name for path in (tmp_path / "pages").iterdir()} == names | {"index.html"}
+    index = (tmp_path / "pages" / "index.html").read_text()
+    assert all(f'<a href="{name}">Title of' in index for name in names) and "<b>" not in index.split("<body>")[1][:2000]
+    assert run("all", "-o", tmp_path / "pages").exit_code == 0  # pages are replaced
+
+
+def test_all_refuses_a_file_in_its_place_before_the_work(run, tmp_path: Path) -> None:
+    (tmp_path / "notes").write_text("mine")
+    outcome = run("all", "-o", tmp_path / "notes")
+    assert outcome.exception is not None and "notes" in str(outcome.exception) and (tmp_path / "notes").read_text() == "mine"
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "index.html").write_text("mine")
+    outcome = run("all", "-o", tmp_path / "folder")
+    assert "is no report" in str(outcome.exception) and len(list((tmp_path / "folder").iterdir())) == 1
+
+
+def test_all_as_json_is_one_object_by_chapter(run) -> None:
+    found = json.loads(run("all", "--json").stdout)
+    assert tuple(found) == hil.reproduce.chapters()
+    one = json.loads(run("ch7", "--json").stdout)
+    assert set(one) == {"title", "rows", "counts"} and one["rows"][0]["rule"] == "x < 2"
+
+
+def test_progress_is_told_on_standard_error(run) -> None:
+    outcome = run("ch7", "--json")
+    assert "ch7 1/2 first: half" in outcome.stderr and "first" not in outcome.stdout
+
+
+@pytest.mark.parametrize("href", ["", "http://x", "../x.html", "javascript:alert(1)", "a\\b"])
+def test_a_link_leads_to_a_page_beside_it_only(href: str) -> None:
+    with pytest.raises(ValueError, match="href"):
+        Link(label="x", href=href)
