@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from design.jump_linear.certificate import certify_loop
 from design.jump_linear.h2 import h2_norm
+from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem, solve
 from hil.reproduce.chapter import Part, Tell

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from design.jump_linear.certificate import certify_loop
+from design.networked_loop.certify import certify_loop
 from design.networked_loop.prediction import Prediction, predict_tracking
 from hil.reproduce.chapter import Part, Tell
 from hil.reproduce.chapter7.emulated import errors, sums_of_squares
