@@ -48,7 +48,7 @@ class Omni:
     Raises:
         ValueError: where a parameter is out of range.
 
-    Reference: thesis (6.1), (6.2), (6.4); findings B0.
+    Reference: thesis (6.1), (6.2), (6.4).
 
     >>> Omni().model().A.tolist()[1][1] == -1.9857 / 0.7943
     True

@@ -92,7 +92,7 @@ class _Programme:
     """One linearised programme as a parametrised cvxpy problem, compiled once.
 
     z is divided by the first norm and the state transformed so that the first P is about I: without that the solver's
-    tolerances mean nothing (findings on chapters 2 to 4, section 5) and it stops at once on the VTOL.
+    tolerances mean nothing (as they did not for Chapters 2 to 4) and it stops at once on the VTOL.
     """
 
     def __init__(self, problem: TrackingProblem, gains: Array, norm: float) -> None:

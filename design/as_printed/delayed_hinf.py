@@ -6,7 +6,7 @@
 Both keep C'C and B'P, which belong to P coordinates, in an inequality in X = P^-1 coordinates (the condition is then the bounded
 real lemma of (A', B, C)), let jumps land in the same section, link no sections, and give each section its own Q and eta.
 
-References: thesis (3.27), (3.40)-(3.42); findings items 10-14.
+References: thesis (3.27), (3.40)-(3.42); ERRATA 9 and 10.
 """
 
 from __future__ import annotations

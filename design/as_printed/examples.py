@@ -1,7 +1,7 @@
 """The examples and the printed gains of Chapters 2, 3 and 4, as data: they can be analysed, simulated and run.
 
 Modes are counted from 0 here and from 1 in the thesis. Everything is a function, so that nothing is built at import.
-References: thesis Sections 2.5, 3.4, 4.4; findings section 3 says where the printed data contradict each other.
+References: thesis Sections 2.5, 3.4, 4.4; `ERRATA.md` says where the printed data contradict each other.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ They give K_ik, which needs the fault i; upper off-diagonal rates stand with low
 (4.27) has one section index m for two clocks, tests only the pairs (m, m) and links no sections. ``vertices=True`` takes
 exact rate vertices instead of the mixed bounds and keeps everything else.
 
-References: thesis (4.18)-(4.20), (4.26), (4.27); findings items 17-19.
+References: thesis (4.18)-(4.20), (4.26), (4.27); ERRATA 11, 12 and 13.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 X_j stands in its own section, sections are not linked, the uncertainties of A and B have a multiplier each.
 
-References: thesis (2.18)-(2.21); findings, chapter 2, items 1 and 7.
+References: thesis (2.18)-(2.21); ERRATA 1 and 2.
 """
 
 from __future__ import annotations

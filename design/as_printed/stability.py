@@ -3,7 +3,7 @@
 Section m sees P_j in its own section m (jumps land in section 1), sections are not linked, and of the box of rates only "all low"
 and "all high" are tested.
 
-References: thesis (2.12)-(2.15); findings, chapter 2, items 1 and 2.
+References: thesis (2.12)-(2.15); ERRATA 1 and 3.
 """
 
 from __future__ import annotations

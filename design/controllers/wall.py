@@ -5,7 +5,7 @@
 where a is the avatar's place without the newest force, and c_0 the direct part of the coupler. Both equations hold at once;
 the answer is unique because the wall's force does not fall with depth.
 
-Reference: Chapter 6, (6.8), (6.11); the rule for a change of material: findings B2.
+Reference: Chapter 6, (6.8), (6.11).
 """
 
 from __future__ import annotations

@@ -3,8 +3,6 @@
 A semidefinite solver's tolerance is absolute: with gamma^2 = 4e-4 it stops up to 2.6 times above the optimum and says
 "optimal". So z is scaled until scale gamma is about 1, gamma is then fixed slightly above the optimum, the margin of all
 strict inequalities is maximised, and the matrices found there are verified.
-
-Reference: findings, section 5.
 """
 
 from __future__ import annotations

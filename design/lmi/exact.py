@@ -4,7 +4,7 @@ The matrices of a certificate are rounded to multiples of 2^-bits, gains, system
 their floats are, every inequality is built anew in ``fractions.Fraction``, and the pivots of LDL' are computed exactly
 (Bareiss' fraction-free elimination). All pivots positive = positive definite. No solver and no float is left in the proof.
 
-Reference: findings, sections 1 and 5.
+Reference: Theorem 2.4; ERRATA 4.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ same function is evaluated
 - on matrices of ``fractions.Fraction`` for an exact proof (``design.lmi.exact``).
 
 Clarabel solves; a verdict "infeasible" needs its dual matrices to prove a bound (weak duality, checked here), and where
-in doubt SCS gives a second opinion. References: findings section 5.
+in doubt SCS gives a second opinion.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 where an event is a jump of a process or the end of a section of the scheduled gain. One *segment* is the stretch
 between two events; states at the events follow from x(t + s) = exp(M s) x(t) exactly.
 
-The uncertainty is constant in time and drawn per run: norm-bounded with delta = diag(U[-1, 1]) (findings, Chapter 2),
+The uncertainty is constant in time and drawn per run: norm-bounded with delta = diag(U[-1, 1]) (ERRATA 8),
 or uniformly from the hull of the vertices.
 """
 

@@ -5,7 +5,7 @@
 Every run has its own streams of random numbers (``design.monte_carlo.random_streams``), and the runs are computed in chunks that
 are always cut at the same places (``design.monte_carlo.parallel``), so the numbers do not depend on how the work is split.
 
-References: thesis Section 2.5 and (2.28); findings, Chapter 2.
+References: thesis Section 2.5 and (2.28); ERRATA 5 and 8.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Four questions, in this order. Is some contact unstable for the hand that is the
 meet the condition for every delay? Is it one delay that stays? Is the wall passive, also where materials change, and does the
 theory know all that the loop has? Where an answer is no, the verdict is undecided: the condition is sufficient, not necessary.
 
-Reference: findings B2, B3; `design.passivity.condition`.
+Reference: ERRATA 22; `design.passivity.condition`.
 """
 
 from __future__ import annotations

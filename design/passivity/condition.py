@@ -17,7 +17,7 @@ and Fejer's F_N,
 
 which `design.passivity.cosine` decides in whole numbers. C has no pole outside 0 (an integrator adds d/T to the real part).
 
-Reference: Chapter 6, Theorem 6.1 and what replaces it (findings B2, B3).
+Reference: Chapter 6, Theorem 6.1 and what replaces it (ERRATA 22).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """How stiff a wall can be without a coupler: the anchors of the field, and the exact boundary without a hand.
 
 References: Colgate and Schenkel, Passivity of a class of sampled-data systems, 1997; Gil, Sanchez, Hulin, Preusche and Hirzinger,
-Stability boundary for haptic rendering: influence of damping and delay, 2009; findings B1.
+Stability boundary for haptic rendering: influence of damping and delay, 2009.
 """
 
 from __future__ import annotations

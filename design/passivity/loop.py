@@ -7,7 +7,7 @@ State, M the longer of coupler and force delay:
 The controller has x(k - n1) in slot k, the device feels f(k - n2). In contact f = K x_v + B (x_v(k) - x_v(k-1))/T and
 x_v = x(k - n1) - (C f)(k), both solved for f(k); q is the state of the coupler's integrator.
 
-Reference: Chapter 6, Figure 6.4; delays in the state: findings B3, B4.
+Reference: Chapter 6, Figure 6.4; delays in the state.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ last, tiny violation is repaired by c_0, whose kernel D_0 is 1. What comes out i
 Integrating the rows over (0, pi) bounds every causal coupler, of any length, from below:
 C(1) >= (T/pi) int max_N F_N(t)/(2 beta) dt.
 
-Reference: findings B3.
+Reference: Theorem 6.1; ERRATA 22.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ r"""How far a rendered wall is from the wall that was meant: (6.12) with the del
 is one jump-linear system over the materials. Its norm is exact (`design.jump_linear.bounded_real`), where (6.17) bounds another
 system: (6.14) leaves W undriven, and the printed inequality does not know how long the delay is.
 
-Reference: Chapter 6, (6.12)-(6.17); findings B4.
+Reference: Chapter 6, (6.12)-(6.17); ERRATA 23.
 """
 
 from __future__ import annotations

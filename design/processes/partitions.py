@@ -3,7 +3,7 @@
 A partition is a tuple of section starts per mode, 0 = h_0 < h_1 < ... < h_{M-1}; section m is [h_{m-1}, h_m), the last
 one never ends. Strategies: equal probability (2.22), uniform (2.23), rate threshold (2.24), and geometric in the rate.
 
-On the conservatism that each leaves see the findings, section 2: the form of the Lyapunov function matters more.
+The form of the Lyapunov function matters more than the partition: `hil reproduce ch2`, certified scales.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ The next jump from mode i at clock reading a is drawn without time steps: with E
 The inversion is closed form for piecewise linear rates and safeguarded Newton (to rounding) for all others. ``jump``
 takes E and U as arguments, so that a batch engine can draw them from one stream per run.
 
-References: thesis (2.1), (2.6)-(2.7), Section 4.2; findings section 4.
+References: thesis (2.1), (2.6)-(2.7), Section 4.2; ERRATA 5.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ printed gains (4.30) diverge. Here:
 Both steps lower gamma, neither can raise it. ``measured``: ("r",) (default), () for one blind gain, ("eta", "r") if the
 fault is known. Without a gain bound the infimum of gamma is 0, so a bound is required.
 
-References: thesis (4.21), (4.26); findings items 17-19.
+References: thesis (4.21), (4.26); ERRATA 11, 12 and 13.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 If the spectral abscissa of this generator is positive at constant rates that the bounds allow, no certificate over these bounds
 can exist; if it is negative at all corners, nothing is proved about rates that vary.
 
-Reference: findings, section 1 ("MS growth rate") and item 18.
+Reference: ERRATA 11 and 12.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The cells of two sojourn clocks, of the failure eta and of the detection r: a section of each, and the rates that hold there.
 
-Reference: thesis (4.14), (4.26); findings item 18.
+Reference: thesis (4.14), (4.26); ERRATA 12.
 """
 
 from __future__ import annotations

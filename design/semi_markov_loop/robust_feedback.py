@@ -12,7 +12,7 @@ With X = P^-1 and Y = K X the decrease condition becomes linear: for every cell,
 A bound on the gain norm is part of every problem, [[k^2 I, Y], [Y', X]] >= 0 with X >= I: without one the gains grow without
 end. The returned gains are judged by ``design.semi_markov_loop.stability``, from the gains alone, not by these matrices.
 
-References: thesis (2.18)-(2.21); findings sections 2, 3 and 5.
+References: thesis (2.18)-(2.21); ERRATA 1, 2 and 4.
 """
 
 from __future__ import annotations

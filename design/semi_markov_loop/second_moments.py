@@ -12,7 +12,7 @@ radius settles; the last cell, where rates and gain are constant, in closed form
 Where the rates never settle, the integral exists if the growth 2 max Re eig(A) + beta is below the limit of the total rate, and
 not if it is above; it is followed until what is left is about e^(-69) of the whole.
 
-Reference: findings, "exact" and section 1.
+Reference: ERRATA 1 and 7.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ inequality that is affine in the rates holds if it holds at all 2^(N-1) corners 
 Products of two functions that are linear in h are quadratic; they are negative definite on the cell if their three
 Bernstein coefficients are (``along``).
 
-References: thesis (2.13); findings, chapter 2, items 1 and 2.
+References: thesis (2.13); ERRATA 1 and 3.
 """
 
 from __future__ import annotations

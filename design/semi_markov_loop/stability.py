@@ -7,7 +7,7 @@
 - ``pwc``: P_i constant per section; jumps land in section 1 and see P_j(0), and P_{i,m+1} <= P_{i,m} at boundaries.
 - ``exact``: spectral radius of the per-jump second-moment operator (``second_moments``); certain systems only.
 
-References: thesis (2.4), (2.12)-(2.15); findings, chapter 2, items 1, 2 and 7 (one multiplier for F_A + F_B K).
+References: thesis (2.4), (2.12)-(2.15); ERRATA 1 and 3 (one multiplier for F_A + F_B K).
 """
 
 from __future__ import annotations

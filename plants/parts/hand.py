@@ -109,7 +109,7 @@ class Hand:
     Raises:
         ValueError: where a value is out of range; the message starts with the field.
 
-    Reference: Chapter 6, H(s) of Theorem 6.1; findings C.
+    Reference: Chapter 6, H(s) of Theorem 6.1.
     """
 
     mass_kg: float = 0.0

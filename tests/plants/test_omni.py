@@ -48,7 +48,7 @@ def test_every_form_keeps_to_the_contract(omni):
 
 
 def test_the_published_push_of_the_free_device():
-    """1 N moves it 44.8 mm in 0.30 s and 58.8 mm in 0.35 s, before any controller can react (findings B3)."""
+    """1 N moves it 44.8 mm in 0.30 s and 58.8 mm in 0.35 s, before any controller can react."""
     run = Omni(hand=Hand(push=Push(force_n=1.0))).start(np.random.default_rng(0))
     run.advance(300_000_000, (0.0,))
     assert run.measure()[0] == pytest.approx(0.0448, abs=5e-5)

@@ -48,7 +48,7 @@ def test_the_energy_rule_never_gives_energy_away(seed, limit):
 
 
 def test_plain_switching_gives_energy_away_and_the_energy_rule_does_not():
-    """Press to 0.1 m at K = 800, release at K = 1000 (findings B2): about -0.9 J against nothing below zero."""
+    """Press to 0.1 m at K = 800, release at K = 1000 (ERRATA 25): about -0.9 J against nothing below zero."""
 
     def absorbed(switching):
         soft_hard = (Material(stiffness_n_per_m=800.0), Material(stiffness_n_per_m=1000.0))

@@ -100,7 +100,7 @@ def test_a_hand_without_damping_or_device_damping_leaves_nothing():
 
 @pytest.mark.parametrize(("cutoff", "norm", "bound"), [(0.3, 845.1, 312.4), (1.0, 853.9, 672.5)])
 def test_distortion_is_exact_and_no_coupler_beats_its_bound(cutoff, norm, bound):
-    """(6.12) of the wave coupler; printed (6.17) without W driven would give 0.06 (findings B4)."""
+    """(6.12) of the wave coupler; printed (6.17) without W driven would give 0.06."""
     coupler = wave_coupler(PERIOD_S, DAMPING, 6)
     exact = hinf_norm(distortion(MATERIALS, LAMBDA, coupler, period_s=PERIOD_S, delay=6, cutoff_hz=cutoff))
     assert exact == pytest.approx(norm, abs=0.1)

@@ -19,7 +19,7 @@ def test_published_lambda_from_the_geometry():
 
 
 def test_the_law_holds_for_short_steps_only():
-    """At 0.05 w within 6 %; at the published 0.4712 w the true matrix has 0.230 where Lambda has 0.3 (findings C)."""
+    """At 0.05 w within 6 %; at the published 0.4712 w the true matrix has 0.230 where Lambda has 0.3 (ERRATA 24)."""
     pattern, off = square_rows(1.0), ~np.eye(3, dtype=bool)
     short = true_chain(pattern, 3, 0.05)
     assert short[off] == pytest.approx(material_chain(pattern, 3, 0.05)[off], rel=0.06)
