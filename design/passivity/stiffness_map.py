@@ -3,7 +3,7 @@
 The shape of the stiffest coupler depends on the delays alone, so that one proof holds for every rate and damping: it is made for
 taps that are half the margin smaller, which is far more than rounding the taps of a cell takes away.
 
-Reference: findings B1, B3, D.
+Reference: Theorem 6.1; ERRATA 22.
 """
 
 from __future__ import annotations

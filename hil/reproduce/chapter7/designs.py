@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from hil.reproduce.judgement import Row, above, below, near, row
 PLANTS: dict[str, Callable[[], Plant]] = {"motor": motor, "vtol": vtol}
 NAME = {"motor": "motor", "vtol": "VTOL"}
 NAMES = {"h2": "H2", "hinf": "H-infinity"}
+T = TypeVar("T")
 PROBLEMS = (("vtol", "hinf"), ("vtol", "h2"), ("motor", "hinf"), ("motor", "h2"))
 INFORMATION = ("constant", "tau", "previous", "generated", "total", "applied", "both")
 WORDS = {
@@ -45,7 +46,8 @@ def designs(tell: Tell) -> Part:
     asked = [(*key, output) for key in PROBLEMS for output in ("sum", "stacked")]
     found: dict[tuple[str, str, str], Design] = {}
     spent = dict.fromkeys(PLANTS, 0.0)
-    for key, (design, seconds) in zip(asked, _solved(asked, tell), strict=True):
+    solved = _on_all_cores(_design_of, asked, tell, [f"{NAME[n]}, {NAMES[o]}, z {z}" for n, o, z in asked])
+    for key, (design, seconds) in zip(asked, solved, strict=True):
         found[key] = design
         spent[key[0]] += seconds
     rows = [*_motor_rows(found), *_vtol_rows(found)]
@@ -60,16 +62,21 @@ def designs(tell: Tell) -> Part:
     return Part(rows=tuple(rows))
 
 
-def _solved(asked: Sequence[tuple[str, str, str]], tell: Tell) -> Iterator[tuple[Design, float]]:
-    """Every design with its CPU time (s), in order, on all cores; the slowest begin first in the list of problems."""
+def _on_all_cores(work: Callable[..., T], asked: Sequence[Sequence[Any]], tell: Tell, names: Sequence[str]) -> list[T]:
+    """``work(*arguments)`` for all of them, in their order; told as each ends, whichever it is."""
     from joblib import Parallel, delayed
 
-    work = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", return_as="generator")(
-        delayed(_design_of)(*key) for key in asked
-    )
-    for done, result in enumerate(work):
-        tell(f"{', '.join(asked[done])}", done + 1, len(asked))
-        yield result
+    run = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", return_as="generator_unordered")
+    found: dict[int, T] = {}
+    tell(f"{len(asked)} designs", 0, len(asked))
+    for at, result in run(delayed(_numbered)(at, work, *arguments) for at, arguments in enumerate(asked)):
+        found[at] = result
+        tell(names[at], len(found), len(asked))
+    return [found[at] for at in range(len(asked))]
+
+
+def _numbered(at: int, work: Callable[..., T], *arguments: Any) -> tuple[int, T]:
+    return at, work(*arguments)
 
 
 def _design_of(name: str, objective: str, output: str) -> tuple[Design, float]:
@@ -195,16 +202,9 @@ def information(tell: Tell) -> Part:
     return Part(rows=tuple(rows), figures=(Plot(title="What the actuator knows", panels=(bars,)),))
 
 
-def _norms(asked: Sequence[tuple[str, dict[str, Any]]], tell: Tell) -> Iterator[float]:
-    """The norm that each problem asks for, in order, on all cores."""
-    from joblib import Parallel, delayed
-
-    work = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", return_as="generator")(
-        delayed(_norm_of)(name, options) for name, options in asked
-    )
-    for done, norm in enumerate(work):
-        tell(f"{NAME[asked[done][0]]}, {asked[done][1]['objective']}", done + 1, len(asked))
-        yield norm
+def _norms(asked: Sequence[tuple[str, dict[str, Any]]], tell: Tell) -> list[float]:
+    """The norm that each problem asks for, in order."""
+    return _on_all_cores(_norm_of, asked, tell, [f"{NAME[name]}, {options['objective']}" for name, options in asked])
 
 
 def _norm_of(name: str, options: dict[str, Any]) -> float:
@@ -220,7 +220,7 @@ def gain_bounds(tell: Tell) -> Part:
         for output, starts in outputs
         for bound in BOUNDS
     ]
-    norms = np.array(list(_norms(asked, tell))).reshape(len(outputs), len(BOUNDS))
+    norms = np.array(_norms(asked, tell)).reshape(len(outputs), len(BOUNDS))
     curves = tuple(
         Series(label=f"z {output}", x=np.array(BOUNDS), y=np.minimum.accumulate(np.nan_to_num(found, nan=np.inf)))
         for (output, _), found in zip(outputs, norms, strict=True)

@@ -35,7 +35,7 @@ REACH = float(np.log(2.0))
 POPULATION = 6
 """Candidates per unknown."""
 
-CHECK_SEEDS = 100
+CHECK_SEEDS = 60
 FLOOR = {0: 0.02, 1: 0.2}  # least spread of the logarithms: what a handful of runs may miss
 
 
@@ -120,7 +120,7 @@ def misfit(found: dict[str, Array]) -> float:
     return total
 
 
-def fit(tell: Tell, *, generations: int = 2, seeds: int = FIT_SEEDS, jobs: int = -1) -> tuple[Imperfections, float]:
+def fit(tell: Tell, *, generations: int = 1, seeds: int = FIT_SEEDS, jobs: int = -1) -> tuple[Imperfections, float]:
     """The imperfections that bring the experiment column closest, and their misfit.
 
     Differential evolution over the logarithms, a factor of two about round numbers: runs with stiction make the
