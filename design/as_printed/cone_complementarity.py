@@ -16,7 +16,7 @@ References: Theorems 7.3, 7.5, (7.26), (7.31); El Ghaoui, Oustry and AitRami, IE
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,11 +25,9 @@ from design.jump_linear.bounded_real import solve_bounded_real
 from design.jump_linear.second_moment import Resolvent, expect
 from design.processes.delay_chain import Array
 from design.tracking.loop_objective import LoopObjective
-from design.tracking.stabilise import stabilising
-
-if TYPE_CHECKING:
-    from design.tracking.problem import TrackingProblem
-    from design.tracking.synthesis import Progress
+from design.tracking.problem import TrackingProblem
+from design.tracking.stabilise import check_plant, stabilising
+from design.tracking.synthesis import Design, Progress, certified
 
 STEP = 0.02  # the level asked for lies this share below the last norm that was reached
 PATIENCE = 12  # linear programmes per level
@@ -42,6 +40,21 @@ class CclResult(NamedTuple):
     level: float
     iterations: int
     history: tuple[tuple[int, float], ...]
+
+
+def design_by_ccl(problem: TrackingProblem, *, progress: Progress | None = None) -> Design:
+    """A design whose gains are those of ``solve_ccl``, with everything that is known of it computed from them.
+
+    Raises:
+        NotStable: the gains have no certificate.
+        DesignError: an objective or option that this route has not.
+    """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+        check_plant(*(np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C)))
+        found = solve_ccl(problem, progress=progress)
+        return certified(problem, found.gains, starts=(found.level,), evaluations=found.iterations)
 
 
 def solve_ccl(problem: TrackingProblem, *, iterations: int = 60, progress: Progress | None = None) -> CclResult:

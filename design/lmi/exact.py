@@ -10,16 +10,28 @@ Reference: Theorem 2.4; ERRATA 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from design.lmi.program import Array, Inequality
-from design.semi_markov_loop.certificate import JumpCertificate
+
+
+class Rebuildable(Protocol):
+    """A certificate that can build its inequalities anew, in floats or in fractions, at the matrices that it holds."""
+
+    @property
+    def method(self) -> str: ...
+
+    @property
+    def matrices(self) -> Mapping[str, npt.NDArray[np.float64]]: ...
+
+    @property
+    def rebuild(self) -> Callable[[Callable[[npt.ArrayLike], Array]], list[Inequality]] | None: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +115,7 @@ def prove_inequalities(inequalities: Iterable[Inequality], matrices: Mapping[str
     return ExactProof(proved=True, inequalities=count, smallest_pivot=smallest, failed=None, bits=bits)
 
 
-def prove(certificate: JumpCertificate, bits: int = 24) -> ExactProof:
+def prove(certificate: Rebuildable, bits: int = 24) -> ExactProof:
     """Prove a certificate exactly, its matrices rounded to multiples of 2^-bits.
 
     Raises:

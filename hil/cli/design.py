@@ -72,6 +72,7 @@ def command(
     """
     import numpy as np
 
+    from design.as_printed.cone_complementarity import design_by_ccl
     from design.errors import DesignError
     from design.tracking.design_file import design_text, to_document
     from design.tracking.synthesis import solve
@@ -92,7 +93,7 @@ def command(
     begun = time.perf_counter()
     try:
         with _Watch(f"{where.plant} {objective} {information}") as watch:
-            design = solve(problem, progress=watch)
+            design = (design_by_ccl if problem.method == "ccl" else solve)(problem, progress=watch)
     except DesignError as error:
         raise HilError(f"design: {error}") from error
     except KeyboardInterrupt as interrupt:

@@ -242,10 +242,12 @@ def test_sum_output_with_large_gains_is_found_by_the_multistart():
 
 
 def test_ccl_route_falls_towards_the_direct_optimum_and_does_not_beat_it():
-    from design.as_printed.cone_complementarity import solve_ccl
+    from design.as_printed.cone_complementarity import design_by_ccl, solve_ccl
 
     direct = solve(problem("motor", information="generated", starts=1)).certificate.h2_norm
     route = solve_ccl(problem("motor", information="generated"), iterations=12)
     assert direct < route.level < route.history[0][1]
     with pytest.raises(DesignError, match="without a gain bound"):
-        solve(problem("motor", method="ccl", gain_bound=1.0))
+        design_by_ccl(problem("motor", method="ccl", gain_bound=1.0))
+    with pytest.raises(ValueError, match="method: 'ccl' is not solved here"):
+        solve(problem("motor", method="ccl"))
