@@ -92,6 +92,8 @@ def command(
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.session import run_session
+    from transport.links.link import open_link
+    from transport.links.local import LOCAL
 
     if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
         raise HilError(f"--log-mode: {log_mode!r:.20}; expected an octal mode with which you can read and write, such as 640")
@@ -99,9 +101,8 @@ def command(
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
     uri = checked.links.uri if link is None else link
-    if clock == "real" and not external:  # an external controller may be there already: do not let it meet this end
-        from transport.links.link import open_link
-
+    # An external controller may be there already: do not let it meet this end.
+    if clock == "real" and not external and uri != LOCAL:
         with open_link(uri, "rig"), open_link(uri, "controller"):  # what cannot be opened is said before anything starts
             pass
     if external and sys.stderr is not None:

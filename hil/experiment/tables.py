@@ -124,7 +124,7 @@ class Links(Table, frozen=True, kw_only=True):
     """The real link, and the network that is emulated on both sides of the rig.
 
     Args:
-        uri: the link in real time: memory:, can:INTERFACE:CHANNEL or zenoh:ENDPOINT.
+        uri: the link in real time: can:INTERFACE:CHANNEL, zenoh:ENDPOINT, or local: for the controller in the rig's process.
         sc: from the sensor to the controller.
         ca: from the controller to the actuator.
     """

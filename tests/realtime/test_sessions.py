@@ -34,10 +34,10 @@ def free_port() -> int:
 
 
 def links() -> list[str]:
-    return [f"can:hil:test{os.getpid()}", f"zenoh:tcp/127.0.0.1:{free_port()}"]
+    return [f"can:hil:test{os.getpid()}", f"zenoh:tcp/127.0.0.1:{free_port()}", "local:"]
 
 
-@pytest.mark.parametrize("which", [0, 1], ids=["can-hil", "zenoh"])
+@pytest.mark.parametrize("which", [0, 1, 2], ids=["can-hil", "zenoh", "local"])
 def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Path, which: int) -> None:
     changes = ["duration=3", "reference.0.at=0.5", "seed=11"]
     experiment = load_experiment("dc-motor-hinf", changes)
@@ -264,3 +264,14 @@ def test_a_log_that_is_removed_while_it_is_written_is_said_and_summed_up(tmp_pat
     status, summary = session.finish()
     assert status == 1 and "was removed while the log was written" in summary["problems"]["log_lost"]
     assert summary["ticks"] == 60 and summary["log"]["messages"] > 300 and len(summary["log"]["sha256"]) == 64
+
+
+def test_local_needs_no_controller_process_and_takes_no_external_controller(tmp_path: Path) -> None:
+    run = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--link", "local:", "--duration", "1",
+           "--json", "--set", "reference.0.at=0.2"]  # fmt: skip
+    done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["ticks"] == 20 and summary["link"] == "local:" and not summary["problems"]
+    refused = subprocess.run([*run, "--external"], cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    assert refused.returncode == 2 and "needs a link" in refused.stderr

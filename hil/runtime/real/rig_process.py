@@ -17,14 +17,18 @@ from types import FrameType
 from hil.compose.loop import Loop
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import MemorySink
+from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
 from hil.runtime.real.exchange import Greeter, LinkExchange
+from hil.runtime.real.local_link import LocalLink
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
 from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.runtime.time.kernel import Kernel
+from hil.runtime.virtual import DirectExchange
 from transport.links.link import Link, TransportError, open_link, wire_version
+from transport.links.local import LOCAL
 from transport.packets import SELECTIONS, ControlPacket, encode_control
 
 SETTLE_NS = 5_000_000
@@ -97,11 +101,16 @@ class Rehearsal:
         hear(encode_control(ControlPacket(t_ns // self._period_ns, 0, 0, 0, self._selection, self._rows)))
 
 
-def warm_up(loop: Loop) -> None:
-    """Run a rig through a few slots without a link, so that slot 0 does not pay for what is done once (tables, first calls)."""
+def warm_up(loop: Loop, local: bool = False) -> None:
+    """Run a rig through a few slots without a link, so that slot 0 does not pay for what is done once (tables, first calls).
+
+    Args:
+        loop: the composed experiment.
+        local: the controller will run in this process: it takes part.
+    """
     e = loop.experiment
     rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), lambda: None, VERSION_1)
-    slot = Slot(rig, Rehearsal(loop))
+    slot = Slot(rig, DirectExchange(ControlNode(loop)) if local else Rehearsal(loop))
     for k in range(min(e.ticks, 50)):
         slot.run(k * e.period_ns)
 
@@ -126,8 +135,9 @@ def main() -> None:
     # Before the link is opened, so that the threads of a link inherit the priority.
     scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None, timing.idle == "awake")
     wire = VERSION_1 if wire_version(job.uri) == 1 else session_wire(os.urandom(KEY_BYTES))
-    with open_link(job.uri, "rig") as link:
-        warm_up(job.loop)
+    local = job.uri == LOCAL
+    with LocalLink(ControlNode(job.loop)) if local else open_link(job.uri, "rig") as link:
+        warm_up(job.loop, local)
         greeting = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire).greet()
         if not greeting.answered:
             if greeting.foreign:

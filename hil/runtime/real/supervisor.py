@@ -18,6 +18,7 @@ from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
 from transport.links.link import wire_version
+from transport.links.local import LOCAL
 
 POLL_S = 0.02
 HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0
@@ -59,6 +60,8 @@ def run_real(
     Raises:
         HilError: if rig or controller ended before the run began, or no controller answered.
     """
+    if external and uri == LOCAL:
+        raise HilError(f"{LOCAL} runs our controller in the rig's process: an external one needs a link")
     outcome = RealOutcome()
     read_fd, write_fd = os.pipe()
     parent = os.getpid()
@@ -82,7 +85,7 @@ def run_real(
             write_fd = -1
             thread.start()
             controller = None
-            if not external:
+            if not external and uri != LOCAL:
                 controller = Child(
                     "controller",
                     "hil.runtime.real.controller_process",

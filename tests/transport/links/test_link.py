@@ -18,11 +18,11 @@ from transport.links.memory import QUEUE_LIMIT
 @pytest.mark.parametrize(
     ("uri", "hint"),
     [
-        ("", "no scheme, expected one of can, memory, zenoh"),
+        ("", "no scheme, expected one of can, local, memory, zenoh"),
         ("rig0", "no scheme"),
         (":rig0", "no scheme"),
         ("zenho:tcp/127.0.0.1:7447", "did you mean 'zenoh:tcp/127.0.0.1:7447'?"),
-        ("http://x", "no link is called 'http', expected one of can, memory, zenoh"),
+        ("http://x", "no link is called 'http', expected one of can, local, memory, zenoh"),
         ("memory:", "can:hil:rig0 between processes"),
         ("can:", "expected can:<interface>:<channel>"),
         ("can:hil:", "expected can:<interface>:<channel>"),

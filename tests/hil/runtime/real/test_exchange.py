@@ -198,3 +198,30 @@ def test_link_of_version_1_is_drained_before_every_question() -> None:
     link.arrive(MS, b"answer")
     one.answer(0, ear.hear)
     assert ear.heard == [b"answer"]
+
+
+def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> None:
+    from hil.compose.loop import compose
+    from hil.experiment import load_experiment
+    from hil.log.read.run import Run
+    from hil.log.write.sinks import MemorySink
+    from hil.runtime.nodes.controller_node import ControlNode
+    from hil.runtime.nodes.rig import Rig
+    from hil.runtime.real.local_link import LocalLink
+    from hil.runtime.slot import Slot
+    from hil.session import simulate
+
+    loop, wire = compose(load_experiment("dc-motor-hinf", ["duration=3"])), session_wire(b"l" * 16)
+    sink = MemorySink(loop.channels())
+    rig = Rig(loop, 3, sink, loop.channels(), lambda: None, wire)
+    with LocalLink(ControlNode(loop)) as link:
+        clock = iter(range(10**9))
+        greeting = Greeter(link, 1.0, lambda: False, lambda: next(clock), wire).greet()
+        assert greeting.answered and greeting.questions == 1 + REHEARSALS and greeting.foreign == 0
+        slot = Slot(rig, LinkExchange(link, rig, 30 * MS, lambda: False, lambda: next(clock)))
+        for k in range(loop.experiment.ticks):
+            slot.run(k * loop.experiment.period_ns)
+    ours, virtual = Run.from_memory(sink).arrays, simulate(loop, 3).arrays
+    for topic in ("/plant/state", "/actuator/applied"):
+        assert (ours[topic] == virtual[topic]).all()
+    assert rig.outcome()["late"] == 0

@@ -1,0 +1,21 @@
+"""The scheme ``local:``: the controller runs in the rig's own process, so that there is nothing to open."""
+
+from __future__ import annotations
+
+from typing import Never
+
+from transport.links.link import Role, TransportError
+
+LOCAL = "local:"
+
+
+def open_local(uri: str, role: Role) -> Never:
+    """Refuse: who runs the rig puts the controller beside it, and no end is left to open.
+
+    Raises:
+        TransportError: always; it says what to use instead.
+    """
+    raise TransportError(
+        f"link {uri!r}: the controller runs in the rig's own process, and no {role} can be opened by name; "
+        "use can:hil:rig0 between processes"
+    )
