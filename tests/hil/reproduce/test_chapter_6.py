@@ -1,0 +1,44 @@
+"""Chapter 6: verdicts with the numbers that they rest on, and verdicts that turn with them."""
+
+import pytest
+
+from design.as_printed.coupler import PERIOD_S, energy_of_a_press, least_real_part, meets_printed_condition, theorem_61_coupler
+from design.passivity.device import HeldDevice
+from hil.reproduce import chapters, reproduce
+from hil.reproduce.chapter6.numbers import passivity_rows
+from hil.reproduce.pages import chapter_page
+
+DEVICE = HeldDevice(mass_kg=0.7943, damping_n_s_per_m=1.9857)
+
+
+def test_the_chapter_with_its_page():
+    assert "ch6" in chapters()
+    result = reproduce("ch6")
+    found = {r.item: r for r in result.rows}
+    verdicts = {item.partition(":")[0]: r.verdict for item, r in found.items()}
+    assert found["6.5: Lambda from a pattern of patches"].verdict == "reproduced"
+    assert verdicts["Theorem 6.1"] == verdicts["(6.11)"] == verdicts["(6.3)"] == "claim false"
+    assert "radius at one sample 1.083" in found["Theorem 6.1: (6.9) makes the networked system oscillation free"].computed
+    assert found["Figure 6.8: materials 2 and 3 end at one depth"].verdict == "reproduced"
+    assert found["Figure 6.10: the modes {2, 3, 2, 3, 2, 1}"].verdict == "reproduced"
+    assert len(result.rows) >= 16
+    page = chapter_page(result)
+    assert "Figure 6.8" in page and page.startswith("<!doctype html>")
+
+
+def test_a_verdict_turns_with_its_number():
+    """With the damping of a joint on a lever the device needs no coupler: b > K T/2 + |B| holds, Theorem 6.1 still fails."""
+    joint = HeldDevice(mass_kg=0.7943 / 0.135**2, damping_n_s_per_m=1.9857 / 0.135**2)
+    turned = {r.item: r.verdict for r in passivity_rows(joint)}
+    printed = {r.item: r.verdict for r in passivity_rows(DEVICE)}
+    condition = "6.3: without a coupler b > K T/2 + |B| cannot be guaranteed"
+    assert printed[condition] == "reproduced" and turned[condition] == "not reproduced"
+
+
+def test_the_printed_statements_and_their_counterexamples():
+    assert meets_printed_condition(theorem_61_coupler(1.9857), 1.9857)
+    assert least_real_part(DEVICE, 0) == pytest.approx(0.0006, abs=2e-4)
+    assert [least_real_part(DEVICE, n) for n in (1, 2, 6)] == pytest.approx([-0.50, -0.40, -0.49], abs=0.01)
+    assert energy_of_a_press("plain") == pytest.approx(-0.91, abs=0.2)
+    assert energy_of_a_press("energy") > -1e-9
+    assert PERIOD_S == 0.05
