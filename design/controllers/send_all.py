@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +106,7 @@ class SendAll:
         integral: the gains have p more columns, for the integral of the measured error (Remark 7.7).
         sojourns: how many tables belong to every tau, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
             semi-Markov delays; by default one each, whatever it has lasted.
-        samples: samples per packet, 1 or 2: the gains have p columns for y(k - tau), then p for y(k - tau - 1).
+        samples: samples per packet: the gains have p columns for y(k - tau), then p for y(k - tau - 1), and so on.
     """
 
     kind: ClassVar[str] = "send-all"
@@ -115,9 +115,11 @@ class SendAll:
     selection: Selection = "applied"
     integral: bool = False
     sojourns: tuple[int, ...] = ()
-    samples: Literal[1, 2] = 1
+    samples: int = 1
 
     def __post_init__(self) -> None:
+        if self.samples < 1:
+            raise ValueError(f"samples: {self.samples}, expected at least 1")
         try:
             shape = np.asarray(self.gains, dtype=float).shape
         except ValueError:

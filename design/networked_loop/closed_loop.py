@@ -140,7 +140,7 @@ def loop_structure(
         R: weight of u1(k-1), (l', m), a vector (one row), or a number (times the identity); default: the row
             0.01 .. 0.01 of Section 7.4.
         output: "stacked" is z = [Q x; R u1], "sum" is z = Q x + R u1 as printed (the two may cancel).
-        samples: 1, or 2 for packets that carry the sample before too: Y = [y(k - tau); y(k - tau - 1)].
+        samples: in one packet: Y = [y(k - tau); y(k - tau - 1); ...].
         integral: > 0 adds the integral of the measured error, xi(k+1) = xi(k) + C x(k - tau_k), at the controller: Y
             gets xi(k) as its last p entries, and z gets `integral` * xi(k) (stacked).
         store: "output" delays C x, "state" delays x as printed: same loop, more states.
@@ -154,8 +154,8 @@ def loop_structure(
     A_, B_, C_ = check_plant_shapes(A, B, C)
     n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
     sc_chain, ca_chain = as_chain(sc, "Lambda"), as_chain(ca, "Pi")
-    if samples not in (1, 2):
-        raise ValueError(f"samples: {samples}, expected 1 or 2")
+    if samples < 1:
+        raise ValueError(f"samples: {samples}, expected at least 1")
     if integral < 0 or not np.isfinite(integral):
         raise ValueError(f"integral: {integral:g}, expected a finite weight >= 0")
     labels = int(ca_chain.label.max()) + 1

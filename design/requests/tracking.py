@@ -66,7 +66,7 @@ class Designed:
             read = load_design(Path(task.folder) / self.file)
             return SendAll(
                 gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
-                sojourns=read.sojourns, samples=read.samples,  # type: ignore[arg-type]
+                sojourns=read.sojourns, samples=read.samples,
             )  # fmt: skip
         if sc is None or ca is None:
             raise ValueError("kind: a design needs age laws with a chain on both links, not packet laws or traces")

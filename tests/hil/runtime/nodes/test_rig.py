@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -230,3 +232,15 @@ def test_answer_without_the_nonce_of_its_question_is_never_applied_and_told(
     applied = Run.from_memory(sink).arrays["/actuator/applied"]
     assert np.abs(applied["voltage"]).max() == 0.0 and OK in applied["status"]
     assert rig.outcome()["late"] == 0 and rig.outcome()["foreign"] == 29
+
+
+def test_packets_of_four_samples_are_certified_and_run_as_the_recursion_says() -> None:
+    """Gains that leave the two oldest samples alone are those of two samples: the same verdict and the same bits."""
+    two = load_experiment("dc-motor-ours-two-samples", ["duration=3"])
+    solved = compose(two).controller
+    wide = tuple(tuple(tuple((*row, 0.0, 0.0) for row in mat) for mat in rows) for rows in solved.gains)
+    loop = compose(msgspec.structs.replace(two, controller=replace(solved, gains=wide, samples=4)))
+    assert loop.samples == 4
+    ours, theirs = simulate(loop, 2).arrays, simulate(compose(two), 2).arrays
+    assert (ours["/plant/state"] == theirs["/plant/state"]).all()
+    assert (ours["/actuator/applied"] == theirs["/actuator/applied"]).all()
