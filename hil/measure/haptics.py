@@ -1,0 +1,54 @@
+"""What a hand felt at a virtual wall: depth, force, and the energy that the wall gave away."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from hil.measure.measure import Quantity
+from hil.measure.signals import Signals
+from hil.measure.view import APPLIED, MEASUREMENT, RunView
+
+STATE = "/plant/state"
+LAST_SHARE = 0.1
+"""Last share of the run over which the final depth is averaged."""
+
+
+class Haptics:
+    """Depth of the device behind the surface, force of the motor, and the passivity observer of a held device."""
+
+    title: ClassVar[str] = "Haptics"
+    note: ClassVar[str] = (
+        "The wall begins at position 0. Energy given is what the motor gave beyond what damping takes: 0 behind a sound coupler."
+    )
+    topics: ClassVar[tuple[str, ...]] = (MEASUREMENT, APPLIED, STATE)
+
+    def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
+        """Return what is measured."""
+        length, force = signals.tracked_unit() or "", signals.input_unit() or ""
+        return (
+            Quantity(name="final_depth", title="final depth", unit=length, note="mean of the last tenth", per_output=False),
+            Quantity(name="largest_depth", title="largest depth", unit=length, per_output=False),
+            Quantity(name="depth_spread", title="spread of the depth", unit=length, note="last tenth, sd", per_output=False),
+            Quantity(name="largest_force", title="largest force", unit=force, per_output=False),
+            Quantity(name="energy_given", title="energy given by the wall", unit="J", note="largest", per_output=False),
+        )
+
+    def of(self, view: RunView) -> dict[str, float | None]:
+        """Return the numbers of one run."""
+        name = view.signals.tracked[0]
+        depth = np.asarray(view.run.arrays[MEASUREMENT][name], dtype=np.float64)
+        depth = depth[np.isfinite(depth)]
+        force = np.abs(view.applied())
+        force = force[np.isfinite(force)]
+        last = depth[-max(round(LAST_SHARE * depth.size), 1) :]
+        states = view.run.arrays[STATE]
+        given = states["given"][np.isfinite(states["given"])] if "given" in (states.dtype.names or ()) else np.zeros(0)
+        return {
+            "final_depth": float(last.mean()) if last.size else None,
+            "largest_depth": float(depth.max()) if depth.size else None,
+            "depth_spread": float(last.std()) if last.size else None,
+            "largest_force": float(force.max()) if force.size else None,
+            "energy_given": float(given.max()) if given.size else None,
+        }
