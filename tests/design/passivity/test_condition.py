@@ -118,6 +118,7 @@ def test_the_designed_coupler_is_stable_for_4000_hands_on_walls_over_delays():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_every_hand_on_every_wall_over_every_delay():
     coupler = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=DAMPING).coupler
     for device in hands(np.random.default_rng(2), 4000):
