@@ -102,6 +102,8 @@ def certify_system(
             P, S = Resolvent(A, transition).cost(np.stack([identity, weight]))
         else:
             P, S = Resolvent(A, worst).cost(identity), Resolvent(A, transition).cost(weight)
+        if not (np.isfinite(P).all() and np.isfinite(S).all()):  # too near 1 for the solver: nothing is proved
+            P, S = np.zeros_like(P), np.zeros_like(S)
         lyapunov = -_largest(backward(A, worst, P) - P)
         positivity = -_largest(-P)
         scale = float(np.abs(P).max() * max(1.0, float((np.abs(A).sum(axis=2) ** 2).max())))

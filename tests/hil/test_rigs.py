@@ -63,3 +63,11 @@ def test_a_recording_that_just_suffices_is_taken(slots: int, suffices: bool) -> 
     else:
         with pytest.raises(HilError, match="serves 39 slots, the run has 40"):
             compose(experiment)
+
+
+def test_a_packet_that_would_carry_more_values_than_it_can_is_refused() -> None:
+    matrices = {"A": (-np.eye(70)).tolist(), "B": np.ones((70, 1)).tolist(), "C": np.eye(70).tolist()}
+    plant = ", ".join(["kind = 'state-space'", *(f"{key} = {value!r}" for key, value in matrices.items())])
+    sets = [f"plant={{{plant}}}", "controller={kind='constant'}", "reference=[]", "disturbance=[]", "limits={}"]
+    with pytest.raises(HilError, match="samples: 1 of 70 outputs, a packet carries 1 to 63 values"):
+        compose(load_experiment("dc-motor-hinf", [*sets, "allow_uncertified=true"]))

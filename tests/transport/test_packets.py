@@ -258,3 +258,16 @@ def test_thirty_thousand_hostile_inputs_never_raise() -> None:
 @pytest.mark.timeout(600)
 def test_one_million_hostile_inputs_never_raise() -> None:
     hostile_inputs(1_000_000, random.Random(2))
+
+
+@pytest.mark.parametrize(("offset", "value"), [(3, 0x80 | 1), (3, 0)], ids=["EMPTY with a value", "nothing and not EMPTY"])
+def test_a_frame_that_contradicts_itself_is_refused_whatever_its_crc(offset: int, value: int) -> None:
+    data = bytearray(encode_sensor(SensorPacket(0, 0, 0, (1.0,))))
+    data[offset] = value
+    data[:2] = crc_hqx(bytes(data[2:]), 0xFFFF).to_bytes(2, "little")
+    assert not isinstance(decode(bytes(data)), SensorPacket)
+
+
+def test_a_negative_age_saturates_at_its_own_end() -> None:
+    packet = decode(encode_control(ControlPacket(0, 0, 0, -7, 0, ((0.0,),))))
+    assert isinstance(packet, ControlPacket) and packet.tau == -1

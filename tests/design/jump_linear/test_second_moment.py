@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from design.jump_linear import krylov, second_moment
+from design.jump_linear.certificate import certify_system
+from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Bordered, Resolvent, backward, forward, mean_square_radius, operator_matrix
 
 Arrays = tuple[np.ndarray, np.ndarray]
@@ -64,3 +66,12 @@ def test_the_bordered_matrix_is_solved_alike_dense_and_matrix_free(monkeypatch: 
     monkeypatch.setattr(second_moment, "DENSE_LIMIT", 0)
     free = Bordered(A, transition, left, right).solve(rhs, transposed=transposed)
     assert np.abs(free - dense).max() < 1e-8 * np.abs(dense).max()
+
+
+def test_a_large_loop_on_the_edge_of_stability_is_not_certified() -> None:
+    """The matrix-free solver finds no Lyapunov matrix there, and the certificate says so instead of failing."""
+    A, transition = system(20, 10, 1.0 - 1e-14)
+    n = A.shape[-1]
+    edge = MJLS(A=A, B=np.ones((20, n, 1)), C=np.ones((20, 1, n)), D=np.zeros((20, 1, 1)), transition=transition)
+    found = certify_system(edge)
+    assert not found.stable and found.state == "undecided"

@@ -7,7 +7,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
-from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
+from transport.packets import EMPTY, MORE, ControlPacket, SensorPacket, decode, encode_sensor
 
 PERIOD_NS = 50_000_000
 
@@ -46,3 +46,17 @@ def test_a_packet_of_another_width_is_counted_and_not_used() -> None:
     assert two.hear(encode_sensor(SensorPacket(0, 0, 0, (0.1,)))) is None
     assert (ours.malformed, two.malformed) == (1, 1)
     assert two.hear(encode_sensor(SensorPacket(0, 0, 0, (0.1, 0.1)))) is not None
+
+
+def test_an_older_sample_never_replaces_a_newer_one_of_the_same_slot() -> None:
+    """Reordered: the sample of slot 5, then in the same slot that of slot 3. The newer one is answered for, with tau = 1."""
+    ours, plain = node("dc-motor-hinf"), node("dc-motor-hinf")
+    for each in (ours, plain):
+        session(each, 5)
+    newer, older = (5 * PERIOD_NS, (0.5,)), (3 * PERIOD_NS, (-0.9,))
+    assert ours.hear(encode_sensor(SensorPacket(6, MORE, *newer))) is None
+    answer = ours.hear(encode_sensor(SensorPacket(6, 0, *older)))
+    assert answer == plain.hear(encode_sensor(SensorPacket(6, 0, *newer)))
+    assert answer is not None
+    packet = decode(answer)
+    assert isinstance(packet, ControlPacket) and (packet.sample_ns, packet.tau) == (5 * PERIOD_NS, 1)

@@ -13,7 +13,7 @@ import pytest
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.write.sinks import MemorySink
-from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE
+from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
 from hil.runtime.nodes.answers import LOGGED
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VERSION_1, session_wire
@@ -244,3 +244,26 @@ def test_packets_of_four_samples_are_certified_and_run_as_the_recursion_says() -
     ours, theirs = simulate(loop, 2).arrays, simulate(compose(two), 2).arrays
     assert (ours["/plant/state"] == theirs["/plant/state"]).all()
     assert (ours["/actuator/applied"] == theirs["/actuator/applied"]).all()
+
+
+def test_a_trip_zeroes_an_input_that_was_not_zero_and_the_run_ends_exactly_after_the_grace(loop: Loop) -> None:
+    from hil.log.read.run import Run
+
+    sink = drive(loop, lambda k: answer(k, ((0.4,), (0.4,))) if k < 10 else answer(k, ((7.0,), (7.0,))), 200)
+    applied = Run.from_memory(sink).arrays["/actuator/applied"]
+    trip = int(np.flatnonzero(applied["status"] == SAFE)[0])
+    assert np.all(applied["voltage"][3:trip] == np.float32(0.4)) and np.all(applied["voltage"][trip:] == 0.0)
+    grace = round(loop.experiment.limits.after_trip / loop.experiment.period)
+    assert len(applied) == trip + grace + 1
+
+
+def test_the_watchdog_begins_to_count_when_a_packet_could_have_come(loop: Loop) -> None:
+    """The first packet may take d_max slots; of the slots after these the watchdog lets three pass."""
+    got = statuses(loop, drive(loop, lambda k: None, 100))
+    assert got.index(SAFE) == loop.model.d_max + loop.experiment.limits.watchdog_ticks
+
+
+@pytest.mark.parametrize(("selection", "row"), [("generated", 1), ("previous", 1), ("both", 2)])
+@pytest.mark.parametrize("measured", [-1, 2, 9])
+def test_where_nothing_usable_was_there_the_row_of_the_longest_delay_is_taken(selection: str, row: int, measured: int) -> None:
+    assert row_index(selection, 0, 1, [measured, measured, 0], 1) == row

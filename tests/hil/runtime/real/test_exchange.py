@@ -225,3 +225,37 @@ def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> No
     for topic in ("/plant/state", "/actuator/applied"):
         assert (ours[topic] == virtual[topic]).all()
     assert rig.outcome()["late"] == 0
+
+
+def test_the_deadline_runs_from_the_moment_the_question_left() -> None:
+    """The rig woke up 25 ms late: its controller has its 30 ms all the same, and not a nanosecond more."""
+    for after_ms, heard in ((29, True), (31, False)):
+        link, ear = Bench(), Ear()
+        link.t_ns = 25 * MS
+        talk = exchange(link, ear)
+        talk.ask(0, question())
+        link.arrive(after_ms * MS, b"answer")
+        talk.answer(0, ear.hear)
+        assert (b"answer" in ear.heard) is heard
+
+
+def test_an_overrun_is_a_slot_that_ends_after_its_period() -> None:
+    import os
+    from types import SimpleNamespace
+
+    from hil.compose.loop import compose
+    from hil.experiment import load_experiment
+    from hil.log.write.pipe import PipeSink
+    from hil.runtime.real.rig_process import Job, RealLoop
+
+    loop = compose(load_experiment("dc-motor-hinf"))
+    read, write = os.pipe()
+    job = Job(loop=loop, uri="memory:", seed=0, parent=os.getpid(), log_fd=write, hello_timeout_s=1.0)
+    real = RealLoop(job, MemoryLink(), PipeSink(write, loop.channels()), VERSION_1)
+    period = loop.experiment.period_ns
+    for end, overruns in ((period, 0), (period + 1, 1), (3 * period, 2)):
+        real.clock = SimpleNamespace(now=lambda end=end: end)  # type: ignore[assignment]
+        real._commit(0)
+        assert real.overruns == overruns
+    for fd in (read, write):
+        os.close(fd)
