@@ -13,6 +13,8 @@
 `read_run`                a log, read back: a `Run`
 `sweep`, `compare`        many seeds of one experiment; several experiments on the same delays
 `design`                  gains for a plant over a network, with their norms and bounds
+`assert_probability`      a condition holds with at least some probability: Wald's sequential test
+`assert_law`              the delays of a run are those of its network law
 `HilError`                what all of them raise for what the caller can mend
 ========================  =======================================================================
 
@@ -31,7 +33,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from hil.errors import ExperimentError, HilError
     from hil.experiment import Experiment
-    from hil.face import compare, design, load_experiment, run, simulate, sweep
+    from hil.face import assert_law, assert_probability, compare, design, load_experiment, run, simulate, sweep
     from hil.log.read.run import Run, read_run
     from hil.session import Session
     from hil.sweeps.comparison import Comparison
@@ -45,6 +47,8 @@ _HOMES: Final = {
     "Run": "hil.log.read.run",
     "Session": "hil.session",
     "Sweep": "hil.sweeps.seeds",
+    "assert_law": "hil.face",
+    "assert_probability": "hil.face",
     "compare": "hil.face",
     "design": "hil.face",
     "load_experiment": "hil.face",
@@ -62,6 +66,8 @@ __all__ = [
     "Run",
     "Session",
     "Sweep",
+    "assert_law",
+    "assert_probability",
     "compare",
     "design",
     "load_experiment",
@@ -77,6 +83,7 @@ if not TYPE_CHECKING:  # a type checker shall tell a name that is not there
     def __getattr__(name: str) -> object:
         if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import_module("hil.own_packages").require_own_packages()
         return getattr(import_module(_HOMES[name]), name)
 
 

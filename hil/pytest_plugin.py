@@ -1,19 +1,23 @@
-"""The pytest plug-in: a ``hil`` fixture that runs experiments, and honest gates for what a machine may lack.
+"""The pytest plug-in: a ``hil`` fixture that runs experiments, keeps their logs, and says why a run failed.
 
     def test_step_is_tracked(hil):
         session = hil.run("dc-motor-hinf", seed=3)
-        assert session.summary["metrics"]["sse_after_5s"] < 0.06
+        assert session.metrics["sse_after_5s"] < 0.06
 
-Every import of ours happens when a fixture is used: a test run that does not use it pays nothing.
+It touches no test that does not use the fixture. Every import of ours happens when the fixture is used: a test run without
+it pays nothing.
 """
 
 from __future__ import annotations
 
-import shutil
+import hashlib
+import os
+import re
+import shlex
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import pytest
 
@@ -31,43 +35,42 @@ def has_vcan(interface: str = "vcan0") -> bool:
         return False
 
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-
-
 class Requirement(NamedTuple):
-    """What a marked test needs of the machine: how to see that it is there, and the remedy where it is not."""
+    """What a marked test needs of the machine: how to see that it is there, the remedy where it is not, and its marker."""
 
     there: Callable[[], bool]
     remedy: str
+    marker: str
+    fixture: str | None = None  # only tests that use it are touched
 
 
-NEEDS = {
-    "vcan": Requirement(has_vcan, "no vcan0: run `make test-vcan`"),
-    "chromium": Requirement(lambda: any(map(shutil.which, BROWSERS)), "no browser: apt-get install chromium"),
-    "cyclictest": Requirement(lambda: shutil.which("cyclictest") is not None, "no cyclictest: apt-get install rt-tests"),
-}
+REQUIREMENTS: Final = pytest.StashKey[dict[str, Requirement]]()
+"""What ``--hil-require`` may name. A conftest that adds gates of its own puts them into ``config.stash[REQUIREMENTS]``."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the ``--hil-*`` options."""
     group = parser.getgroup("hil", "hardware-in-the-loop")
-    group.addoption("--hil-require", default="", metavar="WHAT", help=f"comma list of {', '.join(NEEDS)}: fail, don't skip")
-    group.addoption("--hil-slow", action="store_true", help="run tests marked slow")
-    group.addoption("--hil-hostile", action="store_true", help="run tests marked hostile")
+    group.addoption("--hil-require", default="", metavar="WHAT", help="comma list, such as vcan: fail, don't skip, without it")
     group.addoption("--hil-clock", choices=["virtual", "real"], default="virtual", help="clock of hil.run() [virtual]")
-    group.addoption("--hil-link", metavar="URI", help="link of hil.run() in real time")
-    group.addoption("--hil-logs", metavar="DIR", help="keep the logs of hil.run() here")
+    group.addoption("--hil-link", metavar="URI", help="link of hil.run() in real time; each xdist worker has its own part of it")
+    group.addoption("--hil-logs", metavar="DIR", help="keep the logs of hil.run() here, in folders named after the tests")
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the markers and check the options."""
-    for name, need in NEEDS.items():
-        config.addinivalue_line("markers", f"{name}: skipped, or failed with --hil-require={name}, where there is {need.remedy}")
-    config.addinivalue_line("markers", "slow: minutes of computing; runs with --hil-slow")
-    config.addinivalue_line("markers", "hostile: attacks that last for minutes; runs with --hil-hostile")
-    unknown = set(_required(config)) - set(NEEDS)
+    """Register the marker and what it requires."""
+    need = Requirement(has_vcan, "no vcan0: run pytest under `hil vcan --`", "hil_vcan", "hil")
+    config.stash[REQUIREMENTS] = {"vcan": need}
+    config.addinivalue_line("markers", "hil_vcan: uses `hil` on vcan0; skipped without one, failed with --hil-require=vcan")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Check what is required by name."""
+    known = session.config.stash[REQUIREMENTS]
+    unknown = set(_required(session.config)) - set(known)
     if unknown:
-        raise pytest.UsageError(f"--hil-require: {', '.join(sorted(unknown))} is not one of {', '.join(NEEDS)}")
+        raise pytest.UsageError(f"--hil-require: {', '.join(sorted(unknown))} is not one of {', '.join(known)}")
 
 
 def _required(config: pytest.Config) -> list[str]:
@@ -76,8 +79,8 @@ def _required(config: pytest.Config) -> list[str]:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Skip, with the reason and the remedy, what this machine cannot run."""
-    for name, need in NEEDS.items():
-        marked = [item for item in items if item.get_closest_marker(name)]
+    for name, need in config.stash[REQUIREMENTS].items():
+        marked = [i for i in items if i.get_closest_marker(need.marker) and _uses(i, need.fixture)]
         if not marked or need.there():
             continue
         if name in _required(config):
@@ -85,19 +88,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         skip = pytest.mark.skip(reason=f"{need.remedy} (--hil-require={name} makes this a failure)")
         for item in marked:
             item.add_marker(skip)
-    for name in ("slow", "hostile"):
-        if not config.getoption(f"--hil-{name}"):
-            skip = pytest.mark.skip(reason=f"{name}: runs with --hil-{name}")
-            for item in items:
-                if item.get_closest_marker(name):
-                    item.add_marker(skip)
+
+
+def _uses(item: pytest.Item, fixture: str | None) -> bool:
+    return fixture is None or (isinstance(item, pytest.Function) and fixture in item.fixturenames)
 
 
 class Runner:
     """What the ``hil`` fixture gives: runs experiments, keeps their logs where the test's report can name them."""
 
-    def __init__(self, folder: Path, clock: ClockName, link: str | None) -> None:
-        self._folder, self._clock, self._link = folder, clock, link
+    def __init__(self, folder: Path, clock: ClockName, link: str | None, worker: int | None) -> None:
+        self._folder, self._clock, self._link, self._worker = folder, clock, link, worker
         self.sessions: list[Session] = []
 
     def run(
@@ -106,52 +107,131 @@ class Runner:
         *,
         set: Sequence[str] = (),
         seed: int | None = None,
-        duration: str | None = None,
+        duration: str | float | None = None,
         clock: ClockName | None = None,
         link: str | None = None,
+        **changes: Any,
     ) -> Session:
-        """Run an experiment and return its session: ``.summary``, ``.run`` (numpy arrays per topic), ``.status``.
+        """Run an experiment and return its session: ``.metrics``, ``.arrays`` (numpy, per topic), ``.summary``, ``.status``.
 
         Args:
             experiment: shipped name or TOML file.
-            set, seed, duration, clock, link: as the options of ``hil run``; clock and link default to ``--hil-clock`` and
-                ``--hil-link``.
+            set: changes ``path=value``, as ``hil run --set`` takes them.
+            seed, duration, clock, link: as in `hil.run`; clock and link default to ``--hil-clock`` and ``--hil-link``. A link
+                that is not given here is shared out among the workers of pytest-xdist.
+            changes: path to value, as in `hil.run`.
 
         Raises:
-            hil.errors.HilError: if the experiment cannot be run.
+            hil.HilError: if the experiment cannot be run.
         """
-        from hil.experiment import load_experiment
+        from hil.own_packages import require_own_packages
+
+        require_own_packages()
+        from hil.face import load_experiment
         from hil.session import run_session
 
-        checked = load_experiment(experiment, set, seed=seed, duration=duration)
+        checked = load_experiment(experiment, set, seed=seed, duration=duration, **changes)
         self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / f"{checked.name}-{len(self.sessions)}.mcap"
-        session = run_session(
-            checked, clock=clock or self._clock, link=link or self._link, path=path
-        )
+        number = len(self.sessions)
+        while (path := self._folder / f"{checked.name}-{number}.mcap").exists():
+            number += 1  # of an earlier run of this test: it is kept
+        clock = clock or self._clock
+        if clock == "real" and link is None:
+            link = self._shared(self._link or checked.links.uri)
+        session = run_session(checked, clock=clock, link=link or self._link, path=path)
         self.sessions.append(session)
         if session.status == 130:
             raise KeyboardInterrupt  # the session closed its log first; now pytest shall end too
         return session
+
+    def _shared(self, uri: str) -> str:
+        if self._worker is None:
+            return uri
+        from transport.links.own_channel import own_channel
+
+        return own_channel(uri, self._worker)
+
+    def assert_probability(self, experiment: str | Path, holds: Callable[[Session], object], **options: Any) -> str:
+        """Assert that a condition holds with at least some probability; see `hil.assert_probability`."""
+        from hil import assert_probability
+
+        return assert_probability(experiment, holds, **options)
+
+    def assert_law(self, session: Session, side: str, *, alpha: float = 1e-6) -> float:
+        """Assert that the delays of a run are those of its network law; see `hil.assert_law`."""
+        from hil import assert_law
+
+        return assert_law(session, side, alpha=alpha)
 
 
 @pytest.fixture
 def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runner]:
     """Run experiments from a test; see :class:`Runner`."""
     keep = request.config.getoption("--hil-logs")
-    folder = Path(keep) / request.node.name.replace("/", "_") if keep else tmp_path / "hil"
-    rig = Runner(folder, request.config.getoption("--hil-clock"), request.config.getoption("--hil-link"))
+    folder = Path(keep) / folder_of(request.node.nodeid) if keep else tmp_path / "hil"
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
+    rig = Runner(
+        folder,
+        request.config.getoption("--hil-clock"),
+        request.config.getoption("--hil-link"),
+        int(worker) if worker.isdecimal() else None,
+    )
     yield rig
     request.node.user_properties += [("hil_log", s.summary["log"]["path"]) for s in rig.sessions]
 
 
+def folder_of(node_id: str) -> Path:
+    """Return the folder of a test's logs: its node id, with a digest where it holds what no file name should.
+
+    >>> str(folder_of("sub/test_b.py::TestRig::test_step[3]"))
+    'sub/test_b.py/TestRig/test_step[3]'
+    >>> folder_of("test_b.py::test_step[a/b]") == folder_of("test_b.py::test_step[a:b]")
+    False
+    """
+    file, _, test = node_id.partition("::")
+    parts = []
+    for part in (*file.split("/"), *test.split("::", test.partition("[")[0].count("::"))):
+        plain = re.sub(r"[^\w.\-\[\]=,+ ]", "_", part)[:100]
+        changed = plain != part or plain in (".", "..", "")
+        parts.append(f"{plain}-{hashlib.sha256(part.encode()).hexdigest()[:8]}" if changed else plain)
+    return Path(*parts)
+
+
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> Iterator[None]:
-    """Name the logs of a failed test in its report."""
+    """Say of a failed test what its runs came to, and how to see more; an error of the user's is one line."""
     outcome: Any = yield
     report = outcome.get_result()
     rig = getattr(item, "funcargs", {}).get("hil")
-    if report.when == "call" and report.failed and isinstance(rig, Runner):
-        for s in rig.sessions:
-            line = f"{s.summary['experiment']} seed {s.summary['seed']}: {s.summary['log']['path']}"
-            report.sections.append(("hil log", line))
+    if report.when != "call" or not report.failed or not isinstance(rig, Runner):
+        return
+    from hil.errors import HilError
+
+    if call.excinfo is not None and call.excinfo.errisinstance(HilError):
+        at = next((e for e in reversed(call.excinfo.traceback) if e.path == item.path), call.excinfo.traceback[0])
+        report.longrepr = "\n".join(f"{at.path}:{at.lineno + 1}: {line}" for line in str(call.excinfo.value).splitlines())
+    for session in rig.sessions:
+        report.sections.append(("hil log", explained(session)))
+
+
+def explained(session: Session) -> str:
+    """Return what a session came to (status, safety, timing), its log, and three commands that show more.
+
+    Args:
+        session: a finished run with a log.
+    """
+    s = session.summary
+    log = s["log"]["path"]
+    told = [f"{s['experiment']} seed {s['seed']}: {log}", f"status {session.status}, {s['clock']} time, {s['ticks']} slots"]
+    if s["safety"]:
+        told.append(f"safety: {s['safety']}")
+    if not s["timing"]["valid"]:
+        told.append(f"timing not valid: {'; '.join(s['timing']['why'])}")
+    told += [f"{name.replace('_', ' ')}: {text}" for name, text in s["problems"].items()]
+    quoted = shlex.quote(str(log))
+    told += [
+        f"hil report {quoted}   # a page with every signal",
+        f"hil replay {quoted}   # the same run again, slot by slot",
+        f"hil export {quoted} -o {shlex.quote(str(Path(log).with_suffix('.npz')))}   # the signals as numpy arrays",
+    ]
+    return "\n".join(told)

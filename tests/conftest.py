@@ -1,12 +1,54 @@
-"""What every test of ours shares: a design cache of its own, so that a broken solver cannot stay green on last week's gains."""
+"""What every test of ours shares: gates for what a machine may lack or takes minutes, and a design cache of its own.
+
+The cache is fresh for every test run, so that a broken solver cannot stay green on last week's gains.
+"""
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from hil.pytest_plugin import REQUIREMENTS, Requirement, has_vcan
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+NEEDS = {
+    "vcan": Requirement(has_vcan, "no vcan0: run `make test-vcan`", "vcan"),
+    "chromium": Requirement(lambda: any(map(shutil.which, BROWSERS)), "no browser: apt-get install chromium", "chromium"),
+    "cyclictest": Requirement(
+        lambda: shutil.which("cyclictest") is not None, "no cyclictest: apt-get install rt-tests", "cyclictest"
+    ),
+}
+LONG = {"slow": "minutes of computing", "hostile": "attacks that last for minutes"}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options that let long tests run."""
+    group = parser.getgroup("hil")
+    for name, what in LONG.items():
+        group.addoption(f"--hil-{name}", action="store_true", help=f"run tests marked {name}: {what}")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the markers of our own tests, and what they require of the machine."""
+    config.stash[REQUIREMENTS] |= NEEDS
+    for name, need in NEEDS.items():
+        config.addinivalue_line("markers", f"{name}: skipped, or failed with --hil-require={name}, where there is {need.remedy}")
+    for name, what in LONG.items():
+        config.addinivalue_line("markers", f"{name}: {what}; runs with --hil-{name}")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Skip long tests unless they are asked for."""
+    for name in LONG:
+        if not config.getoption(f"--hil-{name}"):
+            skip = pytest.mark.skip(reason=f"{name}: runs with --hil-{name}")
+            for item in items:
+                if item.get_closest_marker(name):
+                    item.add_marker(skip)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from hil.errors import HilError
+from hil.own_packages import require_own_packages
 
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",
@@ -64,6 +65,8 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
+        if cmd_name != "doctor":  # which tells of it
+            require_own_packages()
         command: click.Command = importlib.import_module(f"hil.cli.{cmd_name.replace('-', '_')}").command
         return command
 

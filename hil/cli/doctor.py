@@ -13,6 +13,8 @@ from pathlib import Path
 
 import click
 
+from hil.own_packages import REMEDY, shadows
+
 Check = tuple[str, bool, str, str]  # what, fine, finding, remedy
 
 
@@ -89,6 +91,10 @@ def _packages() -> Check:
         for name in ("hil", "plants", "transport", "design")
         if any(d != "hilrig" for d in owners.get(name, []))
     ]
+    shadowed = shadows()
+    if shadowed:
+        told = [f"{path or 'no module'} stands in the place of our {name}" for name, path in shadowed.items()]
+        return "package ownership", False, "; ".join(told), REMEDY
     if foreign:
         return "package ownership", False, "; ".join(foreign), "install hilrig in a virtual environment of its own"
     return "package ownership", True, f"hil, plants, transport, design are hilrig's, Python {sys.version.split()[0]}", ""

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
 
 pytest_plugins = ["pytester"]
 
+OUR_GATES = (Path(__file__).parents[1] / "conftest.py").read_text()
 
-def test_fixture_runs_an_experiment_and_names_the_log_of_a_failure(pytester: pytest.Pytester) -> None:
+
+def test_fixture_runs_an_experiment_and_says_of_a_failure_why_and_how_to_see_more(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
         def test_tracks(hil):
@@ -17,27 +22,123 @@ def test_fixture_runs_an_experiment_and_names_the_log_of_a_failure(pytester: pyt
             assert len(session.run.arrays["/plant/state"]) == 240
 
         def test_fails(hil):
-            hil.run("dc-motor-h2", duration="2 s")
-            assert False
+            session = hil.run("dc-motor-h2", duration=2, **{"limits.state.angle": 1.0})
+            assert session.status == 0
         """
     )
     result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
     result.assert_outcomes(passed=1, failed=1)
-    result.stdout.fnmatch_lines(["*hil log*", "dc-motor-h2 seed 0: *.mcap"])
+    result.stdout.fnmatch_lines([
+        "*hil log*", "dc-motor-h2 seed 0: *.mcap", "status 3, virtual time, * slots", "safety: *angle*",
+        "hil report *.mcap *", "hil replay *.mcap *", "hil export *.mcap -o *.npz *",
+    ])  # fmt: skip
 
 
-def test_missing_vcan_skips_with_the_remedy_and_fails_on_demand(pytester: pytest.Pytester) -> None:
+def test_the_three_commands_of_a_failure_run(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile("def test_fails(hil):\n    hil.run('dc-motor-h2', duration=1)\n    assert False")
+    lines = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--hil-logs=kept").outlines
+    told = [line.partition("   # ")[0].split() for line in lines if "   # " in line]
+    assert [command[1] for command in told] == ["report", "replay", "export"]
+    for command in told:
+        assert pytester.run(sys.executable, "-m", *command).ret == 0
+
+
+def test_a_wrong_key_is_one_line_for_each_fault(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile("def test_typo(hil):\n    hil.run('dc-motor-hinf', **{'plant.gian': 3, 'limits.inpt': 1})")
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--no-header")
+    result.assert_outcomes(failed=1)
+    told = [line for line in result.outlines if "gian" in line and "FAILED" not in line]
+    assert len(told) == 1 and "test_a_wrong_key" in told[0] and ".py:2: " in told[0] and "did you mean 'gain'" in told[0]
+    assert len(result.outlines) < 15, "no traceback of ours"
+
+
+def test_markers_of_other_projects_are_left_alone(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        import pytest
+
+        @pytest.mark.slow
+        def test_slow(): pass
+
+        @pytest.mark.vcan
+        @pytest.mark.chromium
+        @pytest.mark.cyclictest
+        @pytest.mark.hostile
+        @pytest.mark.hil_vcan
+        def test_theirs(): pass
+        """
+    )
+    pytester.runpytest_subprocess().assert_outcomes(passed=2)
+
+
+def test_missing_vcan_skips_only_users_of_the_fixture_and_fails_on_demand(pytester: pytest.Pytester) -> None:
     from hil.pytest_plugin import has_vcan
 
     if has_vcan():
         pytest.skip("there is a vcan0 here, so nothing can be missing")
-    pytester.makepyfile("import pytest\n@pytest.mark.vcan\ndef test_bus(): pass")
+    pytester.makepyfile("import pytest\n@pytest.mark.hil_vcan\ndef test_bus(hil): pass\ndef test_other(hil): pass")
+    result = pytester.runpytest_subprocess("-rs")
+    result.assert_outcomes(skipped=1, passed=1)
+    result.stdout.fnmatch_lines(["*hil vcan --*"])
+    assert pytester.runpytest_subprocess("--hil-require=vcan").ret == pytest.ExitCode.USAGE_ERROR
+    assert pytester.runpytest_subprocess("--hil-require=vcan", "-k", "other").ret == pytest.ExitCode.USAGE_ERROR
+
+
+def test_our_own_gates_skip_with_the_remedy_and_fail_on_demand(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytester.makeconftest(OUR_GATES)
+    pytester.makepyfile("import pytest\n@pytest.mark.cyclictest\n@pytest.mark.slow\ndef test_long(): pass")
     result = pytester.runpytest_subprocess("-rs")
     result.assert_outcomes(skipped=1)
-    result.stdout.fnmatch_lines(["*make test-vcan*"])
-    assert pytester.runpytest_subprocess("--hil-require=vcan").ret == pytest.ExitCode.USAGE_ERROR
+    result.stdout.fnmatch_lines(["*--hil-slow*"])
+    assert "unrecognized" not in pytester.runpytest_subprocess("--hil-slow", "--hil-hostile").stdout.str()
+    monkeypatch.setenv("PATH", "/nonexistent")
+    result = pytester.runpytest_subprocess("--hil-require=cyclictest")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR and "apt-get install rt-tests" in result.stderr.str()
 
 
 def test_unknown_requirement_is_refused(pytester: pytest.Pytester) -> None:
     pytester.makepyfile("def test_nothing(): pass")
     assert pytester.runpytest_subprocess("--hil-require=lidar").ret == pytest.ExitCode.USAGE_ERROR
+
+
+def test_logs_of_tests_with_one_name_lie_apart_and_no_run_overwrites_another(pytester: pytest.Pytester) -> None:
+    test = "import pytest\n@pytest.mark.parametrize('n', [1, 2])\ndef test_step(hil, n): hil.run('dc-motor-hinf', duration=1)"
+    for name in ("one", "two"):
+        (pytester.mkdir(name) / f"test_{name}.py").write_text(test)
+    for runs in (1, 2):
+        pytester.runpytest_subprocess("--hil-logs=kept", "-p", "no:cacheprovider").assert_outcomes(passed=4)
+        logs = sorted(p.relative_to(pytester.path / "kept").as_posix() for p in (pytester.path / "kept").rglob("*.mcap"))
+        assert len(logs) == 4 * runs
+    assert logs[0] == "one/test_one.py/test_step[1]/dc-motor-hinf-0.mcap"
+
+
+@pytest.mark.realtime
+def test_workers_of_xdist_have_a_channel_each(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        import pytest
+
+        @pytest.mark.parametrize("seed", range(4))
+        def test_runs(hil, seed):
+            assert hil.run("dc-motor-hinf", seed=seed, duration=3).status == 0
+        """
+    )
+    result = pytester.runpytest_subprocess("-n", "2", "--hil-clock", "real", "-p", "no:cacheprovider")
+    result.assert_outcomes(passed=4)
+
+
+def test_assertions_are_on_the_fixture(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        def test_law(hil):
+            hil.assert_law(hil.run("dc-motor-hinf", seed=1), "ca")
+
+        def test_probability(hil):
+            hil.assert_probability("dc-motor-hinf", lambda s: s.metrics["sse"] < 1, at_least=0.5, duration=2)
+        """
+    )
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(["*dc-motor-hinf: 0 of 10 runs held*failed seeds: 0, 1, 2*"])

@@ -1,4 +1,4 @@
-"""Gates of the tests around a real vcan0; `vcan` itself is gated by the plug-in, hil/pytest_plugin.py."""
+"""Gates of the tests around a real vcan0; `vcan` itself is gated by tests/conftest.py."""
 
 from __future__ import annotations
 

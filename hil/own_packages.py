@@ -1,0 +1,41 @@
+"""Whether `design`, `plants` and `transport` are ours: a module of that name in somebody's folder takes their place."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+from hil.errors import HilError
+
+OURS: Final = ("design", "plants", "transport")
+ROOT: Final = Path(__file__).resolve().parents[1]
+"""The folder that holds hil and its three packages: a checkout, or `site-packages`."""
+
+REMEDY: Final = "rename it, or start Python where it is not found first: another folder, or python -P"
+
+
+def shadows() -> dict[str, str]:
+    """Return the files that stand in the place of our packages, by package; what is missing is an empty text."""
+    found = {}
+    for name in OURS:
+        try:
+            spec = find_spec(name)
+        except ValueError:  # a module without a spec, such as one that a test has put there
+            spec = None
+        origin = spec.origin if spec is not None else None
+        if origin is None or Path(origin).resolve().parent != ROOT / name:
+            found[name] = origin or ""
+    return found
+
+
+def require_own_packages() -> None:
+    """Refuse to go on with somebody else's `design`, `plants` or `transport`.
+
+    Raises:
+        HilError: a line for each file that shadows one of ours, with what helps.
+    """
+    found = shadows()
+    if found:
+        lines = [f"{path or 'no module'} stands in the place of hilrig's package {name!r}" for name, path in found.items()]
+        raise HilError("\n".join([*lines, REMEDY]))

@@ -1,0 +1,85 @@
+"""`hil.assert_probability` and `hil.assert_law`: what they decide, what they print, and how often they err."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import hil
+from hil.compose.loop import compose
+from hil.measure.network import network_metrics
+from hil.session import simulated_session
+from transport import MarkovAge
+
+
+def test_a_condition_that_always_holds_passes_in_the_fewest_runs() -> None:
+    told = hil.assert_probability("dc-motor-hinf", lambda s: s.status == 0, at_least=0.5, margin=0.4, alpha=1e-2, duration=2)
+    assert told == "dc-motor-hinf: 8 of 8 runs held, so the probability is above 0.5 (error at most 0.01)"
+
+
+def test_it_gives_the_seeds_that_failed_and_stops_at_once() -> None:
+    seen = []
+
+    def odd(session: hil.Session) -> bool:
+        seen.append(session.summary["seed"])
+        return bool(seen[-1] % 2)
+
+    with pytest.raises(AssertionError, match=r"of \d+ runs held, .* below 0.95 .*failed seeds: 8, 10, 12"):
+        hil.assert_probability("dc-motor-hinf", odd, at_least=0.9, duration=1, first_seed=7)
+    assert seen == list(range(7, 7 + len(seen))) and len(seen) < 40
+
+
+def test_too_few_runs_are_undecided_and_fail() -> None:
+    with pytest.raises(AssertionError, match=r"does not tell 0\.9 from 0\.95"):
+        hil.assert_probability("dc-motor-hinf", lambda s: True, at_least=0.9, most_runs=2, duration=1)
+
+
+@pytest.mark.parametrize("wrong", [{"at_least": 1.0}, {"at_least": 0.9, "margin": 0.2}, {"at_least": 0.5, "alpha": 2.0}])
+def test_numbers_that_mean_nothing_are_told(wrong: dict[str, float]) -> None:
+    with pytest.raises(hil.HilError, match="assert_probability: "):
+        hil.assert_probability("dc-motor-hinf", lambda s: True, **wrong)
+
+
+def test_a_session_of_it_has_the_numbers_of_a_run_with_a_log() -> None:
+    loop = compose(hil.load_experiment("dc-motor-hinf", duration=3))
+    light, logged = simulated_session(loop, 4), hil.run("dc-motor-hinf", seed=4, duration=3)
+    for key in set(logged.summary) - {"wall_s", "log"}:
+        assert light.summary[key] == logged.summary[key], key
+    assert light.status == logged.status and repr(light) == repr(logged)
+    stopped = {"limits.state.angle": 1.0}
+    assert simulated_session(compose(hil.load_experiment("dc-motor-hinf", duration=3, **stopped)), 4).status == 3
+
+
+def test_the_assertion_on_a_law_errs_as_rarely_as_it_says() -> None:
+    """100 seeds at alpha 5 %: the number of wrong failures lies in the binomial's range that is left with 1 in 10^6."""
+    loop = compose(hil.load_experiment("dc-motor-hinf", duration=10))
+    failed = 0
+    for seed in range(100):
+        session = simulated_session(loop, seed)
+        try:
+            hil.assert_law(session, "sc", alpha=0.05)
+        except AssertionError:
+            failed += 1
+    assert binom.ppf(5e-7, 100, 0.05) <= failed <= binom.isf(5e-7, 100, 0.05)
+
+
+def test_the_assertion_on_a_law_finds_another_law() -> None:
+    session = hil.run("dc-motor-hinf", seed=1)
+    draws = session.arrays["/network/sc"]
+    other = MarkovAge(matrix=((0.4, 0.6, 0.0), (0.6, 0.2, 0.2), (0.8, 0.1, 0.1)))
+    network = session.summary["network"] | {"sc": network_metrics(draws, other, "markov")}
+    wrong = hil.Session(run=session.run, summary=session.summary | {"network": network}, status=0)
+    with pytest.raises(AssertionError, match=r"sc: not the law 'markov': p = .* < 1e-06; modes \["):
+        hil.assert_law(wrong, "sc")
+    assert hil.assert_law(session, "sc") == session.summary["network"]["sc"]["p_value"]
+
+
+def test_a_law_without_a_test_is_told() -> None:
+    session = hil.run("dc-motor-hinf", duration=1, **{"links.sc.law": {"kind": "constant", "age": 0}})
+    for side, match in (("cs", "expected 'sc' or 'ca'"), ("sc", "has no test")):
+        if side == "sc" and session.summary["network"]["sc"]["p_value"] is not None:
+            continue
+        with pytest.raises(hil.HilError, match=match):
+            hil.assert_law(session, side)
+    assert np.isfinite(hil.assert_law(session, "ca", alpha=1e-9))
