@@ -11,6 +11,9 @@ from typing import Final
 HEAD: Final = Struct("<dH")
 """Time stamp, s; datagrams lost before this one."""
 
+_STAMP: Final = Struct("@ll")
+_STAMP_SPACE: Final = socket.CMSG_SPACE(_STAMP.size)
+_SO_TIMESTAMPNS: Final = 35  # <asm-generic/socket.h>; the socket module does not name it
 _SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds more than QUEUE_LIMIT, see the tests
 
 
@@ -23,6 +26,8 @@ class Peer:
         connection.setblocking(False)
         with suppress(OSError):
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        with suppress(OSError):
+            connection.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.socket = connection
         self._send = connection.send
         self.missed = 0
@@ -35,3 +40,15 @@ class Peer:
         told = min(self.missed, 0xFFFF)
         self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], told) + datagram[HEAD.size :], MSG_NOSIGNAL)
         self.missed -= told
+
+    def arrival_ns(self) -> int:
+        """Return when the kernel took the datagram that waits here, ns; -1 where nothing says so: it is read at once."""
+        try:
+            _, said, _, _ = self.socket.recvmsg(1, _STAMP_SPACE, socket.MSG_PEEK)
+        except OSError:
+            return -1
+        for level, kind, data in said:
+            if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) == _STAMP.size:
+                seconds, nanoseconds = _STAMP.unpack(data)
+                return int(seconds) * 1_000_000_000 + int(nanoseconds)
+        return -1

@@ -9,8 +9,9 @@ The kernel queues up to `QUEUE_LIMIT` datagrams from each sender at each receive
 receiver only: the sender counts it as dropped, and the next datagram that gets through tells the receiver how many it
 missed. Nobody ever waits for another participant, be it slow, stopped or dead.
 
-A datagram begins with `HEAD`: the time it was sent, by which a receiver merges its senders, and the number of datagrams
-missed before it, which is the mesh's to fill in.
+A datagram begins with `HEAD`: the time it was sent, for who logs it, and the number of datagrams missed before it, which is
+the mesh's to fill in. A receiver merges its senders by the instant at which its own kernel took each datagram: what a sender
+says of the time decides nothing, or who says 0 would always be heard first.
 """
 
 from __future__ import annotations
@@ -215,7 +216,7 @@ class Mesh(Closing):
                 self.dropped += 1
 
     def receive(self, timeout_s: float | None) -> bytes | None:
-        """Return the next datagram, of all that wait the one sent first, or None.
+        """Return the next datagram, of all that wait the one that arrived first, or None.
 
         None may come before the time is up, when nothing but a coming or going happened.
 
@@ -264,15 +265,11 @@ class Mesh(Closing):
             timeout_s = 0
         return look(timeout_s)
 
-    def _time(self, event: tuple[int, int]) -> float:
+    def _time(self, event: tuple[int, int]) -> int:
         peer = self._sources.get(event[0])
         if peer is None:
-            return float("-inf")  # newcomers first
-        try:
-            head = peer.socket.recv(HEAD.size, socket.MSG_PEEK)
-        except OSError:
-            return float("-inf")
-        return float(HEAD.unpack(head)[0]) if len(head) == HEAD.size else float("-inf")
+            return -1  # newcomers first
+        return peer.arrival_ns()
 
     def fileno(self) -> int:
         """Return a descriptor that is readable while something waits; -1 after `close`."""

@@ -237,3 +237,12 @@ def test_a_directory_open_to_others_is_refused_with_the_remedy(directory: Path) 
     directory.parent.chmod(0o755)
     with pytest.raises(TransportError, match="with mode 700; chmod 700 it, or choose another directory"):
         Mesh(directory)
+
+
+def test_what_arrives_first_is_heard_first_whatever_time_its_sender_says(directory: Path) -> None:
+    with Mesh(directory) as listener, Mesh(directory) as honest, Mesh(directory) as early:
+        for turn in range(20):
+            honest.send(HEAD.pack(1e9 + turn, 0) + b"honest")
+            early.send(HEAD.pack(0.0, 0) + b"early")
+        heard = [datagram[HEAD.size :] for _ in range(60) if (datagram := listener.receive(0.0)) is not None]
+    assert heard == [b"honest", b"early"] * 20

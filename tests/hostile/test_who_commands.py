@@ -1,0 +1,81 @@
+"""A stranger who answers in the controller's place: what is sent ahead never commands, what races is said, exit status 5."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.log.read.run import Run, read_run
+
+pytestmark = pytest.mark.realtime
+
+THEIRS = -4.0  # volt; our controller never asks for it
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def intruder(uri: str, version: int, way: str) -> Iterator[None]:
+    """The program `intruder.py`, once it is on the link; it ends with the test."""
+    program = Path(__file__).with_name("intruder.py")
+    with subprocess.Popen([sys.executable, str(program), uri, str(version), way], stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None and process.stdout.readline() == b"up\n"
+            yield
+        finally:
+            process.kill()
+
+
+def session(folder: Path, uri: str, *more: str) -> tuple[int, dict[str, Any], Run]:
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--link", uri, "--json", "--duration", "2",
+         "--set", "reference.0.at=0.2", "-o", "run.mcap", *more],
+        cwd=folder, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr and done.stdout, done.stderr
+    return done.returncode, json.loads(done.stdout), read_run(folder / "run.mcap")
+
+
+def applied(run: Run) -> np.ndarray[Any, Any]:
+    return np.asarray(run.arrays["/actuator/applied"]["voltage"])
+
+
+@pytest.mark.parametrize(("link", "way"), [("can", "ahead"), ("zenoh", "fill")])
+def test_answers_sent_ahead_never_command_and_are_said(tmp_path: Path, link: str, way: str) -> None:
+    uri = f"can:hil:who{os.getpid()}" if link == "can" else f"zenoh:tcp/127.0.0.1:{free_port()}"
+    with intruder(uri, 2, way):
+        status, summary, run = session(tmp_path, uri)
+    assert status == 5 and "second controller" in summary["problems"]["second_controller"]
+    assert sum(event["kind"] == "second controller" for event in run.events) == 1
+    assert not (applied(run) == THEIRS).any()
+
+
+def test_answers_sent_ahead_in_wire_version_1_are_drained_before_the_question_and_said(tmp_path: Path) -> None:
+    uri = f"can:hil:one{os.getpid()}"
+    with intruder(uri, 1, "ahead"):
+        status, summary, run = session(tmp_path, f"{uri}?version=1")
+    assert status == 5 and "before it was asked" in summary["problems"]["second_controller"]
+    if summary["timing"]["valid"]:  # a machine that starves the intruder makes it a race
+        assert (applied(run) == THEIRS).mean() < 0.1
+
+
+def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None:
+    """Who hears the question can echo its nonce: without a key that is a command, but never one that nobody is told of."""
+    uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
+    with intruder(uri, 2, "race"):
+        status, summary, _ = session(tmp_path, uri)
+    assert status == 5 and "answered twice" in summary["problems"]["second_controller"]
