@@ -27,7 +27,7 @@ WORDS = {
     "constant": "nothing", "tau": "tau", "previous": "d before", "generated": "d made", "total": "age", "applied": "d applied",
     "both": "both d",
 }  # fmt: skip
-BOUNDS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 20.0, 40.0, 80.0)
+BOUNDS = (1.0, 2.0, 4.5, 7.0, 40.0)
 
 
 def best(plant: Plant, **options: Any) -> Design:

@@ -19,7 +19,7 @@ from hil.session import simulate
 
 Array = npt.NDArray[np.float64]
 TOPICS = ("/plant/measurement", "/reference", "/actuator/applied")
-SMITH_RUNS = 40
+SMITH_RUNS = 20
 SMITH_GAINS = (-0.02, -0.03, -0.08, -0.16, -0.2)
 SEED = 7
 

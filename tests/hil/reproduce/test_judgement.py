@@ -61,6 +61,11 @@ def test_a_printed_run_is_judged_by_its_rank_whatever_the_law() -> None:
     assert rank("share", [1.0, np.inf, np.inf], 2.0, tail=0.1).holds and not rank("share", [1.0, np.nan], 2.0).holds
 
 
+def test_few_runs_turn_no_printed_run_away_and_enough_do() -> None:
+    assert rank("share", np.ones(60), 2.0).holds and not rank("share", np.ones(240), 2.0).holds
+    assert rank("share", np.ones(60), 0.0).holds and not rank("share", np.ones(240), 0.0).holds
+
+
 def test_the_row_says_its_rule_and_its_numbers() -> None:
     found = row("a", "0.2", near("norm", 0.25, 0.2, relative=0.01), witness=(above("norm", 0.25, 0.2),)).to_json()
     assert found["rule"] == "norm within 0.002 of 0.2. Refuted by: norm > 0.2" and found["verdict"] == "claim false"
