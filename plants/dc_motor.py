@@ -14,6 +14,7 @@ from plants.parts.actuators import Driver
 from plants.parts.exponential import zero_order_hold
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
+from plants.parts.motor_many import MotorRuns
 from plants.parts.sensors import Encoder
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
@@ -42,6 +43,26 @@ class LoadTorque:
         require_not_negative("start_s", self.start_s)
         if self.stop_s is not None and not (math.isfinite(self.stop_s) and self.stop_s > self.start_s):
             raise ValueError(f"stop_s: {self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
+
+    def pieces(self, now_ns: int, dt_ns: int) -> list[tuple[int, float | None]]:
+        """Return the parts of a span of time in which the load is constant: length in ns, load in V or None.
+
+        Args:
+            now_ns: session time at which it begins, ns.
+            dt_ns: its length, ns.
+        """
+        if not self.torque_v:
+            return [(dt_ns, None)]
+        start_ns = round(self.start_s * NS_PER_S)
+        stop_ns = _NEVER_NS if self.stop_s is None else round(self.stop_s * NS_PER_S)
+        end_ns, found = now_ns + dt_ns, []
+        while now_ns < end_ns:
+            loaded = start_ns <= now_ns < stop_ns
+            edge_ns = start_ns if now_ns < start_ns else stop_ns if loaded else _NEVER_NS
+            until_ns = min(end_ns, edge_ns)
+            found.append((until_ns - now_ns, self.torque_v if loaded else None))
+            now_ns = until_ns
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +147,21 @@ class DCMotor:
         """Return the motor at time 0. It draws nothing from ``rng``."""
         return DCMotorRun(self)
 
+    def start_many(self, runs: int) -> MotorRuns | None:
+        """Return so many motors at time 0; None with dry friction, which slips and sticks at instants of its own."""
+        if self.friction.dry:
+            return None
+        return MotorRuns(
+            self.gain,
+            self.pole + self.gain * self.friction.viscous_v_s_per_rad,
+            (self.initial_angle_rad, self.initial_speed_rad_s),
+            driver=None if self.driver.ideal else self.driver,
+            through=self.disturbance_through_driver,
+            encoder_step_rad=self.encoder.step_rad,
+            pieces=self.load.pieces,
+            runs=runs,
+        )
+
 
 class _Axis(Protocol):
     def move(self, angle: float, speed: float, drive: float, dt_ns: int) -> tuple[float, float]: ...
@@ -171,7 +207,7 @@ class _DryAxis:
 class DCMotorRun:
     """The running motor. See `DCMotor` for the equations."""
 
-    __slots__ = ("_angle", "_applied", "_drive", "_edges", "_load_v", "_move", "_now_ns", "_read", "_speed", "_through")
+    __slots__ = ("_angle", "_applied", "_drive", "_move", "_now_ns", "_pieces", "_read", "_speed", "_through")
 
     def __init__(self, motor: DCMotor) -> None:
         damping = motor.pole + motor.gain * motor.friction.viscous_v_s_per_rad
@@ -184,10 +220,7 @@ class DCMotorRun:
         self._drive = None if motor.driver.ideal else motor.driver.drive
         self._through = motor.disturbance_through_driver
         self._read = motor.encoder.read if motor.encoder.step_rad else None
-        load = motor.load
-        stop_ns = _NEVER_NS if load.stop_s is None else round(load.stop_s * NS_PER_S)
-        self._edges = (round(load.start_s * NS_PER_S), stop_ns) if load.torque_v else None
-        self._load_v = load.torque_v
+        self._pieces = motor.load.pieces if motor.load.torque_v else None
         self._now_ns = 0
         self._angle, self._speed = float(motor.initial_angle_rad), float(motor.initial_speed_rad_s)
         self._applied = 0.0
@@ -210,18 +243,13 @@ class DCMotorRun:
             self._applied = v = self._drive(u[0])
             if w:
                 v += w[0]
-        if self._edges is None:
+        if self._pieces is None:
             self._angle, self._speed = self._move(self._angle, self._speed, v, dt_ns)
             return
-        end_ns = self._now_ns + dt_ns
-        start_ns, stop_ns = self._edges
-        while self._now_ns < end_ns:
-            now_ns = self._now_ns
-            loaded = start_ns <= now_ns < stop_ns
-            edge_ns = start_ns if now_ns < start_ns else stop_ns if loaded else _NEVER_NS
-            self._now_ns = min(end_ns, edge_ns)
-            drive = v - self._load_v if loaded else v
-            self._angle, self._speed = self._move(self._angle, self._speed, drive, self._now_ns - now_ns)
+        for span_ns, load_v in self._pieces(self._now_ns, dt_ns):
+            drive = v if load_v is None else v - load_v
+            self._angle, self._speed = self._move(self._angle, self._speed, drive, span_ns)
+        self._now_ns += dt_ns
 
     def measure(self) -> tuple[float, ...]:
         """Return the angle in rad as the encoder gives it."""

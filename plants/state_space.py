@@ -10,6 +10,7 @@ import numpy as np
 
 from plants.parts.exponential import Rows
 from plants.parts.linear import LinearRun, Signal, StateSpace
+from plants.parts.linear_many import LinearRuns
 
 LETTERS: Final = {"inputs": "u", "outputs": "y", "states": "x"}
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
@@ -73,3 +74,6 @@ class LinearPlant:
         """Return the plant at time 0. It draws nothing from ``rng``."""
         return LinearRun(self.model(), self.initial_state)
 
+    def start_many(self, runs: int) -> LinearRuns:
+        """Return so many of them at time 0."""
+        return LinearRuns(self.model(), self.initial_state, runs)

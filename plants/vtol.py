@@ -9,6 +9,7 @@ import numpy as np
 
 from plants.parts.exponential import Rows
 from plants.parts.linear import LinearRun, Signal, StateSpace
+from plants.parts.linear_many import LinearRuns
 from plants.parts.validation import require_vector
 
 VTOL_STATES = (
@@ -85,3 +86,7 @@ class VTOL:
     def start(self, rng: np.random.Generator) -> LinearRun:
         """Return the helicopter at time 0. It draws nothing from ``rng``."""
         return LinearRun(self.model(), self.initial_state)
+
+    def start_many(self, runs: int) -> LinearRuns:
+        """Return so many of them at time 0."""
+        return LinearRuns(self.model(), self.initial_state, runs)

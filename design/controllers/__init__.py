@@ -17,8 +17,9 @@ from design.controllers.contract import (
     row_count,
     sojourns_told,
 )
+from design.controllers.gain_rows_many import feedforward
 from design.controllers.published_motor import PublishedH2, PublishedHinf
-from design.controllers.send_all import Constant, GainIndex, Local, SendAll, feedforward, nested
+from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nested
 
 __all__ = [
     "Constant", "Controller", "CountsSojourns", "GainIndex", "GainTable", "Gains", "IntegralAction", "Local", "LoopModel",

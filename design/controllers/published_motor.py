@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, RunningController
+from design.controllers.gain_rows_many import GainRowsOfMany
 from design.controllers.send_all import GainRows
 
 
@@ -41,6 +42,10 @@ class PublishedHinf:
     def start(self, model: LoopModel) -> RunningController:
         return GainRows(self.table(model), self.selection, model)
 
+    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
+        """Return so many of them, ready for slot 0."""
+        return GainRowsOfMany(self.table(model), self.selection, model, runs)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedH2:
@@ -57,3 +62,7 @@ class PublishedH2:
 
     def start(self, model: LoopModel) -> RunningController:
         return GainRows(self.table(model), self.selection, model)
+
+    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
+        """Return so many of them, ready for slot 0."""
+        return GainRowsOfMany(self.table(model), self.selection, model, runs)

@@ -11,22 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import Gains, LoopModel, Rows, RunningController, Selection, row_count
-
-
-def feedforward(model: LoopModel) -> NDArray[np.float64]:
-    r"""Return :math:`\Omega_{22}` (m x p), so that :math:`\tilde u^* = \Omega_{22} \bar r` (thesis (7.6)-(7.7)).
-
-    With p < m the minimum-norm solution :math:`N^T(NN^T)^{-1}` is taken, as printed.
-
-    Raises:
-        ValueError: if N is rank deficient: no steady state tracks every reference.
-    """
-    n, m = model.B.shape
-    p = model.C.shape[0]
-    N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((p, m))]])
-    if np.linalg.matrix_rank(N) < n + p:
-        raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
-    return np.asarray(np.linalg.pinv(N)[n:, n:])
+from design.controllers.gain_rows_many import GainRowsOfMany, dot, feedforward, sojourn_ranges
 
 
 def nested(K: NDArray[np.float64]) -> Gains:
@@ -43,10 +28,7 @@ class GainIndex:
     """
 
     def __init__(self, sojourns: Sequence[int]) -> None:
-        first = [sum(sojourns[:tau]) for tau in range(len(sojourns))]
-        own = [tau for tau, count in enumerate(sojourns) if count]
-        taken = [next((other for other in own if other >= tau), own[-1]) for tau in range(len(sojourns))]
-        self._range = [(first[tau], first[tau] + sojourns[tau] - 1) for tau in taken]
+        self._range = sojourn_ranges(sojourns)
         self._tau = self._index = -1
 
     def at(self, tau: int) -> int:
@@ -88,10 +70,9 @@ class GainRows:
         e = [a - b for a, b in zip(y, cycle(r))]
         known = e + self._sum
         self._sum = [s + x for s, x in zip(self._sum, e)]
-        star = [sum(o * b for o, b in zip(row, r)) for row in self._omega]
+        star = [dot(row, r) for row in self._omega]
         return tuple(
-            tuple(s + sum(g * x for g, x in zip(gains, known)) for s, gains in zip(star, mat))
-            for mat in self._gains[self._gain_at(tau)]
+            [tuple([s + dot(gains, known) for s, gains in zip(star, mat)]) for mat in self._gains[self._gain_at(tau)]]
         )
 
 
@@ -146,6 +127,10 @@ class SendAll:
     def start(self, model: LoopModel) -> RunningController:
         return GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
 
+    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
+        """Return so many of them, ready for slot 0."""
+        return GainRowsOfMany(self.table(model), self.selection, model, runs, self.integral, self.sojourns)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Local:
@@ -167,6 +152,10 @@ class Local:
 
     def start(self, model: LoopModel) -> RunningController:
         return GainRows(self.table(model), self.selection, model)
+
+    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
+        """Return so many of them, ready for slot 0."""
+        return GainRowsOfMany(self.table(model), self.selection, model, runs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

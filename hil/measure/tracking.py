@@ -7,21 +7,14 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hil.measure.many import Many, ManyView
 from hil.measure.measure import Quantity
 from hil.measure.signals import Signals
+from hil.measure.step_response import AFTER_S, SETTLING_BAND, STEADY_SHARE, target_of
+from hil.measure.tracking_many import tracking_of_many
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 
 Array: TypeAlias = npt.NDArray[np.floating[Any]]
-
-SETTLING_BAND = 0.02
-"""Half width of the settling band, as a share of the step."""
-
-STEADY_SHARE = 0.1
-"""Last share of the run over which the steady-state error is averaged."""
-
-AFTER_S = 5.0
-"""Begin of `sse_after_5s`, session time in s."""
-
 
 class Tracking:
     """The measure of the thesis: squared error, step response, largest input; see `tracking_metrics`."""
@@ -53,6 +46,10 @@ class Tracking:
         """Return the numbers of one run."""
         t, y, r = view.tracking()
         return tracking_metrics(t, y, r, view.applied(), view.period_s, disturbed_at_s=view.disturbed_at_s())
+
+    def of_many(self, view: ManyView) -> dict[str, Many]:
+        """Return the numbers of many runs, (runs,) each, NaN where one is not defined."""
+        return tracking_of_many(view)
 
 
 def squared_unit(signals: Signals) -> str:
@@ -133,15 +130,6 @@ def tracking_metrics(
             found["overshoot"] = _overshoot(error[first:end, moved], step[moved])
             found["settling_time_s"] = _settling(t[first:end], error[first:end, moved], step[moved])
     return found
-
-
-def target_of(reference: Array) -> Array:
-    """Return what the error counts against, (n, p): the reference, and before its first change the value that it goes to."""
-    target: Array = reference.copy()
-    changes = np.flatnonzero(np.any(reference[1:] != reference[:-1], axis=1)) + 1
-    if changes.size:
-        target[: changes[0]] = reference[changes[0]]
-    return target
 
 
 def _overshoot(error: Array, step: Array) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,5 +19,9 @@ def rng_for(seed: int, name: str) -> np.random.Generator:
     >>> bool(a.random() == rng_for(0, "link.sc").random()), bool(a.random() == b.random())
     (True, False)
     """
-    words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype=np.uint32)
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *map(int, words)])))
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *_words(name)])))
+
+
+@lru_cache(maxsize=64)
+def _words(name: str) -> tuple[int, ...]:
+    return tuple(np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype=np.uint32).tolist())

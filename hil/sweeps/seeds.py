@@ -14,11 +14,16 @@ from design.monte_carlo.confidence import Interval, StopRule
 from design.monte_carlo.parallel import Workers, spread
 from hil.compose.loop import Loop, compose
 from hil.experiment import Experiment
+from hil.measure.many import MeasureOfMany
 from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics
 from hil.session import simulate
+from hil.sweeps.lockstep import chunk_runs, in_lockstep, measures_in_lockstep, run_together, view_of_many
 from hil.sweeps.store import SweepStore
+
+WORTH_WORKERS = 3_000_000
+"""Slots of a sweep in lockstep, some 1 s, up to which starting processes takes longer than the sweep."""
 
 
 def quantities_in(experiment: Experiment) -> tuple[Quantity, ...]:
@@ -32,7 +37,35 @@ def columns_of(experiment: Experiment) -> tuple[str, ...]:
 
 
 def run_seeds(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
-    """Run a loop for some seeds in this process; return one row of metrics per seed (NaN where undefined)."""
+    """Run a loop for some seeds in this process; return one row of metrics per seed (NaN where undefined).
+
+    Where the loop can be run in lockstep, all seeds are computed at once; the numbers are the same, bit for bit.
+    """
+    if in_lockstep(loop) and measures_in_lockstep(loop):
+        size = chunk_runs(loop)
+        return [row for i in range(0, len(seeds), size) for row in _in_one_chunk(loop, seeds[i : i + size])]
+    return run_one_by_one(loop, seeds)
+
+
+def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
+    together = run_together(loop, seeds)
+    view = view_of_many(loop, together)
+    found: dict[str, NDArray[np.float64]] = {}
+    if together.known.any():
+        for measure in measures_of(loop.experiment):
+            if isinstance(measure, MeasureOfMany):
+                found |= measure.of_many(view)
+    columns = columns_of(loop.experiment)[1:]
+    lists = [found[name].tolist() for name in columns] if found else [[]] * len(columns)
+    known = iter(zip(*lists))
+    return [
+        dict(zip(columns, next(known))) | {"seed": seed, "stopped": 0.0} if fits else run_one_by_one(loop, [seed])[0]
+        for seed, fits in zip(seeds, together.known.tolist())
+    ]
+
+
+def run_one_by_one(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
+    """Run a loop seed by seed with the nodes of a session: what `run_seeds` is held to."""
     rows = []
     names = columns_of(loop.experiment)[1:]
     topics = {"/events", *(topic for measure in measures_of(loop.experiment) for topic in measure.topics)}
@@ -102,6 +135,9 @@ def run_sweep(
     look, interval, reached, interrupted = 0, None, False, 0
     wanted: Sequence[int] = seeds
     loop = compose(experiment)
+    together = in_lockstep(loop) and measures_in_lockstep(loop)
+    if together and workers.backend == "loky" and len(seeds) * experiment.ticks <= WORTH_WORKERS:
+        workers = Workers(backend="serial")
     try:
         while not reached and (look == 0 or len(wanted) < len(seeds)):
             look += 1
@@ -109,10 +145,11 @@ def run_sweep(
                 wanted = seeds[: until[1].runs(look)]
             progress(sum(seed in done for seed in wanted))
             missing = [seed for seed in wanted if seed not in done]
-            for rows in spread(partial(run_seeds, loop), _parts(missing, workers), workers):
-                done.update((int(row["seed"]), row) for row in rows)
+            parts = _parts(missing, workers, chunk_runs(loop) if together else None)
+            for rows in spread(partial(run_seeds, loop), parts, workers):
                 if store:
                     store.add(rows)
+                done.update((int(row["seed"]), row) for row in rows)
                 progress(sum(seed in done for seed in wanted))
             if until is not None:
                 found = np.array([done[seed][until[0]] for seed in wanted])
@@ -121,16 +158,22 @@ def run_sweep(
                 interval = interval._replace(level=until[1].level)
     except KeyboardInterrupt as e:
         interrupted = getattr(e, "status", 130)  # what is done is worth having
+        done |= {seed: store.rows[seed] for seed in seeds if seed in store.rows} if store else {}
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]
     values = {name: np.array([row[name] for row in rows]) for name in ("seed", *columns_of(experiment))}
     return Sweep(values, interrupted, interval, reached)
 
 
-def _parts(seeds: Sequence[int], workers: Workers) -> list[Sequence[int]]:
-    """Seeds for one job each: few enough that Ctrl-C loses little, and that all workers have work to the end."""
-    count = workers.jobs if workers.jobs > 0 else len(os.sched_getaffinity(0))
-    size = max(1, min(25, -(-len(seeds) // (4 * count))))
+def _parts(seeds: Sequence[int], workers: Workers, chunk: int | None) -> list[Sequence[int]]:
+    """Seeds for one job each: few enough that Ctrl-C loses little, and that all workers have work to the end.
+
+    In lockstep up to a chunk: the more runs are computed at once, the less each costs.
+    """
+    serial = workers.backend == "serial"
+    count = 1 if serial and chunk else workers.jobs if workers.jobs > 0 else len(os.sched_getaffinity(0))
+    most, parts = (25, 4 * count) if chunk is None else (chunk, 2 * count)
+    size = max(1, min(most, -(-len(seeds) // parts)))
     return [seeds[i : i + size] for i in range(0, len(seeds), size)]
 
 

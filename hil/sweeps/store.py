@@ -99,8 +99,8 @@ class SweepStore:
                     f"expected {head['experiment']!r} as it is now"
                 )
 
-    def _write(self, line: dict[str, Any]) -> None:
-        left = json.dumps(line).encode() + b"\n"
+    def _write(self, *lines: dict[str, Any]) -> None:
+        left = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
         try:
             while left:  # the last bytes of a disk take a part of it, and no error
                 left = left[self._file.write(left) :]
@@ -109,9 +109,9 @@ class SweepStore:
 
     def add(self, rows: Sequence[dict[str, float]]) -> None:
         """Append finished runs and hand them to the operating system."""
-        for row in rows:
-            self.rows[int(row["seed"])] = row
-            self._write({name: None if isinstance(v, float) and math.isnan(v) else v for name, v in row.items()})
+        plain = [{name: None if isinstance(v, float) and math.isnan(v) else v for name, v in row.items()} for row in rows]
+        self._write(*plain)  # at once, so that Ctrl-C rarely comes in between
+        self.rows.update((int(row["seed"]), row) for row in rows)
 
     def close(self) -> None:
         """Close the file."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import ClassVar, Literal
@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.laws.age_paths import Ages, chain_ages, uniforms_of_many
 from transport.laws.stochastic_matrix import (
     Row,
     checked_matrix,
@@ -130,6 +131,10 @@ class ConstantAge:
         state = (0, self.age)
         return AgePath(lambda: state)
 
+    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
+        """Return the ages that many processes draw, (slots, runs)."""
+        return np.full((slots, runs), self.age, dtype=np.int32)
+
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the one-mode chain, (1, 1)."""
         return np.ones((1, 1))
@@ -197,6 +202,11 @@ class IidAge:
         states = [(age, age) for age in self.mode_ages]
         for u in uniforms(rng):
             yield states[bisect_right(row, u)]
+
+    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
+        """Return the ages that many processes draw, (slots, runs), each from its own stream."""
+        rows = [self.probabilities] * len(self.probabilities)
+        return chain_ages(self.probabilities, rows, self.mode_ages, uniforms_of_many(rngs, runs, slots))
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain with equal rows, (n, n)."""
@@ -303,6 +313,11 @@ class MarkovAge(ChainAge):
             mode = bisect_right(row, u)
             yield states[mode]
             row = rows[mode]
+
+    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
+        """Return the ages that many processes draw, (slots, runs), each from its own stream."""
+        first = tuple(self.initial_law().tolist())
+        return chain_ages(first, self.matrix, self.mode_ages, uniforms_of_many(rngs, runs, slots))
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain, (n, n)."""

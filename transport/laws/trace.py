@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -111,6 +111,13 @@ class TraceAge:
         while self.past_end == "repeat":
             yield from states
         raise ValueError(f"ages: the trace has {len(states)} entries, and the run asks for more (past_end = 'refuse')")
+
+    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.int32]:
+        """Return the ages that many processes draw, (slots, runs): the trace, in every run."""
+        ages = np.array(self.loaded().ages, dtype=np.int32)
+        if slots > len(ages) and self.past_end == "refuse":
+            raise ValueError(f"ages: the trace has {len(ages)} entries, and the run asks for {slots} (past_end = 'refuse')")
+        return np.tile(np.resize(ages, slots)[:, None], (1, runs))
 
     def stationary(self) -> NDArray[np.float64]:
         """Return the share of slots of every mode in the trace, (max_age + 1,)."""

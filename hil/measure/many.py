@@ -1,0 +1,42 @@
+"""Many runs of one experiment with what measures need of them: arrays over all runs instead of one log each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+Many: TypeAlias = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ManyView:
+    """Runs of one experiment, all of the same length, every value finite.
+
+    Args:
+        t_s: session time of the slots, s, (slots,).
+        outputs: tracked outputs, one array (runs, slots) each.
+        reference: of these outputs, (slots, p); the same in every run.
+        inputs: applied inputs, without the disturbances, one array (runs, slots) each.
+        period_s: sample period, s.
+        disturbed_at_s: when the first input disturbance began, s; None without one.
+    """
+
+    t_s: Many
+    outputs: tuple[Many, ...]
+    reference: Many
+    inputs: tuple[Many, ...]
+    period_s: float
+    disturbed_at_s: float | None
+
+
+@runtime_checkable
+class MeasureOfMany(Protocol):
+    """A measure that computes its numbers for many runs at once: a sweep whose measures all do need not make a log of each."""
+
+    def of_many(self, view: ManyView) -> Mapping[str, Many]:
+        """Return its numbers by name, (runs,) each, NaN where `Measure.of` says None; bit for bit those of `Measure.of`."""
+        ...

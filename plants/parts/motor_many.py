@@ -1,0 +1,77 @@
+"""Many runs of one motor without dry friction at once, each bit for bit what `DCMotorRun` computes alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from plants.parts.actuators import Driver
+from plants.parts.exponential import zero_order_hold
+from plants.parts.linear import NS_PER_S, Matrix
+
+
+class MotorRuns:
+    """Running motors: angle' = speed, speed' = -damping speed + gain (driver(u) + w - load), y = encoder(angle).
+
+    Args:
+        gain: acceleration per volt in rad/s^2 per V.
+        damping: viscous rate in 1/s.
+        start: angle in rad and speed in rad/s of every run at time 0.
+        driver: what becomes of a command; None for nothing.
+        through: whether w is added to the command, before the driver.
+        encoder_step_rad: angle of one count in rad, 0 for none.
+        pieces: of a slot: (length in ns, load in V) of every part of constant load from one instant over some time, both in ns.
+        runs: how many.
+    """
+
+    def __init__(
+        self, gain: float, damping: float, start: tuple[float, float], *, driver: Driver | None, through: bool,
+        encoder_step_rad: float, pieces: Callable[[int, int], list[tuple[int, float | None]]], runs: int,
+    ) -> None:  # fmt: skip
+        self._gain, self._damping, self._driver, self._through = gain, damping, driver, through
+        self._step_rad, self._pieces, self._now_ns = encoder_step_rad, pieces, 0
+        self._held: dict[int, tuple[float, float, float, float]] = {}
+        self.state: Matrix = np.repeat(np.array(start, dtype=np.float64)[:, None], runs, axis=1)
+
+    def advance(self, dt_ns: int, u: Matrix, w: Sequence[float]) -> None:
+        """Hold the commands u (1, runs) and the disturbance w (1,) for dt_ns."""
+        if self._driver is None:
+            v = u[0] + w[0]
+        elif self._through:
+            v = drive_many(self._driver, u[0] + w[0])
+        else:
+            v = drive_many(self._driver, u[0]) + w[0]
+        for span_ns, load_v in self._pieces(self._now_ns, dt_ns):
+            a, b, c, d = self._coefficients(span_ns)
+            force = v if load_v is None else v - load_v
+            angle, speed = self.state
+            self.state = np.stack((angle + a * speed + b * force, c * speed + d * force))
+        self._now_ns += dt_ns
+
+    def _coefficients(self, dt_ns: int) -> tuple[float, float, float, float]:
+        found = self._held.get(dt_ns)
+        if found is None:
+            Phi, Gamma = zero_order_hold([[0.0, 1.0], [0.0, -self._damping]], [[0.0], [self._gain]], (dt_ns, NS_PER_S))
+            found = self._held[dt_ns] = (Phi[0][1], Gamma[0][0], Phi[1][1], Gamma[1][0])
+        return found
+
+    def measure(self) -> Matrix:
+        """Return the angle in rad as the encoder gives it, (1, runs)."""
+        angle, step = self.state[:1], self._step_rad
+        return step * np.floor(angle / step + 0.5) if step else angle
+
+
+def drive_many(driver: Driver, command_v: Matrix) -> Matrix:
+    """Return what `Driver.drive` gives for every command, in V, shape as the commands."""
+    v, limit, step, zone = command_v, driver.saturation_v, driver.pwm_step_v, driver.dead_zone_v
+    if limit is not None:
+        v = np.where(v > limit, limit, np.where(v < -limit, -limit, v))
+    if step:
+        size = step * np.floor(np.abs(v) / step + 0.5)
+        if limit is not None:
+            size = np.where(size > limit, size - step, size)
+        v = np.where(v > 0.0, size, np.where(size != 0.0, -size, 0.0))
+    if zone:
+        v = np.where(v > zone, v - zone, np.where(v < -zone, v + zone, 0.0))
+    return v

@@ -1,0 +1,175 @@
+"""All runs at once: every bit as seed by seed, over every shipped experiment that is served; the rest is left alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from hil.compose.loop import Loop, compose
+from hil.experiment import load_experiment
+from hil.sweeps import lockstep, seeds
+from hil.sweeps.lockstep import in_lockstep, measures_in_lockstep, run_together
+from hil.sweeps.seeds import run_one_by_one, run_seeds
+from transport.laws.trace import TraceAge
+
+SHIPPED = sorted(path.stem for path in (Path(hil.__file__).parent / "experiments").glob("*.toml"))
+SERVED = {
+    "dc-motor-1khz", "dc-motor-bursty", "dc-motor-h2", "dc-motor-h2-fast", "dc-motor-hinf", "dc-motor-hinf-fast",
+    "dc-motor-local", "dc-motor-local-fast", "dc-motor-ours-bursty", "dc-motor-ours-h2", "dc-motor-ours-hinf",
+    "dc-motor-ours-mixed", "dc-motor-ours-two-samples", "dc-motor-smith", "dc-motor-smith-fast", "vtol-h2", "vtol-hinf",
+    "vtol-ours-h2", "vtol-ours-hinf",
+}  # fmt: skip
+ALONE = {
+    "dc-motor-h2-friction", "dc-motor-hinf-friction", "dc-motor-ours-integral", "dc-motor-packets", "omni-1khz", "omni-push",
+    "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published", "vtol-delayed",
+    "vtol-delayed-published", "vtol-fault", "vtol-fault-partitioned", "vtol-fault-published",
+}  # fmt: skip
+SEMI_MARKOV = "kind='semi-markov',matrix=[[0,1],[1,0]],sojourn=[{law='uniform',low=1,high=3},{law='geometric',p=0.5}]"
+STRANGE_LAWS = (
+    "links.ca.law={kind='iid',probabilities=[0.5,0.5]}",
+    "links.ca.law={kind='iid',probabilities=[0.4,0.0,0.6],allow_gaps=true}",
+    "links.ca.law={kind='trace',ages=[0,1,2,0,1]}",
+    f"links.ca.law={{{SEMI_MARKOV}}}",
+    "links.ca.law={kind='constant',age=1}",
+    "links.ca.law={kind='markov',ages=[1,0],matrix=[[0.2,0.8],[0.5,0.5]],initial=[1.0,0.0]}",
+)
+
+
+def gains(tables: int, rows: int, inputs: int = 1, width: int = 1) -> str:
+    rng = np.random.default_rng(1)
+    return str((-0.05 * rng.random((tables, rows, inputs, width))).tolist())
+
+
+def loop_of(name: str, *sets: str) -> Loop:
+    return compose(load_experiment(name, ["allow_uncertified=true", *sets]), certify=False)
+
+
+def same_bits(loop: Loop, chosen: range) -> None:
+    together, alone = run_seeds(loop, chosen), run_one_by_one(loop, chosen)
+    for a, b in zip(together, alone, strict=True):
+        assert a.keys() == b.keys()
+        for name in a:
+            np.testing.assert_array_equal(a[name], b[name], err_msg=f"{name}, seed {b['seed']}")
+
+
+def sent(selection: str, tables: int, rows: int, inputs: int = 1, width: int = 1, more: str = "") -> str:
+    return f"controller={{kind='send-all',selection='{selection}',gains={gains(tables, rows, inputs, width)}{more}}}"
+
+
+def test_every_shipped_experiment_is_in_one_of_the_lists() -> None:
+    assert sorted(SERVED | ALONE) == SHIPPED
+
+
+@pytest.mark.parametrize("name", ["dc-motor-h2-friction", "dc-motor-packets", "smjls-robust-published", "omni-theorem61"])
+def test_what_is_not_served_is_run_seed_by_seed(name: str) -> None:
+    loop = loop_of(name, "duration=1")
+    assert not (in_lockstep(loop) and measures_in_lockstep(loop))
+    same_bits(loop, range(2))
+
+
+SLOW = {"dc-motor-ours-mixed", "dc-motor-ours-hinf"}  # their designs take 10 s
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in sorted(SERVED)])
+def test_a_shipped_experiment_has_the_bits_of_the_plain_engine(name: str) -> None:
+    loop = loop_of(name, *(["duration=4"] if name == "dc-motor-1khz" else []))
+    assert in_lockstep(loop) and measures_in_lockstep(loop)
+    same_bits(loop, range(3))
+
+
+@pytest.mark.parametrize("law", STRANGE_LAWS)
+def test_every_age_law_draws_the_same_ages(law: str) -> None:
+    loop = loop_of("dc-motor-hinf", "duration=10", law, "controller={kind='local',gain=[[-0.03]]}")
+    assert in_lockstep(loop)
+    same_bits(loop, range(4))
+
+
+@pytest.mark.parametrize(("selection", "rows"), [("constant", 1), ("generated", 2), ("applied", 2), ("previous", 2), ("both", 4)])
+def test_every_rule_picks_the_same_row(selection: str, rows: int) -> None:
+    same_bits(loop_of("dc-motor-hinf", "duration=10", sent(selection, 3, rows)), range(4))
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [
+        [sent("applied", 3, 2, 1, 2, ",integral=true")],
+        [sent("applied", 3, 2, 1, 2, ",samples=2")],
+        [f"links.sc.law={{{SEMI_MARKOV}}}", sent("applied", 4, 2, 1, 1, ",sojourns=[3,1]")],
+    ],
+    ids=["integral", "two samples", "sojourns"],
+)
+def test_what_a_controller_remembers_is_the_same(sets: list[str]) -> None:
+    same_bits(loop_of("dc-motor-hinf", "duration=10", *sets), range(4))
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        "plant.driver={saturation_v=0.058,dead_zone_v=0.0033,pwm_step_v=0.001}",
+        "plant={kind='dc-motor',driver={saturation_v=0.06},disturbance_through_driver=true,encoder={step_rad=0.0038}}",
+        "plant.load={torque_v=0.01,start_s=2.025,stop_s=4.01}",
+        "plant.friction={viscous_v_s_per_rad=0.001}",
+    ],
+    ids=["driver", "through and encoder", "load", "viscous"],
+)
+def test_a_motor_moves_the_same(plant: str) -> None:
+    loop = loop_of("dc-motor-hinf", "duration=10", plant)
+    assert in_lockstep(loop)
+    same_bits(loop, range(4))
+
+
+def test_a_linear_plant_with_two_tracked_outputs_is_measured_the_same() -> None:
+    plant = "plant={kind='state-space',A=[[0.0,1.0],[-2.0,-1.0]],B=[[0.0,1.0],[1.0,0.3]],C=[[1.0,0.0],[0.2,1.0]]}"
+    sets = (plant, "reference=[{at=1.0,value=[1.0,-0.5]},{at=6.0,value=[0.5,-0.5]}]", "disturbance=[]", "limits={}")
+    same_bits(loop_of("dc-motor-hinf", "duration=10", *sets, sent("applied", 3, 2, 2, 2)), range(4))
+
+
+def test_a_run_that_safety_stops_is_the_plain_engine_s() -> None:
+    loop = loop_of("dc-motor-hinf", "duration=10", "limits={input=[0.473],state={angle=4.45}}")
+    known = run_together(loop, range(40)).known
+    assert 3 < known.sum() < 37  # both kinds
+    same_bits(loop, range(40))
+
+
+def test_a_run_that_overflows_is_the_plain_engine_s() -> None:
+    loop = loop_of("dc-motor-hinf", "controller={kind='local',gain=[[-50.0]]}", "limits={}", "duration=50")
+    assert not run_together(loop, range(3)).known.any()
+    same_bits(loop, range(3))
+
+
+class Liar(TraceAge):
+    """A law that breaks its word: ages beyond the largest that it states."""
+
+    @property
+    def max_age(self) -> int:
+        return 1
+
+
+def test_a_law_that_breaks_its_word_is_left_to_the_plain_engine() -> None:
+    ages = np.array([[0, 0], [1, 2], [0, 0]], dtype=np.int32)
+    assert lockstep.lawful(Liar(ages=(0, 1, 2)), ages).tolist() == [True, False]
+    assert lockstep.lawful(TraceAge(ages=(0, 1, 2)), ages).tolist() == [True, False]
+    assert lockstep.lawful(TraceAge(ages=(0, 1, 2), allow_gaps=True), ages).tolist() == [True, True]
+
+
+def test_the_size_of_a_chunk_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = loop_of("vtol-hinf", "duration=6", "reference=[{at=0.5,value=[1.0]}]")
+    whole = run_seeds(loop, range(11))
+    monkeypatch.setattr(lockstep, "MOST_RUNS", 4)
+    assert run_seeds(loop, range(11)) == whole
+    assert [row["seed"] for row in whole] == list(range(11))
+
+
+def test_a_sweep_in_lockstep_calls_no_plain_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> Any:
+        raise AssertionError("the plain engine ran")
+
+    monkeypatch.setattr(seeds, "run_one_by_one", refuse)
+    values = seeds.sweep(load_experiment("dc-motor-hinf", ["duration=2"]), range(30), jobs=-1)
+    assert values["sse"].size == 30
+    with pytest.raises(AssertionError, match="the plain engine ran"):
+        seeds.run_seeds(loop_of("dc-motor-packets", "duration=1"), range(1))
