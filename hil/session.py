@@ -25,6 +25,7 @@ from hil.measure.view import view_of
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
+from transport.links.who_commands import who_commands
 from transport.medium.draws import REASONS
 from transport.packets import SELECTIONS
 
@@ -125,7 +126,7 @@ def run_session(
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
     loop = compose(experiment)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are told now
-    uri = "memory:" if clock == "virtual" else (link or experiment.links.uri)
+    uri = "memory:" if clock == "virtual" else experiment.links.secured(experiment.folder, link)
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.
     provenance = Provenance(
@@ -137,7 +138,9 @@ def run_session(
         clock=clock,
         link=uri,
         codes={"reason": REASONS, "selection": SELECTIONS},
-        session={} if clock == "virtual" else {"started": wall_clock(), "external_controller": str(external)},
+        session={} if clock == "virtual" else {
+            "started": wall_clock(), "external_controller": str(external), "who_commands": who_commands(uri),
+        },
     )
 
     # 3. Run, with the log open. Real time is watched from here; virtual time runs here.
@@ -165,6 +168,7 @@ def run_session(
     try:
         run = read_run(path, whole=sink.error is None, descriptor=log)
         summary = _summary(run, loop.experiment, sink, outcome, wall_s)
+        summary["who_commands"] = who_commands(uri)
         summary["log"]["sha256"] = _sha256(log)
     finally:
         os.close(log)
@@ -239,8 +243,18 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
         "dropped": sink.dropped,
     }
     problems = {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in INTRUSIONS}
+    summary["link_counters"] = link_counters(run)
+    refused = (summary["link_counters"] or {}).get("refused", 0)
+    if refused:
+        problems["refused"] = f"{refused} packets or peers on the link were refused: they had not the key or the name"
     summary["problems"] = problems | {name: text for name, text in outcome.items() if text}
     return summary
+
+
+def link_counters(run: Run) -> dict[str, int] | None:
+    """Return what the rig's end of the link counted, None where there was no link or the rig did not end in order."""
+    said = [event["data"]["link"] for event in run.events if event["kind"] == "outcome" and "link" in event.get("data", {})]
+    return {name: int(value) for name, value in said[0].items()} if said else None
 
 
 def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:

@@ -29,6 +29,7 @@ COMMANDS = {
     "design": "Solve a design and certify it.",
     "stiffness-map": "Map how stiff a virtual wall may be, certified.",
     "reproduce": "Put the thesis's numbers beside computed ones.",
+    "keys": "Make keys and certificates for a link that lets one controller command.",
     "bench": "Measure timing, links and designs on this machine.",
     "schema": "Print the JSON Schema of experiment files.",
     "guide": "Print a page of the guide.",

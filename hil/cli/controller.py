@@ -22,7 +22,7 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     from transport.links.link import find_link
 
     loop = compose(load_experiment(experiment, sets))
-    uri = loop.experiment.links.uri if link is None else link
+    uri = loop.experiment.links.secured(loop.experiment.folder, link)
     find_link(uri)  # what cannot be a link is said first
     print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)
     serve(loop, uri)

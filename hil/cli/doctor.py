@@ -100,18 +100,26 @@ def _packages() -> Check:
     return "package ownership", True, f"hil, plants, transport, design are hilrig's, Python {sys.version.split()[0]}", ""
 
 
+def _who(uri: str | None) -> Check:
+    from transport.links.who_commands import who_commands
+
+    links = ("can:hil:rig0", "zenoh:") if uri is None else (uri,)
+    return "who could command a rig", True, "; ".join(f"over {link} {who_commands(link)}" for link in links), ""
+
+
 def _tool(program: str, package: str, why: str) -> Check:
     found = shutil.which(program)
     return program, found is not None, found or "absent", "" if found else f"apt-get install {package} ({why})"
 
 
 @click.command()
+@click.option("--link", metavar="URI", help="Say who could command a rig on this link.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list.")
-def command(as_json: bool) -> None:
+def command(link: str | None, as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. What is missing limits some runs and hinders none in virtual time."""
     import json
 
-    checks = [_packages(), _hil_can(), _vcan(), _zenoh(), _scheduler(), _idle(), _clock(), _cpus(),
+    checks = [_who(link), _packages(), _hil_can(), _vcan(), _zenoh(), _scheduler(), _idle(), _clock(), _cpus(),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     if as_json:

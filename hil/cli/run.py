@@ -100,7 +100,7 @@ def command(
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
-    uri = checked.links.uri if link is None else link
+    uri = checked.links.secured(checked.folder, link)
     # An external controller may be there already: do not let it meet this end.
     if clock == "real" and not external and uri != LOCAL:
         with open_link(uri, "rig"), open_link(uri, "controller"):  # what cannot be opened is said before anything starts
@@ -185,6 +185,11 @@ def show(summary: dict[str, Any]) -> None:
         row("certificate", Text.assemble(cell(state, colour), cell(f", {claim.get('kind')}: {claim.get('reason')}")))
     if summary.get("safety"):
         row("safety", summary["safety"], "red")
+    if "who_commands" in summary and summary["clock"] == "real":
+        row("could command", summary["who_commands"])
+    counted = summary.get("link_counters")
+    if counted:
+        row("link", ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in counted.items()))
     for name, value in summary.get("problems", {}).items():
         row(name.replace("_", " "), value, "red")
     log = summary["log"]

@@ -11,6 +11,7 @@ import msgspec
 
 from hil.errors import HilError
 from hil.experiment import plugins
+from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from transport.links.link import TransportError, find_link
 
 HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
@@ -127,16 +128,35 @@ class Links(Table, frozen=True, kw_only=True):
         uri: the link in real time: can:INTERFACE:CHANNEL, zenoh:ENDPOINT, or local: for the controller in the rig's process.
         sc: from the sensor to the controller.
         ca: from the controller to the actuator.
+        auth: a message authentication code in every packet.
+        tls: certificates, for a link over zenoh.
+        login: a password for the controller, for a link over zenoh.
     """
 
     uri: str
     sc: Direction
     ca: Direction
+    auth: Auth | None = None
+    tls: Tls | None = None
+    login: Login | None = None
+
+    def secured(self, folder: str, uri: str | None = None) -> str:
+        """Return the URI of a link, by default the file's own, with the keys that the tables name.
+
+        Args:
+            folder: where the experiment stands.
+            uri: another link.
+        """
+        return secured_uri(self.uri if uri is None else uri, folder, self.auth, self.tls, self.login)
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        uri = values.get("uri", "memory:")
+        for table in ("tls", "login"):
+            if values.get(table) is not None and not uri.startswith("zenoh:"):
+                yield f"{table}: the link {uri!r:.60} is not zenoh's and has no use for it"
         try:
-            find_link(values.get("uri", "memory:"))
+            find_link(secured_uri(uri, ".", values.get("auth"), None, None))
         except TransportError as error:
             yield f"uri: {error}"
 

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.experiment import shipped
+from hil.key_files import make_keys
 from hil.log.read.run import Run, read_run
 
 pytestmark = pytest.mark.realtime
@@ -40,9 +42,9 @@ def intruder(uri: str, version: int, way: str) -> Iterator[None]:
             process.kill()
 
 
-def session(folder: Path, uri: str, *more: str) -> tuple[int, dict[str, Any], Run]:
+def session(folder: Path, uri: str, *more: str, experiment: str = "dc-motor-hinf") -> tuple[int, dict[str, Any], Run]:
     done = subprocess.run(
-        [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--link", uri, "--json", "--duration", "2",
+        [sys.executable, "-m", "hil", "run", experiment, "--clock", "real", "--link", uri, "--json", "--duration", "2",
          "--set", "reference.0.at=0.2", "-o", "run.mcap", *more],
         cwd=folder, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
@@ -79,3 +81,27 @@ def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None
     with intruder(uri, 2, "race"):
         status, summary, _ = session(tmp_path, uri)
     assert status == 5 and "answered twice" in summary["problems"]["second_controller"]
+    assert summary["who_commands"] == "any process on this machine"
+
+
+def test_with_a_key_who_races_our_controller_is_refused_counted_and_said(tmp_path: Path) -> None:
+    """The key stands in the experiment file; the intruder echoes every nonce and is always there first, without a code."""
+    make_keys(tmp_path / "keys")
+    text = shipped()["dc-motor-hinf"].read_text() + '\n[links.auth]\nkey_file = "keys/frames.key"\n'
+    (tmp_path / "mine.toml").write_text(text)
+    uri = f"can:hil:keyed{os.getpid()}"
+    with intruder(uri, 2, "race"):
+        status, summary, run = session(tmp_path, uri, experiment="mine.toml")
+    assert status in (0, 3)  # 3: a machine so busy that the watchdog trips; nobody else commanded
+    assert summary["link_counters"]["refused"] > 10 and "refused" in summary["problems"]
+    assert summary["who_commands"] == "holders of the key keys/frames.key"
+    assert not (applied(run) == THEIRS).any() and not any(event["kind"] == "second controller" for event in run.events)
+    assert np.abs(applied(run)).max() > 0.1  # our controller did
+
+
+def test_over_tls_the_session_runs_and_says_who_could_command(tmp_path: Path) -> None:
+    make_keys(tmp_path / "keys")
+    status, summary, run = session(tmp_path, f"zenoh:tls/127.0.0.1:{free_port()}?keys=keys")
+    assert status in (0, 3) and np.abs(applied(run)).max() > 0.1
+    assert summary["who_commands"] == "holders of a certificate of keys/ca.pem that is called controller"
+    assert summary["link_counters"]["refused"] == 0 and summary["link_counters"]["received"] > 20

@@ -95,6 +95,11 @@ class HilBus(can.BusABC):
         return self._mesh.lost
 
     @property
+    def turned_away(self) -> int:
+        """How often a newcomer found no free file descriptor here."""
+        return self._mesh.refused
+
+    @property
     def participants(self) -> int:
         """Number of participants known, this one included."""
         return self._mesh.participants

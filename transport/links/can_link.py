@@ -62,6 +62,9 @@ class _Frames(Protocol):
     @property
     def lost(self) -> int: ...
 
+    @property
+    def turned_away(self) -> int: ...
+
     def send_frame(self, identifier: int, data: bytes) -> None: ...
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None: ...
@@ -74,7 +77,7 @@ class _MessageFrames:
 
     __slots__ = ("_bus", "_fd", "shutdown")
 
-    dropped = lost = 0  # no other bus says so
+    dropped = lost = turned_away = 0  # no other bus says so
 
     def __init__(self, bus: can.BusABC, fd: bool) -> None:
         self._bus, self._fd = bus, fd
@@ -138,7 +141,8 @@ class CanLink(Closing):
 
     @property
     def counters(self) -> LinkCounters:
-        return replace(self._counters, dropped=self._counters.dropped + self._bus.lost)
+        bus = self._bus
+        return replace(self._counters, dropped=self._counters.dropped + bus.lost, turned_away=bus.turned_away)
 
     def send(self, packet: bytes) -> None:
         step, identifier, size, bus = self._step, self._say, len(packet), self._bus

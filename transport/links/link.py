@@ -33,6 +33,9 @@ class LinkCounters:
             no such peer, link closed or down.
         malformed: frames that belong to this link but are no packet: remote frames, fragments out of order.
         errors: error frames and faults of the medium (interface down, buffer full).
+        refused: packets that are not authentic (forged, replayed, without a code), and peers of another name than the one
+            whom the link lets speak.
+        turned_away: how often a newcomer found no free file descriptor here and had to wait (can:hil).
     """
 
     sent: int = 0
@@ -40,6 +43,8 @@ class LinkCounters:
     dropped: int = 0
     malformed: int = 0
     errors: int = 0
+    refused: int = 0
+    turned_away: int = 0
 
 
 @runtime_checkable
@@ -107,7 +112,7 @@ class Closing:
 
 _FORMS: Final = {
     "can": (re.compile("[^:]+:.+"), "no channel, expected can:<interface>:<channel>, as in can:hil:rig0"),
-    "zenoh": (re.compile("[^/:]+/.+"), "no endpoint, expected <protocol>/<address>, as in tcp/127.0.0.1:7447"),
+    "zenoh": (re.compile("([^/:]+/.+)?"), "no endpoint, expected <protocol>/<address>, as in tcp/127.0.0.1:7447, or nothing"),
 }
 
 
@@ -150,10 +155,27 @@ def wire_version(uri: str) -> Literal[1, 2]:
     return 1 if said == "1" else 2
 
 
-def _without_version(uri: str) -> str:
-    """Return the URI that the plug-in reads: every link carries the packets of either version."""
+def key_file(uri: str) -> str | None:
+    """Return the file that a URI names by ``auth=``: its key authenticates every packet. None without one.
+
+    Raises:
+        TransportError: together with wire version 1, which has no room for a code.
+
+    >>> key_file("can:hil:rig0?auth=keys/frames.key"), key_file("can:hil:rig0")
+    ('keys/frames.key', None)
+    """
+    said = split_uri(uri)[2].get("auth")
+    if said is not None and wire_version(uri) == 1:
+        raise TransportError(f"link {uri!r}: wire version 1 has no room for a code: auth= needs version 2")
+    if said == "":
+        raise TransportError(f"link {uri!r}: auth: expected the file of a key, as `hil keys new DIR` makes one")
+    return said
+
+
+def _for_the_plugin(uri: str) -> str:
+    """Return the URI that the plug-in reads: every link carries the packets of either version, with a code or without."""
     address, _, query = uri.partition("?")
-    kept = "&".join(option for option in query.split("&") if option.partition("=")[0] != "version")
+    kept = "&".join(option for option in query.split("&") if option.partition("=")[0] not in ("version", "auth"))
     return f"{address}?{kept}" if kept else address
 
 
@@ -180,7 +202,7 @@ def find_link(uri: str) -> EntryPoint:
         hint = f"did you mean '{near[0]}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
         raise TransportError(f"link {uri!r}: no link is called {scheme!r}, {hint}")
     if scheme in _FORMS:
-        wire_version(uri)
+        key_file(uri)
     return found[scheme]
 
 
@@ -200,10 +222,19 @@ def open_link(uri: str, role: Role) -> Link:
     if role not in get_args(Role):
         raise TransportError(f"link {uri!r}: role {role!r}, expected 'rig' or 'controller'")
     plugin = find_link(uri)
-    uri = _without_version(uri) if "version=" in uri else uri
+    keyed = key_file(uri) if "auth=" in uri else None
+    code = None
+    if keyed is not None:
+        from transport.links.authenticated_link import AuthenticatedLink, cmac, read_key  # imports cryptography: only here
+
+        try:
+            code = cmac(read_key(keyed))
+        except TransportError as error:
+            raise TransportError(f"link {uri!r}: {error}") from error
+    uri = _for_the_plugin(uri) if "version=" in uri or keyed is not None else uri
     try:
         opener = plugin.load()
     except (ImportError, AttributeError) as error:
         raise TransportError(f"link {uri!r}: plug-in {plugin.value} cannot be loaded: {error}") from error
     link: Link = opener(uri, role)
-    return link
+    return link if code is None else AuthenticatedLink(link, role, code)

@@ -23,8 +23,8 @@ def own_channel(uri: str, number: int) -> str:
 
     >>> own_channel("can:hil:rig0?fd=0", 2), own_channel("can:socketcan:vcan0", 1), own_channel("zenoh:tcp/127.0.0.1:7447", 1)
     ('can:hil:rig0-2?fd=0', 'can:socketcan:vcan0?base=0x200', 'zenoh:tcp/127.0.0.1:7448')
-    >>> own_channel("local:", 3)
-    'local:'
+    >>> own_channel("local:", 3), own_channel("zenoh:", 1)
+    ('local:', 'zenoh:?name=rig0-1')
     """
     scheme, address, options = split_uri(uri)
     if scheme == "can" and address.startswith("hil:"):
@@ -38,10 +38,12 @@ def own_channel(uri: str, number: int) -> str:
         if number >= len(_BASES):
             raise TransportError(f"link {uri!r}: one bus has identifiers for {len(_BASES)} workers; start fewer")
         options["base"] = f"{base:#x}"
-    elif scheme == "zenoh" and address.startswith(("tcp/", "udp/", "ws/")):
+    elif scheme == "zenoh" and address.startswith(("tcp/", "tls/", "udp/", "ws/")):
         host, _, port = address.rpartition(":")
         if port.isdecimal():
             address = f"{host}:{int(port) + number}"
+    elif scheme == "zenoh" and not address:
+        options["name"] = f"{options.get('name', 'rig0')}-{number}"
     elif scheme == "zenoh":
         address += f"-{number}"
     return f"{scheme}:{address}" + (f"?{urlencode(options, safe=':/,')}" if options else "")

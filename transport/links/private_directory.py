@@ -64,6 +64,19 @@ def _private(directory: Path) -> int:
     return descriptor
 
 
+def private_directory(directory: Path) -> Path:
+    """Return a directory that is ours alone (mode 700), made if missing.
+
+    Args:
+        directory: in a directory where others may write, such as /tmp, it must be ours already or not exist.
+
+    Raises:
+        TransportError: it belongs to somebody else, others may enter it, it is a symbolic link, or there is no room for it.
+    """
+    os.close(_private(directory))
+    return directory
+
+
 def _is_at(descriptor: int, path: Path) -> bool:
     try:
         return os.path.samestat(os.fstat(descriptor), os.lstat(path))

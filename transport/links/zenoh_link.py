@@ -1,24 +1,31 @@
-"""A link over zenoh, peer to peer: ``zenoh:tcp/127.0.0.1:7447[?name=rig0&lan=1]``, or ``zenoh:unixsock-stream//run/rig0``.
+"""A link over zenoh, peer to peer: ``zenoh:`` on one machine, ``zenoh:tls/host:7447?keys=DIR`` between two.
 
 The rig listens at the endpoint and the controller connects to it; there is no router, no multicast and no gossip. Sensor
 packets are published under ``hil/<name>/sensor``, control packets under ``hil/<name>/control``, so that any zenoh program
-that connects to the rig's endpoint can watch, or be the controller.
+that is let in at the rig's endpoint can watch, or be the controller.
+
+Without an endpoint the link is a Unix socket in a directory of mode 0700 (`zenoh_directory`): who is not this user cannot
+reach it. ``tls/`` takes certificates of both ends, and only the one called *controller* is heard: see
+`transport.links.zenoh_access`. Over ``tcp/`` only this machine is reachable unless the URI says ``lan=1``: whoever reaches it
+can command the plant, unless ``users=FILE`` asks for a password (which travels in clear).
 
 A packet for which zenoh's queue has no room is lost; zenoh does not say so, the gap in `seq` does.
-
-Only this machine is reachable unless the URI says ``lan=1``: whoever reaches the endpoint can command the plant.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
+from transport.links.private_directory import private_directory
+from transport.links.zenoh_access import OPTIONS, Access, access
 
 if TYPE_CHECKING:
     import zenoh
@@ -26,7 +33,7 @@ if TYPE_CHECKING:
 QUEUE_LIMIT: Final = 256
 """Packets that wait for `receive`; what comes on top is dropped and counted."""
 
-_NETWORKED: Final = ("tcp", "udp", "ws")
+_NETWORKED: Final = ("tcp", "tls", "udp", "ws")
 _LOCAL: Final = ("unixsock-stream",)
 _LOOPBACK: Final = re.compile(r"(127\.\d+\.\d+\.\d+|\[::1\]|localhost)")
 _SOURCE: Final = re.compile(r" at \S+\.rs:\d+\.?")  # where in zenoh's source an error arose
@@ -41,14 +48,16 @@ class ZenohLink(Closing):
         role: the rig listens, the controller connects (and connects again when the rig comes back).
         endpoint: zenoh endpoint, as in ``tcp/127.0.0.1:7447``.
         name: second part of the key expressions.
+        who: who this end is, and whom it hears.
 
     Raises:
+        TransportError: the file of passwords cannot be had.
         zenoh.ZError: the endpoint cannot be had.
     """
 
     __slots__ = ("_closed", "_error", "_get", "_publish", "_queue", "_session", "counters", "uri")
 
-    def __init__(self, uri: str, role: Role, endpoint: str, name: str) -> None:
+    def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access) -> None:
         import zenoh
 
         self.uri = uri
@@ -58,9 +67,12 @@ class ZenohLink(Closing):
         # A queue in C: the callback runs in a thread of zenoh, whose waking of ours is most of a round trip.
         self._queue: SimpleQueue[bytes] = SimpleQueue()
         self._get = self._queue.get
-        self._session = zenoh.open(_config(role, endpoint))
+        self._session = zenoh.open(_config(role, endpoint, who.config(name)))
         says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
         try:
+            if who.tls:
+                met = zenoh.handlers.Callback(partial(_meet, who.peer, self.counters), indirect=False)
+                self._session.info.declare_link_events_listener(met, history=True)
             publisher = self._session.declare_publisher(
                 f"hil/{name}/{says}",
                 express=True,  # no batching
@@ -111,7 +123,18 @@ def _take(queue: SimpleQueue[bytes], counters: LinkCounters, sample: zenoh.Sampl
         counters.dropped += 1
 
 
-def _config(role: Role, endpoint: str) -> zenoh.Config:
+def _meet(peer: str, counters: LinkCounters, event: zenoh.LinkEvent) -> None:
+    """Count who connects with a certificate of our authority, but another's name: the access-control list keeps it silent."""
+    if str(event.kind).endswith("PUT") and event.link.auth_identifier != peer:
+        counters.refused += 1
+
+
+def zenoh_directory() -> Path:
+    """Return the directory of the Unix sockets of ``zenoh:`` links of this user."""
+    return Path(os.environ.get("HIL_ZENOH_DIR") or f"/tmp/hil-zenoh-{os.geteuid()}")
+
+
+def _config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
     import zenoh
 
     config = zenoh.Config()
@@ -127,6 +150,7 @@ def _config(role: Role, endpoint: str) -> zenoh.Config:
         "transport/link/tx/lease": 1000,
         # `transport/unicast/lowlatency` is a quarter faster, but there a peer that is stopped (SIGSTOP) blocks `put` for ever.
         "transport/link/tx/queue/size/real_time": 16,  # the default of 2 is less than the frames of one slot may be
+        **entries,
     }.items():
         config.insert_json5(key, json.dumps(value))
     return config
@@ -136,7 +160,8 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
     """Open one end of a link over zenoh.
 
     Args:
-        uri: ``zenoh:<endpoint>``, with the options ``name`` (default rig0) and ``lan`` (1 allows other machines).
+        uri: ``zenoh:[<endpoint>]``, with the options ``name`` (default rig0), ``lan`` (1 allows other machines), and those of
+            `transport.links.zenoh_access`.
         role: "rig" listens, "controller" connects.
 
     Raises:
@@ -147,15 +172,22 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
     transport.links.link.TransportError: link 'zenoh:tcp/127.0.0.1': address '127.0.0.1', expected host:port, as in 127.0.0.1:7447
     """
     _, endpoint, options = split_uri(uri)
+    if not endpoint and _NAME.fullmatch(options.get("name", "rig0")):
+        try:
+            endpoint = f"unixsock-stream/{private_directory(zenoh_directory())}/{options.get('name', 'rig0')}"
+        except TransportError as error:
+            raise TransportError(f"link {uri!r}: {error}") from error
     protocol, _, address = endpoint.partition("/")
     if protocol not in _NETWORKED + _LOCAL or not address:
         expected = ", ".join(f"{p}/" for p in _NETWORKED + _LOCAL)
         raise TransportError(
             f"link {uri!r}: endpoint {endpoint!r}, expected one that begins with {expected} as in tcp/127.0.0.1:7447"
         )
+    who = access(uri, role, protocol, options)
     name, lan = options.pop("name", "rig0"), options.pop("lan", "0")
     if options:
-        raise TransportError(f"link {uri!r}: no option is called {next(iter(options))!r}, expected name or lan")
+        known = ", ".join(("lan", *OPTIONS))
+        raise TransportError(f"link {uri!r}: no option is called {next(iter(options))!r}, expected name or {known}")
     if lan not in ("0", "1"):
         raise TransportError(f"link {uri!r}: lan={lan}, expected 1 (other machines may connect) or 0")
     if not _NAME.fullmatch(name):
@@ -164,7 +196,7 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
         host, _, port = address.partition("#")[0].rpartition(":")
         if not host or not port.isdecimal() or not 0 < int(port) < 65536:
             raise TransportError(f"link {uri!r}: address {address!r}, expected host:port, as in 127.0.0.1:7447")
-        if lan != "1" and not _LOOPBACK.fullmatch(host):
+        if lan != "1" and protocol != "tls" and not _LOOPBACK.fullmatch(host):
             raise TransportError(
                 f"link {uri!r}: {host} is not this machine alone, and who reaches it can command the plant; "
                 "use 127.0.0.1, or append ?lan=1"
@@ -172,8 +204,8 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
     import zenoh
 
     try:
-        return ZenohLink(uri, role, endpoint, name)
+        return ZenohLink(uri, role, endpoint, name, who)
     except zenoh.ZError as error:
         said = _SOURCE.sub("", str(error))
-        hint = "; is another rig running there?" if "in use" in said else ""
+        hint = "; is another rig running there?" if "in use" in said or "acquire lock" in said else ""
         raise TransportError(f"link {uri!r}: {said}{hint}") from error

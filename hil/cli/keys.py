@@ -1,0 +1,27 @@
+"""``hil keys``: keys and certificates that let one controller command, and nobody else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.group()
+def command() -> None:
+    """Make keys and certificates for links that let only one controller command."""
+
+
+@command.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--host", "hosts", multiple=True, help="Name or address of the rig besides localhost; several allowed.")
+@click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificates are valid.")
+def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
+    """Make a test authority, certificates of rig and controller, and the key of the frames, in the new FOLDER."""
+    from hil.cli.terminal import visible
+    from hil.key_files import make_keys
+
+    for path in make_keys(folder, hosts, days):
+        print(visible(str(path)))
+    print(f"zenoh:tls/127.0.0.1:7447?keys={visible(str(folder))}      certificates")
+    print(f"can:hil:rig0?auth={visible(str(folder / 'frames.key'))}  a code in every frame, over any link")
