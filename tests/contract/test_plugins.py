@@ -14,6 +14,7 @@ from hil.experiment.plugin_checks import check_controller, check_law
 from plants.parts.check import check_plant
 from transport.laws.protocols import prepare
 
+PLANTS = {"state-space": ["A=[[-1.0]]", "B=[[2.0]]", "C=[[1.0]]"]}  # every other one is made from its defaults
 LAWS: dict[str, list[str]] = {
     "constant": ["age=2"],
     "iid": ["probabilities=[0.7, 0.3]"],
@@ -29,7 +30,7 @@ LAWS: dict[str, list[str]] = {
 
 @pytest.mark.parametrize("name", registry.names("hil.plants"))
 def test_plant_keeps_its_contract(name: str) -> None:
-    plant = parse_plugin("hil.plants", name)
+    plant = parse_plugin("hil.plants", name, PLANTS.get(name, ()))
     check_plant(plant)
     assert pickle.loads(pickle.dumps(plant)) == plant  # the rig is another process
 

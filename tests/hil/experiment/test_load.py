@@ -36,7 +36,7 @@ FAULTS: list[tuple[str, str, str]] = [
     ("period that is NaN", changed('"50 ms"', "nan"), "period: nan is not a finite number"),
     ("infinite duration", changed('"50 s"', "inf"), "duration: inf is not a finite number"),
     ("duration below a period", changed('"50 s"', '"1 ms"'), "duration: 0.001 s is shorter"),
-    ("duration without end", changed('"50 s"', '"100000000 h"'), "duration: 7.2e+12 ticks"),
+    ("duration without end", changed('"50 s"', '"100000000 h"'), "duration: 7.2e+12 slots"),
     ("no period", changed('period = "50 ms"\n', ""), "period: missing"),
     ("no name", changed('name = "dc-motor-hinf"\n', ""), "name: missing"),
     ("name with a path", changed('name = "dc-motor-hinf"', 'name = "../x"'), "name: '../x'"),
