@@ -9,7 +9,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from plants.errors import PlantError
+from plants.errors import FieldError, PlantError
 from plants.parts.actuators import Driver
 from plants.parts.exponential import zero_order_hold
 from plants.parts.friction import Friction, RubbingAxis
@@ -42,7 +42,7 @@ class LoadTorque:
         require_finite("torque_v", self.torque_v)
         require_not_negative("start_s", self.start_s)
         if self.stop_s is not None and not (math.isfinite(self.stop_s) and self.stop_s > self.start_s):
-            raise ValueError(f"stop_s: {self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
+            raise FieldError("stop_s", f"{self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
 
     def pieces(self, now_ns: int, dt_ns: int) -> list[tuple[int, float | None]]:
         """Return the parts of a span of time in which the load is constant: length in ns, load in V or None.

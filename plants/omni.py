@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plants.errors import PlantError
+from plants.errors import FieldError, PlantError
 from plants.parts.events import pass_time
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.hand import Hand, PathRun, PushRun, SlideRun
@@ -80,10 +80,10 @@ class Omni:
                 ("encoder_step_m", self.encoder_step_m > 0.0), ("coulomb_n", self.coulomb_n > 0.0),
             ):  # fmt: skip
                 if given:
-                    raise ValueError(f"{name}: is of the held device; give it a hand")
+                    raise FieldError(name, "is of the held device; give it a hand")
         elif self.coulomb_n and (self.hand.stiffness_n_per_m or self.hand.reach_m):
-            raise ValueError(f"coulomb_n: {self.coulomb_n!r}; with a spring in the hand the motion through stick and slip has no "
-                             "closed form, expected 0")  # fmt: skip
+            raise FieldError("coulomb_n", f"{self.coulomb_n!r}; with a spring in the hand the motion through stick and slip has "
+                             "no closed form, expected 0")  # fmt: skip
 
     @property
     def inputs(self) -> tuple[Signal, ...]:

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from plants.errors import FieldError
 from plants.parts.exponential import Rows
 from plants.parts.linear import LinearRun, Signal, StateSpace
 from plants.parts.linear_many import LinearRuns
@@ -47,7 +48,7 @@ class LinearPlant:
     def __post_init__(self) -> None:
         for name, rows in (("A", self.A), ("B", self.B), ("C", self.C)):
             if len({len(row) for row in rows}) != 1:
-                raise ValueError(f"{name}: expected rows of one length, and at least one")
+                raise FieldError(name, "expected rows of one length, and at least one")
         model = self.model()
         n, m, p = model.A.shape[0], model.B.shape[1], model.C.shape[0]
         for field, given, size in (("inputs", self.inputs, m), ("outputs", self.outputs, p), ("states", self.states, n)):
@@ -55,15 +56,15 @@ class LinearPlant:
             object.__setattr__(self, field, signals)
             names = [signal.name for signal in signals]
             if len(names) != size:
-                raise ValueError(f"{field}: {len(names)} signals, but the matrices have {size}")
+                raise FieldError(field, f"{len(names)} signals, but the matrices have {size}")
             for name in names:
                 if not _NAME.fullmatch(name):
-                    raise ValueError(f"{field}: {name!r} is no name; expected lower-case letters, digits and _")
+                    raise FieldError(field, f"{name!r} is no name; expected lower-case letters, digits and _")
                 if names.count(name) > 1:
-                    raise ValueError(f"{field}: {name!r} is taken twice")
+                    raise FieldError(field, f"{name!r} is taken twice")
         start = self.initial_state or (0.0,) * n
         if len(start) != n or not np.isfinite(start).all():
-            raise ValueError(f"initial_state: expected {n} finite numbers")
+            raise FieldError("initial_state", f"expected {n} finite numbers")
         object.__setattr__(self, "initial_state", tuple(map(float, start)))
 
     def model(self) -> StateSpace:

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from plants.errors import FieldError
 from plants.parts.events import Source, pass_time
 from plants.parts.exponential import Rows
 from plants.parts.jump import JumpModel, JumpRates
@@ -93,7 +94,7 @@ class SwitchedExample:
         require_whole_nanoseconds("uncertainty_period_s", self.uncertainty_period_s)
         for name, value in (("sigma", self.sigma), ("rho", self.rho)):
             if value is not None and not -1.0 <= value <= 1.0:
-                raise ValueError(f"{name}: {value!r}, expected a number in [-1, 1]")
+                raise FieldError(name, f"{value!r}, expected a number in [-1, 1]")
 
     def matrices(self, mode: int, sigma: float = 0.0, rho: float = 0.0) -> tuple[Rows, Rows]:
         """Return A (2 x 2) and B (2 x 1) of a mode (1 or 2) under sigma and rho."""

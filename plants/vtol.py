@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from plants.errors import FieldError
 from plants.parts.exponential import Rows
 from plants.parts.linear import LinearRun, Signal, StateSpace
 from plants.parts.linear_many import LinearRuns
@@ -75,7 +76,7 @@ class VTOL:
 
     def __post_init__(self) -> None:
         if self.airspeed_kn not in AIRSPEEDS_KN:
-            raise ValueError(f"airspeed_kn: {self.airspeed_kn!r}, expected one of 60, 135, 170")
+            raise FieldError("airspeed_kn", f"{self.airspeed_kn!r}, expected one of 60, 135, 170")
         require_vector("initial_state", self.initial_state, 4)
 
     def model(self) -> StateSpace:

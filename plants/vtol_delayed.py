@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from plants.errors import FieldError
 from plants.parts.events import HeldNoise, Source, pass_time
 from plants.parts.exponential import Rows, drift, zero_order_hold
 from plants.parts.jump import JumpModel, JumpRates
@@ -89,12 +90,12 @@ class DelayedVTOL:
             require_not_negative(f"delay_rates[{i}]", rate)
         require_finite("delayed_share", self.delayed_share)
         if self.rates.modes != 3:
-            raise ValueError(f"rates.rates: {self.rates.modes} modes, expected 3")
+            raise FieldError("rates.rates", f"{self.rates.modes} modes, expected 3")
         require_not_negative("noise_std", self.noise_std)
         require_whole_nanoseconds("noise_period_s", self.noise_period_s)
         require_whole_nanoseconds("substep_s", self.substep_s)
         if self.max_delay_s / self.substep_s > 1e6:
-            raise ValueError(f"substep_s: {self.substep_s!r}, expected at least a millionth of max_delay_s")
+            raise FieldError("substep_s", f"{self.substep_s!r}, expected at least a millionth of max_delay_s")
 
     def models(self) -> tuple[StateSpace, ...]:
         """Return the three models without delay; the output's last entry, the mode, has a row of zeros."""

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from plants.errors import FieldError
 from plants.parts.events import HeldNoise, Source, pass_time
 from plants.parts.exponential import Rows
 from plants.parts.jump import JumpModel, JumpRates
@@ -75,12 +76,12 @@ class FaultyVTOL:
         check_mode("initial_detected", self.initial_detected, 2)
         require_finite("fault_effectiveness", self.fault_effectiveness)
         if self.failure.modes != 2:
-            raise ValueError(f"failure.rates: {self.failure.modes} modes, expected 2")
+            raise FieldError("failure.rates", f"{self.failure.modes} modes, expected 2")
         if len(self.detection) != 2:
-            raise ValueError(f"detection: {len(self.detection)} tables, expected one for each of 2 fault modes")
+            raise FieldError("detection", f"{len(self.detection)} tables, expected one for each of 2 fault modes")
         for i, rates in enumerate(self.detection):
             if rates.modes != 2:
-                raise ValueError(f"detection[{i}].rates: {rates.modes} modes, expected 2")
+                raise FieldError(f"detection[{i}].rates", f"{rates.modes} modes, expected 2")
         require_not_negative("noise_std", self.noise_std)
         require_whole_nanoseconds("noise_period_s", self.noise_period_s)
 

@@ -16,6 +16,7 @@ from binascii import crc_hqx
 from collections.abc import Callable
 from typing import Final
 
+from transport.errors import FieldError
 from transport.wire import version1, version2
 from transport.wire.fields import (
     CRC_START,
@@ -96,9 +97,9 @@ def encode_control(packet: ControlPacket) -> bytes:
     inputs = len(rows[0]) if count else 0
     values = rows[0] if count == 1 else tuple([value for row in rows for value in row])
     if count > MAX_ROWS or (count and not 0 < inputs <= MAX_INPUTS) or {*map(len, rows)} - {inputs}:
-        raise ValueError(f"rows: lengths {[*map(len, rows)]}, expected up to 255 rows of one length, 1 to 255")
+        raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected up to 255 rows of one length, 1 to 255")
     if not 0 <= selection < len(SELECTIONS):
-        raise ValueError(f"selection: {selection}, expected a code from 0 to {len(SELECTIONS) - 1}")
+        raise FieldError("selection", f"{selection}, expected a code from 0 to {len(SELECTIONS) - 1}")
     if not -1 <= tau <= TAU_LIMIT:
         tau = -1 if tau < 0 else TAU_LIMIT
     write = version2.write_control if packet.version == 2 else version1.write_control

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.lmi.attenuation import at_gamma, smallest_gamma
 from design.lmi.program import Array, LmiProgram, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.processes.partitions import Partition
@@ -34,9 +34,7 @@ def _corners(
     """(total rate on the diagonal, [(rate, landing pair)])."""
     eta_low, eta_high = process.failure.bounds(i, edges[0][m], edges[0][m + 1])
     r_low, r_high = process.detection[i].bounds(k, edges[1][m], edges[1][m + 1])
-    places = [(j, k) for j in range(eta_high.size) if eta_high[j] > 0] + [
-        (i, l) for l in range(r_high.size) if r_high[l] > 0
-    ]
+    places = [(j, k) for j in range(eta_high.size) if eta_high[j] > 0] + [(i, l) for l in range(r_high.size) if r_high[l] > 0]
     low = [float(v) for v, h in zip([*eta_low, *r_low], [*eta_high, *r_high]) if h > 0]
     high = [float(h) for h in [*eta_high, *r_high] if h > 0]
     if not vertices:
@@ -70,9 +68,7 @@ def _program(
     for i, k in itertools.product(range(system.modes), range(detections)):
         for total, jumps in _corners(process, i, k, (edges[0][i], edges[1][k]), m, vertices):
             known = None if gains is None else gains[i, k]
-            function = partial(
-                _block, system=system, mode=i, gain=known, total=total, rates=[v for v, _ in jumps], scale=scale
-            )
+            function = partial(_block, system=system, mode=i, gain=known, total=total, rates=[v for v, _ in jumps], scale=scale)
             own = (f"X[{i},{k}]", *(() if gains is not None else (f"R[{i},{k}]",)))
             program.require(f"modes {i}, {k}", function, *own, "g2", *(f"X[{j},{l}]" for _, (j, l) in jumps))
     return program
@@ -151,7 +147,7 @@ def printed_fault_tolerant(
     """
     detections = process.detection[0].modes
     if gain is not None and gain.measured != ("eta", "r"):
-        raise ValueError(f"measured: {gain.measured!r}; the printed conditions give K_ik, which is ('eta', 'r')")
+        raise FieldError("measured", f"{gain.measured!r}; the printed conditions give K_ik, which is ('eta', 'r')")
     count = min(len(row) for row in (*eta_sections, *r_sections))
     parts = []
     for m in range(count):
@@ -159,15 +155,11 @@ def printed_fault_tolerant(
         if gain is not None:
             rows = [gain.at(mode, r_sections[mode % detections][m]) for mode in range(gain.modes)]
             known = np.array(rows).reshape(system.modes, detections, system.inputs, system.states)
-        parts.append(
-            printed_section(system, process, eta_sections, r_sections, m, known, gain_bound=gain_bound, gamma=gamma)
-        )
+        parts.append(printed_section(system, process, eta_sections, r_sections, m, known, gain_bound=gain_bound, gamma=gamma))
     worst = max(parts, key=lambda part: math.inf if part.gamma is None else part.gamma)
     if gain is not None or not worst.certified:
         return worst.renamed(gain=gain)
     pairs = list(itertools.product(range(system.modes), range(detections)))
-    table = [
-        [part.matrices[f"R[{i},{k}]"] @ np.linalg.inv(part.matrices[f"X[{i},{k}]"]) for part in parts] for i, k in pairs
-    ]
+    table = [[part.matrices[f"R[{i},{k}]"] @ np.linalg.inv(part.matrices[f"X[{i},{k}]"]) for part in parts] for i, k in pairs]
     starts = np.array([r_sections[k][:count] for _, k in pairs])
     return worst.renamed(gain=ScheduledGain(gain=np.array(table), starts_s=starts, measured=("eta", "r")))

@@ -82,7 +82,7 @@ class Controller(Protocol):
         """Return the controller, ready for slot 0.
 
         Raises:
-            ValueError: parameters that do not fit the loop; the message starts with the field.
+            FieldError: parameters that do not fit the loop.
         """
         ...
 

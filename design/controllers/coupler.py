@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from design.errors import FieldError
+
 MAX_TAPS = 512
 
 
@@ -24,7 +26,7 @@ class Coupler:
         integrator_m_per_n: d in m/N per sample, at least 0. A static force makes the avatar creep for ever unless it is 0.
 
     Raises:
-        ValueError: no tap, too many, or a number that is not finite or d below 0; the message starts with the field.
+        FieldError: no tap, too many, or a number that is not finite or d below 0.
     """
 
     taps_m_per_n: tuple[float, ...]
@@ -32,12 +34,12 @@ class Coupler:
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.taps_m_per_n) <= MAX_TAPS:
-            raise ValueError(f"taps_m_per_n: {len(self.taps_m_per_n)} taps, expected 1 to {MAX_TAPS}")
+            raise FieldError("taps_m_per_n", f"{len(self.taps_m_per_n)} taps, expected 1 to {MAX_TAPS}")
         for l, tap in enumerate(self.taps_m_per_n):
             if not math.isfinite(tap):
-                raise ValueError(f"taps_m_per_n[{l}]: {tap!r}, expected a finite number")
+                raise FieldError(f"taps_m_per_n[{l}]", f"{tap!r}, expected a finite number")
         if not (math.isfinite(self.integrator_m_per_n) and self.integrator_m_per_n >= 0.0):
-            raise ValueError(f"integrator_m_per_n: {self.integrator_m_per_n!r}, expected a finite number, at least 0")
+            raise FieldError("integrator_m_per_n", f"{self.integrator_m_per_n!r}, expected a finite number, at least 0")
 
     @property
     def static_compliance_m_per_n(self) -> float:

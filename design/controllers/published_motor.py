@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 from design.controllers.contract import LoopModel, RunningController
 from design.controllers.gain_rows_many import GainRowsOfMany
 from design.controllers.send_all import GainRows
+from design.errors import FieldError
 
 
 def _published(values: Sequence[Sequence[float]], model: LoopModel) -> NDArray[np.float64]:
     K = np.asarray(values, dtype=float)[:, :, None, None]
     if model.B.shape[1] != 1 or model.C.shape[0] != 1:
-        raise ValueError("kind: the published motor gains are for one input and one output")
+        raise FieldError("kind", "the published motor gains are for one input and one output")
     if model.d_max + 1 > K.shape[1] or model.tau_max + 1 > K.shape[0]:
-        raise ValueError(
-            f"kind: the published gains cover tau <= {K.shape[0] - 1} and d <= {K.shape[1] - 1}; "
-            f"the links reach tau = {model.tau_max}, d = {model.d_max}"
+        raise FieldError(
+            "kind",
+            f"the published gains cover tau <= {K.shape[0] - 1} and d <= {K.shape[1] - 1}; "
+            f"the links reach tau = {model.tau_max}, d = {model.d_max}",
         )
     return K[:, : model.d_max + 1]
 

@@ -16,6 +16,8 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 FloatArray = npt.NDArray[np.float64]
 Schedule = Literal["hold", "linear"]
 
@@ -44,15 +46,15 @@ class ScheduledGain:
     def __post_init__(self) -> None:
         gain, starts = np.array(self.gain, dtype=float), np.array(self.starts_s, dtype=float)
         if gain.ndim != 4 or 0 in gain.shape:
-            raise ValueError(f"gain: shape {gain.shape}, expected (modes, sections, inputs, states)")
+            raise FieldError("gain", f"shape {gain.shape}, expected (modes, sections, inputs, states)")
         if not np.isfinite(gain).all():
-            raise ValueError(f"gain: entry {tuple(int(k) for k in np.argwhere(~np.isfinite(gain))[0])} is not finite")
+            raise FieldError("gain", f"entry {tuple(int(k) for k in np.argwhere(~np.isfinite(gain))[0])} is not finite")
         if starts.shape != gain.shape[:2]:
-            raise ValueError(f"starts_s: shape {starts.shape}, expected {gain.shape[:2]} as the gains")
+            raise FieldError("starts_s", f"shape {starts.shape}, expected {gain.shape[:2]} as the gains")
         if not np.isfinite(starts).all() or (starts[:, 0] != 0.0).any() or (np.diff(starts, axis=1) <= 0).any():
-            raise ValueError("starts_s: expected finite increasing sojourn times that start at 0 in every mode")
+            raise FieldError("starts_s", "expected finite increasing sojourn times that start at 0 in every mode")
         if self.schedule not in get_args(Schedule):
-            raise ValueError(f"schedule: {self.schedule!r} is not one of {get_args(Schedule)}")
+            raise FieldError("schedule", f"{self.schedule!r} is not one of {get_args(Schedule)}")
         gain.setflags(write=False)
         starts.setflags(write=False)
         object.__setattr__(self, "gain", gain)
@@ -98,5 +100,5 @@ def constant_gain(gain: npt.ArrayLike, measured: tuple[str, ...] = ("r",)) -> Sc
     """One gain per mode, whatever the sojourn time: ``gain`` of shape (modes, m, n)."""
     array = np.asarray(gain, dtype=float)
     if array.ndim != 3:
-        raise ValueError(f"gain: shape {array.shape}, expected (modes, inputs, states)")
+        raise FieldError("gain", f"shape {array.shape}, expected (modes, inputs, states)")
     return ScheduledGain(gain=array[:, None], starts_s=np.zeros((array.shape[0], 1)), measured=measured)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from design.controllers.contract import Gains, LoopModel, Rows, RunningController, Selection, row_count
 from design.controllers.gain_rows_many import GainRowsOfMany, dot, feedforward, sojourn_ranges
+from design.errors import FieldError
 
 
 def nested(K: NDArray[np.float64]) -> Gains:
@@ -100,15 +101,15 @@ class SendAll:
 
     def __post_init__(self) -> None:
         if self.samples < 1:
-            raise ValueError(f"samples: {self.samples}, expected at least 1")
+            raise FieldError("samples", f"{self.samples}, expected at least 1")
         try:
             shape = np.asarray(self.gains, dtype=float).shape
         except ValueError:
             shape = ()
         if len(shape) != 4:
-            raise ValueError("gains: expected [tau][row][m][p] with equal lengths")
+            raise FieldError("gains", "expected [tau][row][m][p] with equal lengths")
         if self.sojourns and (min(self.sojourns) < 0 or sum(self.sojourns) != shape[0]):
-            raise ValueError(f"sojourns: {list(self.sojourns)}, expected counts whose sum is the number of tables, {shape[0]}")
+            raise FieldError("sojourns", f"{list(self.sojourns)}, expected counts whose sum is the number of tables, {shape[0]}")
 
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         K = np.asarray(self.gains, dtype=float)
@@ -116,12 +117,13 @@ class SendAll:
         rows = row_count(self.selection, model.d_max)
         width = p * (self.samples + self.integral)
         if K.shape[1:] != (rows, m, width):
-            raise ValueError(
-                f"gains: shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "
-                f"for selection {self.selection!r} with d up to {model.d_max}"
+            raise FieldError(
+                "gains",
+                f"shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "
+                f"for selection {self.selection!r} with d up to {model.d_max}",
             )
         if len(self.sojourns or K) < model.tau_max + 1:
-            raise ValueError(f"gains: {len(self.sojourns or K)} tables, but tau reaches {model.tau_max}")
+            raise FieldError("gains", f"{len(self.sojourns or K)} tables, but tau reaches {model.tau_max}")
         return K
 
     def start(self, model: LoopModel) -> RunningController:
@@ -147,7 +149,7 @@ class Local:
         K = np.asarray(self.gain, dtype=float)
         m, p = model.B.shape[1], model.C.shape[0]
         if K.shape != (m, p):
-            raise ValueError(f"gain: shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
+            raise FieldError("gain", f"shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
         return np.broadcast_to(K, (model.tau_max + 1, 1, m, p)).copy()
 
     def start(self, model: LoopModel) -> RunningController:
@@ -170,7 +172,7 @@ class Constant:
 
     def start(self, model: LoopModel) -> RunningController:
         if len(self.value) != model.B.shape[1]:
-            raise ValueError(f"value: {len(self.value)} entries, but the plant has {model.B.shape[1]} inputs")
+            raise FieldError("value", f"{len(self.value)} entries, but the plant has {model.B.shape[1]} inputs")
         return _ConstantRows(self.value)
 
 

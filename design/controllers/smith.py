@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel, Rows, RunningController, Selection, feedforward
+from design.errors import FieldError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +30,7 @@ class Smith:
         K = np.asarray(self.gain, dtype=float)
         m, p = model.B.shape[1], model.C.shape[0]
         if K.shape != (m, p):
-            raise ValueError(f"gain: shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
+            raise FieldError("gain", f"shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
         return _SmithRows(K, model)
 
     def start_many(self, model: LoopModel, runs: int) -> SmithOfMany:

@@ -21,6 +21,7 @@ import numpy as np
 from design.controllers.contract import LoopModel, Rows, RunningController, Selection
 from design.controllers.coupler import Coupler
 from design.controllers.wall import Contact, Wall
+from design.errors import FieldError
 
 
 @runtime_checkable
@@ -57,7 +58,7 @@ class VirtualWall:
 
     def __post_init__(self) -> None:
         if self.samples < 1:
-            raise ValueError(f"samples: {self.samples}, expected at least 1")
+            raise FieldError("samples", f"{self.samples}, expected at least 1")
 
     def start(self, model: LoopModel) -> VirtualWallRun:
         """Return the wall, ready for slot 0.
@@ -67,7 +68,7 @@ class VirtualWall:
         """
         m, p = model.B.shape[1], model.C.shape[0]
         if (m, p) != (1, 3):
-            raise ValueError(f"wall: needs one force and a measured position, y and z; the plant has {m} inputs and {p} outputs")
+            raise FieldError("wall", f"needs one force and a measured position, y and z; the plant has {m} inputs, {p} outputs")
         return VirtualWallRun(self, model)
 
 

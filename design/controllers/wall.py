@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from design.controllers.wall_pattern import Pattern
+from design.errors import FieldError
 
 Switching = Literal["plain", "energy"]
 
@@ -28,7 +29,7 @@ class Material:
         damping_n_s_per_m: B in N s/m, at least 0.
 
     Raises:
-        ValueError: where a number is out of range; the message starts with the field.
+        FieldError: where a number is out of range.
     """
 
     stiffness_n_per_m: float
@@ -36,9 +37,9 @@ class Material:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.stiffness_n_per_m) and self.stiffness_n_per_m > 0.0):
-            raise ValueError(f"stiffness_n_per_m: {self.stiffness_n_per_m!r}, expected a finite number above 0")
+            raise FieldError("stiffness_n_per_m", f"{self.stiffness_n_per_m!r}, expected a finite number above 0")
         if not (math.isfinite(self.damping_n_s_per_m) and self.damping_n_s_per_m >= 0.0):
-            raise ValueError(f"damping_n_s_per_m: {self.damping_n_s_per_m!r}, expected a finite number, at least 0")
+            raise FieldError("damping_n_s_per_m", f"{self.damping_n_s_per_m!r}, expected a finite number, at least 0")
 
     def energy_j(self, depth_m: float, force_limit_n: float = math.inf) -> float:
         """Return the energy stored at a depth, in J: K s^2/2, beyond the force limit a straight line."""
@@ -81,7 +82,7 @@ class Wall:
         chain_seed: seed of the chain's path.
 
     Raises:
-        ValueError: where a value is out of range; the message starts with the field.
+        FieldError: where a value is out of range.
     """
 
     materials: tuple[Material, ...] = MATERIALS
@@ -94,27 +95,27 @@ class Wall:
 
     def __post_init__(self) -> None:
         if not self.materials:
-            raise ValueError("materials: none, expected at least one")
+            raise FieldError("materials", "none, expected at least one")
         if self.switching not in get_args(Switching):
-            raise ValueError(f"switching: {self.switching!r}, expected one of {', '.join(get_args(Switching))}")
+            raise FieldError("switching", f"{self.switching!r}, expected one of {', '.join(get_args(Switching))}")
         if self.force_limit_n is not None and not self.force_limit_n > 0.0:
-            raise ValueError(f"force_limit_n: {self.force_limit_n!r}, expected a number above 0")
+            raise FieldError("force_limit_n", f"{self.force_limit_n!r}, expected a number above 0")
         count = len(self.materials)
         if not 0 <= self.material < count:
-            raise ValueError(f"material: {self.material}, expected 0 to {count - 1}")
+            raise FieldError("material", f"{self.material}, expected 0 to {count - 1}")
         if self.pattern is not None and self.chain is not None:
-            raise ValueError("chain: give either a pattern or a chain")
+            raise FieldError("chain", "give either a pattern or a chain")
         if self.pattern is not None:
             for i, patch in enumerate(self.pattern.patches):
                 if patch.material >= count:
-                    raise ValueError(f"pattern.patches[{i}].material: {patch.material}, expected 0 to {count - 1}")
+                    raise FieldError(f"pattern.patches[{i}].material", f"{patch.material}, expected 0 to {count - 1}")
         for i, row in enumerate(self.chain or ()):
             if len(row) != count or len(self.chain or ()) != count:
-                raise ValueError(f"chain[{i}]: {len(row)} entries of {len(self.chain or ())} rows, expected {count} of {count}")
+                raise FieldError(f"chain[{i}]", f"{len(row)} entries, {len(self.chain or ())} rows, expected {count} of {count}")
             if min(row) < 0.0 or abs(sum(row) - 1.0) > 1e-9:
-                raise ValueError(f"chain[{i}]: smallest entry {min(row):g}, sum {sum(row):.10g}, expected at least 0 and 1")
+                raise FieldError(f"chain[{i}]", f"smallest entry {min(row):g}, sum {sum(row):.10g}, expected at least 0 and 1")
         if self.chain_seed < 0:
-            raise ValueError(f"chain_seed: {self.chain_seed}, expected at least 0")
+            raise FieldError("chain_seed", f"{self.chain_seed}, expected at least 0")
 
     @property
     def limit_n(self) -> float:

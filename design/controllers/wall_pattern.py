@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from design.errors import FieldError
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Patch:
@@ -19,7 +21,7 @@ class Patch:
         material: index, from 0.
 
     Raises:
-        ValueError: where a value is out of range; the message starts with the field.
+        FieldError: where a value is out of range.
     """
 
     y_m: float
@@ -31,12 +33,12 @@ class Patch:
     def __post_init__(self) -> None:
         for name, value in (("y_m", self.y_m), ("z_m", self.z_m)):
             if not math.isfinite(value):
-                raise ValueError(f"{name}: {value!r}, expected a finite number")
+                raise FieldError(name, f"{value!r}, expected a finite number")
         for name, value in (("width_m", self.width_m), ("height_m", self.height_m)):
             if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name}: {value!r}, expected a finite number above 0")
+                raise FieldError(name, f"{value!r}, expected a finite number above 0")
         if self.material < 0:
-            raise ValueError(f"material: {self.material!r}, expected an index, at least 0")
+            raise FieldError("material", f"{self.material!r}, expected an index, at least 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,20 +63,20 @@ class Pattern:
     def __post_init__(self) -> None:
         for name, value in (("width_m", self.width_m), ("height_m", self.height_m)):
             if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name}: {value!r}, expected a finite number above 0")
+                raise FieldError(name, f"{value!r}, expected a finite number above 0")
         slack = 1e-9 * max(self.width_m, self.height_m)
         for i, p in enumerate(self.patches):
             out = max(-p.y_m, -p.z_m, p.y_m + p.width_m - self.width_m, p.z_m + p.height_m - self.height_m)
             if out > slack:
-                raise ValueError(f"patches[{i}]: lies {out:.6g} m outside the cell")
+                raise FieldError(f"patches[{i}]", f"lies {out:.6g} m outside the cell")
             for j, q in enumerate(self.patches[:i]):
                 over_y = min(p.y_m + p.width_m, q.y_m + q.width_m) - max(p.y_m, q.y_m)
                 over_z = min(p.z_m + p.height_m, q.z_m + q.height_m) - max(p.z_m, q.z_m)
                 if over_y > slack and over_z > slack:
-                    raise ValueError(f"patches[{i}]: overlaps patches[{j}] on {over_y * over_z:.6g} m^2")
+                    raise FieldError(f"patches[{i}]", f"overlaps patches[{j}] on {over_y * over_z:.6g} m^2")
         gap = self.width_m * self.height_m - sum(p.width_m * p.height_m for p in self.patches)
         if gap > slack * (self.width_m + self.height_m):
-            raise ValueError(f"patches: leave a gap of {gap:.6g} m^2 of {self.width_m * self.height_m:.6g} m^2")
+            raise FieldError("patches", f"leave a gap of {gap:.6g} m^2 of {self.width_m * self.height_m:.6g} m^2")
 
     def material_at(self, y_m: float, z_m: float) -> int:
         """Return the index of the material at a point of the plane."""

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 Mask = npt.NDArray[np.bool_]
 
 
@@ -42,16 +44,16 @@ class Information:
 
     def __post_init__(self) -> None:
         if not self.nodes or min(self.nodes) < 0:
-            raise ValueError(f"nodes: {list(self.nodes)}, expected a node from 0 for every state")
+            raise FieldError("nodes", f"{list(self.nodes)}, expected a node from 0 for every state")
         strangers = sorted(set(self.order) - set(self.nodes))
         if not self.order or strangers:
-            raise ValueError(f"order: {list(self.order)}, expected nodes that measure something: {sorted(set(self.nodes))}")
+            raise FieldError("order", f"{list(self.order)}, expected nodes that measure something: {sorted(set(self.nodes))}")
         if not 1 <= self.buffer <= self.memory + 1:
-            raise ValueError(f"buffer: {self.buffer} samples, expected 1 to memory + 1 = {self.memory + 1}")
+            raise FieldError("buffer", f"{self.buffer} samples, expected 1 to memory + 1 = {self.memory + 1}")
         if self.memory < 0:
-            raise ValueError(f"memory: {self.memory}, expected 0 or more")
+            raise FieldError("memory", f"{self.memory}, expected 0 or more")
         if not 0 <= self.delay <= self.memory:
-            raise ValueError(f"delay: {self.delay} samples, expected 0 to the memory, {self.memory}")
+            raise FieldError("delay", f"{self.delay} samples, expected 0 to the memory, {self.memory}")
 
     @property
     def phases(self) -> int:

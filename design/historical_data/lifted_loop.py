@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import NotStable
+from design.errors import FieldError, NotStable
 
 Array = npt.NDArray[np.float64]
 SWEEPS = 20_000
@@ -45,9 +45,9 @@ class DelayedPlant:
         expected = {"A": (n, n), "delayed": (len(self.delayed), n, n), "B": (n, p), "weight": (n, n)}
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
-                raise ValueError(f"{name}: shape {list(getattr(self, name).shape)}, expected {list(shape)}")
+                raise FieldError(name, f"shape {list(getattr(self, name).shape)}, expected {list(shape)}")
         if self.input_weight is not None and self.input_weight.shape != (p, p):
-            raise ValueError(f"input_weight: shape {list(self.input_weight.shape)}, expected {[p, p]}")
+            raise FieldError("input_weight", f"shape {list(self.input_weight.shape)}, expected {[p, p]}")
 
     @property
     def memory(self) -> int:

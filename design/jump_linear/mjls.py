@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
 from design.jump_linear.second_moment import Array, mean_square_radius
 from design.processes.delay_chain import check_transition
 
@@ -32,7 +33,7 @@ class MJLS:
     A matrix without the mode axis is the same in every mode.
 
     Raises:
-        ValueError: message starts with the field at fault.
+        FieldError: names the field at fault.
     """
 
     A: npt.ArrayLike
@@ -47,7 +48,7 @@ class MJLS:
         A = _stack(self.A, "A", N, None, None)
         n = A.shape[1]
         if A.shape[2] != n:
-            raise ValueError(f"A: shape {A.shape}, expected square matrices")
+            raise FieldError("A", f"shape {A.shape}, expected square matrices")
         B = _stack(self.B, "B", N, n, None)
         C = _stack(self.C, "C", N, None, n)
         zero = np.zeros((C.shape[1], B.shape[2]))
@@ -89,9 +90,9 @@ class MJLS:
             return np.full(self.modes, 1.0 / self.modes)
         alpha = np.asarray(initial, dtype=np.float64)
         if alpha.shape != (self.modes,):
-            raise ValueError(f"initial: shape {alpha.shape}, expected ({self.modes},)")
+            raise FieldError("initial", f"shape {alpha.shape}, expected ({self.modes},)")
         if not np.isfinite(alpha).all() or (alpha < 0).any() or abs(alpha.sum() - 1) > 1e-9:
-            raise ValueError(f"initial: entries must be >= 0 and sum to 1, sum is {alpha.sum():.10g}")
+            raise FieldError("initial", f"entries must be >= 0 and sum to 1, sum is {alpha.sum():.10g}")
         return alpha
 
 
@@ -100,11 +101,11 @@ def _stack(value: npt.ArrayLike, name: str, N: int, rows: int | None, columns: i
     if array.ndim == 2:
         array = np.repeat(array[None], N, axis=0)
     if array.ndim != 3 or array.shape[0] != N:
-        raise ValueError(f"{name}: shape {array.shape}, expected {N} matrices")
+        raise FieldError(name, f"shape {array.shape}, expected {N} matrices")
     for axis, expected, what in ((1, rows, "rows"), (2, columns, "columns")):
         if expected is not None and array.shape[axis] != expected:
-            raise ValueError(f"{name}: {array.shape[axis]} {what}, expected {expected}")
+            raise FieldError(name, f"{array.shape[axis]} {what}, expected {expected}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name}[{int(np.argwhere(~np.isfinite(array))[0][0])}]: not finite")
+        raise FieldError(f"{name}[{int(np.argwhere(~np.isfinite(array))[0][0])}]", "not finite")
     array.setflags(write=False)
     return array

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.lmi.program import LmiProgram, LmiSolution
 
 BACKOFF = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
@@ -68,7 +68,7 @@ def smallest_gamma(build: Callable[[float], LmiProgram], what: str, guess: float
 def at_gamma(build: Callable[[float], LmiProgram], gamma: float, what: str) -> Attenuation:
     """A verified solution at the given gamma. Raises Infeasible as ``smallest_gamma`` does."""
     if not math.isfinite(gamma) or gamma <= 0:
-        raise ValueError(f"gamma: {gamma!r} is not a finite positive number")
+        raise FieldError("gamma", f"{gamma!r} is not a finite positive number")
     found = with_gamma(build(1.0 / gamma), 1.0).decide()
     if not found.holds:
         raise Infeasible(f"{what} at gamma = {gamma:g}: {found.explain()}", value=found.margin)

@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
 from design.lmi.program import Array, Inequality
 
 
@@ -79,7 +80,7 @@ def pivots(matrix: Array) -> list[Fraction]:
     """
     rows = [[Fraction(entry) for entry in row] for row in matrix.tolist()]
     if any(rows[i][j] != rows[j][i] for i in range(len(rows)) for j in range(i)):
-        raise ValueError("matrix: is not symmetric")
+        raise FieldError("matrix", "is not symmetric")
     common = math.lcm(*(entry.denominator for row in rows for entry in row))
     work: list[list[int]] = [[int(entry * common) for entry in row] for row in rows]
     found: list[Fraction] = []
@@ -111,7 +112,7 @@ def prove_inequalities(inequalities: Iterable[Inequality], matrices: Mapping[str
         if worst <= 0:
             return ExactProof(proved=False, inequalities=count, smallest_pivot=worst, failed=item.name, bits=bits)
     if smallest is None:
-        raise ValueError("certificate: holds no inequality")
+        raise FieldError("certificate", "holds no inequality")
     return ExactProof(proved=True, inequalities=count, smallest_pivot=smallest, failed=None, bits=bits)
 
 
@@ -122,6 +123,6 @@ def prove(certificate: Rebuildable, bits: int = 24) -> ExactProof:
         ValueError: the certificate has no inequalities (method ``exact``).
     """
     if certificate.rebuild is None:
-        raise ValueError(f"certificate: method {certificate.method!r} has no inequalities to prove")
+        raise FieldError("certificate", f"method {certificate.method!r} has no inequalities to prove")
     known: dict[str, Any] = {name: rounded(value, bits) for name, value in certificate.matrices.items()}
     return prove_inequalities(certificate.rebuild(as_fraction), known, bits)

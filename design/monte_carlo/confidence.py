@@ -24,6 +24,8 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 FloatArray = npt.NDArray[np.float64]
 Statistic = Literal["mean", "sd"]
 
@@ -79,10 +81,10 @@ def deviation_interval(values: npt.ArrayLike, level: float = 0.95) -> Interval:
 
 def _sample(values: npt.ArrayLike, level: float) -> FloatArray:
     if not 0 < level < 1:
-        raise ValueError(f"level: {level!r} is not between 0 and 1")
+        raise FieldError("level", f"{level!r} is not between 0 and 1")
     sample = np.asarray(values, dtype=float)
     if sample.ndim != 1 or not np.isfinite(sample).all():
-        raise ValueError("values: expected finite numbers (leave out or count the runs that have none)")
+        raise FieldError("values", "expected finite numbers (leave out or count the runs that have none)")
     return sample
 
 
@@ -106,15 +108,15 @@ class StopRule:
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.half_width) or self.half_width <= 0:
-            raise ValueError(f"half_width: {self.half_width!r} is not positive")
+            raise FieldError("half_width", f"{self.half_width!r} is not positive")
         if self.statistic not in get_args(Statistic):
-            raise ValueError(f"statistic: {self.statistic!r} is not one of {get_args(Statistic)}")
+            raise FieldError("statistic", f"{self.statistic!r} is not one of {get_args(Statistic)}")
         if not 0 < self.level < 1:
-            raise ValueError(f"level: {self.level!r} is not between 0 and 1")
+            raise FieldError("level", f"{self.level!r} is not between 0 and 1")
         if self.first_look < 30:
-            raise ValueError(f"first_look: {self.first_look}, an interval needs at least 30 runs")
+            raise FieldError("first_look", f"{self.first_look}, an interval needs at least 30 runs")
         if not self.growth > 1 or not math.isfinite(self.growth):
-            raise ValueError(f"growth: {self.growth!r} is not above 1")
+            raise FieldError("growth", f"{self.growth!r} is not above 1")
 
     def runs(self, look: int) -> int:
         """Number of runs at a look (1, 2, ...)."""

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import FieldError
 from design.monte_carlo.batched_flow import MatrixFlow
 from design.monte_carlo.jump_paths import Visits, fault_detection_visits, semi_markov_visits
 from design.monte_carlo.random_streams import PARAMETERS, uniforms
@@ -58,36 +59,32 @@ class JumpLoop:
         seen = self.process.modes if isinstance(self.process, SemiMarkov) else self.process.detection[0].modes
         both = self.gain.measured == ("eta", "r")
         if both and isinstance(self.process, SemiMarkov):
-            raise ValueError("gain: measures eta and r, but the process is one semi-Markov process")
+            raise FieldError("gain", "measures eta and r, but the process is one semi-Markov process")
         object.__setattr__(self, "sees_failure", both)
         if plant.modes != self.system.modes:
-            raise ValueError(f"process: {plant.modes} modes, the system has {self.system.modes}")
+            raise FieldError("process", f"{plant.modes} modes, the system has {self.system.modes}")
         if self.gain.modes != seen * (plant.modes if both else 1):
-            raise ValueError(
-                f"gain: {self.gain.modes} modes, the controller sees {seen * (plant.modes if both else 1)}"
-            )
+            raise FieldError("gain", f"{self.gain.modes} modes, the controller sees {seen * (plant.modes if both else 1)}")
         if self.gain.gain.shape[2:] != (self.system.inputs, self.system.states):
-            raise ValueError(
-                f"gain: matrices of shape {self.gain.gain.shape[2:]}, expected {(self.system.inputs, self.system.states)}"
+            raise FieldError(
+                "gain", f"matrices of shape {self.gain.gain.shape[2:]}, expected {(self.system.inputs, self.system.states)}"
             )
         if self.gain.schedule != "hold":
-            raise ValueError(
-                "gain: a gain that moves within a section has no exact flow; use design.monte_carlo.jump_loop.held first"
+            raise FieldError(
+                "gain", "a gain that moves within a section has no exact flow; use design.monte_carlo.jump_loop.held first"
             )
         start = np.asarray(self.start, dtype=float)
         if start.shape != (self.system.states,) or not np.isfinite(start).all():
-            raise ValueError(f"start: {self.start}, expected {self.system.states} finite numbers")
+            raise FieldError("start", f"{self.start}, expected {self.system.states} finite numbers")
         if not 0 <= self.mode < plant.modes:
-            raise ValueError(f"mode: {self.mode}, expected 0 to {plant.modes - 1}")
+            raise FieldError("mode", f"{self.mode}, expected 0 to {plant.modes - 1}")
         if not 0 <= self.detection < seen:
-            raise ValueError(f"detection: {self.detection}, expected 0 to {seen - 1}")
+            raise FieldError("detection", f"{self.detection}, expected 0 to {seen - 1}")
         doubt = self.system.uncertainty
         if self.uncertain and doubt is None:
-            raise ValueError("uncertain: the system has no uncertainty to draw from")
+            raise FieldError("uncertain", "the system has no uncertainty to draw from")
         if self.uncertain and isinstance(doubt, NormBounded) and doubt.e.shape[2] != doubt.fa.shape[1]:
-            raise ValueError(
-                f"uncertain: delta = diag(...) must be square, it is {doubt.e.shape[2]} x {doubt.fa.shape[1]}"
-            )
+            raise FieldError("uncertain", f"delta = diag(...) must be square, it is {doubt.e.shape[2]} x {doubt.fa.shape[1]}")
 
     def visits(self, duration_s: float, *, seed: int, first: int, runs: int) -> Iterator[Visits]:
         """Visits of the runs first, ..., first + runs - 1, each in its own stream."""
@@ -149,7 +146,7 @@ def held(gain: ScheduledGain, step_s: float, end_s: float) -> ScheduledGain:
     The error of the flow is of the order step_s^2; a digital controller of that period does the same.
     """
     if not step_s > 0 or not end_s >= step_s:
-        raise ValueError(f"step_s: {step_s!r}, expected positive and at most end_s = {end_s!r}")
+        raise FieldError("step_s", f"{step_s!r}, expected positive and at most end_s = {end_s!r}")
     count = int(np.ceil(end_s / step_s)) + 1
     starts = np.tile(np.arange(count) * step_s, (gain.modes, 1))
     values = [[gain.at(mode, h + 0.5 * step_s) for h in starts[mode]] for mode in range(gain.modes)]

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.monte_carlo.parallel import Workers, chunk_numbers, inside_chunk, spread
 from design.monte_carlo.random_streams import CHAIN, NOISE, DrawTable
@@ -140,13 +141,13 @@ def simulate_mjls(
         ValueError: an argument that cannot be (the message starts with its name).
     """
     if steps < 1:
-        raise ValueError(f"steps: {steps}, expected at least 1")
+        raise FieldError("steps", f"{steps}, expected at least 1")
     if seed < 0:
-        raise ValueError(f"seed: {seed} is negative")
+        raise FieldError("seed", f"{seed} is negative")
     x0 = np.asarray(start, dtype=float)
     shape = (system.modes, system.order)
     if x0.shape not in (shape, shape[1:]) or not np.isfinite(x0).all():
-        raise ValueError(f"start: expected finite numbers of shape {shape[1:]} or {shape}, got shape {x0.shape}")
+        raise FieldError("start", f"expected finite numbers of shape {shape[1:]} or {shape}, got shape {x0.shape}")
     task = _Task(
         system=system,
         start=np.broadcast_to(x0, shape),

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal, TypeVar, get_args
 
-from design.errors import DesignError
+from design.errors import DesignError, FieldError
 
 Backend = Literal["serial", "loky", "threading", "dask"]
 Result = TypeVar("Result")
@@ -41,13 +41,14 @@ class Workers:
 
     def __post_init__(self) -> None:
         if self.backend not in get_args(Backend):
-            raise ValueError(f"backend: {self.backend!r} is not one of {get_args(Backend)}")
+            raise FieldError("backend", f"{self.backend!r} is not one of {get_args(Backend)}")
         if self.jobs == 0 or self.jobs < -1:
-            raise ValueError(f"jobs: {self.jobs}, expected -1 or a positive number")
+            raise FieldError("jobs", f"{self.jobs}, expected -1 or a positive number")
         if (self.scheduler is None) == (self.backend == "dask"):
-            raise ValueError(
-                f"scheduler: {self.scheduler!r} with backend {self.backend!r}; "
-                "dask needs the address of its scheduler and the others have none"
+            raise FieldError(
+                "scheduler",
+                f"{self.scheduler!r} with backend {self.backend!r}; "
+                "dask needs the address of its scheduler and the others have none",
             )
 
 
@@ -110,7 +111,7 @@ def _client(workers: Workers) -> Any:
 def chunk_numbers(first: int, runs: int, size: int) -> range:
     """Numbers of the chunks of ``size`` runs that hold the runs first, ..., first + runs - 1."""
     if runs < 1 or first < 0:
-        raise ValueError(f"runs: {runs} from number {first}, expected at least one from number 0 on")
+        raise FieldError("runs", f"{runs} from number {first}, expected at least one from number 0 on")
     return range(first // size, (first + runs - 1) // size + 1)
 
 

@@ -17,6 +17,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 FloatArray = npt.NDArray[np.float64]
 
 JUMPS, PARAMETERS, CHAIN, NOISE = range(4)
@@ -31,9 +33,9 @@ def uniforms(seed: int, first: int, runs: int, *, blocks: int, purpose: int, pag
     True
     """
     if seed < 0:
-        raise ValueError(f"seed: {seed} is negative")
+        raise FieldError("seed", f"{seed} is negative")
     if first < 0 or runs < 0:
-        raise ValueError(f"runs: {runs} from number {first}, expected none of them negative")
+        raise FieldError("runs", f"{runs} from number {first}, expected none of them negative")
     key = np.random.SeedSequence(seed).generate_state(2, np.uint64)
     counter = np.array([first * blocks, page, purpose, 0], dtype=np.uint64)
     raw = np.random.Philox(key=key, counter=counter).random_raw(4 * blocks * runs)
@@ -61,8 +63,6 @@ class DrawTable:
         """Draw number ``draw`` of every run, shape (runs,)."""
         page, at = divmod(draw, 4 * self._blocks)
         if page != self._page:
-            self._values = uniforms(
-                self._seed, self._first, self._runs, blocks=self._blocks, purpose=self._purpose, page=page
-            )
+            self._values = uniforms(self._seed, self._first, self._runs, blocks=self._blocks, purpose=self._purpose, page=page)
             self._page = page
         return np.asarray(self._values[at])

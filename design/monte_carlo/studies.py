@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
 from design.monte_carlo.batched_flow import MatrixFlow
 from design.monte_carlo.jump_loop import JumpLoop, Segments, segments
 from design.monte_carlo.parallel import Workers, chunk_numbers, inside_chunk, spread
@@ -48,11 +49,11 @@ class _Study:
         for name in ("duration_s", "dt_s"):
             value = getattr(self, name)
             if not math.isfinite(value) or value <= 0:
-                raise ValueError(f"{name}: {value!r} is not a finite positive time")
+                raise FieldError(name, f"{value!r} is not a finite positive time")
         if abs(self.duration_s / self.dt_s - self.steps) > 1e-9 * self.steps or self.steps < 1:
-            raise ValueError(f"duration_s: {self.duration_s!r} is no multiple of dt_s = {self.dt_s!r}")
+            raise FieldError("duration_s", f"{self.duration_s!r} is no multiple of dt_s = {self.dt_s!r}")
         if self.seed < 0:
-            raise ValueError(f"seed: {self.seed} is negative")
+            raise FieldError("seed", f"{self.seed} is negative")
 
     @property
     def steps(self) -> int:
@@ -62,9 +63,7 @@ class _Study:
         first = chunk * CHUNK
         matrices = self.loop.matrices(seed=self.seed, first=first, runs=CHUNK)
         flow = MatrixFlow(matrices, dt_s=self.dt_s, longest_s=self.duration_s)
-        found, _ = segments(
-            self.loop, flow, duration_s=self.duration_s, dt_s=self.dt_s, seed=self.seed, first=first, runs=CHUNK
-        )
+        found, _ = segments(self.loop, flow, duration_s=self.duration_s, dt_s=self.dt_s, seed=self.seed, first=first, runs=CHUNK)
         return flow, found
 
     def settle(self, chunk: int) -> FloatArray:
@@ -139,7 +138,7 @@ def settling_times(
         ValueError: an argument that cannot be (the message starts with its name).
     """
     if not band > 0:
-        raise ValueError(f"band: {band!r} is not positive")
+        raise FieldError("band", f"{band!r} is not positive")
     study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed, band=band)
     chunks = chunk_numbers(first, runs, CHUNK)
     parts: list[FloatArray] = []

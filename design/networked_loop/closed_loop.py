@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import Selection, row_count
+from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.networked_loop.initial_law import default_initial, initial_law
 from design.networked_loop.loop_shapes import check_gains, check_plant_shapes
@@ -96,9 +97,7 @@ class LoopStructure:
         """Derivative with respect to the gains from the one with respect to the mode matrices."""
         e = self.entries
         gradient = np.zeros(self.gain_shape)
-        np.add.at(
-            gradient, (e.sc, e.row), e.left.transpose(0, 2, 1) @ gradient_A[e.mode] @ e.right.transpose(0, 2, 1)
-        )
+        np.add.at(gradient, (e.sc, e.row), e.left.transpose(0, 2, 1) @ gradient_A[e.mode] @ e.right.transpose(0, 2, 1))
         return gradient
 
     def applied_input(self, gains: Array) -> Array:
@@ -155,12 +154,12 @@ def loop_structure(
     n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
     sc_chain, ca_chain = as_chain(sc, "Lambda"), as_chain(ca, "Pi")
     if samples < 1:
-        raise ValueError(f"samples: {samples}, expected at least 1")
+        raise FieldError("samples", f"{samples}, expected at least 1")
     if integral < 0 or not np.isfinite(integral):
-        raise ValueError(f"integral: {integral:g}, expected a finite weight >= 0")
+        raise FieldError("integral", f"{integral:g}, expected a finite weight >= 0")
     labels = int(ca_chain.label.max()) + 1
     if selection not in SELECTIONS:
-        raise ValueError(f"selection: {selection!r}, expected one of {', '.join(SELECTIONS)}")
+        raise FieldError("selection", f"{selection!r}, expected one of {', '.join(SELECTIONS)}")
     rows = row_count(selection, labels - 1)
     taken = C_ if store == "output" else np.eye(n)
     width = taken.shape[0]
@@ -229,9 +228,7 @@ def loop_structure(
             input_base[i, :, first : first + m] = np.eye(m)
             base[i, :, first : first + m] += into_plant
     input_at = registers[0][0] if weigh == "row" else last_input
-    weight = performance_output(
-        C_, m, order, Q=Q, R=R, output=output, input_at=input_at, integral=integral, integral_at=xi
-    )
+    weight = performance_output(C_, m, order, Q=Q, R=R, output=output, input_at=input_at, integral=integral, integral_at=xi)
     drive = np.zeros((order, m))
     drive[:n] = B_
     known_size = p * (samples + (1 if integral > 0 else 0))
@@ -261,9 +258,7 @@ def loop_structure(
 
 def _modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool) -> tuple[list[tuple[int, int, int]], Array]:
     if with_previous:
-        triples = [
-            (s, c, b) for s in range(sc.modes) for c in range(ca.modes) for b in range(ca.modes) if ca.bounds[1][b, c] > 0
-        ]
+        triples = [(s, c, b) for s in range(sc.modes) for c in range(ca.modes) for b in range(ca.modes) if ca.bounds[1][b, c] > 0]
         return triples, _joint(triples, sc.matrix, ca.matrix)
     pairs = [(s, c, -1) for s in range(sc.modes) for c in range(ca.modes)]
     return pairs, _joint(pairs, sc.matrix, ca.matrix)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 Array = npt.NDArray[np.float64]
 
 
@@ -17,11 +19,11 @@ def check_gains(gains: npt.ArrayLike, shape: tuple[int, int, int, int], field: s
     try:
         array = np.array(gains, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{field}: expected a regular nested list of shape {shape} [tau][row][m][p]") from None
+        raise FieldError(field, f"expected a regular nested list of shape {shape} [tau][row][m][p]") from None
     if array.shape != tuple(shape):
-        raise ValueError(f"{field}: shape {array.shape}, expected {tuple(shape)} [tau][row][m][p]")
+        raise FieldError(field, f"shape {array.shape}, expected {tuple(shape)} [tau][row][m][p]")
     if not np.isfinite(array).all():
-        raise ValueError(f"{field}{np.argwhere(~np.isfinite(array))[0].tolist()}: not finite")
+        raise FieldError(f"{field}{np.argwhere(~np.isfinite(array))[0].tolist()}", "not finite")
     return array
 
 
@@ -35,14 +37,14 @@ def check_plant_shapes(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> 
     for name, value in (("A", A), ("B", B), ("C", C)):
         array = np.asarray(value, dtype=np.float64)
         if array.ndim != 2 or not np.isfinite(array).all():
-            raise ValueError(f"{name}: expected a finite matrix, got shape {array.shape}")
+            raise FieldError(name, f"expected a finite matrix, got shape {array.shape}")
         arrays.append(array)
     A_, B_, C_ = arrays
     n = A_.shape[0]
     if A_.shape != (n, n):
-        raise ValueError(f"A: shape {A_.shape}, expected a square matrix")
+        raise FieldError("A", f"shape {A_.shape}, expected a square matrix")
     if B_.shape[0] != n:
-        raise ValueError(f"B: {B_.shape[0]} rows, expected {n}")
+        raise FieldError("B", f"{B_.shape[0]} rows, expected {n}")
     if C_.shape[1] != n:
-        raise ValueError(f"C: {C_.shape[1]} columns, expected {n}")
+        raise FieldError("C", f"{C_.shape[1]} columns, expected {n}")
     return A_, B_, C_

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 Array = npt.NDArray[np.float64]
 
 
@@ -41,20 +43,20 @@ def performance_output(
     input_weight = raw * np.eye(m) if raw.ndim == 0 else np.atleast_2d(raw)
     for name, weight, columns, what in (("Q", state_weight, n, "states"), ("R", input_weight, m, "inputs")):
         if weight.ndim != 2 or weight.shape[1] != columns:
-            raise ValueError(f"{name}: shape {weight.shape}, expected {columns} columns ({what})")
+            raise FieldError(name, f"shape {weight.shape}, expected {columns} columns ({what})")
         if not np.isfinite(weight).all():
-            raise ValueError(f"{name}: not finite")
+            raise FieldError(name, "not finite")
     of_state, of_input = np.zeros((state_weight.shape[0], order)), np.zeros((input_weight.shape[0], order))
     of_state[:, :n] = state_weight
     of_input[:, input_at : input_at + m] = input_weight
     if output == "sum":
         if of_state.shape != of_input.shape:
-            raise ValueError(f"output: a sum needs as many rows in Q ({len(of_state)}) as in R ({len(of_input)})")
+            raise FieldError("output", f"a sum needs as many rows in Q ({len(of_state)}) as in R ({len(of_input)})")
         z = of_state + of_input
     elif output == "stacked":
         z = np.concatenate([of_state, of_input])
     else:
-        raise ValueError(f"output: {output!r}, expected 'stacked' or 'sum'")
+        raise FieldError("output", f"{output!r}, expected 'stacked' or 'sum'")
     if integral > 0:
         accumulated = np.zeros((p, order))
         accumulated[:, integral_at : integral_at + p] = integral * np.eye(p)

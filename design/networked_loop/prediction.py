@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import Selection
+from design.errors import FieldError
 from design.jump_linear.second_moment import congruence_matrices, forward, to_matrix, to_vector
 from design.networked_loop.closed_loop import LoopStructure, loop_structure
 from design.networked_loop.loop_shapes import check_gains
@@ -225,9 +226,9 @@ def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) ->
     array = np.asarray(values, dtype=np.float64)
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or array.shape[1] != width or (length is not None and len(array) != length):
-        raise ValueError(f"{name}: shape {array.shape}, expected ({length or 'K'}, {width})")
+        raise FieldError(name, f"shape {array.shape}, expected ({length or 'K'}, {width})")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name}: not finite")
+        raise FieldError(name, "not finite")
     return array
 
 
@@ -238,7 +239,7 @@ def _initial_modes(
     laws = [sc.stationary, ca.stationary] if initial is None else [np.asarray(v, dtype=np.float64) for v in initial]
     for name, law, chain in zip(("initial[0]", "initial[1]"), laws, (sc, ca), strict=True):
         if law.shape != (chain.modes,) or (law < 0).any() or abs(law.sum() - 1.0) > 1e-9:
-            raise ValueError(f"{name}: expected {chain.modes} probabilities that sum to 1")
+            raise FieldError(name, f"expected {chain.modes} probabilities that sum to 1")
     weights = laws[0][structure.sc_mode] * laws[1][structure.ca_mode]
     if structure.selection != "previous":
         return np.asarray(weights)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.jump_linear.bounded_real import hinf_norm, solve_bounded_real
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import expect
@@ -92,17 +92,15 @@ def robust_norms(
     return RobustNorms(float(np.sqrt(h2[1])), h2[0], hinf[1], hinf[0])
 
 
-def _channel(
-    structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike
-) -> _Channel:
+def _channel(structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike) -> _Channel:
     K = check_gains(gains, structure.gain_shape)
     n, m = structure.plant_order, structure.B.shape[2]
     M_, N1_, N2_ = (np.atleast_2d(np.asarray(v, dtype=np.float64)) for v in (M, N1, N2))
     for name, value, axis, size in (("M", M_, 0, n), ("N1", N1_, 1, n), ("N2", N2_, 1, m)):
         if value.shape[axis] != size or not np.isfinite(value).all():
-            raise ValueError(f"{name}: shape {value.shape}, expected {size} {'rows' if axis == 0 else 'columns'}")
+            raise FieldError(name, f"shape {value.shape}, expected {size} {'rows' if axis == 0 else 'columns'}")
     if N1_.shape[0] != N2_.shape[0]:
-        raise ValueError(f"N2: {N2_.shape[0]} rows, expected {N1_.shape[0]} as N1 has")
+        raise FieldError("N2", f"{N2_.shape[0]} rows, expected {N1_.shape[0]} as N1 has")
     modes, order = structure.base.shape[:2]
     enter = np.zeros((modes, order, M_.shape[1]))
     enter[:, :n] = M_

@@ -14,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
+from design.errors import FieldError
+
 Array = npt.NDArray[np.float64]
 
 
@@ -26,7 +28,7 @@ class HeldDevice:
         hand_mass_kg, hand_damping_n_s_per_m, hand_stiffness_n_per_m: m_h, b_h, k_h of the hand, at least 0; 0 is no hand.
 
     Raises:
-        ValueError: where a value is out of range; the message starts with the field.
+        FieldError: where a value is out of range.
     """
 
     mass_kg: float
@@ -37,7 +39,7 @@ class HeldDevice:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.mass_kg) and self.mass_kg > 0.0):
-            raise ValueError(f"mass_kg: {self.mass_kg!r}, expected a finite number above 0")
+            raise FieldError("mass_kg", f"{self.mass_kg!r}, expected a finite number above 0")
         for name, value in (
             ("damping_n_s_per_m", self.damping_n_s_per_m),
             ("hand_mass_kg", self.hand_mass_kg),
@@ -45,7 +47,7 @@ class HeldDevice:
             ("hand_stiffness_n_per_m", self.hand_stiffness_n_per_m),
         ):
             if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{name}: {value!r}, expected a finite number, at least 0")
+                raise FieldError(name, f"{value!r}, expected a finite number, at least 0")
 
     @property
     def total_damping_n_s_per_m(self) -> float:

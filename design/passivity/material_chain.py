@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.wall_pattern import Pattern
+from design.errors import FieldError
 
 Array = npt.NDArray[np.float64]
 
@@ -33,10 +34,10 @@ def boundaries(pattern: Pattern, materials: int) -> tuple[Array, Array]:
     areas, lengths = np.zeros(materials), np.zeros((materials, materials))
     for i, p in enumerate(pattern.patches):
         if p.material >= materials:
-            raise ValueError(f"patches[{i}].material: {p.material}, but the wall has {materials} materials (from 0)")
+            raise FieldError(f"patches[{i}].material", f"{p.material}, but the wall has {materials} materials (from 0)")
         areas[p.material] += p.width_m * p.height_m
     if not areas.all():
-        raise ValueError(f"patches: material {int(np.flatnonzero(areas == 0.0)[0])} has no area in the cell")
+        raise FieldError("patches", f"material {int(np.flatnonzero(areas == 0.0)[0])} has no area in the cell")
     slack = 1e-9 * max(pattern.width_m, pattern.height_m)
     for p in pattern.patches:
         for q in pattern.patches:
@@ -74,8 +75,8 @@ def material_chain(pattern: Pattern, materials: int, step_m: float) -> Array:
     rates = step_m * lengths / (np.pi * areas[:, None])
     leaving = rates.sum(axis=1)
     if not (np.isfinite(leaving).all() and step_m >= 0.0 and leaving.max() <= 1.0):
-        raise ValueError(
-            f"step_m: {step_m!r} m in a sample leaves a material with probability {leaving.max():.6g}, expected 0 to 1"
+        raise FieldError(
+            "step_m", f"{step_m!r} m in a sample leaves a material with probability {leaving.max():.6g}, expected 0 to 1"
         )
     return np.asarray(rates + np.diag(1.0 - leaving))
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from design.controllers.coupler import Coupler
 from design.controllers.wall import Material
+from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 
 Array = npt.NDArray[np.float64]
@@ -58,7 +59,7 @@ def distortion(
         ValueError: the coupler has an integrator.
     """
     if coupler.integrator_m_per_n:
-        raise ValueError("coupler: has an integrator, expected a finite impulse response")
+        raise FieldError("coupler", "has an integrator, expected a finite impulse response")
     taps, (pole, gain) = coupler.taps_m_per_n, low_pass(cutoff_hz, period_s)
     memory = max(len(taps) - 1, delay)
     n = 2 + memory + 1

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
 
@@ -30,16 +32,16 @@ def check_transition(matrix: npt.ArrayLike, field: str) -> Array:
     try:
         array = np.array(matrix, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{field}: expected a square matrix of numbers ({error})") from None
+        raise FieldError(field, f"expected a square matrix of numbers ({error})") from None
     if array.ndim != 2 or array.shape[0] != array.shape[1] or array.shape[0] == 0:
-        raise ValueError(f"{field}: shape {array.shape}, expected a square matrix")
+        raise FieldError(field, f"shape {array.shape}, expected a square matrix")
     for row, entries in enumerate(array):
         if not np.isfinite(entries).all():
-            raise ValueError(f"{field}[{row}]: not finite")
+            raise FieldError(f"{field}[{row}]", "not finite")
         if (entries < 0).any():
-            raise ValueError(f"{field}[{row}][{int(entries.argmin())}]: {entries.min():g} is negative")
+            raise FieldError(f"{field}[{row}][{int(entries.argmin())}]", f"{entries.min():g} is negative")
         if abs(entries.sum() - 1.0) > ROW_SUM_TOLERANCE:
-            raise ValueError(f"{field}[{row}]: row sums to {entries.sum():.10g}, expected 1")
+            raise FieldError(f"{field}[{row}]", f"row sums to {entries.sum():.10g}, expected 1")
     array.setflags(write=False)
     return array
 
@@ -59,7 +61,7 @@ class DelayChain:
             probabilities differ (a tail that is cut); default: the probabilities are exact.
 
     Raises:
-        ValueError: message starts with the field at fault.
+        FieldError: names the field at fault.
 
     >>> DelayChain(transition=[[0.5, 0.5], [0.7, 0.3]]).stationary.round(4).tolist()
     [0.5833, 0.4167]
@@ -77,16 +79,16 @@ class DelayChain:
         labels = delays if self.labels is None else np.asarray(self.labels)
         for name, values in (("delays", delays), ("labels", labels)):
             if values.shape != (modes,) or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
-                raise ValueError(f"{name}: expected {modes} integers >= 0, got {values.tolist()}")
+                raise FieldError(name, f"expected {modes} integers >= 0, got {values.tolist()}")
         for label in np.unique(labels):
             if np.unique(delays[labels == label]).size > 1:
-                raise ValueError(f"labels[{int(label)}]: modes of one label must have one delay")
+                raise FieldError(f"labels[{int(label)}]", "modes of one label must have one delay")
         if self.between is not None:
             low, high = (np.array(bound, dtype=np.float64) for bound in self.between)
             if low.shape != matrix.shape or high.shape != matrix.shape:
-                raise ValueError(f"between: shapes {low.shape} and {high.shape}, expected {matrix.shape}")
+                raise FieldError("between", f"shapes {low.shape} and {high.shape}, expected {matrix.shape}")
             if not ((low >= 0.0) & (low <= matrix) & (matrix <= high) & (high <= 1.0)).all():
-                raise ValueError("between: expected 0 <= lower <= transition <= upper <= 1 in every entry")
+                raise FieldError("between", "expected 0 <= lower <= transition <= upper <= 1 in every entry")
             object.__setattr__(self, "between", (low, high))
         object.__setattr__(self, "transition", matrix)
         object.__setattr__(self, "delays", delays.astype(np.int64))

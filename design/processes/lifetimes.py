@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from design.errors import FieldError
 from design.processes.rates import FloatArray, check_positive
 
 
@@ -91,7 +92,7 @@ class KOutOfNRate:
     def __post_init__(self) -> None:
         check_positive("rate", self.rate)
         if not 1 <= self.needed <= self.installed:
-            raise ValueError(f"needed: {self.needed} of {self.installed} components is not between 1 and all")
+            raise FieldError("needed", f"{self.needed} of {self.installed} components is not between 1 and all")
 
     @property
     def breaks(self) -> tuple[float, ...]:
@@ -143,7 +144,7 @@ class ColdStandbyRate:
     def __post_init__(self) -> None:
         check_positive("rate", self.rate)
         if self.installed < 1:
-            raise ValueError(f"installed: {self.installed} components, expected at least 1")
+            raise FieldError("installed", f"{self.installed} components, expected at least 1")
 
     @property
     def breaks(self) -> tuple[float, ...]:

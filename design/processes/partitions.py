@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from design.errors import FieldError
 from design.processes.semi_markov import SemiMarkov
 
 Partition = tuple[tuple[float, ...], ...]
@@ -19,23 +20,23 @@ Partition = tuple[tuple[float, ...], ...]
 
 def _sections(sections: int) -> None:
     if sections < 1:
-        raise ValueError(f"sections: {sections}, expected at least 1")
+        raise FieldError("sections", f"{sections}, expected at least 1")
 
 
 def _end(process: SemiMarkov, mode: int, end_s: float | None) -> float:
     end = process.settled(mode) if end_s is None else end_s
     if not math.isfinite(end) or end < 0 or (end == 0 and end_s is not None):
-        raise ValueError(f"end_s: the rates out of mode {mode} never settle, say where to end (got {end!r})")
+        raise FieldError("end_s", f"the rates out of mode {mode} never settle, say where to end (got {end!r})")
     return end
 
 
 def check_partition(process: SemiMarkov, starts: Partition) -> None:
     """Raise ValueError unless there is one increasing tuple of finite section starts from 0 per mode."""
     if len(starts) != process.modes:
-        raise ValueError(f"partition: {len(starts)} tuples of section starts for {process.modes} modes")
+        raise FieldError("partition", f"{len(starts)} tuples of section starts for {process.modes} modes")
     for mode, row in enumerate(starts):
         if not row or row[0] != 0.0 or not np.isfinite(row).all() or (np.diff(row) <= 0).any():
-            raise ValueError(f"partition[{mode}]: {row} is not 0 = h_0 < h_1 < ...")
+            raise FieldError(f"partition[{mode}]", f"{row} is not 0 = h_0 < h_1 < ...")
 
 
 def equal_probability(process: SemiMarkov, sections: int) -> Partition:
@@ -54,7 +55,7 @@ def equal_probability(process: SemiMarkov, sections: int) -> Partition:
         if not np.isfinite(starts).all():
             starts = starts[np.isfinite(starts)]
             if starts.size < sections and process.targets(mode):
-                raise ValueError(f"sections: mode {mode} is left with a probability below {1 - 1 / sections:g}")
+                raise FieldError("sections", f"mode {mode} is left with a probability below {1 - 1 / sections:g}")
         out.append(tuple(starts.tolist()))
     return tuple(out)
 
@@ -73,7 +74,7 @@ def rate_threshold(process: SemiMarkov, threshold: float, end_s: float | None = 
     larger than the threshold starts a section of its own.
     """
     if not threshold > 0 or not math.isfinite(threshold):
-        raise ValueError(f"threshold: {threshold!r} is not a positive rate")
+        raise FieldError("threshold", f"{threshold!r} is not a positive rate")
 
     def spread(mode: int, start: float, stop: float) -> float:
         low, high = process.bounds(mode, start, stop)
@@ -91,7 +92,7 @@ def rate_threshold(process: SemiMarkov, threshold: float, end_s: float | None = 
                 good, bad = (middle, bad) if spread(mode, starts[-1], middle) <= threshold else (good, middle)
             starts.append(bad)
             if len(starts) > 1000:
-                raise ValueError(f"threshold: {threshold:g} needs more than 1000 sections in mode {mode}")
+                raise FieldError("threshold", f"{threshold:g} needs more than 1000 sections in mode {mode}")
         out.append(tuple(starts))
     return tuple(out)
 
@@ -104,9 +105,7 @@ def geometric_in_rate(process: SemiMarkov, sections: int) -> Partition:
         end = _end(process, mode, None)
         first, last = (float(process.rate(mode, h).sum()) for h in (0.0, end))
         if not 0 < first <= last:
-            raise ValueError(
-                f"rates[{mode}]: the total rate goes from {first:g} to {last:g}, expected 0 < first < last"
-            )
+            raise FieldError(f"rates[{mode}]", f"the total rate goes from {first:g} to {last:g}, expected 0 < first < last")
         starts = [0.0]
         for m in range(1, sections):
             target, low, high = first * (last / first) ** (m / sections), starts[-1], end

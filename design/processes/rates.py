@@ -26,6 +26,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -57,7 +59,7 @@ class TendingRate(Protocol):
 
 def check_positive(name: str, value: float, *, zero: bool = False) -> None:
     if not math.isfinite(value) or value < 0 or (value == 0 and not zero):
-        raise ValueError(f"{name}: {value!r} is not a finite {'non-negative' if zero else 'positive'} number")
+        raise FieldError(name, f"{value!r} is not a finite {'non-negative' if zero else 'positive'} number")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,11 +87,11 @@ class PiecewiseLinearRate:
     def __post_init__(self) -> None:
         times, values = np.asarray(self.times_s, dtype=float), np.asarray(self.values, dtype=float)
         if times.ndim != 1 or times.size == 0:
-            raise ValueError("times_s: expected at least one node")
+            raise FieldError("times_s", "expected at least one node")
         if values.shape != times.shape:
-            raise ValueError(f"values: {values.size} values for {times.size} nodes")
+            raise FieldError("values", f"{values.size} values for {times.size} nodes")
         if not np.isfinite(times).all() or times[0] != 0.0 or (np.diff(times) < 0).any():
-            raise ValueError(f"times_s: expected finite nodes 0 = t_0 <= t_1 <= ..., got {self.times_s}")
+            raise FieldError("times_s", f"expected finite nodes 0 = t_0 <= t_1 <= ..., got {self.times_s}")
         for index, value in enumerate(values):
             check_positive(f"values[{index}]", float(value), zero=True)
         width = np.append(np.diff(times), np.inf)
@@ -177,7 +179,7 @@ def clip_rate(lower: float, upper: float, slope: float = 1.0) -> PiecewiseLinear
     check_positive("lower", lower, zero=True)
     check_positive("slope", slope)
     if not math.isfinite(upper) or upper <= lower:
-        raise ValueError(f"upper: {upper!r} is not above lower = {lower!r}: the rate crosses its bounds")
+        raise FieldError("upper", f"{upper!r} is not above lower = {lower!r}: the rate crosses its bounds")
     times, values = (0.0, lower / slope, upper / slope), (lower, lower, upper)
     return PiecewiseLinearRate(times_s=times[lower == 0.0 :], values=values[lower == 0.0 :])
 
@@ -249,7 +251,7 @@ class UserRate:
         check_positive("lower", self.lower, zero=True)
         check_positive("horizon_s", self.horizon_s)
         if not math.isfinite(self.upper) or self.upper < self.lower:
-            raise ValueError(f"upper: {self.upper!r} is below lower = {self.lower!r}: the bounds cross")
+            raise FieldError("upper", f"{self.upper!r} is below lower = {self.lower!r}: the bounds cross")
         inner = [b for b in sorted(self.breaks) if 0 < b < self.horizon_s]
         edges = [0.0, *inner, self.horizon_s]
         pieces = [np.linspace(a, b, 513) for a, b in pairwise(edges)]
@@ -260,9 +262,9 @@ class UserRate:
         wrong = ~np.isfinite(values) | (values < self.lower - slack) | (values > self.upper + slack)
         if wrong.any():
             where = int(np.argmax(wrong))
-            raise ValueError(
-                f"function: {values[where]:.6g} at h = {nodes[where]:.6g} s is outside its bounds "
-                f"[{self.lower:g}, {self.upper:g}]"
+            raise FieldError(
+                "function",
+                f"{values[where]:.6g} at h = {nodes[where]:.6g} s is outside its bounds [{self.lower:g}, {self.upper:g}]",
             )
         cells = np.array([self._cell_integral(np.array([a]), np.array([b]))[0] for a, b in pairwise(nodes)])
         object.__setattr__(self, "_total", np.concatenate([[0.0], np.cumsum(cells)]))

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
 from design.processes.rates import FloatArray, PiecewiseLinearRate, Rate, TendingRate
 
 IntArray = npt.NDArray[np.intp]
@@ -64,15 +65,15 @@ class SemiMarkov:
 
     def __post_init__(self) -> None:
         if not self.rates:
-            raise ValueError("rates: expected at least one mode")
+            raise FieldError("rates", "expected at least one mode")
         for i, row in enumerate(self.rates):
             if len(row) != len(self.rates):
-                raise ValueError(f"rates[{i}]: {len(row)} entries, expected {len(self.rates)}")
+                raise FieldError(f"rates[{i}]", f"{len(row)} entries, expected {len(self.rates)}")
             if row[i] is not None:
-                raise ValueError(f"rates[{i}][{i}]: the diagonal is minus the sum of the row and must be None")
+                raise FieldError(f"rates[{i}][{i}]", "the diagonal is minus the sum of the row and must be None")
             for j, rate in enumerate(row):
                 if rate is not None and not isinstance(rate, Rate):
-                    raise ValueError(f"rates[{i}][{j}]: {rate!r} is not a rate (see design.processes.rates)")
+                    raise FieldError(f"rates[{i}][{j}]", f"{rate!r} is not a rate (see design.processes.rates)")
         totals: list[PiecewiseLinearRate | None] = []
         tables: list[tuple[FloatArray, FloatArray] | None] = []
         for row in self.rates:
@@ -208,9 +209,7 @@ class SemiMarkov:
             target[here] = np.where(np.isfinite(sojourn), self.choose(i, sojourn, uniform_[here]), i)
         return h, target
 
-    def next_jump(
-        self, mode: npt.ArrayLike, rng: np.random.Generator, age: npt.ArrayLike = 0.0
-    ) -> tuple[FloatArray, IntArray]:
+    def next_jump(self, mode: npt.ArrayLike, rng: np.random.Generator, age: npt.ArrayLike = 0.0) -> tuple[FloatArray, IntArray]:
         """As ``jump``, with E and U drawn from the generator."""
         shape = np.shape(mode)
         return self.jump(mode, age, rng.standard_exponential(shape), rng.random(shape))
@@ -232,10 +231,10 @@ class FaultDetection:
 
     def __post_init__(self) -> None:
         if len(self.detection) != self.failure.modes:
-            raise ValueError(f"detection: {len(self.detection)} processes for {self.failure.modes} failure modes")
+            raise FieldError("detection", f"{len(self.detection)} processes for {self.failure.modes} failure modes")
         for i, process in enumerate(self.detection):
             if process.modes != self.detection[0].modes:
-                raise ValueError(f"detection[{i}]: {process.modes} modes, expected {self.detection[0].modes}")
+                raise FieldError(f"detection[{i}]", f"{process.modes} modes, expected {self.detection[0].modes}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 from design.controllers.coupler import Coupler, wave_coupler
 from design.controllers.virtual_wall import VirtualWall
 from design.controllers.wall import Wall
+from design.errors import FieldError
 from design.requests.task import DesignTask
 
 Method = Literal["stiffest", "wave", "theorem-6.1", "taps"]
@@ -31,7 +32,7 @@ class CouplerRequest:
         equalise: whether both ends wait until the largest delay has passed, so that a delay that varies becomes one that stays.
 
     Raises:
-        ValueError: where a value is out of range; the message starts with the field.
+        FieldError: where a value is out of range.
     """
 
     method: Method = "stiffest"
@@ -45,20 +46,20 @@ class CouplerRequest:
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
-            raise ValueError(f"method: {self.method!r}, expected one of {', '.join(get_args(Method))}")
+            raise FieldError("method", f"{self.method!r}, expected one of {', '.join(get_args(Method))}")
         for i, delay in enumerate(self.delays):
             if delay < 0:
-                raise ValueError(f"delays[{i}]: {delay}, expected at least 0")
+                raise FieldError(f"delays[{i}]", f"{delay}, expected at least 0")
         for name, value in (
             ("damping_n_s_per_m", self.damping_n_s_per_m),
             ("stiffness_n_per_m", self.stiffness_n_per_m),
         ):
             if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name}: {value!r}, expected a finite number above 0")
+                raise FieldError(name, f"{value!r}, expected a finite number above 0")
         if self.count < 0:
-            raise ValueError(f"count: {self.count}, expected at least 1, or 0")
+            raise FieldError("count", f"{self.count}, expected at least 1, or 0")
         if bool(self.taps_m_per_n) != (self.method == "taps"):
-            raise ValueError('taps_m_per_n: give them with method = "taps", and with no other')
+            raise FieldError("taps_m_per_n", 'give them with method = "taps", and with no other')
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +78,7 @@ class DesignedWall:
         """Return the wall with the taps that run.
 
         Raises:
-            ValueError: a plant that is no device at a wall; the message starts with the field.
+            FieldError: a plant that is no device at a wall.
             DesignError: the stiffness asked for cannot be reached; the message has the number that decides it.
         """
         model, asked = task.model, self.coupler
@@ -96,7 +97,7 @@ class DesignedWall:
             "taps": lambda: Coupler(taps_m_per_n=asked.taps_m_per_n, integrator_m_per_n=asked.integrator_m_per_n),
         }
         if not (asked.method == "taps" or beta > 0.0):
-            raise ValueError(f"coupler.damping_n_s_per_m: {beta:g}; without damping no coupler is safe for every hand")
+            raise FieldError("coupler.damping_n_s_per_m", f"{beta:g}; without damping no coupler is safe for every hand")
         samples = 1 + spread if asked.equalise else 1
         return VirtualWall(wall=self.wall, coupler=makers[asked.method](), equalise=asked.equalise, samples=samples)
 
@@ -123,7 +124,7 @@ def damping_of(task: DesignTask) -> float:
 
     model = task.model
     if model.A.shape != (2, 2) or model.B.shape != (2, 1):
-        raise ValueError("wall: needs a device with a position, a speed and one force, such as an omni with a hand")
+        raise FieldError("wall", "needs a device with a position, a speed and one force, such as an omni with a hand")
     held = np.block([[model.A, model.B], [np.zeros((1, 2)), np.ones((1, 1))]])
     field_ = np.real(logm(held)) / model.period_s
     # an ulp less than it may be: taps made for less damping hold for more

@@ -18,6 +18,7 @@ import numpy as np
 
 from design.controllers import LoopModel, Rows, RunningController, Selection
 from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import FieldError
 from design.requests.task import DesignTask
 
 if TYPE_CHECKING:
@@ -53,16 +54,17 @@ class Scheduled:
         try:
             gain, starts = np.array(self.gain, dtype=float), np.array(self.starts_s, dtype=float)
         except ValueError:
-            raise ValueError("gain: expected [mode][section][m][n] with equal lengths") from None
+            raise FieldError("gain", "expected [mode][section][m][n] with equal lengths") from None
         return ScheduledGain(gain=gain, starts_s=starts, schedule=self.schedule)
 
     def start(self, model: LoopModel) -> RunningController:
         gain = self._gain()
         m, p = model.B.shape[1], model.C.shape[0]
         if gain.gain.shape[2:] != (m, p - 1):
-            raise ValueError(
-                f"gain: {gain.gain.shape[2]} x {gain.gain.shape[3]} matrices; the plant has {m} inputs and measures {p - 1} "
-                "states and the mode"
+            raise FieldError(
+                "gain",
+                f"{gain.gain.shape[2]} x {gain.gain.shape[3]} matrices; the plant has {m} inputs and measures {p - 1} "
+                "states and the mode",
             )
         return _ScheduledRows(gain, model.period_s)
 
@@ -107,13 +109,13 @@ class RobustScheduled:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.gain_bound) and self.gain_bound > 0):
-            raise ValueError(f"gain_bound: {self.gain_bound!r}, expected a finite number above 0")
+            raise FieldError("gain_bound", f"{self.gain_bound!r}, expected a finite number above 0")
         if not (math.isfinite(self.decay) and self.decay >= 0):
-            raise ValueError(f"decay: {self.decay!r}, expected a finite number, at least 0")
+            raise FieldError("decay", f"{self.decay!r}, expected a finite number, at least 0")
         if self.sections < 0:
-            raise ValueError(f"sections: {self.sections}, expected at least 1, or 0 for what the method takes")
+            raise FieldError("sections", f"{self.sections}, expected at least 1, or 0 for what the method takes")
         if self.sections and self.starts_s:
-            raise ValueError("sections: give either their number or their starts_s")
+            raise FieldError("sections", "give either their number or their starts_s")
 
     def solve(self, task: DesignTask) -> Scheduled:
         """Return the gains as the controller that runs."""
@@ -122,7 +124,7 @@ class RobustScheduled:
 
         system, process = task.jump_system, task.jump_process
         if system is None or process is None:
-            raise ValueError("kind: needs a plant that jumps (a JumpPlant: jump_system() and jump_process())")
+            raise FieldError("kind", "needs a plant that jumps (a JumpPlant: jump_system() and jump_process())")
         starts = self._starts(process.detection[0] if isinstance(process, FaultDetection) else process)
         bound, asked = self.gain_bound, self.method
         if isinstance(system, JumpSystem) and isinstance(process, SemiMarkov) and asked in ("by-plant", "robust"):
@@ -140,9 +142,9 @@ class RobustScheduled:
         else:
             delay = "a delay" if isinstance(system, DelayedJumpSystem) else "no delay"
             shown = "detected" if isinstance(process, FaultDetection) else "true"
-            raise ValueError(f"method: {asked!r} is not for this plant, which has {delay} inside and shows the {shown} mode")
+            raise FieldError("method", f"{asked!r} is not for this plant, which has {delay} inside and shows the {shown} mode")
         if found.gain is None:
-            raise ValueError("kind: the design came back without gains")
+            raise FieldError("kind", "the design came back without gains")
         return scheduled_of(found.gain)
 
     def _starts(self, shown: SemiMarkov) -> Partition | None:
@@ -152,7 +154,7 @@ class RobustScheduled:
             try:
                 check_partition(shown, self.starts_s)
             except ValueError as error:
-                raise ValueError(f"starts_s: {error}") from None
+                raise FieldError("starts_s", f"{error}") from None
             return self.starts_s
         return equal_probability(shown, self.sections) if self.sections else None
 

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from design.controllers import SendAll, nested
+from design.errors import FieldError
 from design.requests.task import DesignTask
 
 
@@ -48,7 +49,7 @@ class Designed:
 
     def __post_init__(self) -> None:
         if self.sojourns < 1:
-            raise ValueError(f"sojourns: {self.sojourns}, expected at least 1")
+            raise FieldError("sojourns", f"{self.sojourns}, expected at least 1")
 
     def solve(self, task: DesignTask) -> SendAll:
         """Return the gains for a loop.
@@ -57,7 +58,7 @@ class Designed:
             task: the loop; its chains are None where a law has none.
 
         Raises:
-            ValueError: the message starts with the field.
+            FieldError: names the field.
         """
         model, sc, ca = task.model, task.sc, task.ca
         if self.file:
@@ -69,7 +70,7 @@ class Designed:
                 sojourns=read.sojourns, samples=read.samples,
             )  # fmt: skip
         if sc is None or ca is None:
-            raise ValueError("kind: a design needs age laws with a chain on both links, not packet laws or traces")
+            raise FieldError("kind", "a design needs age laws with a chain on both links, not packet laws or traces")
         from design.tracking.cache import solve_cached
         from design.tracking.synthesis import TrackingProblem
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import FieldError
 from design.lmi.program import Inequality, verify
 from design.semi_markov_loop.sojourn_grid import Lift, as_float
 
@@ -66,7 +67,7 @@ class JumpCertificate:
     def check(self) -> float:
         """Build every inequality anew, evaluate it at the matrices, return the margin; > 0 proves the claim in floats."""
         if self.rebuild is None:
-            raise ValueError(f"certificate: method {self.method!r} has no inequalities to check")
+            raise FieldError("certificate", f"method {self.method!r} has no inequalities to check")
         return min(verify(self.rebuild(as_float), self.matrices))
 
     def renamed(self, **changes: object) -> JumpCertificate:

@@ -22,7 +22,7 @@ from typing import cast
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.lmi.attenuation import Attenuation, at_gamma, smallest_gamma
 from design.lmi.program import (
     Array,
@@ -70,7 +70,7 @@ def delayed_inequalities(
         mixture = gain_on(gain.starts_s[i], gain.schedule, cell)
         pwl = method == "pwl" and not cell.last
         if mixture.moves and not pwl:
-            raise ValueError(f"gain: varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
+            raise FieldError("gain", f"varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
         own = [f"P[{i},{r}]" for r in ([here, here + 1] if pwl else [here])]
         for rates in cell.rates:
             targets = [j for j, rate in enumerate(rates) if rate > 0]
@@ -114,9 +114,7 @@ def _bounded_real(
         value = value + sum(rate * (after - here) for rate, after in zip(rates, landing))
         delayed = -(1 - lift(system.delay_slopes[i])) * q
         one = lift(np.eye(e.shape[1]))
-        terms.append(
-            symmetric_blocks([[value], [transpose(here @ ad), delayed], [transpose(here @ e), None, -g2 * one]])
-        )
+        terms.append(symmetric_blocks([[value], [transpose(here @ ad), delayed], [transpose(here @ e), None, -g2 * one]]))
     return cast(Array, sum(terms[1:], terms[0]) / lift(len(terms)))
 
 
@@ -158,12 +156,10 @@ def analyse_delayed(
     """
     expected, got = (system.modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
     if got != expected or process.modes != system.modes:
-        raise ValueError(
-            f"gain: (modes, inputs, states) = {got}, process: {process.modes} modes; the system has {expected}"
-        )
+        raise FieldError("gain", f"(modes, inputs, states) = {got}, process: {process.modes} modes; the system has {expected}")
     starts = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
     if method not in ("pwl", "pwc"):
-        raise ValueError(f"method: {method!r} is not pwl or pwc")
+        raise FieldError("method", f"{method!r} is not pwl or pwc")
 
     def build(scale: float) -> LmiProgram:
         program = LmiProgram()
@@ -211,9 +207,7 @@ def synthesis_program(
         for rates in cell.rates:
             targets = [j for j, rate in enumerate(rates) if rate > 0]
             on = (f"X[{i},{here}]", f"U[{i},{here}]", "Q", "g2", *(f"X[{j},0]" for j in targets))
-            function = partial(
-                _synthesis_block, system=system, mode=i, rates=[rates[j] for j in targets], eta=eta, scale=scale
-            )
+            function = partial(_synthesis_block, system=system, mode=i, rates=[rates[j] for j in targets], eta=eta, scale=scale)
             program.require(f"bounded real lemma of mode {i} from {cell.start:g} s at {rates}", function, *on)
         if not cell.last:
             program.require("coupling", lambda a, b: b - a, f"X[{i},{here + 1}]", f"X[{i},{here}]", strict=False)
@@ -266,9 +260,9 @@ def delayed_hinf(
         Infeasible: no such gains exist (proved) or none could be verified.
     """
     if not np.isfinite(gain_bound) or gain_bound <= 0:
-        raise ValueError(f"gain_bound: {gain_bound!r} is not a finite positive norm")
+        raise FieldError("gain_bound", f"{gain_bound!r} is not a finite positive norm")
     if process.modes != system.modes:
-        raise ValueError(f"process: {process.modes} modes, the system has {system.modes}")
+        raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
     starts = sections if sections is not None else ((0.0,),) * system.modes
     build = partial(synthesis_program, system, process, starts, gain_bound)
     what = f"delayed H-infinity feedback with gain norm <= {gain_bound:g}"
@@ -276,9 +270,7 @@ def delayed_hinf(
     gain = _gains(result, starts, gain_bound)
     certificate = analyse_delayed(system, gain, process, nodes=starts)
     if not certificate.certified or (gamma is not None and (certificate.gamma or math.inf) > gamma):
-        raise Infeasible(
-            f"{what}: gains found, but not confirmed from themselves: {certificate.reason}", value=certificate.gamma
-        )
+        raise Infeasible(f"{what}: gains found, but not confirmed from themselves: {certificate.reason}", value=certificate.gamma)
     return certificate
 
 

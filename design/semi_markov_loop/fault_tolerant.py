@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.lmi.attenuation import smallest_gamma
 from design.lmi.program import (
     Array,
@@ -81,12 +81,8 @@ def _start_program(
                 program.require("coupling", lambda p, q: q - p, f"X[{mode},{b + 1}]", x, strict=False)
         after = 0 if process.failure_restarts_detection_clock else b
         for failure, detection in cell.vertices:
-            jumps = [
-                (rate, f"X[{_seen(measured, j, k, detections)},{after}]") for j, rate in enumerate(failure) if rate > 0
-            ]
-            jumps += [
-                (rate, f"X[{_seen(measured, i, l, detections)},0]") for l, rate in enumerate(detection) if rate > 0
-            ]
+            jumps = [(rate, f"X[{_seen(measured, j, k, detections)},{after}]") for j, rate in enumerate(failure) if rate > 0]
+            jumps += [(rate, f"X[{_seen(measured, i, l, detections)},0]") for l, rate in enumerate(detection) if rate > 0]
             jumps = [(rate, name) for rate, name in jumps if name != x]  # a jump to the same X changes nothing
             function = partial(
                 _start_block,
@@ -151,7 +147,7 @@ def _gain_step(
     """The gains of smallest gamma for the Lyapunov matrices of a certificate."""
     gain = certificate.gain
     if gain is None:
-        raise ValueError("certificate: holds no gains")
+        raise FieldError("certificate", "holds no gains")
     program = LmiProgram()
     program.matrix("g2", 1, 1)
     for mode in range(gain.modes):
@@ -166,10 +162,7 @@ def _gain_step(
             program.inequalities.append(item.fixing(certificate.matrices))
     found = program.solve("g2")
     new = np.array(
-        [
-            [found.matrices[f"K[{mode},{section}]"] for section in range(gain.gain.shape[1])]
-            for mode in range(gain.modes)
-        ]
+        [[found.matrices[f"K[{mode},{section}]"] for section in range(gain.gain.shape[1])] for mode in range(gain.modes)]
     )
     norms = np.linalg.norm(new, ord=2, axis=(-2, -1), keepdims=True)
     return ScheduledGain(
@@ -216,14 +209,14 @@ def fault_tolerant_feedback(
     """
     check_loop(system, process)
     if not np.isfinite(gain_bound) or gain_bound <= 0:
-        raise ValueError(f"gain_bound: {gain_bound!r} is not a finite positive norm")
+        raise FieldError("gain_bound", f"{gain_bound!r} is not a finite positive norm")
     check_stabilisable(system, process.failure)
     if measured not in ((), ("r",), ("eta", "r")):
-        raise ValueError(f"measured: {measured!r} is not (), ('r',) or ('eta', 'r')")
+        raise FieldError("measured", f"{measured!r} is not (), ('r',) or ('eta', 'r')")
     detections = process.detection[0].modes
     parts = sections if sections is not None else ((0.0,),) * detections
     if measured == () and max(len(row) for row in parts) > 1:
-        raise ValueError("sections: a controller that sees nothing has no clock to schedule by")
+        raise FieldError("sections", "a controller that sees nothing has no clock to schedule by")
     eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
     build = partial(_start_program, system, process, measured, parts, gain_bound, performance)
     what = f"fault-tolerant feedback with gain norm <= {gain_bound:g}, measured {measured}"

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.lmi.attenuation import at_gamma, smallest_gamma
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
@@ -54,13 +54,13 @@ class Siqc:
         g11, g12, g22 = (np.array(m, dtype=float) for m in (self.g11, self.g12, self.g22))
         for name, matrix, sign in (("g11", g11, 1.0), ("g22", -g22, -1.0)):
             if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.allclose(matrix, matrix.T):
-                raise ValueError(f"{name}: shape {matrix.shape} or entries are not those of a symmetric matrix")
+                raise FieldError(name, f"shape {matrix.shape} or entries are not those of a symmetric matrix")
             smallest = np.linalg.eigvalsh(matrix)[0] if np.isfinite(matrix).all() else np.nan
             if not smallest > 0:
                 kind = "positive" if sign > 0 else "negative"
-                raise ValueError(f"{name}: eigenvalue {sign * smallest:g}, expected a {kind} definite matrix")
+                raise FieldError(name, f"eigenvalue {sign * smallest:g}, expected a {kind} definite matrix")
         if g12.shape != (g11.shape[0], g22.shape[0]) or not np.isfinite(g12).all():
-            raise ValueError(f"g12: shape {g12.shape}, expected finite entries of shape {(g11.shape[0], g22.shape[0])}")
+            raise FieldError("g12", f"shape {g12.shape}, expected finite entries of shape {(g11.shape[0], g22.shape[0])}")
         for name, matrix in (("g11", g11), ("g12", g12), ("g22", g22)):
             object.__setattr__(self, name, matrix)
 
@@ -73,22 +73,22 @@ class Siqc:
 def check_loop(system: JumpSystem, process: FaultDetection, gain: ScheduledGain | None = None) -> None:
     """Raise ValueError unless system, processes and gains fit each other."""
     if system.c is None or system.e is None:
-        raise ValueError(f"{'c' if system.c is None else 'e'}: is needed for a performance bound")
+        raise FieldError("c" if system.c is None else "e", "is needed for a performance bound")
     if system.uncertainty is not None:
-        raise ValueError("uncertainty: is not covered by the two-process conditions")
+        raise FieldError("uncertainty", "is not covered by the two-process conditions")
     if process.failure.modes != system.modes:
-        raise ValueError(f"process: {process.failure.modes} failure modes, the system has {system.modes}")
+        raise FieldError("process", f"{process.failure.modes} failure modes, the system has {system.modes}")
     if gain is None:
         return
     seen = process.detection[0].modes
     modes = {(): 1, ("r",): seen, ("eta", "r"): system.modes * seen}.get(gain.measured)
     if modes is None:
-        raise ValueError(f"measured: {gain.measured!r} is not (), ('r',) or ('eta', 'r')")
+        raise FieldError("measured", f"{gain.measured!r} is not (), ('r',) or ('eta', 'r')")
     expected, got = (modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
     if got != expected:
-        raise ValueError(f"gain: (modes, inputs, states) = {got}, expected {expected} for measured = {gain.measured!r}")
+        raise FieldError("gain", f"(modes, inputs, states) = {got}, expected {expected} for measured = {gain.measured!r}")
     if gain.schedule != "hold":
-        raise ValueError("gain: linear schedules are not covered by the two-process conditions, hold them")
+        raise FieldError("gain", "linear schedules are not covered by the two-process conditions, hold them")
 
 
 def loop_inequalities(
@@ -108,7 +108,7 @@ def loop_inequalities(
     for k, row in enumerate(r_sections(process, gain)):
         missing = sorted(set(row) - set(r_nodes[k]))
         if missing:
-            raise ValueError(f"r_nodes[{k}]: a section of the gains starts at {missing[0]:g} s, inside a cell")
+            raise FieldError(f"r_nodes[{k}]", f"a section of the gains starts at {missing[0]:g} s, inside a cell")
     out = []
     for cell in pair_cells(process, eta_nodes, r_nodes):
         i, k, a, b = cell.i, cell.k, cell.a, cell.b

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
+from design.errors import FieldError
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
 FloatArray = npt.NDArray[np.float64]
@@ -122,7 +123,7 @@ def period_moments(
     blocks = basis.T @ sums.reshape(modes, size * size, size * size) @ basis
     if system.uncertainty is not None:
         if not upper:
-            raise ValueError("uncertainty: is bounded from above only")
+            raise FieldError("uncertainty", "is bounded from above only")
         blocks = blocks + np.array([uncertain_moments(system, i, size, slack) for i in range(modes)])
     whole = np.zeros((modes, q, modes, q))
     for j, box in enumerate(fresh):

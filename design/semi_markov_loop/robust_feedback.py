@@ -26,7 +26,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from design.controllers.scheduled_gain import Schedule, ScheduledGain
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
@@ -146,9 +146,7 @@ def tabulate(found: LmiSolution, nodes: Partition, method: Method, schedule: Sch
         while len(table) < longest:
             table.append((table[-1][0] + 1.0, table[-1][1]))
     starts = np.array([[start for start, _ in table] for table in rows])
-    return ScheduledGain(
-        gain=np.array([[gain for _, gain in table] for table in rows]), starts_s=starts, schedule=schedule
-    )
+    return ScheduledGain(gain=np.array([[gain for _, gain in table] for table in rows]), starts_s=starts, schedule=schedule)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,11 +163,11 @@ class FeedbackRequest:
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.gain_bound) or self.gain_bound <= 0:
-            raise ValueError(f"gain_bound: {self.gain_bound!r} is not a finite positive norm")
+            raise FieldError("gain_bound", f"{self.gain_bound!r} is not a finite positive norm")
         if self.method not in ("pwl", "pwc"):
-            raise ValueError(f"method: {self.method!r} is not pwl or pwc")
+            raise FieldError("method", f"{self.method!r} is not pwl or pwc")
         if self.points < 1:
-            raise ValueError(f"points: {self.points}, expected at least 1")
+            raise FieldError("points", f"{self.points}, expected at least 1")
 
     @property
     def starts(self) -> Partition:
@@ -187,9 +185,9 @@ class FeedbackRequest:
     def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
         """Solve the inequalities. Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
         if not np.isfinite(decay) or decay < 0:
-            raise ValueError(f"decay: {decay!r} is not a finite non-negative rate")
+            raise FieldError("decay", f"{decay!r} is not a finite non-negative rate")
         if self.process.modes != system.modes:
-            raise ValueError(f"process: {self.process.modes} modes, the system has {system.modes}")
+            raise FieldError("process", f"{self.process.modes} modes, the system has {system.modes}")
         check_stabilisable(system, self.process)
         for condition in (self.condition, 0.1 * self.condition):  # a smaller box is easier to prove empty
             program = feedback_program(
@@ -273,15 +271,13 @@ def robust_feedback(
     return request.judge(system, request.find(system, decay), decay)
 
 
-def largest_uncertainty(
-    system: JumpSystem, request: Synthesis, *, tolerance: float = 1e-3
-) -> tuple[float, JumpCertificate]:
+def largest_uncertainty(system: JumpSystem, request: Synthesis, *, tolerance: float = 1e-3) -> tuple[float, JumpCertificate]:
     """The largest scale of the system's uncertainty for which gains are certified, and the certificate of these gains.
 
     Bisection to a relative ``tolerance``. Raises as ``robust_feedback`` does, where not even scale 0 has gains.
     """
     if system.uncertainty is None:
-        raise ValueError("uncertainty: there is none to scale")
+        raise FieldError("uncertainty", "there is none to scale")
     return _largest(lambda scale: (system.scaled(scale), 0.0), request, tolerance)
 
 

@@ -19,6 +19,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import FieldError
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.period_moments import TooLarge
@@ -60,7 +61,7 @@ def sampled_verdict(
         ValueError: shapes that do not fit, a period or delay out of range.
     """
     if not math.isfinite(period_s) or period_s <= 0:
-        raise ValueError(f"period_s: {period_s!r} is not a finite positive time")
+        raise FieldError("period_s", f"{period_s!r} is not a finite positive time")
     late = [_constant(name, delay) for name, delay in (("tau", tau), ("d", d))]
     if late[0] is None or late[1] is None:
         return _undecided("the delay is random; the sampled jump loop is decided under constant delays only")
@@ -81,7 +82,7 @@ def _constant(name: str, delay: int | DelayChain) -> int | None:
         values = np.unique(delay.delay)
         return int(values[0]) if values.size == 1 else None
     if delay < 0:
-        raise ValueError(f"{name}: {delay} periods, expected none or more")
+        raise FieldError(name, f"{delay} periods, expected none or more")
     return int(delay)
 
 
@@ -92,14 +93,14 @@ def _undecided(reason: str) -> Verdict:
 def _check(modes: int, system: JumpSystem, gain: ScheduledGain) -> None:
     expected, got = (modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
     if got != expected:
-        raise ValueError(f"gain: (modes, inputs, states) = {got}, expected {expected}")
+        raise FieldError("gain", f"(modes, inputs, states) = {got}, expected {expected}")
 
 
 def _renewal(
     system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, period_s: float, tau: int, d: int, initial: int | None
 ) -> Verdict:
     if process.modes != system.modes:
-        raise ValueError(f"process: {process.modes} modes, the system has {system.modes}")
+        raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
     _check(system.modes, system, gain)
     for mode in range(process.modes):
         if not np.isfinite(process.bounds(mode, 0.0, math.inf)[1]).all():
@@ -139,7 +140,7 @@ def _slacks(system: JumpSystem) -> list[float]:
 
 def _reached(process: SemiMarkov, initial: int) -> set[int]:
     if not 0 <= initial < process.modes:
-        raise ValueError(f"initial: mode {initial}, expected one of 0 to {process.modes - 1}")
+        raise FieldError("initial", f"mode {initial}, expected one of 0 to {process.modes - 1}")
     reached, new = {initial}, [initial]
     while new:
         mode = new.pop()
@@ -161,7 +162,7 @@ def _detection(system: JumpSystem, process: FaultDetection, gain: ScheduledGain,
     if system.uncertainty is not None:
         return _undecided("an uncertainty beside a detected mode is not decided")
     if process.failure.modes != system.modes:
-        raise ValueError(f"process: {process.failure.modes} failure modes, the system has {system.modes}")
+        raise FieldError("process", f"{process.failure.modes} failure modes, the system has {system.modes}")
     if gain.measured not in ((), ("r",)):
         return _undecided(f"the gain depends on {' and '.join(gain.measured)}; a controller sees the detected mode only")
     _check(process.detection[0].modes if gain.measured else 1, system, gain)

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import FieldError
 from design.lmi.program import Array, LmiProgram, LmiSolution
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.growth import gain_mode
@@ -60,7 +61,7 @@ class DetectionLoop:
         paired = JumpSystem(a=system.a[eta], b=system.b[eta])
         table = replace(gain, gain=gain.gain[rows], starts_s=gain.starts_s[rows])
         if gain.schedule != "hold":
-            raise ValueError("gain: a linear schedule is not covered with two processes, hold it")
+            raise FieldError("gain", "a linear schedule is not covered with two processes, hold it")
         loop = SampledLoop(system=paired, process=process.failure, gain=table, period_s=period_s, tau=tau, d=d)
         check_size(loop)
         return cls(pairs=loop, process=process)
@@ -88,7 +89,7 @@ class DetectionLoop:
             out[side, :, k] += eta
             out[side, i, :] += r
         if not np.isfinite(out).all():
-            raise ValueError(f"rates: no finite bound at eta = {i + 1}, r = {k + 1}; clip them")
+            raise FieldError("rates", f"no finite bound at eta = {i + 1}, r = {k + 1}; clip them")
         return Box(low=out[0].ravel(), high=out[1].ravel())
 
     def first(self, pair: int) -> int:

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import DesignError
+from design.errors import DesignError, FieldError
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.matrix_exponential import exponential
@@ -71,9 +71,7 @@ def _kron2(matrix: FloatArray) -> FloatArray:
     return np.asarray(product.reshape(*matrix.shape[:-2], n * n, n * n))
 
 
-def _closed_loop(
-    system: JumpSystem, gain: ScheduledGain, mode: int, left: float, right: float
-) -> tuple[FloatArray, FloatArray]:
+def _closed_loop(system: JumpSystem, gain: ScheduledGain, mode: int, left: float, right: float) -> tuple[FloatArray, FloatArray]:
     # A(h) at the left end and its slope, on a piece without section starts inside
     k0 = gain.at(mode, left)
     a0 = system.a[mode] + system.b[mode] @ k0
@@ -183,7 +181,7 @@ def _radius(moments: list[_ModeMoments], beta: float = 0.0) -> float:
 
 def _settled_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov) -> tuple[list[_ModeMoments], float]:
     if system.uncertainty is not None:
-        raise ValueError("uncertainty: the exact test is for certain systems; use at_vertex, or method 'pwl'")
+        raise FieldError("uncertainty", "the exact test is for certain systems; use at_vertex, or method 'pwl'")
     radius = math.nan
     for parts in (1, 2, 4, 8):
         moments = [_mode_moments(system, gain, process, i, parts) for i in range(system.modes)]

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
 from design.processes.partitions import Partition, check_partition
 from design.processes.semi_markov import SemiMarkov
 
@@ -92,9 +93,9 @@ def cells(process: SemiMarkov, nodes: Partition, *, all_corners: bool = True) ->
             low, high = process.bounds(mode, start, stop)
             for target, (a, b) in enumerate(zip(low.tolist(), high.tolist())):
                 if not math.isfinite(b):
-                    raise ValueError(f"rates[{mode}][{target}]: no finite bound on [{start:g}, {stop:g}) s; clip it")
+                    raise FieldError(f"rates[{mode}][{target}]", f"no finite bound on [{start:g}, {stop:g}) s; clip it")
                 if not 0 <= a <= b:
-                    raise ValueError(f"rates[{mode}][{target}]: bounds [{a:g}, {b:g}] on [{start:g}, {stop:g}) s cross")
+                    raise FieldError(f"rates[{mode}][{target}]", f"bounds [{a:g}, {b:g}] on [{start:g}, {stop:g}) s cross")
             if not all_corners:
                 corners = {tuple(low.tolist()), tuple(high.tolist())}
             else:
@@ -106,7 +107,7 @@ def cells(process: SemiMarkov, nodes: Partition, *, all_corners: bool = True) ->
 def refine(process: SemiMarkov, starts: Partition, parts: int) -> Partition:
     """Lyapunov nodes: the section starts, the kinks of the rates and where they settle, every gap cut into ``parts``."""
     if parts < 1:
-        raise ValueError(f"parts: {parts}, expected at least 1")
+        raise FieldError("parts", f"{parts}, expected at least 1")
     out = []
     for mode, row in enumerate(starts):
         settled = process.settled(mode)
@@ -136,7 +137,7 @@ def gain_on(starts: npt.NDArray[np.float64], schedule: str, cell: Cell) -> GainO
     Raises ValueError where a section of the gains starts inside the cell: K would not be linear on it.
     """
     if ((starts > cell.start) & (starts < cell.stop)).any():
-        raise ValueError(f"nodes[{cell.mode}]: a section of the gains starts inside [{cell.start:g}, {cell.stop:g}) s")
+        raise FieldError(f"nodes[{cell.mode}]", f"a section of the gains starts inside [{cell.start:g}, {cell.stop:g}) s")
     section = int(np.searchsorted(starts, cell.start, side="right")) - 1
     ends = 1 if cell.last else 2
     if schedule == "hold" or section + 1 == starts.size:

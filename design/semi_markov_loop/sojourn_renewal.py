@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import FieldError
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.period_moments import (
     Box,
@@ -73,7 +74,7 @@ def rates_by_age(process: SemiMarkov, mode: int, period_s: float) -> RatesByAge:
     low, high = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
     if not np.isfinite(high).all():
         where = int(np.argwhere(~np.isfinite(high))[0][0])
-        raise ValueError(f"rates[{mode}]: no finite bound from {where * period_s:g} s on; clip it")
+        raise FieldError(f"rates[{mode}]", f"no finite bound from {where * period_s:g} s on; clip it")
     return RatesByAge(low=low, high=high)
 
 

@@ -19,6 +19,7 @@ from typing import cast
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
+from design.errors import FieldError
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose, verify
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
@@ -52,7 +53,7 @@ def stability_inequalities(
         mixture = gain_on(gain.starts_s[i], gain.schedule, cell)
         pwl = method == "pwl" and not cell.last
         if mixture.moves and not pwl:
-            raise ValueError(f"gain: varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
+            raise FieldError("gain", f"varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
         ends = [here, here + 1] if pwl else [here]
         own = [f"P[{i},{r}]" for r in ends] + ([f"eps[{i},{r}]" for r in ends] if bounded else [])
         gains = [f"K[{i},{s}]" for s in mixture.sections]
@@ -115,9 +116,7 @@ def _decrease(
             doubt = cast(NormBounded, doubt)
             e, f = lift(doubt.e[i]), lift(doubt.fa[i]) + lift(doubt.fb[i]) @ k
             one, two = lift(np.eye(e.shape[1])), lift(np.eye(f.shape[-2]))
-            value = symmetric_blocks(
-                [[value], [transpose(here @ e), -eps[end] * one], [eps[end] * f, None, -eps[end] * two]]
-            )
+            value = symmetric_blocks([[value], [transpose(here @ e), -eps[end] * one], [eps[end] * f, None, -eps[end] * two]])
         terms.append(value)
     return cast(Array, sum(terms[1:], terms[0]) / lift(len(terms)))
 
@@ -170,11 +169,11 @@ def analyse(
     """
     gain = checked_gain(system, gain, process)
     if not np.isfinite(decay) or decay < 0:
-        raise ValueError(f"decay: {decay!r} is not a finite non-negative rate")
+        raise FieldError("decay", f"{decay!r} is not a finite non-negative rate")
     if method == "exact":
         return exact_certificate(system, gain, process)
     if method not in ("pwl", "pwc"):
-        raise ValueError(f"method: {method!r} is not one of exact, pwl, pwc")
+        raise FieldError("method", f"{method!r} is not one of exact, pwl, pwc")
     if nodes is None:
         starts = tuple(tuple(row.tolist()) for row in gain.starts_s)
         nodes = refine(process, starts, parts) if method == "pwl" else starts
@@ -198,13 +197,13 @@ def analyse(
 def checked_gain(system: JumpSystem, gain: ScheduledGain | None, process: SemiMarkov) -> ScheduledGain:
     """The gain, or zero gains for None. Raises ValueError unless system, gain and process fit each other."""
     if process.modes != system.modes:
-        raise ValueError(f"process: {process.modes} modes, the system has {system.modes}")
+        raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
     if gain is None:
         return constant_gain(np.zeros((system.modes, system.inputs, system.states)))
     expected = (system.modes, system.inputs, system.states)
     got = (gain.modes, *gain.gain.shape[2:])
     if got != expected:
-        raise ValueError(f"gain: (modes, inputs, states) = {got}, the system has {expected}")
+        raise FieldError("gain", f"(modes, inputs, states) = {got}, the system has {expected}")
     return gain
 
 
@@ -255,9 +254,7 @@ def largest_decay(
     low, high = best.decay_rate or 0.0, np.inf
     while high - low > tolerance * max(low, 1e-3):
         decay = 2.0 * low + 0.1 if np.isinf(high) else 0.5 * (low + high)
-        trial = analyse(
-            system, gain, process, method=method, nodes=nodes, parts=parts, decay=decay, second_opinion=False
-        )
+        trial = analyse(system, gain, process, method=method, nodes=nodes, parts=parts, decay=decay, second_opinion=False)
         if trial.certified and trial.decay_rate is not None:
             best, low = trial, max(trial.decay_rate, decay)
         else:

@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -24,15 +26,15 @@ def _array(path: str, value: npt.ArrayLike, ndim: int, shape: Mapping[int, int])
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
-        raise ValueError(f"{path}: is not an array of numbers (do all modes have the same shape?)") from None
+        raise FieldError(path, "is not an array of numbers (do all modes have the same shape?)") from None
     if array.ndim != ndim:
-        raise ValueError(f"{path}: {array.ndim} axes, expected {ndim}; got shape {array.shape}")
+        raise FieldError(path, f"{array.ndim} axes, expected {ndim}; got shape {array.shape}")
     for axis, size in shape.items():
         if array.shape[axis] != size:
-            raise ValueError(f"{path}: shape {array.shape}, expected {size} along axis {axis}")
+            raise FieldError(path, f"shape {array.shape}, expected {size} along axis {axis}")
     if not np.isfinite(array).all():
         where = tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{path}{list(where)}: {array[where]} is not finite")
+        raise FieldError(f"{path}{list(where)}", f"{array[where]} is not finite")
     array.setflags(write=False)
     return array
 
@@ -162,7 +164,7 @@ class JumpSystem(_Sized):
     def at_vertex(self, vertex: int) -> JumpSystem:
         """The certain system at one vertex of its uncertainty (constant, the same in all modes)."""
         if not isinstance(self.uncertainty, VertexUncertainty):
-            raise ValueError("uncertainty: is not given by vertices")
+            raise FieldError("uncertainty", "is not given by vertices")
         da, db = self.uncertainty.da[vertex], self.uncertainty.db[vertex]
         return replace(self, a=self.a + da, b=self.b + db, uncertainty=None)
 
@@ -199,7 +201,7 @@ class DelayedJumpSystem(_Sized):
         slopes = _array("delay_slopes", self.delay_slopes, 1, {0: modes})
         if (slopes >= 1).any():
             worst = int(np.argmax(slopes))
-            raise ValueError(f"delay_slopes[{worst}]: {slopes[worst]:g} is not below 1, as (3.2) demands")
+            raise FieldError(f"delay_slopes[{worst}]", f"{slopes[worst]:g} is not below 1, as (3.2) demands")
         if not np.isfinite(self.delay_max_s) or self.delay_max_s < 0:
-            raise ValueError(f"delay_max_s: {self.delay_max_s!r} is not a finite non-negative time")
+            raise FieldError("delay_max_s", f"{self.delay_max_s!r} is not a finite non-negative time")
         object.__setattr__(self, "delay_slopes", slopes)

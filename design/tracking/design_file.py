@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from design.errors import FieldError
 from design.networked_loop.closed_loop import SELECTIONS
 from design.processes.delay_chain import Array, DelayChain
 from design.tracking.json_file import LARGEST, read_json
@@ -88,29 +89,29 @@ def load_design(path: Path) -> DesignFile:
     try:
         document = read_json(path)
     except ValueError as error:
-        raise ValueError(f"design: {path}: {error}") from None
+        raise FieldError("design", f"{path}: {error}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ValueError(f"design: {path}: no design file (format is not {FORMAT!r})")
+        raise FieldError("design", f"{path}: no design file (format is not {FORMAT!r})")
     selection, problem = document.get("selection"), document.get("problem")
     if not isinstance(selection, str) or selection not in SELECTIONS:
-        raise ValueError(f"design: {path}: selection: {selection!r:.60}, expected one of {', '.join(SELECTIONS)}")
+        raise FieldError("design", f"{path}: selection: {selection!r:.60}, expected one of {', '.join(SELECTIONS)}")
     try:
         gains = np.array(document.get("gains"), dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"design: {path}: gains: expected a regular nested list [tau][row][m][p]") from None
+        raise FieldError("design", f"{path}: gains: expected a regular nested list [tau][row][m][p]") from None
     except OverflowError:
-        raise ValueError(f"design: {path}: gains: a number is beyond what a double holds") from None
+        raise FieldError("design", f"{path}: gains: a number is beyond what a double holds") from None
     if gains.ndim != 4 or not (np.abs(gains) <= LARGEST).all():
-        raise ValueError(
-            f"design: {path}: gains: shape {gains.shape}, expected finite numbers of at most {LARGEST:g} [tau][row][m][p]"
+        raise FieldError(
+            "design", f"{path}: gains: shape {gains.shape}, expected finite numbers of at most {LARGEST:g} [tau][row][m][p]"
         )
     period = document.get("period_s")
     if not isinstance(period, int | float) or isinstance(period, bool) or not 0 < period < 1e9:
-        raise ValueError(f"design: {path}: period_s: {period!r:.60}, expected a number > 0")
+        raise FieldError("design", f"{path}: period_s: {period!r:.60}, expected a number > 0")
     known = problem if isinstance(problem, dict) else {}
     samples = known.get("samples", 1)
     if samples not in (1, 2):
-        raise ValueError(f"design: {path}: problem.samples: {samples!r:.60}, expected 1 or 2")
+        raise FieldError("design", f"{path}: problem.samples: {samples!r:.60}, expected 1 or 2")
     return DesignFile(
         selection=selection,
         gains=gains,
@@ -130,9 +131,9 @@ def _sojourns(path: Path, problem: Any) -> tuple[int, ...]:
     try:
         chain = DelayChain(**problem)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"design: {path}: problem.sc: expected delays and labels: {error!s:.200}") from None
+        raise FieldError("design", f"{path}: problem.sc: expected delays and labels: {error!s:.200}") from None
     if np.array_equal(chain.label, chain.delay):
         return ()
     if (np.diff(chain.label_delay, prepend=0) < 0).any():
-        raise ValueError(f"design: {path}: problem.sc: expected delays and labels, these 0, 1, ... in the order of the delays")
+        raise FieldError("design", f"{path}: problem.sc: expected delays and labels, these 0, 1, ... in the order of the delays")
     return chain.sojourns

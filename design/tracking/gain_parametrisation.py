@@ -18,6 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
 from design.networked_loop.closed_loop import LoopStructure
 from design.processes.delay_chain import Array, DelayChain, Index
 
@@ -32,7 +33,7 @@ def selection_of(information: str) -> str:
         ValueError: unknown pattern.
     """
     if information not in INFORMATION:
-        raise ValueError(f"information: {information!r}, expected one of {', '.join(INFORMATION)}")
+        raise FieldError("information", f"{information!r}, expected one of {', '.join(INFORMATION)}")
     return {"tau": "constant", "total": "applied"}.get(information, information)
 
 
@@ -100,7 +101,7 @@ def gain_space(
         ValueError: unknown pattern, or a bound that is not positive.
     """
     if bound is not None and not (np.isfinite(bound) and bound > 0):
-        raise ValueError(f"gain_bound: {bound:g}, expected a finite number > 0")
+        raise FieldError("gain_bound", f"{bound:g}, expected a finite number > 0")
     used = structure.used
     if information == "constant":
         key = np.zeros(used.shape, dtype=np.int64)

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import FieldError
 from design.networked_loop.closed_loop import LoopStructure, loop_structure
 from design.processes.delay_chain import Array, DelayChain, as_chain
 from design.tracking.gain_parametrisation import GainSpace, Information, gain_space, selection_of
@@ -41,7 +42,7 @@ class TrackingProblem:
         method: "direct", or "ccl" for the thesis's iterated linear matrix inequalities.
 
     Raises:
-        ValueError: message starts with the field at fault.
+        FieldError: names the field at fault.
     """
 
     A: npt.ArrayLike
@@ -65,16 +66,16 @@ class TrackingProblem:
 
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
-            raise ValueError(f"objective: {self.objective!r}, expected one of {', '.join(OBJECTIVES)}")
+            raise FieldError("objective", f"{self.objective!r}, expected one of {', '.join(OBJECTIVES)}")
         if self.method not in METHODS:
-            raise ValueError(f"method: {self.method!r}, expected one of {', '.join(METHODS)}")
+            raise FieldError("method", f"{self.method!r}, expected one of {', '.join(METHODS)}")
         if self.hinf_bound is not None:
             if self.objective != "mixed":
-                raise ValueError(f"hinf_bound: only a mixed design takes one, objective is {self.objective!r}")
+                raise FieldError("hinf_bound", f"only a mixed design takes one, objective is {self.objective!r}")
             if not (np.isfinite(self.hinf_bound) and self.hinf_bound > 0):
-                raise ValueError(f"hinf_bound: {self.hinf_bound:g}, expected a finite number > 0")
+                raise FieldError("hinf_bound", f"{self.hinf_bound:g}, expected a finite number > 0")
         if self.starts < 0 or self.seed < 0:
-            raise ValueError(f"{'starts' if self.starts < 0 else 'seed'}: expected a number >= 0")
+            raise FieldError("starts" if self.starts < 0 else "seed", "expected a number >= 0")
         object.__setattr__(self, "sc", as_chain(self.sc, "Lambda"))
         object.__setattr__(self, "ca", as_chain(self.ca, "Pi"))
         space = self.space()  # refuses every shape that does not fit

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from design.errors import Infeasible, NotStable
+from design.errors import FieldError, Infeasible, NotStable
 from design.jump_linear.certificate import Certificate
 from design.networked_loop.certify import certify_structure
 from design.networked_loop.lower_bounds import LowerBounds, lower_bounds
@@ -93,7 +93,7 @@ def _solve(problem: TrackingProblem, progress: Progress | None) -> Design:
     structure, space = problem.structure(), problem.space()
     check_plant(*(np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C)))
     if problem.method != "direct":
-        raise ValueError(f"method: {problem.method!r} is not solved here; as_printed.cone_complementarity.design_by_ccl has it")
+        raise FieldError("method", f"{problem.method!r} is not solved here; as_printed.cone_complementarity.design_by_ccl has it")
     objective = LoopObjective(structure, space, problem.alpha(structure))
     best, values = _multistart(problem, objective, progress)
     return certified(problem, space.gains(best.x), starts=values, evaluations=objective.evaluations)
@@ -125,9 +125,7 @@ def certified(problem: TrackingProblem, gains: Array, *, starts: tuple[float, ..
         pair, pairs = structure.sc_mode * ca.modes + structure.ca_mode, sc.modes * ca.modes
         weights, present = np.bincount(pair, problem.alpha(structure), pairs), np.bincount(pair, minlength=pairs) > 0
         bounds = lower_bounds(A, B, Q, sc, ca, weights, present)
-    return Design(
-        problem=problem, gains=gains, certificate=certificate, bounds=bounds, starts=starts, evaluations=evaluations
-    )
+    return Design(problem=problem, gains=gains, certificate=certificate, bounds=bounds, starts=starts, evaluations=evaluations)
 
 
 def _multistart(
@@ -240,9 +238,9 @@ def _with_class(problem: TrackingProblem, objective: LoopObjective, error: NotSt
         if members.size == transition.shape[0]:
             continue
         sc, ca = problem.chains
-        modes = ", ".join(
-            f"(tau={sc.delay[s.sc_mode[i]]}, d={ca.delay[s.ca_mode[i]]})" for i in members[:4]
-        ) + (", ..." if members.size > 4 else "")
+        modes = ", ".join(f"(tau={sc.delay[s.sc_mode[i]]}, d={ca.delay[s.ca_mode[i]]})" for i in members[:4]) + (
+            ", ..." if members.size > 4 else ""
+        )
         return NotStable(
             f"the chain never leaves the modes {modes}, and no gains were found that keep the loop mean-square stable: "
             f"smallest radius reached {error.value:.6g}, expected < 1",

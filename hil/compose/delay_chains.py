@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, sojourns_told
+from design.errors import FieldError
 from hil.experiment import Experiment
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import SemiMarkovLaw
@@ -39,7 +40,9 @@ def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
 
     most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
     if most > 1 and not isinstance(law, SemiMarkovLaw):
-        raise ValueError("sojourns: for a semi-Markov law only; over any other the delay says all that its length of stay could")
+        raise FieldError(
+            "sojourns", "for a semi-Markov law only; over any other the delay says what its length of stay could"
+        )
     states = delay_states(law)
     if states is None:
         return None
@@ -47,14 +50,14 @@ def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
     if most == 1:
         return DelayChain(transition=states.matrix, delays=states.ages, between=between)
     if len(set(law.mode_ages)) < len(law.mode_ages):
-        raise ValueError(f"sojourns: modes share a delay (ages {list(law.mode_ages)}), whose length of stay is not theirs")
+        raise FieldError("sojourns", f"modes share a delay (ages {list(law.mode_ages)}), whose length of stay is not theirs")
     if states.has_gaps:
-        raise ValueError("sojourns: this delay may grow by more than one per slot, and the receiver measures another stay")
+        raise FieldError("sojourns", "this delay may grow by more than one per slot, and the receiver measures another stay")
     delays, slots = states.ages, states.slots
     longest = [int(slots[delays == d].max(initial=0)) for d in range(int(delays.max()) + 1)]
     counts = [min(n, most) for n in longest] if isinstance(sojourns, int) else list(sojourns)
     if len(counts) < len(longest) or any(n > 0 and not count for n, count in zip(longest, counts)):
-        raise ValueError(f"sojourns: {counts}, but the delay reaches {len(longest) - 1}")
+        raise FieldError("sojourns", f"{counts}, but the delay reaches {len(longest) - 1}")
     first = np.concatenate([[0], np.cumsum(counts)])[delays]
     labels = first + np.minimum(slots, np.asarray(counts)[delays]) - 1
     return DelayChain(transition=states.matrix, delays=delays, labels=labels, between=between)

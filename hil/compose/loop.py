@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,7 @@ from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
 from design.controllers import Controller, LoopModel, RunningController, packet_samples, row_count
-from design.errors import DesignError
+from design.errors import DesignError, FieldError
 from design.requests.task import DesignTask
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify
@@ -21,6 +20,7 @@ from hil.compose.delay_chains import delay_chains
 from hil.compose.jump_plant import process_of, system_of
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
+from hil.experiment.check import fault_at
 from hil.experiment.protocols import Designer, JumpPlant
 from hil.log.records import Channel, channels
 from transport.laws.protocols import load_files, prepare, slots_served
@@ -89,9 +89,7 @@ class Loop:
         return _schedule(zero, list(changes.items()))
 
 
-def _schedule(
-    start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float, ...]]]
-) -> Callable[[int], tuple[float, ...]]:
+def _schedule(start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float, ...]]]) -> Callable[[int], tuple[float, ...]]:
     """Piecewise constant in the slot; asked in ascending order it costs one comparison."""
     ordered = sorted(changes)
     ticks = [k for k, _ in ordered]
@@ -146,10 +144,9 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         sc, ca = delay_chains(experiment)
         samples = packet_samples(controller)
         if not 1 <= samples * len(plant.outputs) <= MAX_OUTPUTS:
-            raise ValueError(f"samples: {samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
+            raise FieldError("samples", f"{samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
     except (ValueError, DesignError) as e:
-        field = isinstance(e, ValueError) and re.match(r"[\w.\[\]]+:", str(e))  # the message begins with a parameter's name
-        raise ExperimentError(experiment.name, [f"controller.{e}" if field else f"controller: {e}"]) from e
+        raise ExperimentError(experiment.name, [fault_at("controller", e)]) from e
     verdict = _certified(experiment, controller, model, sc, ca) if certify else None
     return Loop(
         experiment=experiment,
@@ -172,7 +169,7 @@ def _loaded(e: Experiment) -> Experiment:
         try:
             law = load_files(direction.law, e.folder)
         except ValueError as error:
-            raise ExperimentError(e.name, [f"links.{side}.law.{error}"]) from error
+            raise ExperimentError(e.name, [fault_at(f"links.{side}.law", error)]) from error
         served = slots_served(law)
         if served is not None and served < e.ticks:
             raise ExperimentError(
@@ -207,7 +204,7 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
         try:
             jumps = {"jump_system": system_of(plant.jump_system()), "jump_process": process_of(plant.jump_process())}
         except ValueError as error:
-            raise ValueError(f"kind: no design covers this plant: {error}") from error
+            raise FieldError("kind", f"no design covers this plant: {error}") from error
     return DesignTask(model=model, sc=sc, ca=ca, folder=e.folder, **jumps)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-import re
 import typing
 from typing import Any
 
@@ -13,10 +12,10 @@ import msgspec
 
 from hil.errors import HilError
 from hil.experiment import plugins as registry
+from hil.experiment.protocols import NamesField
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Links, Seconds, Table
 from transport.laws.protocols import load_files
 
-FIELD = re.compile(r"[a-z_]\w*(\[\d+\])*(\.\w+)*: ")
 INFINITE = "is not a finite number"
 OLDEST = 63  # slots
 
@@ -29,6 +28,17 @@ def _hook(kind: type, value: object) -> object:
 
 def _join(path: str, rest: str) -> str:
     return f"{path}.{rest}" if path and not rest.startswith("[") else path + rest
+
+
+def fault_at(path: str, error: BaseException) -> str:
+    """Return the fault with its path: that of the field, where the error names one.
+
+    >>> fault_at("plant", ValueError("is too large"))
+    'plant: is too large'
+    """
+    if isinstance(error, NamesField):
+        return f"{_join(path, error.field)}: {error.message}"
+    return f"{path}: {error}" if path else str(error)
 
 
 class Checker:
@@ -96,7 +106,7 @@ class Checker:
         try:
             return load_files(law, folder)
         except ValueError as e:
-            self.faults.append(f"{path}.{e}")
+            self.faults.append(fault_at(path, e))
             return None
 
     def plugin(self, group: registry.Group, raw: Any, path: str) -> Any:
@@ -148,12 +158,14 @@ class Checker:
         try:
             return cls(**values)
         except (ValueError, TypeError) as e:
-            self.faults.append(_join(path, str(e)) if path else str(e))
+            self.faults.append(fault_at(path, e))
             return None
 
     def _value(self, hint: Any, value: Any, at: str) -> Any:
-        if isinstance(hint, type) and isinstance(value, dict) and (
-            issubclass(hint, msgspec.Struct) or dataclasses.is_dataclass(hint)
+        if (
+            isinstance(hint, type)
+            and isinstance(value, dict)
+            and (issubclass(hint, msgspec.Struct) or dataclasses.is_dataclass(hint))
         ):
             return self.table(hint, value, at, {})
         args = typing.get_args(hint)
@@ -166,9 +178,11 @@ class Checker:
             if message.startswith("Invalid enum value"):
                 words = [w for part in (hint, *args) if typing.get_origin(part) is typing.Literal for w in typing.get_args(part)]
                 message += f", expected one of {', '.join(map(str, words))}" if words else ""
-            sub = where.rstrip("`")
-            own = FIELD.match(message) is not None  # one of our classes said it, and named its field
-            self.faults.append(_join(at, message) if own else f"{at}{sub}: {message[0].lower()}{message[1:]}")
+            at += where.rstrip("`")
+            cause = e.__cause__  # what a class of its own said of its values
+            self.faults.append(
+                fault_at(at, cause) if isinstance(cause, NamesField) else f"{at}: {message[0].lower()}{message[1:]}"
+            )
             return None
 
     def finite(self, value: Any, at: str) -> None:

@@ -13,7 +13,18 @@ from plants.parts.protocols import BeyondModel, JumpPlant, Plant, PlantRun
 if TYPE_CHECKING:
     from design.requests.task import DesignTask
 
-__all__ = ["BeyondModel", "Designer", "JumpPlant", "NamedController", "Plant", "PlantRun"]
+__all__ = ["BeyondModel", "Designer", "JumpPlant", "NamedController", "NamesField", "Plant", "PlantRun"]
+
+
+@runtime_checkable
+class NamesField(Protocol):
+    """A ValueError that names the field at fault, so that it is shown with its path.
+
+    `FieldError` of plants, transport and design is one; a plug-in may raise any of them, or its own.
+    """
+
+    field: str
+    message: str
 
 
 class NamedController(Protocol):
@@ -36,7 +47,7 @@ class Designer(Protocol):
         """Return the controller that runs.
 
         Raises:
-            ValueError: a field that does not fit the loop; the message starts with the field.
+            ValueError: a field that does not fit the loop; best one that `NamesField`.
             DesignError: no gains meet the request; the message has the number that decides it.
         """
         ...

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from plants.errors import FieldError
 from plants.parts.validation import require_not_negative, require_positive
 
 
@@ -39,7 +40,7 @@ class Driver:
         require_not_negative("pwm_step_v", self.pwm_step_v)
         require_not_negative("dead_zone_v", self.dead_zone_v)
         if self.saturation_v is not None and self.pwm_step_v > self.saturation_v:
-            raise ValueError(f"pwm_step_v: {self.pwm_step_v:g} V is more than the supply, saturation_v = {self.saturation_v:g} V")
+            raise FieldError("pwm_step_v", f"{self.pwm_step_v:g} V is above the supply, saturation_v = {self.saturation_v:g} V")
 
     @property
     def ideal(self) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 
+from plants.errors import FieldError
 from plants.parts.exponential import log1p, phi
 from plants.parts.validation import require_not_negative
 
@@ -50,7 +51,7 @@ class Friction:
         if self.static_v is not None:
             require_not_negative("static_v", self.static_v)
             if self.static_v < self.coulomb_v:
-                raise ValueError(f"static_v: {self.static_v!r}, expected at least coulomb_v ({self.coulomb_v!r})")
+                raise FieldError("static_v", f"{self.static_v!r}, expected at least coulomb_v ({self.coulomb_v!r})")
 
     @property
     def breakaway_v(self) -> float:

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from plants.errors import FieldError
 from plants.parts.linear import NS_PER_S
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
@@ -30,7 +31,7 @@ class Push:
         tremor_hold_s: how long a sample of it is held, in s.
 
     Raises:
-        ValueError: where a value is out of range; the message starts with the field.
+        FieldError: where a value is out of range.
     """
 
     force_n: float = 0.0
@@ -44,7 +45,7 @@ class Push:
         require_finite("force_n", self.force_n)
         require_not_negative("start_s", self.start_s)
         if self.stop_s is not None and not (math.isfinite(self.stop_s) and self.stop_s > self.start_s):
-            raise ValueError(f"stop_s: {self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
+            raise FieldError("stop_s", f"{self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
         require_not_negative("tremor_n", self.tremor_n)
         require_positive("tremor_correlation_s", self.tremor_correlation_s)
         require_positive("tremor_hold_s", self.tremor_hold_s)
@@ -67,7 +68,7 @@ class Slide:
         turn_s: time between two turns in s (``wander``).
 
     Raises:
-        ValueError: where a value is out of range; the message starts with the field.
+        FieldError: where a value is out of range.
     """
 
     way: Way = "straight"
@@ -83,7 +84,7 @@ class Slide:
 
     def __post_init__(self) -> None:
         if self.way not in get_args(Way):
-            raise ValueError(f"way: {self.way!r}, expected one of {', '.join(get_args(Way))}")
+            raise FieldError("way", f"{self.way!r}, expected one of {', '.join(get_args(Way))}")
         for name, value in (("y_m", self.y_m), ("z_m", self.z_m), ("heading_rad", self.heading_rad)):
             require_finite(name, value)
         for name, value in (("speed_m_s", self.speed_m_s), ("width_m", self.width_m), ("height_m", self.height_m)):
@@ -107,7 +108,7 @@ class Hand:
         slide: its way along the wall.
 
     Raises:
-        ValueError: where a value is out of range; the message starts with the field.
+        FieldError: where a value is out of range.
 
     Reference: Chapter 6, H(s) of Theorem 6.1.
     """

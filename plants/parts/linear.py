@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plants.errors import PlantError
+from plants.errors import FieldError, PlantError
 from plants.parts.exponential import Rows, drift, zero_order_hold
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class DiscreteStateSpace:
 
     def __init__(self, *, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None, period_s: float) -> None:
         if not 0 < period_s < math.inf:
-            raise ValueError(f"period_s: {period_s!r}, expected a finite number > 0")
+            raise FieldError("period_s", f"{period_s!r}, expected a finite number > 0")
         for name, matrix in zip("ABCD", _checked(A, B, C, D)):
             object.__setattr__(self, name, matrix)
         object.__setattr__(self, "period_s", float(period_s))
@@ -115,20 +115,20 @@ class DiscreteStateSpace:
 def _checked(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     a, b, c = (np.array(M, dtype=np.float64) for M in (A, B, C))
     if a.ndim != 2 or a.shape[0] != a.shape[1]:
-        raise ValueError(f"A: shape {a.shape}, expected a square matrix")
+        raise FieldError("A", f"shape {a.shape}, expected a square matrix")
     n = a.shape[0]
     if b.ndim != 2 or b.shape[0] != n:
-        raise ValueError(f"B: shape {b.shape}, expected ({n}, m)")
+        raise FieldError("B", f"shape {b.shape}, expected ({n}, m)")
     if c.ndim != 2 or c.shape[1] != n:
-        raise ValueError(f"C: shape {c.shape}, expected (p, {n})")
+        raise FieldError("C", f"shape {c.shape}, expected (p, {n})")
     shape = (c.shape[0], b.shape[1])
     d = np.zeros(shape) if D is None else np.array(D, dtype=np.float64)
     if d.shape != shape:
-        raise ValueError(f"D: shape {d.shape}, expected {shape}")
+        raise FieldError("D", f"shape {d.shape}, expected {shape}")
     for name, M in zip("ABCD", (a, b, c, d)):
         if not np.isfinite(M).all():
             row, column = (int(i) for i in np.argwhere(~np.isfinite(M))[0])
-            raise ValueError(f"{name}[{row}][{column}]: {M[row, column]}, expected a finite number")
+            raise FieldError(f"{name}[{row}][{column}]", f"{M[row, column]}, expected a finite number")
         M.setflags(write=False)
     return a, b, c, d
 

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from plants.errors import FieldError
 from plants.parts.linear import NS_PER_S
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
@@ -37,13 +38,13 @@ class TransitionRates:
 
     def __post_init__(self) -> None:
         if not self.nodes_s or self.nodes_s[0] != 0.0:
-            raise ValueError(f"nodes_s: {self.nodes_s!r}, expected nodes that start at 0")
+            raise FieldError("nodes_s", f"{self.nodes_s!r}, expected nodes that start at 0")
         for i, (a, b) in enumerate(pairwise(self.nodes_s), start=1):
             require_finite(f"nodes_s[{i}]", b)
             if b <= a:
-                raise ValueError(f"nodes_s[{i}]: {b!r}, expected more than nodes_s[{i - 1}] ({a!r})")
+                raise FieldError(f"nodes_s[{i}]", f"{b!r}, expected more than nodes_s[{i - 1}] ({a!r})")
         if len(self.rates) != len(self.nodes_s):
-            raise ValueError(f"rates: {len(self.rates)} matrices, expected one for each of {len(self.nodes_s)} nodes")
+            raise FieldError("rates", f"{len(self.rates)} matrices, expected one for each of {len(self.nodes_s)} nodes")
         for k, matrix in enumerate(self.rates):
             _check_generator(f"rates[{k}]", matrix, len(self.rates[0]))
 
@@ -81,10 +82,10 @@ class TransitionRates:
 
 def _check_generator(path: str, matrix: Sequence[Sequence[float]], modes: int) -> None:
     if len(matrix) != modes or not matrix:
-        raise ValueError(f"{path}: {len(matrix)} rows, expected {max(modes, 1)}")
+        raise FieldError(path, f"{len(matrix)} rows, expected {max(modes, 1)}")
     for i, row in enumerate(matrix):
         if len(row) != modes:
-            raise ValueError(f"{path}[{i}]: {len(row)} entries, expected {modes}")
+            raise FieldError(f"{path}[{i}]", f"{len(row)} entries, expected {modes}")
         for j, rate in enumerate(row):
             if i == j:
                 require_finite(f"{path}[{i}][{j}]", rate)
@@ -92,7 +93,7 @@ def _check_generator(path: str, matrix: Sequence[Sequence[float]], modes: int) -
                 require_not_negative(f"{path}[{i}][{j}]", rate)
         total = math.fsum(row)
         if abs(total) > 1e-9 * max(1.0, abs(row[i])):
-            raise ValueError(f"{path}[{i}]: row sums to {total:.6g}, expected 0")
+            raise FieldError(f"{path}[{i}]", f"row sums to {total:.6g}, expected 0")
 
 
 class _Hazard:
@@ -191,7 +192,7 @@ class JumpProcess:
 def check_mode(path: str, mode: int, modes: int) -> None:
     """Refuse a mode that is not one of 1 to N."""
     if not 1 <= mode <= modes:
-        raise ValueError(f"{path}: {mode!r}, expected a mode from 1 to {modes}")
+        raise FieldError(path, f"{mode!r}, expected a mode from 1 to {modes}")
 
 
 def check_clip(low: float, high: float, slope: float) -> None:
@@ -199,4 +200,4 @@ def check_clip(low: float, high: float, slope: float) -> None:
     require_not_negative("rate_low", low)
     require_positive("rate_slope", slope)
     if not (math.isfinite(high) and high > low):
-        raise ValueError(f"rate_high: {high!r}, expected a finite number above rate_low ({low!r})")
+        raise FieldError("rate_high", f"{high!r}, expected a finite number above rate_low ({low!r})")

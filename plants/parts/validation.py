@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from plants.errors import FieldError
+
 
 def require_finite(path: str, value: float) -> None:
     """Refuse NaN and infinity.
@@ -18,25 +20,25 @@ def require_finite(path: str, value: float) -> None:
     ValueError: gain: nan, expected a finite number
     """
     if not math.isfinite(value):
-        raise ValueError(f"{path}: {value!r}, expected a finite number")
+        raise FieldError(path, f"{value!r}, expected a finite number")
 
 
 def require_positive(path: str, value: float) -> None:
     """Refuse everything but a finite number above 0."""
     if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"{path}: {value!r}, expected a finite number > 0")
+        raise FieldError(path, f"{value!r}, expected a finite number > 0")
 
 
 def require_not_negative(path: str, value: float) -> None:
     """Refuse everything but a finite number of at least 0."""
     if not (math.isfinite(value) and value >= 0):
-        raise ValueError(f"{path}: {value!r}, expected a finite number >= 0")
+        raise FieldError(path, f"{value!r}, expected a finite number >= 0")
 
 
 def require_vector(path: str, value: Sequence[float], length: int) -> None:
     """Refuse a vector of the wrong length or with an entry that is not finite."""
     if len(value) != length:
-        raise ValueError(f"{path}: {len(value)} entries, expected {length}")
+        raise FieldError(path, f"{len(value)} entries, expected {length}")
     for i, entry in enumerate(value):
         require_finite(f"{path}[{i}]", entry)
 
@@ -46,10 +48,10 @@ def require_whole_nanoseconds(path: str, seconds: float) -> None:
     require_positive(path, seconds)
     nanoseconds = seconds * 1e9
     if round(nanoseconds) < 1 or abs(nanoseconds - round(nanoseconds)) > 1e-6 * nanoseconds:
-        raise ValueError(f"{path}: {seconds!r}, expected a whole number of nanoseconds, at least 1e-9 s")
+        raise FieldError(path, f"{seconds!r}, expected a whole number of nanoseconds, at least 1e-9 s")
 
 
 def require_choice(path: str, value: str, choices: Sequence[str]) -> None:
     """Refuse a word that is not one of the choices."""
     if value not in choices:
-        raise ValueError(f"{path}: {value!r}, expected one of {', '.join(choices)}")
+        raise FieldError(path, f"{value!r}, expected one of {', '.join(choices)}")

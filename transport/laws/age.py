@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.errors import FieldError
 from transport.laws.age_paths import Ages, chain_ages, uniforms_of_many
 from transport.laws.stochastic_matrix import (
     Row,
@@ -45,7 +46,7 @@ def checked_age(path: str, age: object) -> int:
     ValueError: age: got -1, expected a whole number of slots, 0 to 100000
     """
     if isinstance(age, (bool, np.bool_)) or not isinstance(age, (int, np.integer)) or not 0 <= age <= LARGEST_AGE:
-        raise ValueError(f"{path}: got {age!r}, expected a whole number of slots, 0 to {LARGEST_AGE}")
+        raise FieldError(path, f"got {age!r}, expected a whole number of slots, 0 to {LARGEST_AGE}")
     return int(age)
 
 
@@ -54,9 +55,9 @@ def checked_ages(ages: object, modes: int) -> tuple[int, ...] | None:
     if ages is None:
         return None
     if isinstance(ages, str) or not isinstance(ages, Sequence):
-        raise ValueError(f"ages: got {ages!r}, expected one age per mode")
+        raise FieldError("ages", f"got {ages!r}, expected one age per mode")
     if len(ages) != modes:
-        raise ValueError(f"ages: has {len(ages)} entries, expected one age per mode, {modes}")
+        raise FieldError("ages", f"has {len(ages)} entries, expected one age per mode, {modes}")
     return tuple(checked_age(f"ages[{i}]", age) for i, age in enumerate(ages))
 
 
@@ -76,9 +77,10 @@ def refuse_gaps(matrix: Sequence[Row], ages: Sequence[int]) -> None:
     for i, row in enumerate(matrix):
         for j, p in enumerate(row):
             if p > 0.0 and ages[j] > ages[i] + 1:
-                raise ValueError(
-                    f"matrix[{i}][{j}]: {p:g} lets the age grow from {ages[i]} to {ages[j]}, "
-                    "at most 1 per slot is possible (allow_gaps permits it)"
+                raise FieldError(
+                    f"matrix[{i}][{j}]",
+                    f"{p:g} lets the age grow from {ages[i]} to {ages[j]}, "
+                    "at most 1 per slot is possible (allow_gaps permits it)",
                 )
 
 
@@ -89,7 +91,7 @@ def checked_initial(initial: object, modes: int) -> Initial:
     if initial == "uniform":
         return "uniform"
     if isinstance(initial, str):
-        raise ValueError(f'initial: got {initial!r}, expected "stationary", "uniform" or a list of probabilities')
+        raise FieldError("initial", f'got {initial!r}, expected "stationary", "uniform" or a list of probabilities')
     return checked_row("initial", initial, modes)
 
 
@@ -176,9 +178,9 @@ class IidAge:
         support = [i for i, p in enumerate(row) if p > 0.0]
         if support[-1] > support[0] + 1 and not self.allow_gaps:
             i, j = support[0], next(j for j in support if j > support[0] + 1)
-            raise ValueError(
-                f"probabilities[{j}]: {row[j]:g} lets the age grow from {i} to {j}, "
-                "at most 1 per slot is possible (allow_gaps permits it)"
+            raise FieldError(
+                f"probabilities[{j}]",
+                f"{row[j]:g} lets the age grow from {i} to {j}, at most 1 per slot is possible (allow_gaps permits it)",
             )
         checked_age("probabilities", len(row) - 1)
         object.__setattr__(self, "probabilities", row)
@@ -242,7 +244,7 @@ class ChainAge:
             try:
                 stationary_row(matrix)
             except ValueError as fault:
-                raise ValueError(f'initial: {fault}; give "uniform" or a list') from None
+                raise FieldError("initial", f'{fault}; give "uniform" or a list') from None
 
     def _check_modes(self) -> None:
         """Refuse a mode that the law cannot have."""
@@ -299,7 +301,7 @@ class MarkovAge(ChainAge):
     def _check_modes(self) -> None:
         for i, row in enumerate(self.matrix):
             if row[i] == 1.0 and len(self.matrix) > 1 and not self.allow_absorbing:
-                raise ValueError(f"matrix[{i}]: mode {i} is never left (allow_absorbing permits it)")
+                raise FieldError(f"matrix[{i}]", f"mode {i} is never left (allow_absorbing permits it)")
 
     def start(self, rng: np.random.Generator) -> AgePath:
         """Return the process: one uniform number per slot."""

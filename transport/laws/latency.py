@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.errors import FieldError
 from transport.laws.stochastic_matrix import checked_row
 from transport.laws.trace import read_column
 
@@ -42,7 +43,7 @@ def seconds(path: str, value: object) -> float:
             pass
     elif isinstance(value, (int, float)) and not isinstance(value, bool):
         return float(value)
-    raise ValueError(f"{path}: got {value!r}, expected a duration: a number of seconds, or one with a unit of {', '.join(UNITS)}")
+    raise FieldError(path, f"got {value!r}, expected a duration: a number of seconds, or one with a unit of {', '.join(UNITS)}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +124,7 @@ class LatencyTrace:
 
     def _values(self) -> Iterator[float]:
         yield from cycle(self.values_s) if self.repeat else self.values_s
-        raise ValueError(f"latency.trace: has {len(self.values_s)} entries, and the run asks for more (past_end = 'refuse')")
+        raise FieldError("latency.trace", f"has {len(self.values_s)} entries, and the run asks for more (past_end = 'refuse')")
 
     def cdf(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the recorded share of latencies <= x among the packets that arrived, same shape; x in seconds."""
@@ -167,7 +168,7 @@ def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None, pat
         return QuantileTable(levels=(0.0, 1.0), values_s=(value, value))
     sources = [key for key in ("dist", "table", "trace", "file") if key in spec]
     if len(sources) != 1:
-        raise ValueError(f"{path}: got the keys {list(spec)}, expected exactly one of dist, table, trace, file")
+        raise FieldError(path, f"got the keys {list(spec)}, expected exactly one of dist, table, trace, file")
     if sources[0] == "dist":
         return _from_scipy(spec, path)
     _known(spec, ("table",) if sources[0] == "table" else (sources[0], "past_end"), path)
@@ -175,18 +176,18 @@ def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None, pat
         return _from_table(spec["table"], path + ".table")
     past_end = spec.get("past_end", "repeat")
     if past_end not in ("repeat", "refuse"):
-        raise ValueError(f'{path}.past_end: got {past_end!r}, expected "repeat" or "refuse"')
+        raise FieldError(f"{path}.past_end", f'got {past_end!r}, expected "repeat" or "refuse"')
     entries = spec.get("trace")
     if sources[0] == "file":
         path += ".file"
         try:
             entries = [*read_column(Path(directory or ".") / str(spec["file"]), "latency_s")]
-        except ValueError as fault:
-            raise ValueError(f"{path}{str(fault).removeprefix('file')}") from None
+        except FieldError as fault:
+            raise FieldError(path, fault.message) from None
     else:
         path += ".trace"
     if isinstance(entries, str) or not isinstance(entries, Sequence) or not entries:
-        raise ValueError(f'{path}: got {entries!r:.60}, expected a list of durations (or "lost")')
+        raise FieldError(path, f'got {entries!r:.60}, expected a list of durations (or "lost")')
     values = tuple(math.inf if v == "lost" else _positive(f"{path}[{k}]", v) for k, v in enumerate(entries))
     return LatencyTrace(values_s=values, repeat=past_end == "repeat")
 
@@ -202,7 +203,7 @@ def described(law: Latency) -> dict[str, Any]:
 def _positive(path: str, value: object) -> float:
     result = seconds(path, value)
     if not 0.0 <= result < math.inf:
-        raise ValueError(f"{path}: got {result:g} s, expected a finite duration >= 0")
+        raise FieldError(path, f"got {result:g} s, expected a finite duration >= 0")
     return result
 
 
@@ -210,21 +211,21 @@ def _known(spec: Mapping[str, Any], names: Sequence[str], path: str) -> None:
     for key in spec:
         if key not in names:
             near = difflib.get_close_matches(str(key), names, n=1)
-            raise ValueError(f"{path}.{key}: unknown; expected {', '.join(names)}" + (f" ({near[0]}?)" if near else ""))
+            raise FieldError(f"{path}.{key}", f"unknown; expected {', '.join(names)}" + (f" ({near[0]}?)" if near else ""))
 
 
 def _from_table(rows: object, path: str) -> QuantileTable:
     if isinstance(rows, str) or not isinstance(rows, Sequence) or len(rows) < 2:
-        raise ValueError(f"{path}: got {rows!r}, expected at least two rows [level, duration]")
+        raise FieldError(path, f"got {rows!r}, expected at least two rows [level, duration]")
     knots: list[tuple[float, float]] = []
     for i, row in enumerate(rows):
         if isinstance(row, str) or not isinstance(row, Sequence) or len(row) != 2:
-            raise ValueError(f"{path}[{i}]: got {row!r}, expected [level, duration]")
+            raise FieldError(f"{path}[{i}]", f"got {row!r}, expected [level, duration]")
         level, value = seconds(f"{path}[{i}][0]", row[0]), _positive(f"{path}[{i}][1]", row[1])
         if (i == 0 and level != 0.0) or (i == len(rows) - 1 and level != 1.0):
-            raise ValueError(f"{path}[{i}][0]: got {level:g}, expected levels from 0 to 1")
+            raise FieldError(f"{path}[{i}][0]", f"got {level:g}, expected levels from 0 to 1")
         if knots and not (level >= knots[-1][0] and value >= knots[-1][1]):
-            raise ValueError(f"{path}[{i}]: [{level:g}, {value:g} s] falls below the row before, expected rising rows")
+            raise FieldError(f"{path}[{i}]", f"[{level:g}, {value:g} s] falls below the row before, expected rising rows")
         knots.append((level, value))
     return QuantileTable(levels=tuple(level for level, _ in knots), values_s=tuple(value for _, value in knots))
 
@@ -237,30 +238,30 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     if not isinstance(family, (stats.rv_continuous, stats.rv_discrete)):
         laws = [n for n, law in vars(stats).items() if isinstance(law, (stats.rv_continuous, stats.rv_discrete))]
         near = difflib.get_close_matches(str(name), laws, n=1)
-        raise ValueError(f"{path}.dist: {name!r} is no law of scipy.stats" + (f"; did you mean {near[0]!r}?" if near else ""))
+        raise FieldError(f"{path}.dist", f"{name!r} is no law of scipy.stats" + (f"; did you mean {near[0]!r}?" if near else ""))
     shapes = [shape.strip() for shape in (family.shapes or "").split(",") if shape.strip()]
     _known(spec, ["dist", *shapes, "loc", "scale"], path)
     arguments: dict[str, float] = {}
     for shape in shapes:
         if shape not in spec:
-            raise ValueError(f"{path}.{shape}: missing; {name} has the parameters {', '.join([*shapes, 'loc', 'scale'])}")
+            raise FieldError(f"{path}.{shape}", f"missing; {name} has the parameters {', '.join([*shapes, 'loc', 'scale'])}")
         value = spec[shape]
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"{path}.{shape}: got {value!r}, expected a number")
+            raise FieldError(f"{path}.{shape}", f"got {value!r}, expected a number")
         arguments[shape] = float(value)
     loc, scale = seconds(f"{path}.loc", spec.get("loc", 0.0)), seconds(f"{path}.scale", spec.get("scale", 1.0))
     if not scale > 0.0:
-        raise ValueError(f"{path}.scale: got {scale:g} s, expected a positive duration")
+        raise FieldError(f"{path}.scale", f"got {scale:g} s, expected a positive duration")
     frozen = family(**arguments)
     described_as = f"{name}({', '.join(f'{k}={v:g}' for k, v in arguments.items())})"
     discrete = isinstance(family, stats.rv_discrete)
     levels, standard = _atoms(frozen, path) if discrete else _knots(frozen)
     values = loc + scale * standard
     if not np.isfinite(values).all() or (np.diff(values) < 0).any():
-        raise ValueError(f"{path}: {described_as} is no law with these parameters")
+        raise FieldError(path, f"{described_as} is no law with these parameters")
     early = float(np.interp(0.0, values, levels)) if values[0] < 0.0 else 0.0
     if early > EARLY:
-        raise ValueError(f"{path}: by {described_as} a share of {early:.2g} arrives before it is sent; shift it by loc")
+        raise FieldError(path, f"by {described_as} a share of {early:.2g} arrives before it is sent; shift it by loc")
     return QuantileTable(levels=tuple(levels.tolist()), values_s=tuple(np.maximum(values, 0.0).tolist()))
 
 
@@ -284,10 +285,10 @@ def _atoms(frozen: Any, path: str) -> tuple[NDArray[np.float64], NDArray[np.floa
     middle = mean if math.isfinite(mean) else frozen.support()[0]
     # Asked before the quantiles are, which scipy seeks atom by atom: under zipf(1.2) for hours.
     if frozen.sf(middle + MOST_ATOMS) > SMALLEST_LEVEL:
-        raise ValueError(f"{path}: has more than {MOST_ATOMS} possible values, expected fewer")
+        raise FieldError(path, f"has more than {MOST_ATOMS} possible values, expected fewer")
     low, high = frozen.ppf([SMALLEST_LEVEL, 1.0 - SMALLEST_LEVEL])
     if not high - low < MOST_ATOMS:
-        raise ValueError(f"{path}: has {high - low:g} possible values, expected fewer than {MOST_ATOMS}")
+        raise FieldError(path, f"has {high - low:g} possible values, expected fewer than {MOST_ATOMS}")
     atoms = np.arange(low, high + 1.0)
     row = np.asarray(frozen.pmf(atoms), dtype=np.float64)
     checked_row(path, (row / row.sum()).tolist())

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from transport.errors import FieldError
 from transport.laws.age import mean_holding
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
 from transport.laws.stochastic_matrix import BLOCK, cumulative, stationary_row
@@ -43,9 +44,9 @@ class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         for name in ("p_gb", "p_bg", "loss_good", "loss_bad"):
             _probability(name, getattr(self, name))
         if self.p_gb == 0.0 == self.p_bg:
-            raise ValueError("p_gb: 0, and p_bg is 0 too: the channel never changes, expected one of them positive")
+            raise FieldError("p_gb", "0, and p_bg is 0 too: the channel never changes, expected one of them positive")
         if self.p_bg == 0.0:
-            raise ValueError("p_bg: 0, so that the channel once bad stays so for ever, expected more")
+            raise FieldError("p_bg", "0, so that the channel once bad stays so for ever, expected more")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +66,7 @@ class PacketLaw:
         queue: packets in flight at most; what comes on top is dropped and booked as overflow.
 
     Raises:
-        ValueError: names the field.
+        FieldError: names the field.
 
     Reference: section 7.2 (clock-driven nodes).
 
@@ -89,7 +90,7 @@ class PacketLaw:
             _probability("loss", self.loss)
         _probability("duplication", self.duplication)
         if isinstance(self.queue, bool) or not 1 <= self.queue <= 1_000_000:
-            raise ValueError(f"queue: got {self.queue!r}, expected 1 to 1000000 packets")
+            raise FieldError("queue", f"got {self.queue!r}, expected 1 to 1000000 packets")
 
     def loaded(self, directory: str | PathLike[str] | None = None) -> PacketLaw:
         """Return the law with its file of latencies read.
@@ -126,9 +127,9 @@ class PacketLaw:
             ValueError: a period that is not positive, a negative deadline.
         """
         if not 0.0 < period_s < math.inf:
-            raise ValueError(f"period_s: got {period_s:g}, expected a positive number of seconds")
+            raise FieldError("period_s", f"got {period_s:g}, expected a positive number of seconds")
         if not 0.0 <= deadline_s < math.inf:
-            raise ValueError(f"deadline_s: got {deadline_s:g}, expected a number of seconds >= 0")
+            raise FieldError("deadline_s", f"got {deadline_s:g}, expected a number of seconds >= 0")
         return PacketDraws(self, rng, period_s, deadline_s)
 
     def transition_matrix(self) -> NDArray[np.float64]:
@@ -199,4 +200,4 @@ def _fives(rng: np.random.Generator) -> Iterator[list[float]]:
 
 def _probability(path: str, value: float) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
-        raise ValueError(f"{path}: got {value!r}, expected a probability, 0 to 1")
+        raise FieldError(path, f"got {value!r}, expected a probability, 0 to 1")

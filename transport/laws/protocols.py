@@ -232,7 +232,7 @@ def load_files(law: _Law, directory: str | PathLike[str] | None = None) -> _Law:
         directory: where relative file names start; the working directory by default.
 
     Raises:
-        ValueError: a file is missing or faulty; the message starts with the field.
+        FieldError: a file is missing or faulty.
     """
     return law.loaded(directory) if isinstance(law, FileLaw) else law
 

@@ -10,6 +10,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.errors import FieldError
 from transport.laws.age import AgePath, ChainAge
 from transport.laws.protocols import SemiMarkovLaw, Sojourn
 from transport.laws.sojourn import SojournLaw, hazard_bounds, hazards, mean_sojourn, remaining_sampler
@@ -66,10 +67,10 @@ class SemiMarkovAge(ChainAge):
         for i, row in enumerate(self.matrix):
             if row[i] != 0.0:
                 fault = f"mode {i} is never left" if row[i] == 1.0 else f"mode {i} follows itself"
-                raise ValueError(f"matrix[{i}][{i}]: {row[i]:g}, {fault}; expected 0, the sojourn law says how long")
+                raise FieldError(f"matrix[{i}][{i}]", f"{row[i]:g}, {fault}; expected 0, the sojourn law says how long")
         object.__setattr__(self, "sojourn", tuple(self.sojourn))
         if len(self.sojourn) != len(self.matrix):
-            raise ValueError(f"sojourn: has {len(self.sojourn)} laws, expected one per mode, {len(self.matrix)}")
+            raise FieldError("sojourn", f"has {len(self.sojourn)} laws, expected one per mode, {len(self.matrix)}")
 
     def start(self, rng: np.random.Generator) -> AgePath:
         """Return the process: two uniform numbers per sojourn."""

@@ -15,6 +15,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from transport.errors import FieldError
 from transport.laws.protocols import BoundedTail, Sojourn
 from transport.laws.stochastic_matrix import checked_row
 
@@ -44,7 +45,7 @@ class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, t
 
     def __post_init__(self) -> None:
         if not 0.0 < self.p <= 1.0:
-            raise ValueError(f"p: got {self.p:g}, expected 0 < p <= 1")
+            raise FieldError("p", f"got {self.p:g}, expected 0 < p <= 1")
         _refuse_longest("p", self.support)
 
     @property
@@ -68,9 +69,7 @@ class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, t
         return lambda u: int(math.log1p(-u) * scale) + 1
 
 
-class DiscreteWeibull(
-    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="discrete-weibull"
-):
+class DiscreteWeibull(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="discrete-weibull"):
     """S(n) = q^(n^beta), discrete Weibull law of type I (Nakagawa and Osaki, 1975).
 
     The hazard falls with time for beta < 1 (long bursts get longer) and rises for beta > 1; beta = 1 is geometric, p =
@@ -86,9 +85,9 @@ class DiscreteWeibull(
 
     def __post_init__(self) -> None:
         if not 0.0 < self.q < 1.0:
-            raise ValueError(f"q: got {self.q:g}, expected 0 < q < 1")
+            raise FieldError("q", f"got {self.q:g}, expected 0 < q < 1")
         if not 0.0 < self.beta < math.inf:
-            raise ValueError(f"beta: got {self.beta:g}, expected a positive number")
+            raise FieldError("beta", f"got {self.beta:g}, expected a positive number")
         _refuse_longest("beta", self.support)
 
     @property
@@ -127,9 +126,9 @@ class Uniform(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
 
     def __post_init__(self) -> None:
         if self.low < 1:
-            raise ValueError(f"low: got {self.low}, expected at least 1 slot")
+            raise FieldError("low", f"got {self.low}, expected at least 1 slot")
         if self.high < self.low:
-            raise ValueError(f"high: got {self.high}, expected at least low, {self.low}")
+            raise FieldError("high", f"got {self.high}, expected at least low, {self.low}")
         _refuse_longest("high", self.high)
 
     @property
@@ -196,7 +195,7 @@ def _root(value: float, power: float) -> float:
 
 def _refuse_longest(field: str, slots: int) -> None:
     if slots > LONGEST:
-        raise ValueError(f"{field}: sojourns beyond {LONGEST} slots are likelier than {TAIL:g}, expected shorter ones")
+        raise FieldError(field, f"sojourns beyond {LONGEST} slots are likelier than {TAIL:g}, expected shorter ones")
 
 
 def _bisector(law: Sojourn) -> Callable[[float], int]:

@@ -9,6 +9,8 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.errors import FieldError
+
 Row = tuple[float, ...]
 SUM_TOLERANCE = 1e-9
 BLOCK = 1024
@@ -33,10 +35,10 @@ def checked_row(path: str, row: object, size: int | None = None) -> Row:
     values = checked_numbers(path, row, size)
     for j, p in enumerate(values):
         if not 0.0 <= p <= 1.0:  # NaN fails too
-            raise ValueError(f"{path}[{j}]: {p:g} is no probability, expected 0 to 1")
+            raise FieldError(f"{path}[{j}]", f"{p:g} is no probability, expected 0 to 1")
     total = math.fsum(values)
     if abs(total - 1.0) > SUM_TOLERANCE:
-        raise ValueError(f"{path}: row sums to {total:.12g}, expected 1")
+        raise FieldError(path, f"row sums to {total:.12g}, expected 1")
     return values
 
 
@@ -45,14 +47,14 @@ def checked_numbers(path: str, row: object, size: int | None = None) -> Row:
     if isinstance(row, np.ndarray):
         row = row.tolist()
     if isinstance(row, str) or not isinstance(row, Sequence):
-        raise ValueError(f"{path}: got {row!r}, expected a list of numbers")
+        raise FieldError(path, f"got {row!r}, expected a list of numbers")
     if size is not None and len(row) != size:
-        raise ValueError(f"{path}: has {len(row)} entries, expected {size}")
+        raise FieldError(path, f"has {len(row)} entries, expected {size}")
     if not row:
-        raise ValueError(f"{path}: is empty, expected at least one entry")
+        raise FieldError(path, "is empty, expected at least one entry")
     for j, value in enumerate(row):
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"{path}[{j}]: got {value!r}, expected a number")
+            raise FieldError(f"{path}[{j}]", f"got {value!r}, expected a number")
     return tuple(float(value) for value in row)
 
 
@@ -68,7 +70,7 @@ def checked_matrix(path: str, matrix: object) -> tuple[Row, ...]:
     if isinstance(matrix, np.ndarray):
         matrix = matrix.tolist()
     if isinstance(matrix, str) or not isinstance(matrix, Sequence) or not matrix:
-        raise ValueError(f"{path}: got {matrix!r}, expected a square list of rows")
+        raise FieldError(path, f"got {matrix!r}, expected a square list of rows")
     return tuple(checked_row(f"{path}[{i}]", row, len(matrix)) for i, row in enumerate(matrix))
 
 

@@ -14,6 +14,7 @@ from typing import ClassVar, Literal, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.errors import FieldError
 from transport.laws.age import AgePath, checked_age
 
 MAX_BYTES = 20_000_000
@@ -47,9 +48,9 @@ class TraceAge:
 
     def __post_init__(self) -> None:
         if bool(self.ages) == bool(self.file):
-            raise ValueError("ages: expected either a list of ages or a file, and not both")
+            raise FieldError("ages", "expected either a list of ages or a file, and not both")
         if self.past_end not in ("repeat", "refuse"):
-            raise ValueError(f'past_end: got {self.past_end!r}, expected "repeat" or "refuse"')
+            raise FieldError("past_end", f'got {self.past_end!r}, expected "repeat" or "refuse"')
         ages = tuple(checked_age(f"ages[{k}]", age) for k, age in enumerate(self.ages))
         object.__setattr__(self, "ages", ages)
         self._check("ages", ages)
@@ -59,14 +60,15 @@ class TraceAge:
             return
         for k, age in enumerate(ages):
             if k and age > ages[k - 1] + 1:
-                raise ValueError(
-                    f"{path}[{k}]: the age grows from {ages[k - 1]} to {age}, "
-                    "at most 1 per slot is possible (allow_gaps permits it)"
+                raise FieldError(
+                    f"{path}[{k}]",
+                    f"the age grows from {ages[k - 1]} to {age}, at most 1 per slot is possible (allow_gaps permits it)",
                 )
         if ages and self.past_end == "repeat" and ages[0] > ages[-1] + 1:
-            raise ValueError(
-                f"{path}[0]: the age grows from {ages[-1]} (the last) to {ages[0]} on repeating, "
-                "at most 1 per slot is possible (allow_gaps permits it)"
+            raise FieldError(
+                f"{path}[0]",
+                f"the age grows from {ages[-1]} (the last) to {ages[0]} on repeating, "
+                "at most 1 per slot is possible (allow_gaps permits it)",
             )
 
     def loaded(self, directory: str | PathLike[str] | None = None) -> TraceAge:
@@ -110,7 +112,7 @@ class TraceAge:
         yield from states
         while self.past_end == "repeat":
             yield from states
-        raise ValueError(f"ages: the trace has {len(states)} entries, and the run asks for more (past_end = 'refuse')")
+        raise FieldError("ages", f"the trace has {len(states)} entries, and the run asks for more (past_end = 'refuse')")
 
     def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.int32]:
         """Return the ages that many processes draw, (slots, runs): the trace, in every run."""
@@ -159,14 +161,14 @@ def read_column(path: Path, column: str) -> Iterator[str]:
                         continue
                 entries += 1
                 if entries > MAX_ENTRIES:
-                    raise ValueError(f"file: {path} has more than {MAX_ENTRIES} entries")
+                    raise FieldError("file", f"{path} has more than {MAX_ENTRIES} entries")
                 yield row[index].strip() if index < len(row) else ""
     except OSError as fault:
-        raise ValueError(f"file: {path}: {fault.strerror}") from None
+        raise FieldError("file", f"{path}: {fault.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as fault:
-        raise ValueError(f"file: {path} is no CSV text: {fault}") from None
+        raise FieldError("file", f"{path} is no CSV text: {fault}") from None
     if not entries:
-        raise ValueError(f"file: {path} has no entries")
+        raise FieldError("file", f"{path} has no entries")
 
 
 def _regular(path: Path) -> TextIO:
@@ -175,9 +177,9 @@ def _regular(path: Path) -> TextIO:
     try:
         status = os.fstat(descriptor)
         if not S_ISREG(status.st_mode):
-            raise ValueError(f"file: {path} is no regular file")
+            raise FieldError("file", f"{path} is no regular file")
         if status.st_size > MAX_BYTES:
-            raise ValueError(f"file: {path} has more than {MAX_BYTES} bytes")
+            raise FieldError("file", f"{path} has more than {MAX_BYTES} bytes")
         return open(descriptor, newline="", encoding="utf-8")
     except BaseException:
         os.close(descriptor)
@@ -189,6 +191,6 @@ def read_ages(path: Path) -> tuple[int, ...]:
     ages = []
     for k, text in enumerate(read_column(path, "age")):
         if not (text.isdecimal() and len(text) < 10):
-            raise ValueError(f"file: {path}: entry {k} is {text!r:.60}, expected a whole number of slots")
+            raise FieldError("file", f"{path}: entry {k} is {text!r:.60}, expected a whole number of slots")
         ages.append(checked_age(f"file: {path}: entry {k}", int(text)))
     return tuple(ages)

@@ -10,6 +10,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from transport.errors import FieldError
 from transport.laws.protocols import AgeLaw, AgeProcess, GapLaw, PacketLaw, PacketProcess
 from transport.medium.draws import (
     ABSENT,
@@ -250,16 +251,16 @@ def impair(law: AgeLaw | PacketLaw, rng: np.random.Generator, period_s: float, d
         packet_law = cast(PacketLaw, law)
         process = packet_law.start(rng, period_s, deadline_s)
         return PacketImpairment(process, period_s=period_s, reordering=packet_law.reordering, queue=packet_law.queue)
-    raise ValueError(f'family: got {law.family!r} from law {type(law).__name__}, expected "age" or "packet"')
+    raise FieldError("family", f'got {law.family!r} from law {type(law).__name__}, expected "age" or "packet"')
 
 
 def _check_offer(k: int, collected: int, last: int) -> None:
     if k < collected:
-        raise ValueError(f"k: slot {k} is offered a packet after it was collected")
+        raise FieldError("k", f"slot {k} is offered a packet after it was collected")
     if k <= last:
-        raise ValueError(f"k: slot {k} is offered a packet after slot {last}, expected one packet per slot in order")
+        raise FieldError("k", f"slot {k} is offered a packet after slot {last}, expected one packet per slot in order")
 
 
 def _check_collect(k: int, expected: int) -> None:
     if k < expected:
-        raise ValueError(f"k: slot {k} is collected again, expected {expected} or later")
+        raise FieldError("k", f"slot {k} is collected again, expected {expected} or later")

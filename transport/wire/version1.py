@@ -24,6 +24,7 @@ from functools import cache, lru_cache
 from struct import Struct
 from typing import Final
 
+from transport.errors import FieldError
 from transport.wire.fields import MAX_OUTPUTS, SELECTIONS, ControlPacket, Layout, SensorPacket, frame_length, single
 
 SENSOR: Final = 0x11
@@ -44,15 +45,14 @@ def _control_layout(values: int) -> Layout:
     return Layout(Struct(f"<BBIqqhBB{values}f{pad}"), Struct(f"<4xIqqh2x{values}f{pad}"), size)
 
 
-
 def write_sensor(packet: SensorPacket) -> bytes:
     """Bytes behind the CRC of a sensor packet of version 1."""
     y, flags = packet.y, packet.flags
     count = len(y)
     if count > MAX_OUTPUTS or (count == 0) != (flags >> 1 & 1):
-        raise ValueError(f"y: {count} values with flags {flags}, expected 1 to {MAX_OUTPUTS}, or none and EMPTY")
+        raise FieldError("y", f"{count} values with flags {flags}, expected 1 to {MAX_OUTPUTS}, or none and EMPTY")
     if packet.node or packet.nodes != 1:
-        raise ValueError(f"node: {packet.node} of {packet.nodes}, wire version 1 knows one sensor node")
+        raise FieldError("node", f"{packet.node} of {packet.nodes}, wire version 1 knows one sensor node")
     head = (SENSOR, (flags & 3) << 6 | count, packet.seq & 0xFFFFFFFF, packet.sample_ns)
     write = _sensor_layout(count).write.pack
     try:

@@ -33,6 +33,7 @@ from functools import lru_cache
 from struct import Struct
 from typing import Final
 
+from transport.errors import FieldError
 from transport.wire.fields import MAX_OUTPUTS, SELECTIONS, ControlPacket, Layout, SensorPacket, frame_length, single
 
 SENSOR: Final = 0x21
@@ -69,20 +70,21 @@ def _sensor_shape(y: int, empty: bool, samples: int, references: int, node: int,
     samples = 0 if empty else samples
     outputs = y // samples if samples else 0
     if (not y) != empty or outputs * samples != y or outputs > MAX_OUTPUTS or not 0 <= samples <= 255:
-        raise ValueError(
-            f"y: {y} values in {samples} samples, {'EMPTY' if empty else 'not EMPTY'}; expected up to 255 samples of 1 to "
-            f"{MAX_OUTPUTS} outputs, or none and EMPTY"
+        raise FieldError(
+            "y",
+            f"{y} values in {samples} samples, {'EMPTY' if empty else 'not EMPTY'}; expected up to 255 samples of 1 to "
+            f"{MAX_OUTPUTS} outputs, or none and EMPTY",
         )
     if references > MAX_REFERENCES or y + references > MAX_VALUES:
-        raise ValueError(f"reference: {references} values beside {y}, expected up to {MAX_REFERENCES}, and {MAX_VALUES} in all")
+        raise FieldError("reference", f"{references} values beside {y}, expected up to {MAX_REFERENCES}, and {MAX_VALUES} in all")
     if not 0 <= node < nodes <= 255:
-        raise ValueError(f"node: {node} of {nodes}, expected up to 255 nodes, numbered from 0")
+        raise FieldError("node", f"{node} of {nodes}, expected up to 255 nodes, numbered from 0")
     return outputs, samples
 
 
 def _trailer(freshness: int, tag: bytes) -> tuple[int, bytes]:
     if len(tag) != TAG_BYTES:
-        raise ValueError(f"tag: {len(tag)} bytes, expected {TAG_BYTES}")
+        raise FieldError("tag", f"{len(tag)} bytes, expected {TAG_BYTES}")
     return freshness & 0xFFFFFFFF, tag
 
 
@@ -106,7 +108,7 @@ def write_sensor(packet: SensorPacket) -> bytes:
 def write_control(packet: ControlPacket, tau: int, inputs: int, values: tuple[float, ...]) -> bytes:
     """Bytes behind the CRC of a control packet of version 2; tau, inputs and values as `transport.packets` checked them."""
     if len(values) > MAX_VALUES:
-        raise ValueError(f"rows: {len(values)} values, expected up to {MAX_VALUES}")
+        raise FieldError("rows", f"{len(values)} values, expected up to {MAX_VALUES}")
     tag = packet.tag
     trailer = _trailer(packet.freshness, tag) if tag else ()
     selection = _TAGGED | packet.selection if tag else packet.selection

@@ -1,0 +1,19 @@
+"""A parameter of a law that does not fit, told with its field. Faults of links are in :mod:`transport.links.link`."""
+
+from __future__ import annotations
+
+
+class FieldError(ValueError):
+    """A value that does not fit, with the field that holds it; its text is ``field: message``.
+
+    Args:
+        field: the parameter, or the path to it: ``latency.file``, ``sojourn[2]``.
+        message: what is wrong: the value, what was expected.
+    """
+
+    def __init__(self, field: str, message: str) -> None:
+        super().__init__(field, message)
+        self.field, self.message = field, message
+
+    def __str__(self) -> str:
+        return f"{self.field}: {self.message}"
