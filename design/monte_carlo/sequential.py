@@ -17,6 +17,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from design.errors import FieldError
+
 Decision = Literal["at least p1", "at most p0"]
 
 
@@ -45,10 +47,10 @@ class SequentialTest:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.p0 < self.p1 < 1.0:
-            raise ValueError(f"p0: {self.p0:g}, p1: {self.p1:g}; expected 0 < p0 < p1 < 1")
+            raise FieldError("p0", f"{self.p0:g}, p1: {self.p1:g}; expected 0 < p0 < p1 < 1")
         for name, value in (("alpha", self.alpha), ("beta", self.beta)):
             if not 0.0 < value < 1.0:
-                raise ValueError(f"{name}: {value:g}; expected a number between 0 and 1")
+                raise FieldError(name, f"{value:g}; expected a number between 0 and 1")
 
     def decide(self, successes: int, runs: int) -> Decision | None:
         """Return what is decided after some runs, None if more are needed."""
