@@ -21,7 +21,17 @@ class NotStable(DesignError):
 
 
 class Infeasible(DesignError):
-    """No gains meet the request; ``value`` is the best number that was reached."""
+    """No gains meet the request; ``value`` is the best number that was reached.
+
+    Args:
+        message: what was asked, what was found.
+        value: the best number that was reached, if there is one.
+        proved: it is proved that there are none; otherwise none were found.
+    """
+
+    def __init__(self, message: str, *, value: float | None = None, proved: bool = False) -> None:
+        super().__init__(message, value=value)
+        self.proved = proved
 
 
 class FieldError(ValueError):

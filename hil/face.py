@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from hil import experiment as asked
-from hil.compose.design_problem import problem_for, site
+from hil.compose.design_problem import problem_for, tracking_target
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
@@ -263,7 +263,7 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, **opt
     from design.tracking.synthesis import solve
 
     try:
-        problem = problem_for(site(source, period, sojourns), **options)
+        problem = problem_for(tracking_target(source, period, sojourns), **options)
         return design_by_ccl(problem) if problem.method == "ccl" else solve(problem)
     except (DesignError, TypeError) as error:
         raise HilError(f"design: {error}") from error

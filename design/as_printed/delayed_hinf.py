@@ -131,7 +131,7 @@ def printed_section(
     try:
         result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
     except Infeasible as error:
-        verdict: Verdict = "undecided" if "not proved" in str(error) else "refused"
+        verdict: Verdict = "refused" if error.proved else "undecided"
         return JumpCertificate(method="printed", sound=False, verdict=verdict, reason=str(error), gain=gain)
     return JumpCertificate(
         method="printed", sound=False, verdict="certified", reason=result.found.explain(), gamma=result.gamma, gain=gain,

@@ -24,7 +24,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from design.errors import NotStable
 from design.jump_linear.h2 import is_positive
@@ -260,31 +259,6 @@ def bounded_real_margin(system: MJLS, gamma: float) -> float | None:
     inequality[:, :n, :n] -= policy.P
     inequality[:, n:, n:] -= gamma**2 * np.eye(B.shape[2])
     return -float(np.linalg.eigvalsh(inequality).max())
-
-
-def worst_disturbance(system: MJLS, gamma: float) -> Array:
-    """Gains F (N, q, n) of the disturbance w = F_i x that is worst at a level gamma above the norm.
-
-    Raises:
-        NotStable: gamma is not above the norm.
-    """
-    policy = solve_bounded_real(system.matrices, gamma**2)
-    if policy is None:
-        raise NotStable(f"worst disturbance: level {gamma:.6g} is not above the H-infinity norm", value=gamma)
-    return policy.F
-
-
-def disturbance_ratio(system: MJLS, F: npt.ArrayLike, impulse: npt.ArrayLike, mode: int) -> float:
-    """sqrt(E sum |z|^2 / E sum |w|^2) for w(0) = impulse in the given mode, then w(k) = F_i x(k)."""
-    A, B, C, D, transition = system.matrices
-    gains, w0 = np.asarray(F, dtype=np.float64), np.asarray(impulse, dtype=np.float64)
-    closed, output = A + B @ gains, C + D @ gains
-    resolvent = Resolvent(closed, transition)
-    z, w = resolvent.cost(np.stack([output.transpose(0, 2, 1) @ output, gains.transpose(0, 2, 1) @ gains]))
-    start = B[mode] @ w0
-    energy = [float(start @ expect(transition, S)[mode] @ start) for S in (z, w)]
-    first = D[mode] @ w0
-    return float(np.sqrt((energy[0] + first @ first) / (energy[1] + w0 @ w0)))
 
 
 def _unit(vector: Array) -> Array:

@@ -71,5 +71,5 @@ def at_gamma(build: Callable[[float], LmiProgram], gamma: float, what: str) -> A
         raise FieldError("gamma", f"{gamma!r} is not a finite positive number")
     found = with_gamma(build(1.0 / gamma), 1.0).decide()
     if not found.holds:
-        raise Infeasible(f"{what} at gamma = {gamma:g}: {found.explain()}", value=found.margin)
+        raise Infeasible(f"{what} at gamma = {gamma:g}: {found.explain()}", value=found.margin, proved=found.refused)
     return Attenuation(gamma=gamma, scale=1.0 / gamma, found=found)

@@ -80,11 +80,12 @@ class JumpLoop:
             raise FieldError("mode", f"{self.mode}, expected 0 to {plant.modes - 1}")
         if not 0 <= self.detection < seen:
             raise FieldError("detection", f"{self.detection}, expected 0 to {seen - 1}")
-        doubt = self.system.uncertainty
-        if self.uncertain and doubt is None:
+        uncertainty = self.system.uncertainty
+        if self.uncertain and uncertainty is None:
             raise FieldError("uncertain", "the system has no uncertainty to draw from")
-        if self.uncertain and isinstance(doubt, NormBounded) and doubt.e.shape[2] != doubt.fa.shape[1]:
-            raise FieldError("uncertain", f"delta = diag(...) must be square, it is {doubt.e.shape[2]} x {doubt.fa.shape[1]}")
+        if self.uncertain and isinstance(uncertainty, NormBounded) and uncertainty.e.shape[2] != uncertainty.fa.shape[1]:
+            size = f"{uncertainty.e.shape[2]} x {uncertainty.fa.shape[1]}"
+            raise FieldError("uncertain", f"delta = diag(...) must be square, it is {size}")
 
     def visits(self, duration_s: float, *, seed: int, first: int, runs: int) -> Iterator[Visits]:
         """Visits of the runs first, ..., first + runs - 1, each in its own stream."""
@@ -122,12 +123,12 @@ class JumpLoop:
         return np.asarray(which * runs + run if self.uncertain else which)
 
     def _directions(self, gain: FloatArray) -> FloatArray:
-        doubt = self.system.uncertainty
-        if isinstance(doubt, NormBounded):
-            shape = doubt.fa[:, None] + doubt.fb[:, None] @ gain[None]  # (modes, gains, q, n)
-            return np.asarray(np.einsum("imq,igqn->qigmn", doubt.e, shape))
-        assert isinstance(doubt, VertexUncertainty)
-        return np.asarray(doubt.da[:, :, None] + doubt.db[:, :, None] @ gain)
+        uncertainty = self.system.uncertainty
+        if isinstance(uncertainty, NormBounded):
+            shape = uncertainty.fa[:, None] + uncertainty.fb[:, None] @ gain[None]  # (modes, gains, q, n)
+            return np.asarray(np.einsum("imq,igqn->qigmn", uncertainty.e, shape))
+        assert isinstance(uncertainty, VertexUncertainty)
+        return np.asarray(uncertainty.da[:, :, None] + uncertainty.db[:, :, None] @ gain)
 
     def _weights(self, parameters: int, *, seed: int, first: int, runs: int) -> FloatArray:
         pages = -(-parameters // (4 * PARAMETER_PAGE))

@@ -72,14 +72,14 @@ def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers)
         if workers.backend == "dask":
             options["client"] = stack.enter_context(_client(workers))
         stack.enter_context(parallel_config(**options))
-        with _deaf_children():
+        with _workers_ignore_interrupts():
             results = Parallel(return_as="generator")(delayed(task)(job) for job in jobs)
         stack.enter_context(closing(results))
         yield from results
 
 
 @contextmanager
-def _deaf_children() -> Iterator[None]:
+def _workers_ignore_interrupts() -> Iterator[None]:
     """Ignore Ctrl-C for the milliseconds in which workers are started: they inherit that for good.
 
     A terminal sends it to all of them; it is for this process alone, which then stops them. (A mask would not lose a

@@ -175,7 +175,7 @@ def analyse_delayed(
     try:
         result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
     except Infeasible as error:
-        verdict: Verdict = "undecided" if "not proved" in str(error) else "refused"
+        verdict: Verdict = "refused" if error.proved else "undecided"
         return JumpCertificate(method=method, sound=True, verdict=verdict, reason=str(error), gain=gain)
     return JumpCertificate(
         method=method, sound=True, verdict="certified", gamma=result.gamma, margin=result.found.margin, gain=gain,

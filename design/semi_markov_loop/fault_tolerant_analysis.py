@@ -234,12 +234,12 @@ def analyse_fault_tolerant(
             scale, level = performance.scale, None
             found = build(scale).decide()
             if not found.holds:
-                raise Infeasible(f"{what}, SIQC: {found.explain()}", value=found.margin)
+                raise Infeasible(f"{what}, SIQC: {found.explain()}", value=found.margin, proved=found.refused)
         else:
             result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
             scale, level, found = result.scale, result.gamma, result.found
     except Infeasible as error:
-        verdict: Verdict = "undecided" if "not proved" in str(error) else "refused"
+        verdict: Verdict = "refused" if error.proved else "undecided"
         return JumpCertificate(method="pwc", sound=True, verdict=verdict, reason=str(error), gain=gain)
     return JumpCertificate(
         method="pwc", sound=True, verdict="certified", reason=found.explain(), margin=found.margin, gamma=level, gain=gain,

@@ -152,15 +152,15 @@ def uncertain_moments(system: JumpSystem, mode: int, size: int, slack: float) ->
     With y = (dA x + dB u, 0): y z' + z y' <= eps z z' + y y' / eps, and y y' <= [E; 0][E; 0]' |F_A x + F_B u|^2 (norm-bounded)
     or the sum of D_v z z' D_v' over the vertices.
     """
-    doubt, n, m = system.uncertainty, system.states, system.inputs
+    uncertainty, n, m = system.uncertainty, system.states, system.inputs
     total = slack * np.eye(svec_size(size))
-    if isinstance(doubt, NormBounded):
-        left, right = np.zeros((size, doubt.e.shape[2])), np.zeros((doubt.fa.shape[1], size))
-        left[:n], right[:, :n], right[:, size - m :] = doubt.e[mode], doubt.fa[mode], doubt.fb[mode]
+    if isinstance(uncertainty, NormBounded):
+        left, right = np.zeros((size, uncertainty.e.shape[2])), np.zeros((uncertainty.fa.shape[1], size))
+        left[:n], right[:, :n], right[:, size - m :] = uncertainty.e[mode], uncertainty.fa[mode], uncertainty.fb[mode]
         u = isometry(size)
         return np.asarray(total + np.outer(u.T @ (left @ left.T).ravel(), u.T @ (right.T @ right).ravel()) / slack)
-    if isinstance(doubt, VertexUncertainty):
-        change = np.zeros((doubt.da.shape[0], size, size))
-        change[:, :n, :n], change[:, :n, size - m :] = doubt.da[:, mode], doubt.db[:, mode]
+    if isinstance(uncertainty, VertexUncertainty):
+        change = np.zeros((uncertainty.da.shape[0], size, size))
+        change[:, :n, :n], change[:, :n, size - m :] = uncertainty.da[:, mode], uncertainty.db[:, mode]
         return np.asarray(total + congruence(change).sum(axis=0) / slack)
     return np.zeros_like(total)

@@ -102,21 +102,22 @@ def _decrease(
     decay: float,
 ) -> Array:
     """The left side of the condition in the module's docstring; ``matrices``: X ends, Y, multipliers, landings."""
-    i, doubt = cell.mode, system.uncertainty
+    i, uncertainty = cell.mode, system.uncertainty
     x, y = matrices[end], matrices[ends]
     eps, landing = matrices[ends + 1 : ends + 1 + scales], matrices[ends + 1 + scales :]
     a, b = system.a[i], system.b[i]
     if vertex is not None:
-        doubt = cast(VertexUncertainty, doubt)
-        a, b = a + doubt.da[vertex, i], b + doubt.db[vertex, i]
+        uncertainty = cast(VertexUncertainty, uncertainty)
+        a, b = a + uncertainty.da[vertex, i], b + uncertainty.db[vertex, i]
     value = symmetric_part(a @ x + b @ y) + (decay - sum(rates)) * x
     if ends == 2:
         value = value - (matrices[1] - matrices[0]) / (cell.stop - cell.start)
     rows: list[list[Array | None]] = [[value]]
     if scales:
-        doubt = cast(NormBounded, doubt)
-        rows[0][0] = value + sum(eps) * (doubt.e[i] @ doubt.e[i].T)
-        blocks = [doubt.fa[i] @ x + doubt.fb[i] @ y] if scales == 1 else [doubt.fa[i] @ x, doubt.fb[i] @ y]
+        uncertainty = cast(NormBounded, uncertainty)
+        rows[0][0] = value + sum(eps) * (uncertainty.e[i] @ uncertainty.e[i].T)
+        of_state, of_input = uncertainty.fa[i] @ x, uncertainty.fb[i] @ y
+        blocks = [of_state + of_input] if scales == 1 else [of_state, of_input]
         add_schur_rows(rows, blocks, (scale * np.eye(block.shape[-2]) for scale, block in zip(eps, blocks)))
     add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
     return symmetric_blocks(rows)

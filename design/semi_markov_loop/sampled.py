@@ -130,11 +130,11 @@ def _renewal(
 
 
 def _slacks(system: JumpSystem) -> list[float]:
-    doubt = system.uncertainty
-    if isinstance(doubt, NormBounded):
-        size = float(np.linalg.norm(doubt.e, 2, axis=(1, 2)).max() * np.linalg.norm(doubt.fa, 2, axis=(1, 2)).max())
+    uncertainty = system.uncertainty
+    if isinstance(uncertainty, NormBounded):
+        size = float(np.linalg.norm(uncertainty.e, 2, axis=(1, 2)).max() * np.linalg.norm(uncertainty.fa, 2, axis=(1, 2)).max())
     else:
-        size = 0.0 if doubt is None else float(np.linalg.norm(doubt.da, 2, axis=(2, 3)).max())
+        size = 0.0 if uncertainty is None else float(np.linalg.norm(uncertainty.da, 2, axis=(2, 3)).max())
     return [factor * max(size, 1e-6) for factor in _SLACKS]
 
 

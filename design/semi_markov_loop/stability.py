@@ -96,16 +96,16 @@ def _decrease(
     lift: Lift,
 ) -> Array:
     """The left side of the decrease condition at one Bernstein coefficient; ``matrices``: P, eps, landings, gains."""
-    i, doubt = cell.mode, system.uncertainty
-    bounded = isinstance(doubt, NormBounded)
+    i, uncertainty = cell.mode, system.uncertainty
+    bounded = isinstance(uncertainty, NormBounded)
     p, rest = matrices[:ends], matrices[ends:]
     eps, rest = (rest[:ends], rest[ends:]) if bounded else ((), rest)
     landing, gains = rest[: len(rates)], rest[len(rates) :]
     slope = (p[1] - p[0]) / (lift(cell.stop) - lift(cell.start)) if ends == 2 else 0 * p[0]
     a, b = lift(system.a[i]), lift(system.b[i])
     if vertex is not None:
-        doubt = cast(VertexUncertainty, doubt)
-        a, b = a + lift(doubt.da[vertex, i]), b + lift(doubt.db[vertex, i])
+        uncertainty = cast(VertexUncertainty, uncertainty)
+        a, b = a + lift(uncertainty.da[vertex, i]), b + lift(uncertainty.db[vertex, i])
     terms = []
     for end, weights in pairs:
         here = p[end]
@@ -113,8 +113,8 @@ def _decrease(
         value = symmetric_part(here @ (a + b @ k)) + slope + lift(decay) * here
         value = value + sum(rate * (after - here) for rate, after in zip(rates, landing))
         if bounded:
-            doubt = cast(NormBounded, doubt)
-            e, f = lift(doubt.e[i]), lift(doubt.fa[i]) + lift(doubt.fb[i]) @ k
+            uncertainty = cast(NormBounded, uncertainty)
+            e, f = lift(uncertainty.e[i]), lift(uncertainty.fa[i]) + lift(uncertainty.fb[i]) @ k
             one, two = lift(np.eye(e.shape[1])), lift(np.eye(f.shape[-2]))
             value = symmetric_blocks([[value], [transpose(here @ e), -eps[end] * one], [eps[end] * f, None, -eps[end] * two]])
         terms.append(value)

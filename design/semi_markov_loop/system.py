@@ -143,19 +143,19 @@ class JumpSystem(_Sized):
             object.__setattr__(self, "c", _array("c", self.c, 3, {0: modes, 2: n}))
         if self.e is not None:
             object.__setattr__(self, "e", _array("e", self.e, 3, {0: modes, 1: n}))
-        doubt = self.uncertainty
-        if isinstance(doubt, NormBounded):
-            _array("uncertainty.e", doubt.e, 3, {0: modes, 1: n})
-            _array("uncertainty.fb", doubt.fb, 3, {2: self.b.shape[2]})
-        elif isinstance(doubt, VertexUncertainty):
-            _array("uncertainty.da", doubt.da, 4, {1: modes, 2: n})
-            _array("uncertainty.db", doubt.db, 4, {3: self.b.shape[2]})
+        uncertainty = self.uncertainty
+        if isinstance(uncertainty, NormBounded):
+            _array("uncertainty.e", uncertainty.e, 3, {0: modes, 1: n})
+            _array("uncertainty.fb", uncertainty.fb, 3, {2: self.b.shape[2]})
+        elif isinstance(uncertainty, VertexUncertainty):
+            _array("uncertainty.da", uncertainty.da, 4, {1: modes, 2: n})
+            _array("uncertainty.db", uncertainty.db, 4, {3: self.b.shape[2]})
 
     @property
     def vertices(self) -> list[int | None]:
         """The vertices of its uncertainty; one None where it is not given by vertices."""
-        doubt = self.uncertainty
-        return list(range(doubt.da.shape[0])) if isinstance(doubt, VertexUncertainty) else [None]
+        uncertainty = self.uncertainty
+        return list(range(uncertainty.da.shape[0])) if isinstance(uncertainty, VertexUncertainty) else [None]
 
     def scaled(self, scale: float) -> JumpSystem:
         """The same nominal system with its uncertainty ``scale`` times as large."""

@@ -49,7 +49,7 @@ def embed(gains: Array, finer_rows: int) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class GainSpace:
+class GainParametrisation:
     """Coordinates v of the gains K: equal gains share coordinates, gains without effect are zero.
 
     Fields: `shape` of K, (sc labels, rows, m, py); `block` (sc labels, rows), index of the free gain, -1 where a
@@ -92,9 +92,9 @@ class GainSpace:
         return np.asarray(mean.ravel())
 
 
-def gain_space(
+def gain_parametrisation(
     structure: LoopStructure, information: str, sc: DelayChain, ca: DelayChain, bound: float | None = None
-) -> GainSpace:
+) -> GainParametrisation:
     """The free gains of an information pattern on a loop structure made with `selection_of(information)`.
 
     Raises:
@@ -111,4 +111,4 @@ def gain_space(
         key = np.arange(used.size).reshape(used.shape)
     block = np.full(used.shape, -1, dtype=np.int64)
     block[used] = np.unique(key[used], return_inverse=True)[1]
-    return GainSpace(structure.gain_shape, block, bound)
+    return GainParametrisation(structure.gain_shape, block, bound)

@@ -9,7 +9,7 @@ from design.jump_linear.h2 import h2_derivative, is_positive
 from design.jump_linear.second_moment import Resolvent, mean_square_radius
 from design.networked_loop.closed_loop import LoopStructure
 from design.processes.delay_chain import Array
-from design.tracking.gain_parametrisation import GainSpace
+from design.tracking.gain_parametrisation import GainParametrisation
 
 
 class LoopObjective:
@@ -21,7 +21,7 @@ class LoopObjective:
         alpha: (N,) initial mode distribution.
     """
 
-    def __init__(self, structure: LoopStructure, space: GainSpace, alpha: Array) -> None:
+    def __init__(self, structure: LoopStructure, space: GainParametrisation, alpha: Array) -> None:
         self.structure, self.space, self.alpha = structure, space, alpha
         self.evaluations = 0
         self._fold: Fold | None = None

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from design.errors import FieldError
 from design.networked_loop.closed_loop import LoopStructure, loop_structure
 from design.processes.delay_chain import Array, DelayChain, as_chain
-from design.tracking.gain_parametrisation import GainSpace, Information, gain_space, selection_of
+from design.tracking.gain_parametrisation import GainParametrisation, Information, gain_parametrisation, selection_of
 
 Objective = Literal["h2", "hinf", "mixed"]
 Method = Literal["direct", "ccl"]
@@ -100,9 +100,9 @@ class TrackingProblem:
             Q=self.Q, R=self.R, output=self.output, samples=self.samples, integral=self.integral,
         )  # fmt: skip
 
-    def space(self) -> GainSpace:
+    def space(self) -> GainParametrisation:
         """The free gains."""
-        return gain_space(self.structure(), self.information, *self.chains, bound=self.gain_bound)
+        return gain_parametrisation(self.structure(), self.information, *self.chains, bound=self.gain_bound)
 
     def alpha(self, structure: LoopStructure) -> Array:
         """Distribution of the mode at the impulse of the H2 norm, (modes,)."""

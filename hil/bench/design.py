@@ -56,15 +56,15 @@ def bench_design(
         programmes: budget of the iterated route, in semidefinite programmes; 0 leaves it out.
     """
     from design.tracking.synthesis import solve
-    from hil.compose.design_problem import problem_for, site
+    from hil.compose.design_problem import problem_for, tracking_target
 
     rows = []
     for goal in goals:
         name = f"{goal.plant} {goal.objective} {goal.information}{' (sum)' if goal.output == 'sum' else ''}"
         progress(name)
-        place = site(goal.plant)
+        target = tracking_target(goal.plant)
         problem = problem_for(
-            place,
+            target,
             objective=goal.objective,
             information=goal.information,
             output=goal.output,

@@ -77,22 +77,22 @@ def command(
     from design.tracking.design_file import design_text, to_document
     from design.tracking.synthesis import solve
     from hil.cli.outputs import check_output, write_output
-    from hil.compose.design_problem import problem_for, site, verdict_on
+    from hil.compose.design_problem import problem_for, tracking_target, verdict_on
     from hil.log.write.provenance import package_versions
 
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
-    where = site(place, period, sojourns)
+    target = tracking_target(place, period, sojourns)
     problem = problem_for(
-        where, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
-        R=None if input_weight is None else np.full(where.B.shape[1], input_weight), output=z, samples=samples,
+        target, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
+        R=None if input_weight is None else np.full(target.B.shape[1], input_weight), output=z, samples=samples,
         integral=integral, starts=starts, seed=seed, method=method,
     )  # fmt: skip
     begun = time.perf_counter()
     try:
-        with _Watch(f"{where.plant} {objective} {information}") as watch:
+        with _Watch(f"{target.plant} {objective} {information}") as watch:
             design = (design_by_ccl if problem.method == "ccl" else solve)(problem, progress=watch)
     except DesignError as error:
         raise HilError(f"design: {error}") from error
@@ -101,9 +101,9 @@ def command(
         sys.exit(getattr(interrupt, "status", 130))
     wall_s = round(time.perf_counter() - begun, 3)
     document = to_document(
-        design, plant=where.plant, period_s=where.period_s, wall_s=wall_s, versions=package_versions()
+        design, plant=target.plant, period_s=target.period_s, wall_s=wall_s, versions=package_versions()
     )
-    document["verdict"] = verdict_on(where, design).to_json()
+    document["verdict"] = verdict_on(target, design).to_json()
     if path is not None:
         write_output(path, design_text(document), replace=force)
         document["file"] = str(path)

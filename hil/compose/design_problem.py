@@ -31,7 +31,7 @@ PRINTED_VTOL = (
 """A, B, C of Section 7.4.1: the plant's zero-order hold rounded to four decimals, which moves the norms by 3e-4."""
 
 
-class Site(NamedTuple):
+class TrackingTarget(NamedTuple):
     """Where a controller is to work: plant's name, period in s, discrete plant, and the two delay chains."""
 
     plant: str
@@ -43,7 +43,7 @@ class Site(NamedTuple):
     ca: DelayChain
 
 
-def site(name: str, period_s: float | None = None, sojourns: int = 1) -> Site:
+def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1) -> TrackingTarget:
     """Plant and network of a plant plug-in (network (7.34)) or of an experiment.
 
     The name "vtol" without a period means the discrete model that Section 7.4.1 prints; an experiment always means the
@@ -85,16 +85,16 @@ def site(name: str, period_s: float | None = None, sojourns: int = 1) -> Site:
     A, B, C = (np.asarray(M) for M in (discrete.A, discrete.B, discrete.C))
     if name == "vtol" and period_s is None and not of_experiment:
         A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
-    return Site(name, float(period), A, B, C, sc, ca)
+    return TrackingTarget(name, float(period), A, B, C, sc, ca)
 
 
-def verdict_on(place: Site, design: Design) -> Verdict:
+def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
     """Return what the door says of a design over the network that it was made for."""
     sc, ca = design.problem.chains
-    system = {"A": place.A, "B": place.B, "C": place.C, "gains": design.gains, "selection": design.selection}
-    system |= {"sc": sc.matrix, "sc delays": sc.delay, "ca": ca.matrix, "ca delays": ca.delay, "period": place.period_s}
+    system = {"A": target.A, "B": target.B, "C": target.C, "gains": design.gains, "selection": design.selection}
+    system |= {"sc": sc.matrix, "sc delays": sc.delay, "ca": ca.matrix, "ca delays": ca.delay, "period": target.period_s}
     model = LoopModel(
-        A=place.A, B=place.B, C=place.C, period_s=place.period_s, tau_max=sc.max_delay, d_max=ca.max_delay
+        A=target.A, B=target.B, C=target.C, period_s=target.period_s, tau_max=sc.max_delay, d_max=ca.max_delay
     )  # fmt: skip
     return judge_gains(
         model, sc, ca, design.gains, design.selection, samples=design.problem.samples,
@@ -102,13 +102,13 @@ def verdict_on(place: Site, design: Design) -> Verdict:
     )  # fmt: skip
 
 
-def problem_for(place: Site, **options: Any) -> TrackingProblem:
-    """The tracking problem of a site; errors name the field at fault.
+def problem_for(target: TrackingTarget, **options: Any) -> TrackingProblem:
+    """The tracking problem of a plant and its network; errors name the field at fault.
 
     Raises:
         HilError: an option that does not fit.
     """
     try:
-        return TrackingProblem(A=place.A, B=place.B, C=place.C, sc=place.sc, ca=place.ca, **options)
+        return TrackingProblem(A=target.A, B=target.B, C=target.C, sc=target.sc, ca=target.ca, **options)
     except ValueError as error:
         raise HilError(f"design: {error}") from None

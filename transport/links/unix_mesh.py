@@ -33,9 +33,9 @@ from transport.links.private_directory import locked
 QUEUE_LIMIT: Final = 256
 """So many datagrams of up to 80 bytes wait at least at a receiver, from each sender."""
 
-LOOKS: Final = 600
+POLLS: Final = 600
 """How often a short wait looks for an answer before it sleeps: about 200 us."""
-_VAIN: Final = 8
+_MOST_IN_VAIN: Final = 8
 
 _LARGEST: Final = 128
 _JOIN_TIMEOUT_S: Final = 2.0
@@ -249,13 +249,13 @@ class Mesh(Closing):
         # Who waits this briefly waits for an answer, and waking up from a sleep would double its way. Where looking does
         # not help, as when both ends share one CPU, it is given up, and tried again ever more rarely.
         if self._rest == 0:
-            for _ in range(LOOKS):
+            for _ in range(POLLS):
                 ready = look(0)
                 if ready:
                     self._vain = 0
                     return ready
             self._vain += 1
-            if self._vain >= _VAIN:
+            if self._vain >= _MOST_IN_VAIN:
                 self._rest = 1 << min(self._vain, 14)
         else:
             self._rest -= 1

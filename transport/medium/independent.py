@@ -145,8 +145,8 @@ class AgeImpairment:
 
 
 @dataclass(slots=True)
-class _Parcel:
-    """A packet and its copy share one parcel: whichever arrives second is the duplicate."""
+class _Offered:
+    """A packet that was offered. Its copy shares it: whichever arrives second is the duplicate."""
 
     tick: int
     packet: object
@@ -166,8 +166,8 @@ class PacketImpairment:
         self._period_s = period_s
         self._reordering = reordering
         self._queue = queue
-        self._offered: deque[_Parcel] = deque()
-        self._flying: list[tuple[int, float, int, float, _Parcel]] = []  # slot, arrival s, order, latency s
+        self._offered: deque[_Offered] = deque()
+        self._flying: list[tuple[int, float, int, float, _Offered]] = []  # slot, arrival s, order, latency s
         self._order = 0
         self._last = (0, 0.0)
         self._newest = -1
@@ -182,7 +182,7 @@ class PacketImpairment:
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
         _check_offer(k, self._next, self._offered[-1].tick if self._offered else -1)
-        self._offered.append(_Parcel(k, packet))
+        self._offered.append(_Offered(k, packet))
 
     def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
         """Return the decisions of slot k and its arrivals, see `Impairment.collect`."""
@@ -197,9 +197,9 @@ class PacketImpairment:
         return draws, arrivals
 
     def _send(self, k: int, draws: list[Draw]) -> None:
-        parcel = self._offered.popleft() if self._offered and self._offered[0].tick == k else None
+        offered = self._offered.popleft() if self._offered and self._offered[0].tick == k else None
         for draw in self._process.draw(k):
-            if parcel is None:
+            if offered is None:
                 if draw.mode != NO_MODE:
                     draws.append(draw._replace(age=-1, latency_s=nan, reason=ABSENT))
                 continue
@@ -207,27 +207,27 @@ class PacketImpairment:
                 if len(self._flying) >= self._queue:
                     draws.append(draw._replace(age=-1, latency_s=nan, reason=OVERFLOW))
                     continue
-                self._fly(draw, parcel)
+                self._fly(draw, offered)
             draws.append(draw)
 
-    def _fly(self, draw: Draw, parcel: _Parcel) -> None:
+    def _fly(self, draw: Draw, offered: _Offered) -> None:
         sent_s = draw.tick * self._period_s
         due = (draw.tick + draw.age, sent_s + draw.latency_s)
         if not self._reordering:
             due = self._last = max(due, self._last)
-        heapq.heappush(self._flying, (*due, self._order, due[1] - sent_s, parcel))
+        heapq.heappush(self._flying, (*due, self._order, due[1] - sent_s, offered))
         self._order += 1
 
     def _arrive(self, k: int, draws: list[Draw]) -> tuple[int, object]:
-        *_, latency_s, parcel = heapq.heappop(self._flying)
-        if parcel.arrived:
+        *_, latency_s, offered = heapq.heappop(self._flying)
+        if offered.arrived:
             reason = DUPLICATED
         else:
-            reason = DELIVERED if parcel.tick > self._newest else DISORDERED
-            parcel.arrived = True
-        self._newest = max(self._newest, parcel.tick)
-        draws.append(Draw(k, parcel.tick, NO_MODE, k - parcel.tick, latency_s, reason))
-        return parcel.tick, parcel.packet
+            reason = DELIVERED if offered.tick > self._newest else DISORDERED
+            offered.arrived = True
+        self._newest = max(self._newest, offered.tick)
+        draws.append(Draw(k, offered.tick, NO_MODE, k - offered.tick, latency_s, reason))
+        return offered.tick, offered.packet
 
 
 def impair(law: AgeLaw | PacketLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:

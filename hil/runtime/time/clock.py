@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import time
 from typing import Protocol
 
@@ -82,8 +81,3 @@ def pause(seconds: float) -> None:
 def wall_clock() -> str:
     """Return the date and time in UTC, ISO 8601: provenance of real-time runs only."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-
-
-def clock_resolution_ns() -> int:
-    """Return the resolution of ``CLOCK_MONOTONIC``, ns."""
-    return round(time.clock_getres(time.CLOCK_MONOTONIC) * 1e9) if os.name == "posix" else 0

@@ -8,12 +8,10 @@ from design.errors import NotStable
 from design.jump_linear.bounded_real import (
     Fold,
     bounded_real_margin,
-    disturbance_ratio,
     hinf_norm,
     locate_norm,
     refine_fold,
     solve_bounded_real,
-    worst_disturbance,
 )
 from design.jump_linear.h2 import h2_norm
 from design.jump_linear.mjls import MJLS
@@ -97,18 +95,6 @@ def test_norm_bounds_every_solution_and_none_exists_below_it():
         assert solve_bounded_real(system.matrices, (norm * 0.999) ** 2) is None
         assert bounded_real_margin(system, norm * (1 + 1e-6)) > 0
         assert bounded_real_margin(system, norm * 0.999) is None
-
-
-def test_worst_disturbance_reaches_the_norm_from_below():
-    system = loop(MOTOR, PRINTED_HINF)
-    norm = hinf_norm(system)
-    ratios = [
-        disturbance_ratio(system, worst_disturbance(system, norm * (1 + distance)), [1.0], mode=5) / norm
-        for distance in (1e-2, 1e-4, 1e-6, 1e-8)
-    ]
-    assert ratios == sorted(ratios) and 0.995 < ratios[-1] < 1.0
-    with pytest.raises(NotStable, match="not above the H-infinity norm"):
-        worst_disturbance(system, 0.99 * norm)
 
 
 def test_energy_of_the_solution_is_the_worst_game():

@@ -50,7 +50,7 @@ def integrate(loop: JumpLoop, run: int, duration_s: float, grid: np.ndarray) -> 
         (int(v.mode[0]), int(v.seen[0]), float(v.age_s[0]), float(v.start_s[0]), float(v.stop_s[0]))
         for v in loop.visits(duration_s, seed=3, first=run, runs=1)
     ]
-    doubt = loop.system.uncertainty
+    uncertainty = loop.system.uncertainty
     delta = np.diag(loop._weights(2, seed=3, first=run, runs=1)[:, 0])
     x, out = np.array(loop.start), np.full((grid.size, loop.system.states), np.nan)
     for mode, seen, age, start, stop in visits:
@@ -59,7 +59,7 @@ def integrate(loop: JumpLoop, run: int, duration_s: float, grid: np.ndarray) -> 
             k = loop.gain.at(seen, age + 0.5 * (a + b) - start)
             m = loop.system.a[mode] + loop.system.b[mode] @ k
             if loop.uncertain:
-                m = m + doubt.e[mode] @ delta @ (doubt.fa[mode] + doubt.fb[mode] @ k)
+                m = m + uncertainty.e[mode] @ delta @ (uncertainty.fa[mode] + uncertainty.fb[mode] @ k)
             here = (grid >= a) & (grid < b)
             found = solve_ivp(lambda _, y, m=m: m @ y, (a, b), x, t_eval=np.append(grid[here], b), rtol=1e-10, atol=1e-13)
             out[here], x = found.y[:, :-1].T, found.y[:, -1]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
-from design.processes.partitions import check_partition, equal_probability, geometric_in_rate, rate_threshold, uniform
-from design.processes.rates import PiecewiseLinearRate, WeibullRate, clip_rate, constant_rate
+from design.processes.partitions import check_partition, equal_probability, uniform
+from design.processes.rates import WeibullRate, clip_rate, constant_rate
 from design.processes.semi_markov import SemiMarkov
 
 RAMP = clip_rate(0.1, 4.6)
@@ -34,27 +32,10 @@ def test_uniform_sections_have_equal_length() -> None:
     assert uniform(SemiMarkov(rates=((None, constant_rate(1.0)), (RAMP, None))), 2)[0] == (0.0,)
 
 
-def test_threshold_sections_keep_every_rate_within_the_threshold() -> None:
-    starts = rate_threshold(PROCESS, 1.0)[0]
-    assert len(starts) == 5
-    for start, stop in zip(starts, [*starts[1:], math.inf]):
-        low, high = PROCESS.bounds(0, start, stop)
-        assert (high - low).max() <= 1.0 + 1e-9
-    step = PiecewiseLinearRate(times_s=(0.0, 0.5, 0.5), values=(0.01, 0.01, 200.0))
-    jumping = SemiMarkov(rates=((None, step), (step, None)))
-    assert rate_threshold(jumping, 1.0)[0] == pytest.approx((0.0, 0.5))
-
-
-def test_geometric_sections_grow_by_one_factor() -> None:
-    starts = geometric_in_rate(PROCESS, 3)[0]
-    assert PROCESS.rate(0, starts)[:, 1] == pytest.approx(0.1 * 46 ** (np.arange(3) / 3), rel=1e-9)
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: equal_probability(PROCESS, 0), "sections: 0"),
-        (lambda: rate_threshold(PROCESS, 0.0), "threshold: 0.0"),
         (
             lambda: uniform(SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=2.0)), (RAMP, None))), 2),
             "end_s: the",

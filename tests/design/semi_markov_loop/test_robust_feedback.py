@@ -34,7 +34,7 @@ def test_certified_uncertainty_scale_reaches_the_required_one(sections: int, req
     # and at 501 sojourn times, 5 uncertainties: V decreases along P interpolated from the certificate
     nodes = gain.starts_s[0]
     p = np.array([[certificate.matrices[f"P[{i},{r}]"] for r in range(nodes.size)] for i in range(2)])
-    doubt = system.uncertainty
+    uncertainty = system.uncertainty
     worst = -np.inf
     for i in range(2):
         for h in np.linspace(0.0, 5.0, 501):
@@ -45,8 +45,8 @@ def test_certified_uncertainty_scale_reaches_the_required_one(sections: int, req
             here = p[i, r] + slope * (h - nodes[r])
             rate = float(PROCESS.rate(i, h)[1 - i])
             for rho in np.linspace(-1, 1, 5):
-                a = system.a[i] + 0.5 * (1 + rho) * doubt.da[1, i] + 0.5 * (1 - rho) * doubt.da[0, i]  # type: ignore[union-attr]
-                b = system.b[i] + 0.5 * (1 + rho) * doubt.db[1, i] + 0.5 * (1 - rho) * doubt.db[0, i]  # type: ignore[union-attr]
+                a = system.a[i] + 0.5 * (1 + rho) * uncertainty.da[1, i] + 0.5 * (1 - rho) * uncertainty.da[0, i]  # type: ignore[union-attr]
+                b = system.b[i] + 0.5 * (1 + rho) * uncertainty.db[1, i] + 0.5 * (1 - rho) * uncertainty.db[0, i]  # type: ignore[union-attr]
                 loop = a + b @ gain.at(i, h)
                 value = here @ loop + loop.T @ here + slope + rate * (p[1 - i, 0] - here)
                 worst = max(worst, float(np.linalg.eigvalsh(value)[-1]))

@@ -8,7 +8,7 @@ from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.steady_state import steady_state
 from design.processes.delay_chain import DelayChain
-from design.tracking.gain_parametrisation import COARSER, INFORMATION, embed, gain_space, selection_of
+from design.tracking.gain_parametrisation import COARSER, INFORMATION, embed, gain_parametrisation, selection_of
 from design.tracking.loop_objective import LoopObjective
 from design.tracking.stabilise import closed_classes
 from design.tracking.synthesis import TrackingProblem, solve
@@ -143,7 +143,7 @@ def test_embedding_runs_the_same_loop():
     sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     for fine, coarse in COARSER.items():
         loops = [loop_structure(*MOTOR, sc, ca, selection_of(i)) for i in (fine, coarse)]
-        space = gain_space(loops[1], coarse, sc, ca)
+        space = gain_parametrisation(loops[1], coarse, sc, ca)
         gains = space.gains(0.1 * rng.standard_normal(space.size) - 0.2)
         radii = [loops[0].system(embed(gains, loops[0].gain_shape[1])).radius(), loops[1].system(gains).radius()]
         assert np.isclose(*radii, rtol=1e-9)

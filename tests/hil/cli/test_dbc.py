@@ -38,7 +38,7 @@ def test_the_c_codec_reads_what_we_pack(tmp_path: Path) -> None:
     (tmp_path / "codec" / "main.c").write_text(PROGRAM)
     words = ["gcc", "-Wall", "-Werror", "-O0", "-o", str(tmp_path / "read"), "main.c", "hilrig.c"]
     subprocess.run(words, cwd=tmp_path / "codec", check=True, timeout=120)
-    data = encode_sensor(SensorPacket(seq=70000, sample_ns=-5, flags=0, y=(1.5,)))
+    data = encode_sensor(SensorPacket(seq=70000, sample_ns=-5, flags=0, y=(1.5,), nonce=9, version=2))
     told = subprocess.run([tmp_path / "read"], input=data.ljust(64, b"\0"), capture_output=True, check=True, timeout=10).stdout
     assert told.split() == [b"70000", b"-5", b"1.5"]
 

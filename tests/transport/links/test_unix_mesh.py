@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from transport import TransportError
-from transport.links.unix_mesh import HEAD, LOOKS, Mesh
+from transport.links.unix_mesh import HEAD, POLLS, Mesh
 
 
 @pytest.fixture
@@ -30,10 +30,10 @@ class CountingEpoll:
     """The real epoll, and how often it was asked without waiting."""
 
     def __init__(self, epoll: select.epoll) -> None:
-        self._epoll, self.looks = epoll, 0
+        self._epoll, self.polls = epoll, 0
 
     def poll(self, timeout: float | None = None) -> list[tuple[int, int]]:
-        self.looks += timeout == 0
+        self.polls += timeout == 0
         return self._epoll.poll(timeout)
 
     def __getattr__(self, name: str) -> Any:
@@ -45,10 +45,10 @@ def test_a_short_wait_looks_before_it_sleeps_and_gives_that_up_where_it_never_he
         sender.send(HEAD.pack(0.0, 0))
         counting = CountingEpoll(listener._epoll)
         listener._epoll = counting  # type: ignore[assignment]
-        assert listener.receive(0.01) is not None and counting.looks == 1
+        assert listener.receive(0.01) is not None and counting.polls == 1
         for _ in range(200):
             assert listener.receive(0.00001) is None
-        assert counting.looks <= 10 * LOOKS
+        assert counting.polls <= 10 * POLLS
         sender.send(HEAD.pack(0.0, 0))
         assert listener.receive(0.01) is not None
 
@@ -119,7 +119,7 @@ def test_without_a_free_descriptor_nobody_spins_and_a_newcomer_waits_for_one(dir
         assert mesh.receive(0) is None and mesh.refused == 1
         for _ in range(20):
             assert mesh.receive(0) is None
-        assert counting.looks <= 22 and mesh.refused == 1  # it looped for ever
+        assert counting.polls <= 22 and mesh.refused == 1  # it looped for ever
         first.send(HEAD.pack(1.0, 0) + b"frame")
         assert mesh.receive(0) == HEAD.pack(1.0, 0) + b"frame"  # and hears the others
         first.close()

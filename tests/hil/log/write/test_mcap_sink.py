@@ -18,6 +18,7 @@ from mcap_ros2.decoder import DecoderFactory
 from hil.errors import HilError
 from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
+from hil.log.write.provenance import commit
 from hil.log.write.sinks import MemorySink, TeeSink
 from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
 
@@ -51,7 +52,8 @@ def test_provenance_travels_inside(tmp_path: Path) -> None:
     assert run.experiment_text == provenance().experiment_text
     assert run.resolved == {"period": 0.001, "limits": {"voltage": 24.0}}
     assert run.certificate == {"radius": 0.9}
-    assert run.metadata == {"format": "1", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
+    own = {"commit": commit()} if commit() else {}  # an installed package has none
+    assert run.metadata == own | {"format": "1", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
     assert run.versions["numpy"] == np.__version__
     assert run.codes["reason"] == ["delivered", "lost"]
     assert run.summary["metrics"] == {"sse": 1.5}
@@ -85,6 +87,7 @@ def test_mcaps_own_reader_and_its_ros2_decoder_read_the_file(tmp_path: Path) -> 
 _WRITE = """
 import sys
 from hil.log.write.mcap_sink import McapSink
+from hil.log.write.provenance import commit
 from tests.hil.log.recording import TABLE, provenance, record
 with McapSink(sys.argv[1], TABLE, provenance()) as sink:
     record(sink, 6000)
