@@ -118,7 +118,7 @@ class TraceAge:
         """Return the ages that many processes draw, (slots, runs): the trace, in every run."""
         ages = np.array(self.loaded().ages, dtype=np.int32)
         if slots > len(ages) and self.past_end == "refuse":
-            raise ValueError(f"ages: the trace has {len(ages)} entries, and the run asks for {slots} (past_end = 'refuse')")
+            raise FieldError("ages", f"the trace has {len(ages)} entries, and the run asks for {slots} (past_end = 'refuse')")
         return np.tile(np.resize(ages, slots)[:, None], (1, runs))
 
     def stationary(self) -> NDArray[np.float64]:
