@@ -32,6 +32,7 @@ COMMANDS = {
     "keys": "Make keys and certificates for a link that lets one controller command.",
     "bench": "Measure timing, links and designs on this machine.",
     "schema": "Print the JSON Schema of experiment files.",
+    "completion": "Let the shell complete commands, experiments and keys.",
     "guide": "Print a page of the guide.",
     "licences": "List what is installed, and under which licence.",
     "doctor": "Check what this machine offers, with the remedy.",

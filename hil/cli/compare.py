@@ -9,11 +9,12 @@ from typing import Any
 
 import click
 
+from hil.cli.completion import EXPERIMENT
 from hil.errors import HilError
 
 
 @click.command()
-@click.argument("experiments", nargs=-1, required=True)
+@click.argument("experiments", type=EXPERIMENT, nargs=-1, required=True)
 @click.option("--runs", type=int, default=200, show_default=True, help="Runs of each; seeds 0, 1, ...")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write a page with the distributions.")

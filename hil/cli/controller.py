@@ -6,11 +6,13 @@ import sys
 
 import click
 
+from hil.cli.completion import CHANGE, EXPERIMENT
+
 
 @click.command()
-@click.argument("experiment")
+@click.argument("experiment", type=EXPERIMENT)
 @click.option("--link", metavar="URI", help="Link to the rig; the experiment's own by default.")
-@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field.")
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
 def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     """Answer sensor frames on a link with the controller of EXPERIMENT, until Ctrl-C.
 

@@ -9,12 +9,14 @@ from typing import Any
 
 import click
 
+from hil.cli.completion import CHANGE, EXPERIMENT
+
 NEGLIGIBLE = 1e-6
 
 
 @click.command()
-@click.argument("experiment")
-@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field.")
+@click.argument("experiment", type=EXPERIMENT)
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of both directions of EXPERIMENT's network."""

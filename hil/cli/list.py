@@ -1,18 +1,39 @@
-"""``hil list``: experiments that come with the package, and every plug-in that is installed."""
+"""``hil list``: experiments that come with the package, every plug-in that is installed, and the keys of one."""
 
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import click
 
+from hil.errors import HilError
+
+GROUPS = ("plants", "controllers", "laws", "links", "measures")
+
 
 @click.command()
+@click.argument("group", type=click.Choice(GROUPS), required=False)
+@click.argument("kind", required=False)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def command(as_json: bool) -> None:
-    """List the shipped experiments and the installed plug-ins."""
+def command(group: str | None, kind: str | None, as_json: bool) -> None:
+    """List the shipped experiments and the installed plug-ins.
+
+    With GROUP only those, with what each of them is; with KIND also the keys of its table, their types, defaults and meaning:
+    hil list controllers designed.
+    """
+    if group is None:
+        _all(as_json)
+    elif kind is None:
+        _group(group, as_json)
+    else:
+        _kind(group, kind, as_json)
+
+
+def _all(as_json: bool) -> None:
     import tomllib
 
+    from hil.cli.terminal import visible
     from hil.experiment import plugins as registry
     from hil.experiment import shipped
 
@@ -20,17 +41,104 @@ def command(as_json: bool) -> None:
         name: tomllib.loads(path.read_text()).get("description", "") for name, path in shipped().items()
     }
     plugins = {
-        group[4:]: {name: registry.provider(group, name) for name in registry.names(group)}
-        for group in ("hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures")
+        group: {name: registry.provider(f"hil.{group}", name) for name in registry.names(f"hil.{group}")}  # type: ignore[arg-type]
+        for group in GROUPS
     }
     if as_json:
         print(json.dumps({"experiments": experiments, "plugins": plugins}, indent=2))
         return
-    width = max(map(len, experiments), default=0)
     print("experiments")
-    for name, description in experiments.items():
-        print(f"  {name:<{width}}  {description}")
+    _pairs({name: visible(description) for name, description in experiments.items()})
     for group, found in plugins.items():
         ours = [name for name, dist in found.items() if dist == "hilrig"]
         theirs = [f"{name} (from {dist})" for name, dist in found.items() if dist != "hilrig"]
-        print(f"{group}\n  {', '.join(ours + theirs)}")
+        print(f"{group} (hil list {group} shows what they are)")
+        _pairs({"": visible(", ".join(ours + theirs))})
+
+
+def _group(group: str, as_json: bool) -> None:
+    from hil.cli.terminal import visible
+    from hil.experiment import plugins as registry
+    from hil.experiment.plugin_fields import about
+
+    found = {}
+    for name in registry.names(f"hil.{group}"):  # type: ignore[arg-type]
+        try:
+            found[name] = " ".join(about(f"hil.{group}", name).split("\n\n")[0].split())  # type: ignore[arg-type]
+        except HilError as error:  # somebody's plug-in that cannot be imported
+            found[name] = str(error)
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    _pairs({name: visible(text) for name, text in found.items()})
+    print(f"hil list {group} KIND shows its keys")
+
+
+def _kind(group: str, kind: str, as_json: bool) -> None:
+    import textwrap
+
+    from hil.cli.terminal import visible
+    from hil.experiment import plugins as registry
+    from hil.experiment.plugin_fields import about, fields_of
+
+    cls = registry.load(f"hil.{group}", kind)  # type: ignore[arg-type]
+    said, fields = about(f"hil.{group}", kind), fields_of(cls)  # type: ignore[arg-type]
+    if as_json:
+        keys: dict[str, Any] = {f.name: {"type": f.type, "default": f.default or None, "meaning": f.meaning} for f in fields}
+        print(json.dumps({"group": group, "kind": kind, "about": said, "keys": keys}, indent=2))
+        return
+    print(f"{kind}, from {visible(registry.provider(f'hil.{group}', kind))}\n")  # type: ignore[arg-type]
+    _wrapped(visible_lines(said), "")
+    if not fields:
+        print("\nno keys" if isinstance(cls, type) else "")
+        return
+    print()
+    for f in fields:
+        head = f"{f.name}: {f.type}" + (f" = {f.default}" if f.default else "  (required)")
+        print(textwrap.fill(visible(head), _columns(), subsequent_indent="  ", break_on_hyphens=False))
+        _wrapped([visible(f.meaning)] if f.meaning else [], "    ")
+
+
+def visible_lines(text: str) -> list[str]:
+    """Return the paragraphs of a text, escaped; what is indented keeps its lines.
+
+    Args:
+        text: of a docstring.
+    """
+    from hil.cli.terminal import visible
+
+    found: list[str] = []
+    for paragraph in text.split("\n\n"):
+        lines = paragraph.split("\n")
+        indented = any(line.startswith(" ") for line in lines)
+        found += [*map(visible, lines), ""] if indented else [visible(" ".join(lines)), ""]
+    return found[:-1]
+
+
+def _wrapped(lines: list[str], indent: str) -> None:
+    import textwrap
+
+    for line in lines:
+        if line.startswith(" ") or not line:
+            print(f"{indent}{line}".rstrip())
+        else:
+            print(textwrap.fill(line, _columns(), initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False))
+
+
+def _pairs(texts: dict[str, str]) -> None:
+    """Print names and texts in two columns, the texts folded."""
+    import textwrap
+
+    width = max(map(len, texts), default=0)
+    for name, text in texts.items():
+        first = f"  {name:<{width}}  " if name else "  "
+        folded = textwrap.fill(
+            text, _columns(), initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
+        )
+        print(folded or first.rstrip())
+
+
+def _columns() -> int:
+    import shutil
+
+    return max(shutil.get_terminal_size().columns, 60)

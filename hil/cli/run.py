@@ -9,10 +9,10 @@ import stat
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import click
 
+from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.errors import HilError
 
 PRIVATE = 0o600  # a log tells what a plant did: its user's alone, unless asked otherwise
@@ -55,8 +55,8 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
 
 
 @click.command()
-@click.argument("experiment")
-@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field, such as plant.gain=170.")
+@click.argument("experiment", type=EXPERIMENT)
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field, such as plant.gain=170.")
 @click.option("--clock", type=click.Choice(["virtual", "real"]), default="virtual", show_default=True)
 @click.option("--link", metavar="URI", help="Link in real time, such as can:hil:rig0 or zenoh:tcp/127.0.0.1:7447.")
 @click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
@@ -89,6 +89,7 @@ def command(
     safety; 4 timing not valid (with --require-valid-timing); 5 a second controller answered too; 6 the link was flooded; 130, 143
     interrupted.
     """
+    from hil.cli.run_summary import show
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.session import run_session
@@ -138,60 +139,3 @@ def command(
     else:
         show(session.summary)
     sys.exit(status)
-
-
-def show(summary: dict[str, Any]) -> None:
-    """Print a summary for people."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from hil.cli.terminal import cell
-
-    def text(value: object) -> str:
-        if isinstance(value, bool) or value is None:
-            return {True: "yes", False: "no", None: "-"}[value]
-        return f"{value:.5g}" if isinstance(value, float) else str(value)
-
-    def row(name: str, value: object, style: str = "") -> None:
-        table.add_row(cell(name), value if isinstance(value, Text) else cell(value, style))
-
-    console = Console(highlight=False)
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold")
-    table.add_column()
-    row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
-    row("ran", f"{summary['ticks']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
-    for name, value in summary["metrics"].items():
-        row(name, text(value))
-    for side in ("sc", "ca"):
-        n = summary["network"][side]
-        row(
-            f"network {side}",
-            f"{n['law']}, modes {n['mode_counts']}, p = {text(n['p_value'])}, "
-            f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}",
-        )
-    timing = summary["timing"]
-    if summary["clock"] == "real":
-        late = timing.get("first_late_tick")
-        row("timing", ("valid" if timing["valid"] else "NOT VALID") + f", {timing['scheduler'] or 'no slot was run'}")
-        for name in ("lateness_us", "round_trip_us"):
-            row(name, "  ".join(f"{q} {text(v)}" for q, v in timing[name].items()))
-        row("overruns", f"{timing['overruns']}; first late slot: {'none' if late is None else late}")
-    claim = summary.get("certificate")
-    if claim:
-        state = str(claim.get("state", "no verdict"))
-        colour = {"certified": "green", "refused": "red"}.get(state, "yellow")
-        row("certificate", Text.assemble(cell(state, colour), cell(f", {claim.get('kind')}: {claim.get('reason')}")))
-    if summary.get("safety"):
-        row("safety", summary["safety"], "red")
-    if "who_commands" in summary and summary["clock"] == "real":
-        row("could command", summary["who_commands"])
-    counted = summary.get("link_counters")
-    if counted:
-        row("link", ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in counted.items()))
-    for name, value in summary.get("problems", {}).items():
-        row(name.replace("_", " "), value, "red")
-    log = summary["log"]
-    row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
-    console.print(table)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.errors import HilError
 
 MOST_JOBS = 512
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("experiment")
+@click.argument("experiment", type=EXPERIMENT)
 @click.option("--runs", type=int, default=100, show_default=True, help="Number of runs, with --until at most; seeds 0, 1, ...")
 @click.option("--first-seed", type=int, default=0, show_default=True)
 @click.option(
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 @click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True)
 @click.option("--scheduler", metavar="ADDRESS", help="The dask scheduler, e.g. tcp://10.0.0.1:8786.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
-@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field.")
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     experiment: str,
@@ -149,7 +150,7 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
 
 
 def _show(out: dict[str, Any], as_json: bool) -> None:
-    from rich.markup import escape
+    from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     from hil.cli.tables import print_table
@@ -158,15 +159,14 @@ def _show(out: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print(json.dumps(out, indent=2))
         return
-    name = escape(visible(out["experiment"]))
-    table = Table(
-        title=f"{name}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety"
-    )
+    name = visible(out["experiment"])
+    print(f"{name}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for head in ("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"):
         table.add_column(head, justify="left" if head == "metric" else "right")
     for name, s in out["metrics"].items():
         values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
-        table.add_row(name, str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in values))
+        table.add_row(name, str(s["n"]), *("-" if v is None else f"{v:.4g}" for v in values))
     print_table(table)
     wanted = out.get("until")
     if wanted and wanted["interval"]:

@@ -140,7 +140,9 @@ class Checker:
             at = _join(path, key)
             if key not in known:
                 near = difflib.get_close_matches(key, known, n=1)
-                self.faults.append(f"{at}: unknown field" + (f"; did you mean {near[0]!r}?" if near else ""))
+                names = [name for name in known if cls is not Experiment or name not in HIDDEN]
+                hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(names)}" if names else "; it has none"
+                self.faults.append(f"{at}: unknown field{hint}")
                 continue
             count = len(self.faults)
             converted = self._value(hints[key], value, at)

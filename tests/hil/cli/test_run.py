@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hil.log.read.run import read_run
@@ -107,3 +108,22 @@ def test_runs_at_the_same_time_get_a_log_each(tmp_path: Path) -> None:
     runs = [subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) for _ in range(4)]
     paths = {json.loads(run.communicate(timeout=60)[0])["log"]["path"] for run in runs}
     assert len(paths) == 4 and all((tmp_path / path).stat().st_size > 1000 for path in paths)
+
+
+def test_the_summary_says_units_certificate_and_every_output_on_eighty_columns(cli: Hil) -> None:
+    for name in ("vtol-ours-h2", "dc-motor-local"):
+        status, out, err = cli("run", name, "--duration", "2", "--set", "allow_uncertified=true")
+        assert status in (0, 3), err
+        assert max(map(len, out.splitlines())) <= 80 and "{" not in out
+        assert "certificate" in out
+        assert "rad² s" in out or "  " in out
+    assert "rad² s" in cli("run", "dc-motor-hinf", "--duration", "2")[1]
+
+
+def test_a_run_whose_timing_is_not_valid_says_why() -> None:
+    from hil.cli.run_summary import timing_rows
+    from hil.measure.timing import timing_metrics
+
+    late = np.array([0, 1, 1])
+    timing = timing_metrics(np.full(3, 10.0), np.full(3, np.nan), late, np.zeros(3), period_s=1e-3) | {"scheduler": "SCHED_FIFO 60"}
+    assert timing_rows(timing)[0] == ("timing", "NOT VALID: 2 of 3 slots had no answer in time; SCHED_FIFO 60")

@@ -79,3 +79,8 @@ def test_compare_writes_a_page_and_paired_differences(cli: Hil, tmp_path: Path) 
     status, out, _ = cli("compare", *arguments)
     assert status == 0 and json.loads(out)["experiments"]["dc-motor-h2"]["difference"]["sse"]["mean"] is not None
     assert "<html" in (tmp_path / "page.html").read_text()
+
+
+def test_the_table_of_a_sweep_fits_eighty_columns(cli: Hil) -> None:
+    out = cli("sweep", "dc-motor-hinf", "--runs", "3", "--jobs", "1", "--set", "duration=2")[1]
+    assert "steady_state_error" in out and max(map(len, out.splitlines())) <= 80

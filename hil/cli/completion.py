@@ -1,0 +1,140 @@
+"""``hil completion``: let the shell complete commands, options, experiments and the keys of ``--set``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem, get_completion_class, split_arg_string
+
+from hil.errors import HilError
+
+SHELLS = ("bash", "zsh", "fish")
+PLACES = {
+    "bash": ("XDG_DATA_HOME", ".local/share", "bash-completion/completions/hil"),
+    "zsh": ("XDG_DATA_HOME", ".local/share", "zsh/site-functions/_hil"),
+    "fish": ("XDG_CONFIG_HOME", ".config", "fish/completions/hil.fish"),
+}
+NEXT = {
+    "bash": "a new bash completes hil, where the package bash-completion is installed; else add to ~/.bashrc: source {path}",
+    "zsh": "add to ~/.zshrc, before compinit: fpath+=({folder})",
+    "fish": "a new fish completes hil",
+}
+
+
+class ExperimentName(click.ParamType[str]):
+    """An experiment: a shipped name or a TOML file; passed on as it is."""
+
+    name = "experiment"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the shipped names that begin so, and leave files to the shell."""
+        from hil.experiment import shipped
+
+        names = [CompletionItem(name) for name in shipped() if name.startswith(incomplete)]
+        return names or [CompletionItem(incomplete, type="file")]
+
+
+class FieldChange(click.ParamType[str]):
+    """A change ``path=value`` of the experiment that is named before it; passed on as it is."""
+
+    name = "path=value"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the paths that begin so, up to the next dot."""
+        from hil.experiment import load_experiment, shipped
+
+        # Click gives up on arguments before an option that still lacks its value: the words themselves are read.
+        words = split_arg_string(os.environ.get("COMP_WORDS", ""))[2:]
+        source = next((word for word in words if word in shipped() or word.endswith(".toml")), None)
+        if source is None or "=" in incomplete:
+            return []
+        try:
+            paths = keys_of(load_experiment(source).resolved())
+        except HilError:  # what is wrong is told when the command runs
+            return []
+        return [CompletionItem(f"{path}=") for path in paths if path.startswith(incomplete)]
+
+
+EXPERIMENT = ExperimentName()
+CHANGE = FieldChange()
+
+
+def keys_of(table: dict[str, Any], at: str = "") -> list[str]:
+    """Return the paths of all values in nested tables.
+
+    >>> keys_of({"seed": 0, "plant": {"gain": 1.0, "kind": "dc-motor"}})
+    ['seed', 'plant.gain', 'plant.kind']
+    """
+    found = []
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            found += keys_of(value, f"{at}{key}.")
+        else:
+            found.append(f"{at}{key}")
+    return found
+
+
+def script(shell: str) -> str:
+    """Return the script that makes a shell complete ``hil``.
+
+    Args:
+        shell: bash, zsh or fish.
+    """
+    from hil.cli import cli
+
+    kind = get_completion_class(shell)
+    if kind is None:
+        raise HilError(f"completion: no shell {shell!r}; expected one of {', '.join(SHELLS)}")
+    made = kind(cli, {}, "hil", "_HIL_COMPLETE")
+    text = str(made.source_template) % made.source_vars()
+    if shell == "bash":  # after a key comes its value, not a space
+        line = "COMPREPLY+=($value)"
+        text = text.replace(line, f"{line}\n            [[ $value == *= ]] && compopt -o nospace")
+    return text
+
+
+def place(shell: str) -> Path:
+    """Return where a shell looks for a user's completion of ``hil``.
+
+    Args:
+        shell: bash, zsh or fish.
+    """
+    variable, default, name = PLACES[shell]
+    return Path(os.environ.get(variable) or Path.home() / default) / name
+
+
+def running_shell() -> str:
+    """Return the user's shell as the environment names it, bash where it names another."""
+    found = Path(os.environ.get("SHELL", "")).name
+    return found if found in SHELLS else "bash"
+
+
+@click.group()
+def command() -> None:
+    """Let bash, zsh or fish complete commands, options, experiments and keys."""
+
+
+@command.command()
+@click.argument("shell", type=click.Choice(SHELLS), required=False)
+def show(shell: str | None) -> None:
+    """Print the script for SHELL, by default for the one that runs."""
+    print(script(shell or running_shell()))
+
+
+@command.command()
+@click.argument("shell", type=click.Choice(SHELLS), required=False)
+def install(shell: str | None) -> None:
+    """Write the script where SHELL looks for it, by default the one that runs; nothing outside your home is touched."""
+    from hil.cli.outputs import write_output
+
+    chosen = shell or running_shell()
+    path = place(chosen)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise HilError(f"{path}: cannot be written: {e.strerror}") from e
+    write_output(path, script(chosen))
+    print(f"written: {path}\n{NEXT[chosen].format(path=path, folder=path.parent)}")

@@ -1,0 +1,96 @@
+"""The summary of a run for people: every number with its unit, every verdict with its reason, on 80 columns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def show(summary: dict[str, Any]) -> None:
+    """Print a summary.
+
+    Args:
+        summary: what ``hil run --json`` prints.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from hil.cli.terminal import cell
+
+    def row(name: str, value: object, style: str = "") -> None:
+        table.add_row(cell(name), value if isinstance(value, Text) else cell(value, style))
+
+    console = Console(highlight=False)
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold", overflow="fold")
+    table.add_column(overflow="fold")
+    row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
+    row("ran", f"{summary['ticks']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
+    units = summary.get("units", {})
+    for name, value in summary["metrics"].items():
+        if isinstance(value, dict):  # the same for every output; their units are the outputs' own, and stand in the report
+            for output, numbers in value.items():
+                row(f"  {output}", ", ".join(f"{key} {number(v)}" for key, v in numbers.items()))
+        else:
+            unit = units.get(name, "")
+            row(name, number(value) + (f" {unit}" if unit and value is not None else ""))
+    for side in ("sc", "ca"):
+        n = summary["network"][side]
+        row(
+            f"network {side}",
+            f"{n['law']}, modes {n['mode_counts']}, p = {number(n['p_value'])}, "
+            f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}",
+        )
+    if summary["clock"] == "real":
+        for name, value in timing_rows(summary["timing"]):
+            row(name, value, "red" if value.startswith("NOT VALID") else "")
+    claim = summary.get("certificate")
+    if claim:
+        state = str(claim.get("state", "no verdict"))
+        colour = {"certified": "green", "refused": "red"}.get(state, "yellow")
+        row("certificate", Text.assemble(cell(state, colour), cell(f", {claim.get('kind')}: {claim.get('reason')}")))
+    else:
+        row("certificate", "none")
+    if summary.get("safety"):
+        row("safety", summary["safety"], "red")
+    if "who_commands" in summary and summary["clock"] == "real":
+        row("could command", summary["who_commands"])
+    counted = summary.get("link_counters")
+    if counted:
+        row("link", ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in counted.items()))
+    for name, value in summary.get("problems", {}).items():
+        row(name.replace("_", " "), value, "red")
+    log = summary["log"]
+    row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
+    console.print(table)
+
+
+def timing_rows(timing: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the lines on timing: the verdict with its reasons, and what was measured.
+
+    Args:
+        timing: part of a summary; see `hil.measure.timing.timing_metrics`.
+
+    >>> timing_rows({"valid": False, "why": ["9 of 20 slots overran"], "scheduler": "SCHED_OTHER", "overruns": 9,
+    ...     "first_late_tick": None, "lateness_us": {"p50": 1.5}, "round_trip_us": {"p50": None}})[0]
+    ('timing', 'NOT VALID: 9 of 20 slots overran; SCHED_OTHER')
+    """
+    late = timing.get("first_late_tick")
+    verdict = "valid" if timing["valid"] else f"NOT VALID: {'; '.join(timing['why'])}"
+    return [
+        ("timing", f"{verdict}; {timing['scheduler'] or 'no slot was run'}"),
+        *((f"{name[:-3].replace('_', ' ')}, µs", "  ".join(f"{q} {number(v)}" for q, v in timing[name].items()))
+          for name in ("lateness_us", "round_trip_us")),
+        ("overruns", f"{timing['overruns']}; first late slot: {'none' if late is None else late}"),
+    ]  # fmt: skip
+
+
+def number(value: object) -> str:
+    """Return a value for people, with five digits; a dash where there is none.
+
+    >>> number(0.0034246648), number(True), number(None)
+    ('0.0034247', 'yes', '-')
+    """
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "-"}[value]
+    return f"{value:.5g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,44 @@
+"""`hil list`: what there is, what it is, and the keys of every plug-in."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hil.experiment import plugins as registry
+from tests.hil.cli.conftest import Hil
+
+GROUPS: tuple[registry.Group, ...] = ("hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures")
+EVERY = [(group, name) for group in GROUPS for name in registry.names(group)]
+
+
+def test_a_kind_shows_keys_types_defaults_and_meaning(cli: Hil) -> None:
+    status, out, _ = cli("list", "laws", "iid")
+    assert status == 0 and "iid, from hilrig" in out and "(required)" in out
+    found = json.loads(cli("list", "plants", "dc-motor", "--json")[1])
+    assert found["keys"]["gain"]["type"] == "float" and float(found["keys"]["gain"]["default"]) > 0
+
+
+@pytest.mark.parametrize("group, name", EVERY)
+def test_every_key_of_every_plug_in_of_ours_is_explained(cli: Hil, group: str, name: str) -> None:
+    status, out, _ = cli("list", group[4:], name)
+    assert status == 0 and out.startswith(f"{name}, from ")
+    found = json.loads(cli("list", group[4:], name, "--json")[1])
+    assert found["about"] and [key for key, said in found["keys"].items() if not said["meaning"] and key != "uri"] == []
+
+
+def test_lines_fit_eighty_columns(cli: Hil) -> None:
+    for arguments in ((), ("controllers",), ("plants",), ("laws",), ("controllers", "designed")):
+        assert max(map(len, cli("list", *arguments)[1].splitlines())) <= 80
+
+
+def test_an_unknown_kind_is_guessed(cli: Hil) -> None:
+    status, _, err = cli("list", "laws", "markow")
+    assert status == 2 and "did you mean 'markov'" in err
+
+
+def test_an_unknown_field_without_a_near_one_names_the_valid_ones(cli: Hil) -> None:
+    status, _, err = cli("run", "dc-motor-hinf", "--set", "timing.colour=1", "--set", "zzz=1")
+    assert status == 2 and "timing.colour: unknown field; there are deadline, priority" in err
+    assert "zzz: unknown field; there are name, description" in err and "folder" not in err
