@@ -9,6 +9,8 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from hil.measure.signals import Signals
+
 Many: TypeAlias = npt.NDArray[np.float64]
 
 
@@ -22,6 +24,7 @@ class ManyView:
         reference: of these outputs, (slots, p); the same in every run.
         inputs: applied inputs, without the disturbances, one array (runs, slots) each.
         period_s: sample period, s.
+        signals: names and units of outputs and inputs, and which are tracked.
         disturbed_at_s: when the first input disturbance began, s; None without one.
     """
 
@@ -30,6 +33,7 @@ class ManyView:
     reference: Many
     inputs: tuple[Many, ...]
     period_s: float
+    signals: Signals
     disturbed_at_s: float | None
 
 

@@ -12,6 +12,9 @@ Array: TypeAlias = npt.NDArray[np.floating[Any]]
 SETTLING_BAND = 0.02
 """Half width of the settling band, as a share of the step."""
 
+SETTLED_SHARE = 0.1
+"""Last share of the window that must lie in the band: a run that only crosses the band at its end has not settled."""
+
 STEADY_SHARE = 0.1
 """Last share of the run over which the steady-state error is averaged."""
 

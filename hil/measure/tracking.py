@@ -10,11 +10,12 @@ import numpy.typing as npt
 from hil.measure.many import Many, ManyView
 from hil.measure.measure import Quantity
 from hil.measure.signals import Signals
-from hil.measure.step_response import AFTER_S, SETTLING_BAND, STEADY_SHARE, target_of
+from hil.measure.step_response import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, target_of
 from hil.measure.tracking_many import tracking_of_many
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 
 Array: TypeAlias = npt.NDArray[np.floating[Any]]
+
 
 class Tracking:
     """The measure of the thesis: squared error, step response, largest input; see `tracking_metrics`."""
@@ -43,13 +44,26 @@ class Tracking:
         )  # fmt: skip
 
     def of(self, view: RunView) -> dict[str, float | None]:
-        """Return the numbers of one run."""
+        """Return the numbers of one run; what would add or compare outputs (or inputs) of several units is None."""
         t, y, r = view.tracking()
-        return tracking_metrics(t, y, r, view.applied(), view.period_s, disturbed_at_s=view.disturbed_at_s())
+        found = tracking_metrics(t, y, r, view.applied(), view.period_s, disturbed_at_s=view.disturbed_at_s())
+        return found | dict.fromkeys(without_sense(view.signals))
 
     def of_many(self, view: ManyView) -> dict[str, Many]:
         """Return the numbers of many runs, (runs,) each, NaN where one is not defined."""
-        return tracking_of_many(view)
+        found = tracking_of_many(view)
+        return found | {name: np.full_like(found[name], np.nan) for name in without_sense(view.signals)}
+
+
+def without_sense(signals: Signals) -> tuple[str, ...]:
+    """Return the numbers that would add or compare signals of several units; of each output alone they are defined.
+
+    >>> without_sense(Signals(outputs={"angle": "rad", "place": "m"}, inputs={"u": "V"}, tracked=("angle", "place")))
+    ('sse', 'sse_after_5s', 'steady_state_error')
+    """
+    errors = ("sse", "sse_after_5s", "steady_state_error") if len(signals.tracked) > 1 and signals.tracked_unit() is None else ()
+    inputs = ("max_abs_u",) if len(signals.inputs) > 1 and signals.input_unit() is None else ()
+    return (*errors, *inputs)
 
 
 def squared_unit(signals: Signals) -> str:
@@ -89,8 +103,8 @@ def tracking_metrics(
     Returns (None where it is not defined, e.g. without a step, without samples, or for values that are not finite):
         sse, sse_after_5s: squared unit of the outputs times s, summed over the outputs.
         overshoot: largest excursion beyond the target as a share of the step, >= 0; the worst output.
-        settling_time_s: from the step until |e| stays within 2 % of the step; the slowest output; None if one does
-            not settle in the window.
+        settling_time_s: from the step until |e| stays within 2 % of the step; the slowest output; None if one is not
+            within it for the last tenth of the window at least.
         steady_state_error: mean of y - c over the last tenth of the run, signed; the output where it is largest.
         max_abs_u: largest |u|.
 
@@ -145,7 +159,7 @@ def _settling(t: Array, error: Array, step: Array) -> float | None:
         return None
     # Not "outside the band": a NaN is not inside either.
     outside = ~np.all(np.abs(error) <= SETTLING_BAND * np.abs(step), axis=1)
-    if outside[-1]:
+    if outside[-max(round(SETTLED_SHARE * len(t)), 1) :].any():
         return None
     last = np.flatnonzero(outside)
     return float(t[last[-1] + 1] - t[0]) if last.size else 0.0

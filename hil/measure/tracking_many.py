@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.measure.many import Many, ManyView
-from hil.measure.step_response import AFTER_S, SETTLING_BAND, STEADY_SHARE, target_of
+from hil.measure.step_response import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, target_of
 
 
 def tracking_of_many(view: ManyView) -> dict[str, Many]:
@@ -47,7 +47,8 @@ def _settling(t: Many, moved: list[tuple[Many, float]]) -> Many:
     inside = np.logical_and.reduce([np.abs(error) <= SETTLING_BAND * abs(step) for error, step in moved])
     after = inside.shape[1] - np.argmin(inside[:, ::-1], axis=1)  # first slot after the last one outside
     after[inside.all(axis=1)] = 0
-    return np.where(inside[:, -1], t[np.minimum(after, len(t) - 1)] - t[0], np.nan)
+    stays = inside[:, -max(round(SETTLED_SHARE * len(t)), 1) :].all(axis=1)
+    return np.where(stays, t[np.minimum(after, len(t) - 1)] - t[0], np.nan)
 
 
 def _worst(means: list[Many]) -> Many:

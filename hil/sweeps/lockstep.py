@@ -157,5 +157,6 @@ def view_of_many(loop: Loop, runs: Together) -> ManyView:
         reference=np.ascontiguousarray(runs.reference[:, tracked]),
         inputs=tuple(np.ascontiguousarray(u[:, runs.known].T) for u in runs.inputs),
         period_s=float(e.period),
+        signals=signals_of(e.plant),
         disturbed_at_s=min((float(p.at) for p in e.disturbance), default=None),
     )

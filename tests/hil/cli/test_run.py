@@ -125,5 +125,6 @@ def test_a_run_whose_timing_is_not_valid_says_why() -> None:
     from hil.measure.timing import timing_metrics
 
     late = np.array([0, 1, 1])
-    timing = timing_metrics(np.full(3, 10.0), np.full(3, np.nan), late, np.zeros(3), period_s=1e-3) | {"scheduler": "SCHED_FIFO 60"}
+    timing = timing_metrics(np.full(3, 10.0), np.full(3, np.nan), late, np.zeros(3), period_s=1e-3)
+    timing["scheduler"] = "SCHED_FIFO 60"
     assert timing_rows(timing)[0] == ("timing", "NOT VALID: 2 of 3 slots had no answer in time; SCHED_FIFO 60")

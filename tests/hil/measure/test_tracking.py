@@ -108,3 +108,40 @@ def test_the_steady_state_error_is_that_of_the_last_tenth() -> None:
     y, r = np.where(t >= 9.0 - 1e-9, 1.5, 1.0), np.ones(100)
     y[80:90] = 3.0  # in the last fifth, and not in the last tenth
     assert tracking_metrics(t, y, r, np.zeros(100), 0.1)["steady_state_error"] == pytest.approx(0.5)
+
+
+def test_a_run_that_only_crosses_the_band_at_its_end_has_not_settled() -> None:
+    t = np.arange(0.0, 10.0, T)
+    r, y = np.where(t >= 1.0, 3.0, 0.0), 3.0 * (t - 1.0) / 9.0  # a ramp that reaches the band 0.18 s before the end
+    assert abs(y[-1] - 3.0) < 0.06
+    assert tracking_metrics(t, y, r, y, T)["settling_time_s"] is None
+
+
+@pytest.mark.parametrize("inside, settled", [(9, False), (10, True)])
+def test_the_last_tenth_of_the_window_must_lie_in_the_band(inside: int, settled: bool) -> None:
+    t = np.arange(101) * 1.0
+    r = np.where(t >= 1.0, 1.0, 0.0)
+    y = np.where(np.arange(101) > 100 - inside, 1.0, 0.5)
+    found = tracking_metrics(t, y, r, np.zeros(101), 1.0)["settling_time_s"]
+    assert found == (100.0 - inside if settled else None)
+
+
+def test_outputs_of_several_units_are_never_added() -> None:
+    import hil
+    from hil.measure.tracking import Tracking
+    from hil.measure.view import view_of
+
+    rows = {
+        "plant": {
+            "kind": "state-space", "A": [[-1.0, 0.0], [0.0, -2.0]], "B": [[1.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]],
+            "inputs": [["f", "N"]], "outputs": [["a", "rad"], ["s", "m"]],
+        },
+        "controller": {"kind": "constant", "value": [1.0]},
+    }  # fmt: skip
+    changes = {"limits.input": [9.0], "limits.state": {}, "disturbance": [], "reference": [{"at": "1 s", "value": [1.0, 1.0]}]}
+    session = hil.run("dc-motor-hinf", duration=3, **(rows | changes), allow_uncertified=True)
+    assert session.metrics["sse"] is None and session.metrics["steady_state_error"] is None
+    assert session.metrics["max_abs_u"] == 1.0
+    view = view_of(session.run)
+    for name in ("a", "s"):
+        assert session.metrics["outputs"][name]["sse"] == Tracking().of(view.only(name))["sse"] > 0.0  # type: ignore[operator]
