@@ -145,3 +145,12 @@ def test_outputs_of_several_units_are_never_added() -> None:
     view = view_of(session.run)
     for name in ("a", "s"):
         assert session.metrics["outputs"][name]["sse"] == Tracking().of(view.only(name))["sse"] > 0.0  # type: ignore[operator]
+
+
+def test_runs_of_a_sweep_settle_as_one_run_does() -> None:
+    import hil
+
+    for duration in (3, 12):  # some only cross the band; all have settled
+        many = hil.sweep("dc-motor-hinf", runs=4, jobs=1, duration=duration).values["settling_time_s"]
+        alone = [hil.run("dc-motor-hinf", seed=seed, duration=duration).metrics["settling_time_s"] for seed in range(4)]
+        assert many.tolist() == pytest.approx([np.nan if value is None else value for value in alone], nan_ok=True)
