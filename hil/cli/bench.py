@@ -117,3 +117,13 @@ def montecarlo(as_json: bool) -> None:
 
     rows = bench_montecarlo(progress=_status)
     print(json.dumps(rows, indent=2)) if as_json else _table("Monte Carlo", rows)
+
+
+@command.command()
+@click.option("--json", "as_json", is_flag=True)
+def auth(as_json: bool) -> None:
+    """A code in every frame: microseconds and bytes beside the same frames without."""
+    from hil.bench.auth import bench_auth
+
+    rows = bench_auth()
+    print(json.dumps(rows, indent=2)) if as_json else _table("one packet sent and heard, with a code and without", rows)
