@@ -13,6 +13,7 @@ from plants.parts.events import pass_time
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.hand import Hand, PathRun, PushRun, SlideRun
 from plants.parts.linear import NS_PER_S, Flow, LinearRun, Signal, StateSpace
+from plants.parts.noisy import NoisyRun
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _BARE = ((Signal("torque", "N m"),), (Signal("angle", "rad"),), (Signal("angle", "rad"), Signal("speed", "rad/s")))
@@ -44,6 +45,7 @@ class Omni:
         force_limit_n: largest magnitude of the force at the tip in N; None for no limit (with a hand).
         encoder_step_m: movement of the tip in m per count; 0 measures the position itself (with a hand).
         coulomb_n: dry friction at the tip in N, for a hand without a spring.
+        encoder_noise_rad: standard deviation of white noise on the measured angle in rad, at least 0 (without a hand).
 
     Raises:
         ValueError: where a parameter is out of range.
@@ -63,6 +65,7 @@ class Omni:
     force_limit_n: float | None = None
     encoder_step_m: float = 0.0
     coulomb_n: float = 0.0
+    encoder_noise_rad: float = 0.0
 
     def __post_init__(self) -> None:
         require_positive("inertia", self.inertia)
@@ -72,6 +75,7 @@ class Omni:
         require_positive("lever_m", self.lever_m)
         require_not_negative("encoder_step_m", self.encoder_step_m)
         require_not_negative("coulomb_n", self.coulomb_n)
+        require_not_negative("encoder_noise_rad", self.encoder_noise_rad)
         if self.force_limit_n is not None:
             require_positive("force_limit_n", self.force_limit_n)
         if self.hand is None:
@@ -81,6 +85,9 @@ class Omni:
             ):  # fmt: skip
                 if given:
                     raise FieldError(name, "is of the held device; give it a hand")
+                    raise ValueError(f"{name}: is of the held device; give it a hand")
+        elif self.encoder_noise_rad:
+            raise ValueError("encoder_noise_rad: is of the bare joint; a held device has an encoder_step_m")
         elif self.coulomb_n and (self.hand.stiffness_n_per_m or self.hand.reach_m):
             raise FieldError("coulomb_n", f"{self.coulomb_n!r}; with a spring in the hand the motion through stick and slip has "
                              "no closed form, expected 0")  # fmt: skip
@@ -131,10 +138,11 @@ class Omni:
         found += ["an encoder that rounds"] if self.encoder_step_m else []
         return tuple(found)
 
-    def start(self, rng: np.random.Generator) -> LinearRun | HeldRun:
-        """Return the joint at time 0. A bare one draws nothing from ``rng``."""
+    def start(self, rng: np.random.Generator) -> LinearRun | NoisyRun | HeldRun:
+        """Return the joint at time 0. A bare one without noise draws nothing from ``rng``."""
         if self.hand is None:
-            return LinearRun(self.model(), (self.initial_angle_rad, self.initial_speed_rad_s))
+            run = LinearRun(self.model(), (self.initial_angle_rad, self.initial_speed_rad_s))
+            return NoisyRun(run, self.encoder_noise_rad, rng) if self.encoder_noise_rad else run
         return HeldRun(self, self.hand, rng)
 
 

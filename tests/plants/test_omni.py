@@ -37,11 +37,12 @@ HELD = Hand(
     "omni",
     [
         Omni(),
+        Omni(encoder_noise_rad=1e-3),
         Omni(hand=Hand()),
         Omni(hand=HELD),
         Omni(hand=Hand(slide=Slide(way="lissajous")), coulomb_n=0.002, lever_m=0.135, encoder_step_m=1e-5, force_limit_n=0.005),
     ],
-    ids=["bare", "free", "held", "imperfect"],
+    ids=["bare", "noisy", "free", "held", "imperfect"],
 )
 def test_every_form_keeps_to_the_contract(omni):
     check_plant(omni)

@@ -1,0 +1,100 @@
+"""`hil identify plant`: from our own logs at both rates, from tables, and what is no record of an axis."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from hil.log.read.run import read_run
+from tests.hil.cli.conftest import Hil
+
+
+@pytest.fixture
+def omni_log(cli: Hil, tmp_path: Path) -> Path:
+    assert cli("run", "omni-identify", "-o", "omni.mcap")[0] == 0
+    return tmp_path / "omni.mcap"
+
+
+@pytest.mark.parametrize("rate", [["--duration", "30"], ["--set", "period=0.001", "--duration", "11"]], ids=["20 Hz", "1 kHz"])
+def test_the_logged_omni_is_found_within_1_percent(cli: Hil, rate: list[str]) -> None:
+    assert cli("run", "omni-identify", *rate, "-o", "omni.mcap")[0] == 0
+    status, out, _ = cli("identify", "plant", "omni.mcap", "--json")
+    said = json.loads(out)
+    assert status == 0 and said["residuals"]["verdict"] == "white" and said["noise_sd"] == pytest.approx(1e-3, rel=0.1)
+    for name, truth in (("inertia", 0.7943), ("damping", 1.9857)):
+        assert abs(said["estimates"][name]["value"] / truth - 1) < 0.01
+        assert said["plain_least_squares"] is None or abs(said["plain_least_squares"][name] / truth - 1) > 0.2
+
+
+def test_the_motor_of_a_session_over_a_network_is_found_with_its_disturbance(cli: Hil) -> None:
+    assert cli("run", "dc-motor-hinf", "--duration", "35", "-o", "motor.mcap")[0] == 0
+    said = json.loads(cli("identify", "plant", "motor.mcap", "--json")[1])
+    assert said["plant"] == "dc-motor" and said["residuals"]["verdict"] == "exact"
+    assert said["estimates"]["gain"]["value"] == pytest.approx(172.38, rel=1e-9)
+    assert said["estimates"]["pole"]["value"] == pytest.approx(3.5287, rel=1e-9)
+    assert said["logged"] == {"gain": 172.38, "pole": 3.5287}
+
+
+def test_a_motor_with_friction_is_told_from_one_without(cli: Hil) -> None:
+    sets = ["--set", "plant.friction.coulomb_v=0.01", "--set", "allow_uncertified=true"]
+    assert cli("run", "dc-motor-hinf", *sets, "-o", "motor.mcap")[0] == 0
+    status, out, _ = cli("identify", "plant", "motor.mcap")
+    assert status == 1 and "the model or the noise is another" in out
+
+
+def write_table(path: Path, log: Path, clock: str = "t_s", skip: int | None = None) -> None:
+    run = read_run(log)
+    y, u = run.arrays["/plant/measurement"], run.arrays["/actuator/applied"]
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow([f"{clock} [s]", "angle [rad]", "torque [N m]"])
+        for k in range(len(u)):
+            if k != skip:
+                t = int(y["t_ns"][k])
+                writer.writerow([t if clock == "t_ns" else t / 1e9, float(y["angle"][k]), float(u["torque"][k])])
+
+
+@pytest.mark.parametrize("clock", ["t_s", "t_ns"])
+def test_a_table_says_what_its_log_says(cli: Hil, omni_log: Path, tmp_path: Path, clock: str) -> None:
+    write_table(tmp_path / "omni.csv", omni_log, clock)
+    of_log = json.loads(cli("identify", "plant", omni_log, "--json")[1])["estimates"]
+    of_table = json.loads(cli("identify", "plant", "omni.csv", "--plant", "omni", "--json")[1])["estimates"]
+    for name, found in of_log.items():
+        assert of_table[name] == pytest.approx(found, rel=1e-9)
+    assert cli("identify", "plant", "omni.csv", "--plant", "omni", "--input", "torque", "--output", "angle")[0] == 0
+
+
+def test_faults_are_told_with_status_2(cli: Hil, omni_log: Path, tmp_path: Path, hil_log: Path) -> None:
+    write_table(tmp_path / "good.csv", omni_log)
+    write_table(tmp_path / "gap.csv", omni_log, skip=5)
+    lines = (tmp_path / "good.csv").read_text().splitlines()
+    (tmp_path / "back.csv").write_text("\n".join([*lines[:9], lines[3], *lines[9:]]))
+    (tmp_path / "word.csv").write_text("\n".join([*lines[:9], "1,two,3"]))
+    (tmp_path / "ragged.csv").write_text("\n".join([*lines[:9], "1,2"]))
+    (tmp_path / "jitter.csv").write_text("\n".join([*lines[:9], lines[9].replace(lines[9].split(",")[0], "0.42"), *lines[10:]]))
+    (tmp_path / "zero.csv").write_text("\n".join([lines[0], *(f"{k},0,0" for k in range(50))]))
+    (tmp_path / "clock.csv").write_text("x,angle,torque\n1,2,3\n")
+    (tmp_path / "binary.csv").write_bytes(b"t,angle\n\xff\xfe")
+    (tmp_path / "empty.csv").touch()
+    omni = ["--plant", "omni"]
+    for arguments, says in (
+        (["good.csv"], "--plant"),
+        (["good.csv", *omni, "--input", "force"], "no column 'force'"),
+        (["gap.csv", *omni], "input 5 is missing"),
+        (["back.csv", *omni], "does not grow"),
+        (["word.csv", *omni], "word.csv:10"),
+        (["ragged.csv", *omni], "2 entries"),
+        (["jitter.csv", *omni], "off a multiple"),
+        (["zero.csv", *omni], "does not move"),
+        (["clock.csv", *omni], "no column of times"),
+        (["binary.csv", *omni], "is no CSV"),
+        (["empty.csv", *omni], "no column of times"),
+        (["nosuch.mcap"], "No such file"),
+        ([omni_log, hil_log], "different plants"),
+        ([omni_log, "--input", "force"], "no signal 'force'"),
+    ):
+        status, out, err = cli("identify", "plant", *arguments)
+        assert (status, out) == (2, "") and says in err, (arguments, err)
