@@ -20,7 +20,7 @@ from hil.measure.timing import Array, percentiles, timing_metrics
 from hil.session import run_session
 
 LINKS = ("can:hil:bench", "zenoh:tcp/127.0.0.1:7447", "can:udp_multicast:239.74.163.2")
-PERIOD_US = 1000
+EXPERIMENT = "dc-motor-1khz"
 
 
 def start_cyclictest(priority: int, period_us: int, duration_s: float, output: Path) -> subprocess.Popen[bytes]:
@@ -55,16 +55,18 @@ def read_cyclictest(output: Path, period_us: int) -> tuple[Array, int]:
 class _Turn:
     """One session with cyclictest beside it."""
 
+    period_s: float
     ticks: Array  # the records of /timing/tick
     cyclictest_us: Array
     missed: int
     summary: dict[str, Any]
 
 
-def _turn(uri: str, duration_s: float, folder: Path, sets: Sequence[str]) -> _Turn:
-    experiment = load_experiment("dc-motor-1khz", [*sets, f"duration={duration_s}"])
+def _turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequence[str]) -> _Turn:
+    experiment = load_experiment(name, [*sets, f"duration={duration_s}"])
+    period_us = round(1e6 * float(experiment.period))
     output, log = folder / "cyclictest.json", folder / "run.mcap"
-    reference = start_cyclictest(experiment.timing.priority, PERIOD_US, duration_s, output)
+    reference = start_cyclictest(experiment.timing.priority, period_us, duration_s, output)
     try:
         session = run_session(experiment, clock="real", link=uri, path=log)
         if session.status > 128:  # a signal, which the session took to close its log
@@ -78,19 +80,21 @@ def _turn(uri: str, duration_s: float, folder: Path, sets: Sequence[str]) -> _Tu
             reference.wait()
     if not output.exists():
         raise HilError(f"cyclictest gave no result: {(reference.stderr.read() if reference.stderr else b'').decode()!r}")
-    cyclictest_us, missed = read_cyclictest(output, PERIOD_US)
+    cyclictest_us, missed = read_cyclictest(output, period_us)
     log.unlink()
     output.unlink()
-    return _Turn(session.run.arrays["/timing/tick"], cyclictest_us, missed, session.summary)
+    return _Turn(float(experiment.period), session.run.arrays["/timing/tick"], cyclictest_us, missed, session.summary)
 
 
-def _row(uri: str, turns: Sequence[_Turn]) -> dict[str, Any]:
+def _row(name: str, uri: str, turns: Sequence[_Turn]) -> dict[str, Any]:
     ticks = np.concatenate([turn.ticks for turn in turns])
     columns = [ticks[name] for name in ("lateness_us", "round_trip_us", "late", "overrun")]
-    timing = timing_metrics(*columns, period_s=PERIOD_US / 1e6)
+    timing = timing_metrics(*columns, period_s=turns[0].period_s)
     beside_us = np.concatenate([turn.cyclictest_us for turn in turns])
     lateness, beside = timing["lateness_us"], percentiles(beside_us)
     return {
+        "experiment": name,
+        "period_s": turns[0].period_s,
         "link": uri,
         "ticks": len(ticks),
         "turns": len(turns),
@@ -113,19 +117,21 @@ def bench_timing(
     duration_s: float = 20.0,
     turns: int = 4,
     links: Sequence[str] = LINKS,
+    experiments: Sequence[str] = (EXPERIMENT,),
     sets: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[dict[str, Any]]:
-    """Run ``dc-motor-1khz`` over each link with cyclictest beside it; return one row per link.
+    """Run experiments over each link with cyclictest beside them; return one row per experiment and link.
 
-    `ratio` is the rig's lateness over cyclictest's, `round_trip_ratio` the median round trip over that of the last link.
+    `ratio` is the rig's lateness over cyclictest's, `round_trip_ratio` the median round trip over that of the last row.
 
     Args:
         duration_s: time over each link, s.
         turns: sessions into which that time is cut; the links take turns, so that what else the machine does hits all of them
             alike.
         links: URIs.
-        sets: changes ``path=value`` of the experiment, for instance ``timing.affinity=pinned``.
+        experiments: names or paths; they take turns too, so that two of them are measured in the same minute.
+        sets: changes ``path=value`` of the experiments, for instance ``timing.affinity=pinned``.
         progress: told what is running.
 
     Raises:
@@ -133,15 +139,17 @@ def bench_timing(
     """
     fixed = {change.partition("=")[0].strip() for change in sets} & {"period", "duration"}
     if fixed:
-        raise HilError(f"--set {min(fixed)}: this bench runs at 1 kHz, for as long as --duration says")
-    taken: dict[str, list[_Turn]] = {uri: [] for uri in links}
+        raise HilError(f"--set {min(fixed)}: this bench runs at the rate of the experiment, for as long as --duration says")
+    rates = {name: 1.0 / float(load_experiment(name, sets).period) for name in experiments}
+    taken: dict[tuple[str, str], list[_Turn]] = {(name, uri): [] for name in experiments for uri in links}
     session_s = duration_s / turns
     with tempfile.TemporaryDirectory(prefix="hil-bench-") as folder:
         for turn in range(turns):
-            for uri in taken:
-                progress(f"turn {turn + 1} of {turns}: 1 kHz for {session_s:g} s over {uri}, cyclictest beside it")
-                taken[uri].append(_turn(uri, session_s, Path(folder), sets))
-    rows = [_row(uri, of_link) for uri, of_link in taken.items()]
+            for name, uri in taken:
+                said = f"{name} at {rates[name]:g} Hz for {session_s:g} s over {uri}, cyclictest beside it"
+                progress(f"turn {turn + 1} of {turns}: {said}")
+                taken[name, uri].append(_turn(name, uri, session_s, Path(folder), sets))
+    rows = [_row(name, uri, of_link) for (name, uri), of_link in taken.items()]
     for row in rows:
         row["round_trip_ratio"] = row["round_trip_us"]["p50"] / rows[-1]["round_trip_us"]["p50"]
     return rows

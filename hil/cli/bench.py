@@ -45,15 +45,22 @@ def _table(title: str, rows: list[dict[str, Any]]) -> None:
 @click.option("--duration", type=float, default=20.0, show_default=True, help="Seconds for each link.")
 @click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Sessions that share these.")
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
-@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change dc-motor-1khz, e.g. timing.affinity=pinned.")
+@click.option("--experiment", "experiments", multiple=True, metavar="NAME|FILE",
+              help="What runs; several are measured in turns [dc-motor-1khz].")  # fmt: skip
+@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change it, e.g. timing.affinity=pinned.")
 @click.option("--json", "as_json", is_flag=True)
-def timing(duration: float, turns: int, links: tuple[str, ...], sets: tuple[str, ...], as_json: bool) -> None:
-    """The rig at 1 kHz beside cyclictest at the same priority."""
-    from hil.bench.timing import LINKS, bench_timing
+def timing(
+    duration: float, turns: int, links: tuple[str, ...], experiments: tuple[str, ...], sets: tuple[str, ...], as_json: bool
+) -> None:
+    """The rig, at 1 kHz if nothing else is said, beside cyclictest at the same priority."""
+    from hil.bench.timing import EXPERIMENT, LINKS, bench_timing
 
     _check("--duration", duration, *SECONDS)
     _check("--duration over --turns", duration / turns, *SECONDS)
-    rows = bench_timing(duration_s=duration, turns=turns, links=links or LINKS, sets=sets, progress=_status)
+    rows = bench_timing(
+        duration_s=duration, turns=turns, links=links or LINKS, experiments=experiments or (EXPERIMENT,), sets=sets,
+        progress=_status,
+    )  # fmt: skip
     if as_json:
         print(json.dumps(rows, indent=2))
         return
@@ -66,11 +73,11 @@ def timing(duration: float, turns: int, links: tuple[str, ...], sets: tuple[str,
         }
         for name, values in shown.items():
             points = {q: float(values[q]) for q in ("p50", "p99", "p99_9", "max")}
-            flat.append({"link": row["link"], "lateness in us": name, **points})
-    _table("wake-up lateness at 1 kHz", flat)
+            flat.append({"experiment": row["experiment"], "link": row["link"], "lateness in us": name, **points})
+    _table("wake-up lateness", flat)
     of = f"of {rows[-1]['link']}"
     _table("round trips and overruns", [
-        {"link": row["link"], **{f"{q} us": v for q, v in row["round_trip_us"].items()}, f"p50 {of}": row["round_trip_ratio"],
+        {"experiment": row["experiment"], "link": row["link"], **{f"{q} us": v for q, v in row["round_trip_us"].items()}, f"p50 {of}": row["round_trip_ratio"],
          "late": row["late"], "overruns": f"{row['overrun_share']:.3%}",
          "missed by cyclictest": f"{row['cyclictest_missed_share']:.3%}", "records dropped": row["dropped_records"]}
         for row in rows

@@ -59,6 +59,25 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
         assert verify(real.run).difference is None
 
 
+@pytest.mark.parametrize("which", [0, 1], ids=["can-hil", "zenoh"])
+def test_the_haptic_rig_at_1_khz_is_the_virtual_one_up_to_the_first_late_packet(tmp_path: Path, which: int) -> None:
+    experiment = load_experiment("omni-1khz", ["duration=3"])
+    real = run_session(experiment, clock="real", link=links()[which], path=tmp_path / "real.mcap")
+    late = real.summary["timing"]["first_late_tick"]
+    assert real.status == 0 or late is not None, real.summary
+    assert real.summary["log"]["dropped"] == 0 and not real.summary.get("problems"), real.summary
+    assert len(real.run.arrays["/timing/tick"]) == real.summary["ticks"]
+    virtual, end = simulate(compose(experiment), experiment.seed), real.summary["ticks"] if late is None else late
+    for topic, fields in (
+        ("/actuator/applied", ("force", "d", "row")), ("/plant/state", ("position", "speed", "y", "z", "push", "given")),
+        ("/plant/measurement", ("position", "y", "z")),
+    ):  # fmt: skip
+        for name in fields:
+            np.testing.assert_array_equal(real.run.arrays[topic][name][:end], virtual.arrays[topic][name][:end])
+    if late is None:
+        assert real.summary["ticks"] == 3000 and verify(real.run).difference is None
+
+
 class Running:
     """A `hil run` in the background, with the pids of its children."""
 

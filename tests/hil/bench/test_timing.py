@@ -23,7 +23,7 @@ def test_ticks_that_cyclictest_left_out_count_with_the_lateness_they_would_have_
 
 @pytest.mark.parametrize("change", ["period=0.002", "duration = 3"])
 def test_what_the_bench_fixes_is_not_set(change: str) -> None:
-    with pytest.raises(HilError, match="this bench runs at 1 kHz, for as long as --duration says"):
+    with pytest.raises(HilError, match="this bench runs at the rate of the experiment, for as long as --duration says"):
         bench_timing(sets=["timing.affinity=pinned", change])
 
 
@@ -37,3 +37,15 @@ def test_rig_and_cyclictest_are_measured_in_one_run() -> None:
     assert row["round_trip_ratio"] == 1.0  # the last link is what the others are compared with
     assert row["ticks"] == 2400 and row["dropped_records"] == 0
     assert 0 <= row["cyclictest_missed_share"] < 1
+
+
+@pytest.mark.cyclictest
+@pytest.mark.realtime
+def test_two_experiments_are_measured_in_turns() -> None:
+    rows = bench_timing(
+        duration_s=1.2, turns=1, links=[f"can:hil:two{os.getpid()}"], experiments=["dc-motor-1khz", "omni-1khz"],
+        sets=["report.measures=[]"],
+    )  # fmt: skip
+    assert [row["experiment"] for row in rows] == ["dc-motor-1khz", "omni-1khz"]
+    assert all(row["ticks"] == 1200 and row["dropped_records"] == 0 and row["period_s"] == 1e-3 for row in rows)
+    assert rows[-1]["round_trip_ratio"] == 1.0
