@@ -77,7 +77,8 @@ def timing(
     _table("wake-up lateness", flat)
     of = f"of {rows[-1]['link']}"
     _table("round trips and overruns", [
-        {"experiment": row["experiment"], "link": row["link"], **{f"{q} us": v for q, v in row["round_trip_us"].items()}, f"p50 {of}": row["round_trip_ratio"],
+        {"experiment": row["experiment"], "link": row["link"], **{f"{q} us": v for q, v in row["round_trip_us"].items()},
+         f"p50 {of}": row["round_trip_ratio"],
          "late": row["late"], "overruns": f"{row['overrun_share']:.3%}",
          "missed by cyclictest": f"{row['cyclictest_missed_share']:.3%}", "records dropped": row["dropped_records"]}
         for row in rows
