@@ -150,8 +150,8 @@ class HeldRun:
     """The held device while it runs. See `Omni` for the equations."""
 
     __slots__ = (
-        "_applied", "_damping", "_dry", "_flow", "_force", "_given", "_limit", "_now_ns", "_path", "_push", "_slide", "_step_m",
-        "_x",
+        "_applied", "_damping", "_dry", "_flow", "_force", "_given", "_limit", "_now_ns", "_path", "_place", "_push", "_slide",
+        "_sources", "_step_m", "_x",
     )  # fmt: skip
 
     def __init__(self, omni: Omni, hand: Hand, rng: np.random.Generator) -> None:
@@ -161,6 +161,8 @@ class HeldRun:
         self._flow = Flow(drawn, [[0.0, 0.0], [1.0 / mass, hand.damping_n_s_per_m / mass], [0.0, 1.0]])
         self._dry = RubbingAxis(1.0 / mass, beta / mass, Friction(coulomb_v=omni.coulomb_n)) if omni.coulomb_n else None
         self._push, self._path, self._slide = PushRun(hand.push, rng), PathRun(hand), SlideRun(hand.slide, rng)
+        self._sources = (self._push, self._path, self._slide)
+        self._place = self._slide.at(0)
         self._x = [omni.lever_m * omni.initial_angle_rad, omni.lever_m * omni.initial_speed_rad_s, 0.0]
         self._limit = math.inf if omni.force_limit_n is None else omni.force_limit_n
         self._step_m, self._damping = omni.encoder_step_m, beta
@@ -182,9 +184,14 @@ class HeldRun:
         self._applied = (force,)
         self._force = force + w[0] if w else force
         before, end_ns = self._x[0], self._now_ns + dt_ns
-        pass_time(self._now_ns, end_ns, (self._push, self._path, self._slide), self._move)
+        if self._push.next_ns > end_ns < self._path.next_ns and end_ns < self._slide.next_ns:  # nothing happens on the way
+            if dt_ns:
+                self._move(self._now_ns, end_ns)
+        else:
+            pass_time(self._now_ns, end_ns, self._sources, self._move)
         self._now_ns = end_ns
         if dt_ns:
+            self._place = self._slide.at(end_ns)
             moved = self._x[0] - before
             self._given += moved * (force - self._damping * moved * NS_PER_S / dt_ns)
 
@@ -201,13 +208,12 @@ class HeldRun:
         position, step = self._x[0], self._step_m
         if step and math.isfinite(position):
             position = step * math.floor(position / step + 0.5)
-        return (position, *self._slide.at(self._now_ns))
+        return (position, *self._place)
 
     @property
     def state(self) -> tuple[float, ...]:
         """Position in m, speed in m/s, y and z in m, push in N, energy given in J: the true ones."""
-        y, z = self._slide.at(self._now_ns)
-        return (self._x[0], self._x[1], y, z, self._push.force_n, max(self._given, 0.0))
+        return (self._x[0], self._x[1], *self._place, self._push.force_n, max(self._given, 0.0))
 
     @property
     def applied(self) -> tuple[float, ...]:

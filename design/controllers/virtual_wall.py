@@ -80,6 +80,8 @@ class VirtualWallRun:
         self.contact = Contact(law.wall, model.period_s, law.wall.material)
         self._law, self._tau_max, self._d_max = law, model.tau_max, model.d_max
         taps = law.coupler.taps_m_per_n
+        self._integrator = law.coupler.integrator_m_per_n
+        self._find = None if law.wall.pattern is None else law.wall.pattern.finder()
         self._direct = taps[0] + law.coupler.integrator_m_per_n
         self._taps = taps[1:]
         kept = max(len(taps) - 1, model.d_max + 1)
@@ -123,7 +125,7 @@ class VirtualWallRun:
 
     def _press(self, slot: int, sample: Sequence[float]) -> None:
         self.contact.change(self._material_at(slot, sample))
-        past = self._law.coupler.integrator_m_per_n * self._sum
+        past = self._integrator * self._sum
         for tap, force in zip(self._taps, self._forces):
             past += tap * force
         force = self.contact.press(sample[0] - past, self._direct)
@@ -131,9 +133,8 @@ class VirtualWallRun:
         self._forces.appendleft(force)
 
     def _material_at(self, slot: int, sample: Sequence[float]) -> int:
-        wall = self._law.wall
-        if wall.pattern is not None:
-            return wall.pattern.material_at(sample[1], sample[2])
+        if self._find is not None:
+            return self._find(sample[1], sample[2])
         while self._rng is not None and self._drawn < slot:
             row = self._rows[self._material]
             u = float(self._rng.random())

@@ -145,10 +145,11 @@ class Contact:
         material: index of the material at the start.
     """
 
-    __slots__ = ("_period_s", "_wall", "avatar_m", "material", "offset_m")
+    __slots__ = ("_limit", "_period_s", "_stiffness_and_rate", "_wall", "avatar_m", "material", "offset_m")
 
     def __init__(self, wall: Wall, period_s: float, material: int = 0) -> None:
-        self._wall, self._period_s = wall, period_s
+        self._wall, self._period_s, self._limit = wall, period_s, wall.limit_n
+        self._stiffness_and_rate = [(m.stiffness_n_per_m, m.damping_n_s_per_m / period_s) for m in wall.materials]
         self.material, self.offset_m, self.avatar_m = material, 0.0, 0.0
 
     @property
@@ -185,14 +186,14 @@ class Contact:
     def _solve(self, a: float, c0: float) -> tuple[float, float]:
         if a < 0.0:
             return 0.0, a
-        m, limit, delta, before = self._wall.materials[self.material], self._wall.limit_n, self.offset_m, self.avatar_m
-        rate = m.damping_n_s_per_m / self._period_s
+        limit, delta, before = self._limit, self.offset_m, self.avatar_m
+        stiffness, rate = self._stiffness_and_rate[self.material]
         if c0 > 0.0 and c0 * min(max(-rate * before, 0.0), limit) >= a:
             return a / c0, 0.0  # the damper alone stops the avatar at the surface
         x = (a + c0 * rate * before) / (1.0 + c0 * rate)
         if x > delta:
-            x = (a + c0 * (m.stiffness_n_per_m * delta + rate * before)) / (1.0 + c0 * (m.stiffness_n_per_m + rate))
-        force = m.stiffness_n_per_m * max(x - delta, 0.0) + rate * (x - before)
+            x = (a + c0 * (stiffness * delta + rate * before)) / (1.0 + c0 * (stiffness + rate))
+        force = stiffness * max(x - delta, 0.0) + rate * (x - before)
         if force <= 0.0:
             return 0.0, a
         if force > limit:

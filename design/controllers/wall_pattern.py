@@ -6,6 +6,7 @@ Reference: Chapter 6, Section 6.2.2, Figure 6.2, Remark 6.1.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from design.errors import FieldError
@@ -80,12 +81,22 @@ class Pattern:
 
     def material_at(self, y_m: float, z_m: float) -> int:
         """Return the index of the material at a point of the plane."""
-        y, z = y_m % self.width_m, z_m % self.height_m
-        for p in self.patches:
-            if p.y_m <= y < p.y_m + p.width_m and p.z_m <= z < p.z_m + p.height_m:
-                return p.material
-        # between two edges that differ by rounding: the nearest patch
-        return min(self.patches, key=lambda p: max(p.y_m - y, y - p.y_m - p.width_m, p.z_m - z, z - p.z_m - p.height_m)).material
+        return self.finder()(y_m, z_m)
+
+    def finder(self) -> Callable[[float, float], int]:
+        """Return `material_at` with the edges computed once, for a loop."""
+        width, height, patches = self.width_m, self.height_m, self.patches
+        edges = tuple((p.y_m, p.y_m + p.width_m, p.z_m, p.z_m + p.height_m, p.material) for p in patches)
+
+        def find(y_m: float, z_m: float) -> int:
+            y, z = y_m % width, z_m % height
+            for left, right, bottom, top, material in edges:
+                if left <= y < right and bottom <= z < top:
+                    return material
+            # between two edges that differ by rounding: the nearest patch
+            return min(patches, key=lambda p: max(p.y_m - y, y - p.y_m - p.width_m, p.z_m - z, z - p.z_m - p.height_m)).material
+
+        return find
 
 
 def square_rows(side_m: float) -> Pattern:
