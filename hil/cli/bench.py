@@ -135,3 +135,37 @@ def auth(as_json: bool) -> None:
 
     rows = bench_auth()
     print(json.dumps(rows, indent=2)) if as_json else _table("one packet sent and heard, with a code and without", rows)
+
+
+@command.command()
+@click.option("--for", "duration", default="10min", show_default=True, metavar="TIME", help="Length of the long session.")
+@click.option("--sessions", type=click.IntRange(0, 1000), default=0, show_default=True, help="Short sessions in a row.")
+@click.option("--at-once", type=click.IntRange(0, 64), default=0, show_default=True, help="Short sessions at the same time.")
+@click.option("--json", "as_json", is_flag=True)
+def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
+    """Endurance at 1 kHz over can:hil: memory of each process, log, overruns beside cyclictest."""
+    import re
+
+    from hil.bench.soak import bench_soak
+    from hil.errors import HilError
+    from hil.experiment.tables import Seconds
+
+    try:
+        duration_s = float(Seconds.parse(re.sub(r"(?<=\d)(?=[a-z])", " ", duration.strip())))
+    except ValueError as error:
+        raise HilError(f"--for: {error}") from None
+    _check("--for", duration_s, 5.0, 7 * 86_400)
+    row = bench_soak(duration_s=duration_s, sessions=sessions, at_once=at_once, progress=_status)
+    if as_json:
+        print(json.dumps(row, indent=2))
+        return
+    _table("memory while it runs, slope with its 95 % confidence interval", row["memory"])
+    ratio = f"{row['log_ratio']:.3f} of what its second tenth foretells"
+    print(f"exit status {row['status']}, {row['ticks']} slots, {row['dropped']} records dropped")
+    print(f"log {row['log_bytes'] / 1e6:.1f} MB, {ratio}")
+    beside = row["cyclictest_missed_share"]
+    told = "no cyclictest here: apt-get install rt-tests" if beside is None else f"missed by cyclictest: {beside:.3%}"
+    print(f"overruns {row['overrun_share']:.3%}; {told}")
+    for name in ("in_a_row", "at_once"):
+        if row[name] is not None:
+            print(f"{name.replace('_', ' ')}: " + ", ".join(f"{count} ended with status {s}" for s, count in row[name].items()))

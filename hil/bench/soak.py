@@ -1,0 +1,227 @@
+"""How a rig at 1 kHz keeps for long: memory of each process, log, overruns beside cyclictest; and many sessions."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.bench.timing import EXPERIMENT, read_cyclictest, start_cyclictest
+from hil.errors import HilError
+from hil.experiment import load_experiment
+from hil.runtime.time.clock import monotonic_ns, pause
+
+WARM = 0.2
+"""Share of a run after which memory counts: tables, caches and buffers have been filled."""
+BATCHES = 10
+"""Means of so many stretches are what a line is laid through: samples that follow each other closely are not independent."""
+T_95 = 2.306  # Student's t, 8 degrees of freedom, two-sided 95 %
+PROCESSES = ("session", "rig", "controller")
+SHORT_S = 2.0
+GRACE_S = 60.0
+
+Floats = npt.NDArray[np.float64]
+Row = dict[str, Any]
+
+
+@dataclass(slots=True)
+class Samples:
+    """What was seen of one session while it ran.
+
+    Attributes:
+        t_s: seconds since the first record was in the log.
+        kb: resident memory of each process, kB, by name.
+        log: length of the log, bytes.
+    """
+
+    t_s: list[float] = field(default_factory=list)
+    kb: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in PROCESSES})
+    log: list[int] = field(default_factory=list)
+
+
+def slope(t: Floats, y: Floats) -> tuple[float, float]:
+    r"""Return the slope of a line through the means of `BATCHES` stretches, and half of its 95 % confidence interval.
+
+    .. math:: \hat b \pm t_{0.975, 8}\, \sqrt{\textstyle\sum_i r_i^2 / (8 \sum_i (t_i - \bar t)^2)}
+
+    Args:
+        t: instants, (n,), n >= 2 `BATCHES`.
+        y: values, (n,).
+
+    Raises:
+        ValueError: too few samples.
+
+    >>> t = np.linspace(0.0, 1.0, 100)
+    >>> [round(float(v), 6) for v in slope(t, 3.0 * t + 1.0)]
+    [3.0, 0.0]
+    """
+    if len(t) < 2 * BATCHES:
+        raise ValueError(f"{len(t)} samples, expected {2 * BATCHES} at least")
+    t_of, y_of = (np.array([part.mean() for part in np.array_split(v, BATCHES)]) for v in (t, y))
+    from_mean = t_of - t_of.mean()
+    spread = float(from_mean @ from_mean)
+    b = float(from_mean @ y_of) / spread
+    rest = y_of - y_of.mean() - b * from_mean
+    return b, T_95 * float(np.sqrt(rest @ rest / (BATCHES - 2) / spread))
+
+
+def bench_soak(
+    *,
+    duration_s: float = 600.0,
+    sessions: int = 0,
+    at_once: int = 0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Row:
+    """Run ``dc-motor-1khz`` over can:hil for long, with cyclictest beside it where it is installed.
+
+    Args:
+        duration_s: length of the long session, s.
+        sessions: so many short ones follow, one after the other.
+        at_once: so many short ones follow, all at once, each on a channel of its own.
+        progress: told what is running.
+
+    Returns:
+        `status`, `ticks`, `dropped`, `overrun_share`, `cyclictest_missed_share` (None without it), `log_bytes`, `log_predicted`
+        (by its growth in the second tenth), `log_ratio`, `memory` (one row per process: `mb`, `slope_kb_per_min`, `plus_minus`,
+        `grows`: the interval lies above 0), and of `in_a_row` and `at_once` how often each exit status came.
+
+    Raises:
+        HilError: the long session did not run, or was too short to judge.
+    """
+    with tempfile.TemporaryDirectory(prefix="hil-soak-") as name:
+        folder = Path(name)
+        progress(f"1 kHz for {duration_s:g} s over can:hil")
+        row = _long(folder, duration_s)
+        row["in_a_row"] = _statuses(folder, [1] * sessions, progress, "in a row") if sessions else None
+        row["at_once"] = _statuses(folder, [at_once], progress, "at once") if at_once else None
+    return row
+
+
+def _start(folder: Path, number: int, duration_s: float) -> subprocess.Popen[bytes]:
+    log = folder / f"{number}.mcap"
+    with open(folder / f"{number}.json", "wb") as out:
+        return subprocess.Popen(
+            [sys.executable, "-m", "hil", "run", EXPERIMENT, "--clock", "real", "--link", f"can:hil:soak{os.getpid()}-{number}",
+             "--duration", str(duration_s), "--json", "--force", "-o", str(log)],
+            cwd=folder, stdout=out, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+
+def _long(folder: Path, duration_s: float) -> Row:
+    beside, output = None, folder / "cyclictest.json"
+    experiment = load_experiment(EXPERIMENT)
+    period_us = experiment.period_ns // 1000
+    if shutil.which("cyclictest") is not None:
+        beside = start_cyclictest(experiment.timing.priority, period_us, duration_s, output)
+    session = _start(folder, 0, duration_s)
+    try:
+        seen = _watch(session, folder / "0.mcap", duration_s)
+        status = session.wait(duration_s + GRACE_S)
+        if beside is not None:
+            beside.wait(duration_s + GRACE_S)
+    finally:
+        for process in filter(None, (session, beside)):
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+    try:
+        summary = json.loads((folder / "0.json").read_text())
+    except ValueError:
+        raise HilError(f"the session ended with status {status} and without a summary") from None
+    missed = None
+    if beside is not None and output.exists():
+        late_us, count = read_cyclictest(output, period_us)
+        missed = count / max(len(late_us), 1)
+    t, log = np.array(seen.t_s), np.array(seen.log, dtype=float)
+    if len(t) < 4 * BATCHES:
+        raise HilError(f"only {len(t)} samples were taken: let it run longer")
+    size, predicted = (folder / "0.mcap").stat().st_size, _predicted(t, log, duration_s)
+    return {
+        "status": status, "ticks": summary["ticks"], "dropped": summary["log"]["dropped"],
+        "overrun_share": summary["timing"]["overruns"] / max(summary["ticks"], 1), "cyclictest_missed_share": missed,
+        "log_bytes": size, "log_predicted": predicted, "log_ratio": size / predicted,
+        "memory": [_memory(name, t, np.array(seen.kb[name])) for name in PROCESSES],
+    }  # fmt: skip
+
+
+def _predicted(t: Floats, log: Floats, duration_s: float) -> float:
+    first, last = (int(np.searchsorted(t, share * duration_s)) for share in (0.1, 0.2))
+    last = min(max(last, first + 1), len(t) - 1)
+    rate = (log[last] - log[first]) / (t[last] - t[first])
+    return float(log[first] + rate * (duration_s - t[first]))
+
+
+def _memory(name: str, t: Floats, kb: Floats) -> Row:
+    warm = t > WARM * t[-1]
+    b, half = slope(t[warm], kb[warm])
+    return {
+        "process": name, "mb": float(kb[-1]) / 1e3, "slope_kb_per_min": 60.0 * b, "plus_minus": 60.0 * half,
+        "grows": b - half > 0,
+    }  # fmt: skip
+
+
+def _watch(session: subprocess.Popen[bytes], log: Path, duration_s: float) -> Samples:
+    """Take samples until the run is over; what the session does with its log afterwards is not its memory while it runs."""
+    seen, step_s = Samples(), min(max(duration_s / 400, 0.02), 2.0)
+    begin: int | None = None
+    pids: dict[str, int] = {}
+    while session.poll() is None:
+        size = log.stat().st_size if log.exists() else 0
+        if begin is None and size > 12_000:
+            begin, pids = monotonic_ns(), _processes(session.pid)
+        if begin is not None:
+            t_s = (monotonic_ns() - begin) / 1e9
+            found = {name: _resident_kb(pid) for name, pid in pids.items()}
+            if t_s > duration_s or len(found) < len(PROCESSES) or None in found.values():
+                break
+            seen.t_s.append(t_s)
+            seen.log.append(size)
+            for name, kb in found.items():
+                seen.kb[name].append(float(kb or 0))
+        pause(step_s)
+    return seen
+
+
+def _processes(session: int) -> dict[str, int]:
+    found = {"session": session}
+    for child in Path(f"/proc/{session}/task/{session}/children").read_text().split():
+        with suppress(OSError):
+            command = Path(f"/proc/{child}/cmdline").read_text()
+            found |= {name: int(child) for name in PROCESSES if f"hil.runtime.real.{name}_process" in command}
+    return found
+
+
+def _resident_kb(pid: int) -> int | None:
+    with suppress(OSError, ValueError, IndexError):
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") // 1024 if pages else None
+    return None
+
+
+def _statuses(folder: Path, groups: list[int], progress: Callable[[str], None], how: str) -> dict[str, int]:
+    """Run groups of short sessions, each group at once; return how often each exit status came."""
+    statuses: dict[str, int] = {}
+    for turn, group in enumerate(groups):
+        progress(f"{how}: {turn + 1} of {len(groups)}, {group} sessions of {SHORT_S:g} s")
+        running = [_start(folder, 1 + number, SHORT_S) for number in range(group)]
+        try:
+            for process in running:
+                status = str(process.wait(SHORT_S + GRACE_S * (1 + group / 4)))
+                statuses[status] = statuses.get(status, 0) + 1
+        finally:
+            for process in running:
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
+    return statuses
