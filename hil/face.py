@@ -91,8 +91,9 @@ def run(
         return run_session(checked, clock=clock, link=link, path=path, external=external)
     with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
         session = run_session(checked, clock=clock, link=link, path=Path(folder) / "run.mcap", external=external)
+        run = session.run  # before its file is gone
     summary = session.summary | {"log": session.summary["log"] | {"path": None}}
-    return Session(run=session.run, summary=summary, status=session.status)
+    return Session(log=lambda: run, summary=summary, status=session.status)
 
 
 def simulate(

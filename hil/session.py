@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import signal
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
+from hil.log.events import to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import Run, read_run
+from hil.log.records import EVENTS_TOPIC
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, Put, Sink, Taps, TeeSink
 from hil.measure.measure import measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
-from hil.measure.view import view_of
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, view_of
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
@@ -38,15 +42,20 @@ class Session:
     """What a finished run leaves behind.
 
     Args:
-        run: the log, read back.
+        log: returns the log, read when it is first asked for.
         summary: what ``hil run --json`` prints.
         status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety,
             5 a second controller answered too, 6 the link was flooded, 130 or 143 interrupted.
     """
 
-    run: Run
+    log: Callable[[], Run]
     summary: dict[str, Any]
     status: int
+
+    @property
+    def run(self) -> Run:
+        """The log, read back; it takes memory for every record."""
+        return self.log()
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -98,7 +107,7 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, sink.payloads.values())), "dropped": 0}
     summary["problems"] = {}
-    return Session(run=run, summary=summary, status=3 if summary["safety"] else 0)
+    return Session(log=lambda: run, summary=summary, status=3 if summary["safety"] else 0)
 
 
 def run_session(
@@ -146,7 +155,8 @@ def run_session(
     # 3. Run, with the log open. Real time is watched from here; virtual time runs here.
     begun = monotonic_ns()
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
-    with McapSink(path, loop.channels(), provenance, now=now) as sink:
+    keep = _summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
+    with McapSink(path, loop.channels(), provenance, now=now, keep=keep) as sink:
         outcome: dict[str, Any] = {}
         if clock == "virtual":
             outcome = _run_in_virtual_time(loop, TeeSink(sink, Taps(taps)) if taps else sink)
@@ -166,13 +176,42 @@ def run_session(
     if gone is not None:
         outcome["log_lost"] = f"{path} {gone}"
     try:
-        run = read_run(path, whole=sink.error is None, descriptor=log)
+        if keep is not None and sink.error is None:
+            run = _kept(sink, provenance)
+        else:
+            run = read_run(path, whole=sink.error is None, descriptor=log)
         summary = _summary(run, loop.experiment, sink, outcome, wall_s)
         summary["who_commands"] = who_commands(uri)
         summary["log"]["sha256"] = _sha256(log)
     finally:
         os.close(log)
-    return Session(run=run, summary=summary, status=_status(run, sink, outcome))
+    status = _status(run, sink, outcome)
+    return Session(log=cache(partial(read_run, path)) if keep is not None else lambda: run, summary=summary, status=status)
+
+
+def _summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
+    """Return what a summary needs of a log in virtual time, topic to fields (None: all); None where it needs raw frames."""
+    table = loop.channels()
+    keep: dict[str, Sequence[str] | None] = dict.fromkeys((MEASUREMENT, REFERENCE, APPLIED, TIMING))
+    for side, law in (("sc", loop.sc_law), ("ca", loop.ca_law)):
+        keep[f"/network/{side}"] = ("mode", "reason") if law.family == "age" else None
+    keep |= dict.fromkeys({topic for measure in measures_of(loop.experiment) for topic in measure.topics} - {EVENTS_TOPIC})
+    return None if any(table[topic].schema.raw for topic in keep) else keep
+
+
+def _kept(sink: McapSink, provenance: Provenance) -> Run:
+    """Return the run of what was kept while the log was written, as the log says it."""
+    arrays = sink.kept.arrays()
+    return Run(
+        arrays=arrays,
+        schemas={topic: sink.kept.schemas[topic] for topic in arrays},
+        events=[json.loads(payload) for payload in sink.kept.events],
+        metadata=provenance.metadata()["hilrig"],
+        codes={name: list(words) for name, words in provenance.codes.items()},
+        experiment_text=provenance.experiment_text,
+        resolved=json.loads(to_json(provenance.resolved)),
+        certificate=json.loads(to_json(provenance.certificate or {})),
+    )
 
 
 def _sha256(descriptor: int) -> str:
@@ -213,7 +252,7 @@ def _run_real(
         sink.close()
         sink.path.unlink(missing_ok=True)
         raise
-    sink.dropped += real.pump.dropped
+    sink.drop(real.pump.dropped)
     out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes}
     if real.controller_lost:
         out["controller_lost"] = real.controller_lost

@@ -17,6 +17,8 @@ from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import read_run
+from hil.measure.summary import summarise
+from hil.measure.view import view_of
 from hil.replay import verify, what_if
 from hil.session import run_session, simulate
 from hil.sweeps.seeds import statistics, sweep
@@ -240,3 +242,24 @@ def test_somebody_else_on_the_link_has_an_exit_status_and_a_problem_of_its_own(
     session = run_session(load_experiment("dc-motor-hinf", ["duration=1", "reference.0.at=0.2"]), path=tmp_path / "a.mcap")
     assert session.status == status
     assert list(session.summary["problems"]) == ([problem] if problem else [])
+
+
+@pytest.mark.parametrize("name", ["dc-motor-hinf", "dc-motor-packets", "dc-motor-local"])  # the last is stopped by safety
+def test_a_summary_from_memory_is_that_of_the_log(name: str, tmp_path: Path) -> None:
+    experiment = load_experiment(name, ["duration=8"])
+    session = run_session(experiment, path=tmp_path / "run.mcap")
+    again = summarise(view_of(session.run, experiment))
+    told = {key: session.summary[key] for key in again}
+    assert told == again
+    assert session.run.arrays["/link/sensor"]["data"].size  # the log itself, in full
+
+
+def test_a_run_in_virtual_time_reads_nothing_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("the log was read back")
+
+    monkeypatch.setattr("hil.session.read_run", refuse)
+    session = run_session(load_experiment("dc-motor-hinf", ["duration=2"]), path=tmp_path / "run.mcap")
+    assert session.summary["ticks"] == 40
+    with pytest.raises(AssertionError, match="read back"):
+        session.arrays["/plant/state"]

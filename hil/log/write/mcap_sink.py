@@ -9,19 +9,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-from mcap.writer import CompressionType, Writer
-
 from hil.errors import HilError
 from hil.log.events import encode_event, to_json
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
+from hil.log.write.kept import Keep, Kept
+from hil.log.write.mcap_writer import McapWriter
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import Put
 
 LIBRARY: Final = "hilrig"
 FLUSH_BYTES: Final = 1 << 16
 FLUSH_S: Final = 0.05
-_NEVER: Final = 1 << 62
-_MESSAGE_OVERHEAD: Final = 31
 
 
 class McapSink:
@@ -35,6 +33,10 @@ class McapSink:
         channels: the session's table (``records.channels``).
         provenance: what stands before the first record.
         now: monotonic seconds of a clock, in real time only.
+        keep: what is also kept in memory: topic to the fields of its records, None for all of them.
+
+    Attributes:
+        kept: what was kept of the chunks that were written.
 
     Raises:
         HilError: if the file cannot be created or the first bytes cannot be written; no file is left behind then.
@@ -47,24 +49,23 @@ class McapSink:
         provenance: Provenance,
         *,
         now: Callable[[], float] | None = None,
+        keep: Keep | None = None,
     ) -> None:
         self.path = Path(path)
         self.messages = 0
-        self.dropped = 0
+        self._dropped = 0
         self.error: str | None = None
         self._now = now
         self._flushed_at = now() if now is not None else 0.0
-        self._pending_bytes = 0
-        self._pending = 0
         self._summary: Mapping[str, Any] = {}
         self._closed = False
         self._ids: dict[str, int] = {}
+        self.kept = Kept(channels, keep or {})
         try:
             self._disk = _Disk(self.path)
         except OSError as error:
             raise HilError(f"log {self.path}: cannot be created: {error.strerror or error}") from error
-        # Chunks end where this class says, never inside add_message: only a flush touches the disk.
-        self._writer = Writer(self._disk, chunk_size=_NEVER, compression=CompressionType.ZSTD, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._writer = McapWriter(self._disk, profile="ros2", library=LIBRARY, chunk_ended=self.kept.take)
         try:
             self._open(channels, provenance)
         except OSError as error:
@@ -76,7 +77,6 @@ class McapSink:
 
     def _open(self, channels: Mapping[str, Channel], provenance: Provenance) -> None:
         writer = self._writer
-        writer.start(profile="ros2", library=LIBRARY)
         for name, record in provenance.metadata().items():
             writer.add_metadata(name, record)
         attachments = [
@@ -86,7 +86,7 @@ class McapSink:
         if provenance.certificate is not None:
             attachments.append(("certificate.json", "application/json", to_json(provenance.certificate, indent=1)))
         for name, media_type, data in attachments:
-            writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+            writer.add_attachment(name, media_type, data)
         schemas: dict[str, int] = {}
         for channel in channels.values():
             schema = channel.schema
@@ -95,24 +95,23 @@ class McapSink:
             self._ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schemas[schema.name])
         events = writer.register_schema(EVENT_SCHEMA_NAME, "jsonschema", to_json(EVENT_SCHEMA))
         self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "json", events)
-        writer.flush()  # type: ignore[no-untyped-call]
+        self.kept.number(self._ids)
+        writer.flush()
 
     def channel(self, topic: str) -> Put | None:
         """See ``Sink``; ``/events`` takes JSON payloads that were encoded elsewhere."""
         if topic not in self._ids:
             return None
-        channel_id, add = self._ids[topic], self._writer.add_message
+        return self._writer.messages_of(self._ids[topic])
 
-        def put(t_ns: int, payload: bytes) -> None:
-            if self._closed or self.error is not None:
-                self.dropped += 1
-                return
-            t_ns = max(t_ns, 0)  # log times are unsigned
-            add(channel_id, t_ns, payload, t_ns)
-            self._pending += 1
-            self._pending_bytes += len(payload) + _MESSAGE_OVERHEAD
+    @property
+    def dropped(self) -> int:
+        """Records that are not in the file."""
+        return self._dropped + self._writer.refused
 
-        return put
+    def drop(self, records: int) -> None:
+        """Count records that were lost on their way here."""
+        self._dropped += records
 
     def event(
         self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
@@ -124,13 +123,13 @@ class McapSink:
 
     def commit(self) -> None:
         """See ``Sink``; ends a chunk when it is due."""
-        if self._pending_bytes >= FLUSH_BYTES:
+        if self._writer.open_bytes >= FLUSH_BYTES:
             self._flush()
         elif self._now is not None:
             now = self._now()
             if now - self._flushed_at >= FLUSH_S:
                 self._flushed_at = now
-                if self._pending:
+                if self._writer.open_messages:
                     self._flush()
 
     def summary(self, values: Mapping[str, Any]) -> None:
@@ -146,11 +145,11 @@ class McapSink:
             summary = {**self._summary, "log": {"messages": self.messages, "dropped": self.dropped}}
             try:
                 self._writer.add_metadata("summary", {"json": to_json(summary).decode()})
-                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._writer.finish()
                 self._disk.flush()
             except OSError as error:
                 self._fail(error)
-        self._closed = True
+        self._closed = self._writer.closed = True
         self._disk.close()
 
     def sha256(self) -> str:
@@ -183,16 +182,17 @@ class McapSink:
     def _flush(self) -> None:
         if self.error is not None or self._closed:
             return
+        messages = self._writer.open_messages
         try:
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._writer.flush()
         except OSError as error:
-            self._fail(error)
+            self._fail(error, messages)
         else:
-            self.messages += self._pending
-        self._pending = self._pending_bytes = 0
+            self.messages += messages
 
-    def _fail(self, error: OSError) -> None:
-        self.dropped += self._pending
+    def _fail(self, error: OSError, messages: int = 0) -> None:
+        self._dropped += messages
+        self._writer.closed = True
         self.error = f"{self.path}: {error.strerror or error}"
 
     def __enter__(self) -> McapSink:

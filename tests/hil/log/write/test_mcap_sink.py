@@ -15,11 +15,15 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from hil.compose.loop import compose
 from hil.errors import HilError
+from hil.experiment import load_experiment
 from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import commit
 from hil.log.write.sinks import MemorySink, TeeSink
+from hil.runtime.virtual import run_virtual
+from tests.hil.log.plain_sink import PlainSink
 from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
 
 
@@ -182,3 +186,37 @@ def test_no_file_is_left_when_the_first_bytes_do_not_fit(tmp_path: Path) -> None
     with pytest.raises(HilError, match="cannot be written: File too large"):
         McapSink(tmp_path / "run.mcap", TABLE, provenance(experiment_text="x" * 70_000))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["dc-motor-hinf", "dc-motor-packets", "vtol-h2"])
+def test_the_file_is_that_of_mcaps_own_writer_byte_for_byte(name: str, tmp_path: Path) -> None:
+    loop = compose(load_experiment(name), certify=False)
+    table = loop.channels()
+    for sink in (PlainSink(tmp_path / "plain", table, provenance()), McapSink(tmp_path / "ours", table, provenance())):
+        with sink:
+            run_virtual(loop, 5, sink)
+            sink.event(-5, "late", "before the first slot", x=1.5)
+    assert (tmp_path / "ours").read_bytes() == (tmp_path / "plain").read_bytes()
+    assert len((tmp_path / "ours").read_bytes()) > 100_000  # several chunks
+
+
+def test_a_file_without_records_is_that_of_mcaps_own_writer(tmp_path: Path) -> None:
+    for sink in (PlainSink(tmp_path / "plain", TABLE, provenance()), McapSink(tmp_path / "ours", TABLE, provenance())):
+        sink.__exit__(None, None, None)
+    assert (tmp_path / "ours").read_bytes() == (tmp_path / "plain").read_bytes()
+
+
+def test_what_is_kept_is_what_the_file_says(tmp_path: Path) -> None:
+    keep = {"/plant/state": None, "/network/sc": ("mode", "reason"), "/timing/tick": None}
+    with McapSink(tmp_path / "run.mcap", TABLE, provenance(), keep=keep) as sink:
+        record(sink, 3000)
+    arrays, run = sink.kept.arrays(), read_run(tmp_path / "run.mcap")
+    assert list(arrays) == list(keep)
+    for topic, array in arrays.items():
+        assert len(array) == len(run.arrays[topic])
+        for field in array.dtype.names:
+            np.testing.assert_array_equal(array[field], run.arrays[topic][field])
+    assert arrays["/network/sc"].dtype.names == ("t_ns", "mode", "reason")
+    assert [json.loads(payload) for payload in sink.kept.events] == run.events
+    with pytest.raises(ValueError, match="/link/sensor"):
+        McapSink(tmp_path / "none.mcap", TABLE, provenance(), keep={"/link/sensor": None})

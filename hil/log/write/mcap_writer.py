@@ -1,0 +1,246 @@
+"""MCAP records to bytes: what `mcap.writer.Writer` writes, byte for byte, with the messages of a chunk put together at once.
+
+The package writes a message with some fifteen small writes. Here a message is one head and its payload, and the index of a
+chunk is computed by numpy from the heads when the chunk ends.
+
+Reference: the MCAP format specification, https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+COMPRESSION: Final = "zstd"
+
+_HEAD: Final = struct.Struct("<BQHIQQ")
+MESSAGE_OVERHEAD: Final = _HEAD.size
+"""Bytes of a message beside its payload."""
+
+HEAD_FIELDS: Final = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
+)
+_INDEX_ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
+_INDEX_HEAD: Final = struct.Struct("<BQHI")
+
+Heads = np.ndarray[Any, np.dtype[np.void]]
+ChunkEnded = Callable[[Heads, bytes, npt.NDArray[np.int64]], None]
+
+
+class Stream(Protocol):
+    """Where the bytes go."""
+
+    def write(self, data: bytes, /) -> int: ...
+
+    def tell(self) -> int: ...
+
+    def flush(self) -> None: ...
+
+
+class McapWriter:
+    """Writes one MCAP file: chunks compressed with zstd, every chunk indexed, all checksums.
+
+    Args:
+        stream: takes the bytes; only `flush` and `finish` let it go to the disk.
+        profile, library: what the header says.
+        chunk_ended: told every chunk that is written: the messages' heads (`HEAD_FIELDS`), the chunk's bytes, and where in them
+            every message begins.
+
+    Attributes:
+        open_bytes: bytes of the messages in the open chunk.
+        closed: set it, and no message is taken any more.
+        refused: how many came since.
+    """
+
+    def __init__(
+        self, stream: Stream, *, profile: str, library: str, chunk_ended: ChunkEnded = lambda heads, data, offsets: None
+    ) -> None:
+        self._chunk_ended = chunk_ended
+        self._stream = stream
+        self._data_crc = 0
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._metadata: list[MetadataIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._chunks: list[ChunkIndex] = []
+        self._counts: dict[int, int] = {}
+        self._start: int | None = None
+        self._end = 0
+        self._opening = RecordBuilder()  # schemas and channels that stand at the begin of the open chunk
+        self._parts: list[bytes] = []  # head, payload, head, payload, ...
+        self.open_bytes = self.refused = 0
+        self.closed = False
+        self._write(MAGIC)
+        self._write(_bytes(Header(profile, library)))
+
+    def _write(self, data: bytes) -> None:
+        self._data_crc = zlib.crc32(data, self._data_crc)
+        self._stream.write(data)
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        data = _bytes(Metadata(name=name, metadata=dict(values)))
+        self._metadata.append(MetadataIndex(offset=self._stream.tell(), length=len(data), name=name))
+        self._write(data)
+
+    def add_attachment(self, name: str, media_type: str, content: bytes) -> None:
+        """Write an attachment of time 0."""
+        data = _bytes(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content))
+        self._attachments.append(
+            AttachmentIndex(
+                offset=self._stream.tell(), length=len(data), create_time=0, log_time=0, data_size=len(content), name=name,
+                media_type=media_type,
+            )
+        )  # fmt: skip
+        self._write(data)
+
+    def register_schema(self, name: str, encoding: str, text: bytes) -> int:
+        """Add a schema to the open chunk; return its number."""
+        schema = Schema(id=len(self._schemas) + 1, data=text, encoding=encoding, name=name)
+        self._schemas.append(schema)
+        schema.write(self._opening)
+        return schema.id
+
+    def register_channel(self, topic: str, encoding: str, schema_id: int) -> int:
+        """Add a channel to the open chunk; return its number."""
+        channel = Channel(id=len(self._channels) + 1, topic=topic, message_encoding=encoding, schema_id=schema_id, metadata={})
+        self._channels.append(channel)
+        channel.write(self._opening)
+        return channel.id
+
+    def messages_of(self, channel_id: int) -> Callable[[int, bytes], None]:
+        """Return the function that adds a message of a channel to the open chunk: time in ns, 0 at least, and payload."""
+        extend, pack, frame, opcode = self._parts.extend, _HEAD.pack, MESSAGE_OVERHEAD - 9, int(Opcode.MESSAGE)
+
+        def add(t_ns: int, payload: bytes) -> None:
+            if self.closed:
+                self.refused += 1
+                return
+            if t_ns < 0:
+                t_ns = 0
+            size = len(payload)
+            extend((pack(opcode, frame + size, channel_id, 0, t_ns, t_ns), payload))
+            self.open_bytes += MESSAGE_OVERHEAD + size
+
+        return add
+
+    @property
+    def open_messages(self) -> int:
+        """Messages in the open chunk."""
+        return len(self._parts) // 2
+
+    def flush(self) -> None:
+        """End the open chunk, if it has a message, and let everything go to the disk."""
+        self._end_chunk()
+        self._stream.flush()
+
+    def _end_chunk(self) -> None:
+        if not self._parts:
+            return
+        heads = np.frombuffer(b"".join(self._parts[::2]), HEAD_FIELDS)
+        opening = self._opening.end()  # type: ignore[no-untyped-call]
+        data = b"".join((opening, *self._parts))
+        self._parts.clear()
+        self.open_bytes = 0
+        first, last = int(heads["log"].min()), int(heads["log"].max())
+        packed = zstandard.compress(data)
+        chunk = Chunk(
+            compression=COMPRESSION, data=packed, message_start_time=first, message_end_time=last,
+            uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data),
+        )  # fmt: skip
+        at = self._stream.tell()
+        self._write(_bytes(chunk))
+        length = self._stream.tell() - at
+        sizes = heads["length"].astype(np.int64) + 9
+        begins = len(opening) + np.cumsum(sizes) - sizes
+        indexes, offsets = self._indexes(heads, begins)
+        self._write(indexes)
+        self._chunks.append(
+            ChunkIndex(
+                message_start_time=first, message_end_time=last, chunk_start_offset=at, chunk_length=length,
+                message_index_offsets=offsets, message_index_length=len(indexes), compression=COMPRESSION,
+                compressed_size=len(packed), uncompressed_size=len(data),
+            )
+        )  # fmt: skip
+        self._start = first if self._start is None else min(self._start, first)
+        self._end = max(self._end, last)
+        self._chunk_ended(heads, data, begins)
+
+    def _indexes(self, heads: Heads, begins: npt.NDArray[np.int64]) -> tuple[bytes, dict[int, int]]:
+        """Return the message indexes of a chunk, and where in the file that of every channel begins."""
+        entries = np.empty(len(heads), _INDEX_ENTRY)
+        entries["time"] = heads["log"]
+        entries["offset"] = begins
+        channels, found = heads["channel"], []
+        begin = self._stream.tell()
+        offsets: dict[int, int] = {}
+        ids, firsts = np.unique(channels, return_index=True)
+        for channel in ids[np.argsort(firsts)].tolist():
+            own = entries[channels == channel]
+            offsets[channel] = begin
+            found += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + own.nbytes, channel, own.nbytes), own.tobytes()]
+            begin += _INDEX_HEAD.size + own.nbytes
+            self._counts[channel] = self._counts.get(channel, 0) + len(own)
+        return b"".join(found), offsets
+
+    def finish(self) -> None:
+        """Write the rest, the summary and the footer."""
+        self._end_chunk()
+        self._stream.write(_bytes(DataEnd(self._data_crc)))
+        start = self._stream.tell()
+        statistics = Statistics(
+            attachment_count=len(self._attachments), channel_count=len(self._channels), channel_message_counts=self._counts,
+            chunk_count=len(self._chunks), message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
+            message_start_time=self._start or 0, message_end_time=self._end, schema_count=len(self._schemas),
+        )  # fmt: skip
+        groups: tuple[tuple[Opcode, list[Any]], ...] = (
+            (Opcode.SCHEMA, self._schemas),
+            (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        )
+        summary, offsets = b"", b""
+        for opcode, records in groups:
+            group = b"".join(map(_bytes, records))
+            offsets += _bytes(SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group)))
+            summary += group
+        tail = start + len(summary)
+        footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, tail)
+        crc = zlib.crc32(footer, zlib.crc32(summary + offsets))
+        self._stream.write(summary + offsets)
+        self._stream.write(_bytes(Footer(summary_start=start, summary_offset_start=tail, summary_crc=crc)))
+        self._stream.write(MAGIC)
+
+
+def _bytes(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
