@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
@@ -32,6 +32,11 @@ from hil.runtime.virtual import run_virtual
 from transport.links.who_commands import who_commands
 from transport.medium.draws import REASONS
 from transport.packets import SELECTIONS
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
 
 ClockName = Literal["virtual", "real"]
 INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that somebody else sends on the link: exit status
@@ -67,6 +72,29 @@ class Session:
     def arrays(self) -> dict[str, StructuredArray]:
         """Topic to records, a structured numpy array each; field ``t_ns`` is the session time."""
         return self.run.arrays
+
+    def to_pandas(self) -> dict[str, pandas.DataFrame]:
+        """Return the arrays as tables of pandas; see `hil.notebook.tables`."""
+        from hil.notebook import tables
+
+        return tables(self.run)
+
+    def to_xarray(self) -> dict[str, xarray.Dataset]:
+        """Return the arrays as data sets of xarray; see `hil.notebook.datasets`."""
+        from hil.notebook import datasets
+
+        return datasets(self.run)
+
+    def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
+        """Return outputs, reference and inputs as a figure of matplotlib, and write it to a file; see `hil.notebook.figure`."""
+        from hil.notebook import figure
+
+        return figure(self.run, path, width_mm=width_mm, height_mm=height_mm)
+
+    def _repr_html_(self) -> str:
+        from hil.notebook import cell
+
+        return cell(self.run, self.summary, repr(self))
 
     def __repr__(self) -> str:
         s, metrics = self.summary, self.summary["metrics"]

@@ -1,0 +1,148 @@
+"""A session in a notebook and in a paper: tables of pandas and xarray, a figure, and the cell that shows it."""
+
+from __future__ import annotations
+
+import io
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.errors import HilError
+from hil.log.read.run import Run
+from hil.log.records import TIME_FIELD
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+MM_PER_INCH = 25.4
+FORMATS = (".svg", ".pdf", ".png")
+TILES = 6
+
+
+def tables(run: Run) -> dict[str, pandas.DataFrame]:
+    """Return a `pandas.DataFrame` per topic, with the session time in s as its index and the units in ``attrs``.
+
+    Raises:
+        HilError: if pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise HilError("to_pandas: pandas is not installed; pip install 'hilrig[notebook]'") from error
+    found = {}
+    for topic, array in run.arrays.items():
+        columns = {name: array[name] for name in array.dtype.names or () if name != TIME_FIELD}
+        frame = pandas.DataFrame(columns, index=pandas.Index(seconds(array), name="t_s"))
+        frame.attrs["units"] = _units(run, topic)
+        found[topic] = frame
+    return found
+
+
+def datasets(run: Run) -> dict[str, xarray.Dataset]:
+    """Return an `xarray.Dataset` per topic over the coordinate ``t_s``, in s, with the unit of every variable.
+
+    Raises:
+        HilError: if xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise HilError("to_xarray: xarray is not installed; pip install 'hilrig[notebook]'") from error
+    found = {}
+    for topic, array in run.arrays.items():
+        units = _units(run, topic)
+        variables = {
+            name: ("t_s", array[name], {"units": units.get(name, "")})
+            for name in array.dtype.names or () if name != TIME_FIELD
+        }  # fmt: skip
+        found[topic] = xarray.Dataset(variables, coords={"t_s": ("t_s", seconds(array), {"units": "s"})})
+    return found
+
+
+def figure(run: Run, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
+    """Return a figure of the tracked outputs against their reference, and of the inputs, one above the other.
+
+    Args:
+        run: a log that was read, or a run in memory.
+        path: where to write it; its ending says how: .svg, .pdf or .png (300 dots per inch).
+        width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals.
+
+    Raises:
+        HilError: if matplotlib is not installed, or for another ending.
+    """
+    try:
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise HilError("plot: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
+    if path is not None and Path(path).suffix not in FORMATS:
+        raise HilError(f"plot: {str(path)!r}; expected a name that ends in {', '.join(FORMATS)}")
+    if not (10.0 <= width_mm <= 2000.0 and 10.0 <= height_mm <= 2000.0):
+        raise HilError(f"plot: {width_mm:g} mm x {height_mm:g} mm; expected 10 to 2000 mm")
+    view = view_of(run)
+    style = {
+        "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
+        "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
+    }  # fmt: skip
+    with rc_context(style):
+        drawn = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
+        outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
+        rows = drawn.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]
+        measurement, reference = run.arrays[MEASUREMENT], run.arrays.get(REFERENCE)
+        for axis, name in zip(rows, outputs):
+            if reference is not None:
+                axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
+            axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
+            axis.set_ylabel(_label(name, view.signals.outputs[name]))
+            axis.legend(frameon=False)
+        if applied is not None:
+            inputs = signal_names(run, APPLIED)
+            for number, name in enumerate(inputs):
+                axis = rows[-1]
+                axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
+            rows[-1].set_ylabel(_label(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
+            if len(inputs) > 1:
+                rows[-1].legend(frameon=False)
+        rows[-1].set_xlabel("time (s)")
+        if path is not None:
+            metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(Path(path).suffix)
+            drawn.savefig(path, dpi=300, metadata=metadata)
+    return drawn
+
+
+def cell(run: Run, summary: dict[str, Any], line: str) -> str:
+    """Return a session as HTML: one line, its numbers as tiles, and the plot where matplotlib is installed.
+
+    Args:
+        run: what ran.
+        summary: its summary.
+        line: the session in one line.
+    """
+    units = summary.get("units", {})
+    numbers = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]
+    tiles = "".join(
+        '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
+        f'<div style="font-size:80%;opacity:.7">{escape(name)}</div><b>{value:.5g}</b> {escape(units.get(name, ""))}</div>'
+        for name, value in numbers
+    )
+    picture = io.StringIO()
+    try:
+        drawn = figure(run, width_mm=160.0, height_mm=90.0)
+        drawn.savefig(picture, format="svg", metadata={"Date": None})
+    except HilError:  # no matplotlib: the numbers are there
+        picture = io.StringIO()
+    svg = picture.getvalue()
+    svg = svg[svg.find("<svg") :] if svg else ""
+    return f'<div><p>{escape(line)}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
+
+
+def _units(run: Run, topic: str) -> dict[str, str]:
+    schema = run.schemas.get(topic)
+    return {f.name: f.unit for f in schema.fields} if schema is not None else {}
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name

@@ -1,0 +1,67 @@
+"""A session as tables, as a figure for a paper, and as a cell of a notebook."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import hil
+
+
+@pytest.fixture(scope="module")
+def session() -> hil.Session:
+    return hil.run("dc-motor-hinf", seed=3, duration=4)
+
+
+def test_tables_hold_every_record_with_its_time_and_unit(session: hil.Session) -> None:
+    pytest.importorskip("pandas", reason="pandas is not installed: pip install 'hilrig[notebook]'")
+    frame = session.to_pandas()["/plant/measurement"]
+    assert set(session.to_pandas()) == set(session.arrays) and frame.attrs["units"]["angle"] == "rad"
+    assert np.array_equal(frame["angle"].to_numpy(), session.arrays["/plant/measurement"]["angle"])
+    assert frame.index[-1] == pytest.approx(3.95)
+
+
+def test_data_sets_hold_every_record_with_its_time_and_unit(session: hil.Session) -> None:
+    pytest.importorskip("xarray", reason="xarray is not installed: pip install 'hilrig[notebook]'")
+    found = session.to_xarray()["/plant/measurement"]["angle"]
+    assert found.attrs["units"] == "rad" and float(found.sel(t_s=2.0)) == session.arrays["/plant/measurement"]["angle"][40]
+
+
+@pytest.mark.parametrize("name", ["pandas", "xarray"])
+def test_a_library_that_is_not_installed_is_named_with_the_extra(
+    session: hil.Session, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(hil.HilError, match=rf"{name} is not installed; pip install 'hilrig\[notebook\]'"):
+        getattr(session, f"to_{name}")()
+
+
+def test_a_figure_has_the_size_in_millimetres_and_shows_the_run(session: hil.Session, tmp_path: Path) -> None:
+    drawn = session.plot(tmp_path / "step.svg", width_mm=100, height_mm=60)
+    assert drawn.get_size_inches() * 25.4 == pytest.approx([100.0, 60.0])
+    (outputs, inputs) = drawn.axes
+    assert outputs.get_ylabel() == "angle (rad)" and inputs.get_xlabel() == "time (s)"
+    measured = next(line for line in outputs.lines if line.get_label() == "angle")
+    assert np.array_equal(measured.get_ydata(), session.arrays["/plant/measurement"]["angle"])
+    assert ElementTree.parse(tmp_path / "step.svg").getroot().get("width") == f"{100 / 25.4 * 72:.6f}pt"
+    session.plot(tmp_path / "step.pdf")
+    assert (tmp_path / "step.pdf").read_bytes().startswith(b"%PDF")
+    session.plot(tmp_path / "again.svg", width_mm=100, height_mm=60)
+    assert (tmp_path / "again.svg").read_bytes() == (tmp_path / "step.svg").read_bytes(), "the same run, the same file"
+
+
+@pytest.mark.parametrize("path, size", [("step.tiff", 85.0), (None, 1.0)])
+def test_what_cannot_be_drawn_is_told(session: hil.Session, path: str | None, size: float) -> None:
+    with pytest.raises(hil.HilError, match="plot: "):
+        session.plot(path, width_mm=size)
+
+
+def test_a_cell_shows_numbers_with_units_and_the_plot(session: hil.Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    html = session._repr_html_()
+    assert f"{session.metrics['sse']:.5g}</b> rad² s" in html and "<svg" in html and repr(session)[1:20] in html
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert "<svg" not in session._repr_html_() and "rad² s" in session._repr_html_()
