@@ -83,7 +83,7 @@ def figure(run: Run, path: str | Path | None = None, *, width_mm: float = 85.0, 
     if not (10.0 <= width_mm <= 2000.0 and 10.0 <= height_mm <= 2000.0):
         raise HilError(f"plot: {width_mm:g} mm x {height_mm:g} mm; expected 10 to 2000 mm")
     view = view_of(run)
-    style = {
+    style: Any = {
         "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
         "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
     }  # fmt: skip

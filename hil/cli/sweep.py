@@ -25,11 +25,16 @@ if TYPE_CHECKING:
 @click.argument("experiment", type=EXPERIMENT)
 @click.option("--runs", type=int, default=100, show_default=True, help="Number of runs, with --until at most; seeds 0, 1, ...")
 @click.option("--first-seed", type=int, default=0, show_default=True)
+@click.option("--grid", "grids", multiple=True, metavar="KEY=A,B,...", help="Run at every combination of these values.")
+@click.option("--range", "ranges", multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
+@click.option("--points", type=int, metavar="N", help="So many points of a Latin hypercube over the ranges.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="With --grid or --range: a page.")
+@click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE", help="With --grid or --range: a row per run.")
 @click.option(
     "--until", metavar="METRIC=HALFWIDTH", help="Stop when the interval of this metric's mean (sd:METRIC: deviation) is narrow."
 )
 @click.option("--level", type=float, default=0.95, show_default=True, help="Confidence of that interval at the stop.")
-@click.option("--resume", type=click.Path(path_type=Path, dir_okay=False), help="Keep finished runs in this file, go on from it.")
+@click.option("--resume", type=click.Path(path_type=Path), help="Keep finished runs in this file, go on from it.")
 @click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True)
 @click.option("--scheduler", metavar="ADDRESS", help="The dask scheduler, e.g. tcp://10.0.0.1:8786.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
@@ -39,6 +44,11 @@ def command(
     experiment: str,
     runs: int,
     first_seed: int,
+    grids: tuple[str, ...],
+    ranges: tuple[str, ...],
+    points: int | None,
+    output: Path | None,
+    table: Path | None,
     until: str | None,
     level: float,
     resume: Path | None,
@@ -50,6 +60,9 @@ def command(
 ) -> None:
     """Run EXPERIMENT in virtual time for many seeds; print mean, spread and percentiles of its metrics.
 
+    With --grid, or --range and --points, it runs at many points with the same seeds at each (--resume is a folder then):
+    hil sweep dc-motor-hinf --grid period=10ms,25ms --grid plant.gain=150,170 --runs 50 -o page.html --csv runs.csv
+
     The numbers do not depend on the number of processes and machines. Ctrl-C prints what was done so far and exits with
     130 (SIGTERM: 143); with --resume the same command goes on from there. If --runs did not suffice for --until, the status is 1.
     """
@@ -58,6 +71,7 @@ def command(
     from rich.progress import Progress, TimeRemainingColumn
 
     from design.monte_carlo.parallel import Workers
+    from hil.cli.sweep_parameters import points_of, run_points
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.sweeps.seeds import columns_of, here, run_sweep, statistics
@@ -72,6 +86,17 @@ def command(
     check_jobs(jobs)
     if (scheduler is None) == (backend == "dask"):
         raise HilError("--scheduler: --backend dask needs the address of its scheduler, and nothing else does")
+    if grids or ranges or points is not None:
+        if until is not None:
+            raise HilError("--until: not with --grid or --range, where every point has the same runs")
+        run_points(
+            experiment, points_of(grids, ranges, points), sets=sets, runs=runs, first_seed=first_seed, resume=resume,
+            workers=Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs),
+            page=output, table=table, as_json=as_json,
+        )  # fmt: skip
+        return
+    if output is not None or table is not None:
+        raise HilError("-o and --csv: only with --grid or --range")
     checked = load_experiment(experiment, sets)
     columns = columns_of(checked)
     metrics = columns[1:]

@@ -144,7 +144,7 @@ class Histogram:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Matrix:
-    """Values shaded by size in [0, 1], e.g. transition frequencies; `expected` is shown small beneath each value."""
+    """Values shaded by size from `low` to `high`, e.g. frequencies; `expected` is shown small beneath each value."""
 
     title: str
     rows: Sequence[str]
@@ -153,6 +153,8 @@ class Matrix:
     expected: Sequence[Sequence[float | None]] | None = None
     row_label: str = ""
     column_label: str = ""
+    low: float = 0.0
+    high: float = 1.0
     note: str = ""
 
 

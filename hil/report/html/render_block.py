@@ -218,7 +218,8 @@ def _matrix(matrix: Matrix) -> str:
             expected = matrix.expected[i][j] if matrix.expected is not None else None
             small = "" if expected is None else f"<small>{_share(float(expected))}</small>"
             number = float("nan") if value is None else float(value)
-            shade = min(max(number, 0.0), 1.0) if np.isfinite(number) else 0.0
+            share = (number - matrix.low) / ((matrix.high - matrix.low) or 1.0)
+            shade = min(max(share, 0.0), 1.0) if np.isfinite(share) else 0.0
             cells.append(f'<td style="--shade:{shade:.3f}">{_share(number)}{small}</td>')
         lines.append(f'<tr><th scope="row">{escape(str(name))}</th>{"".join(cells)}</tr>')
     top = f"<thead><tr><th>{corner}</th>{head}</tr></thead>"

@@ -1,0 +1,152 @@
+"""What ``hil sweep --grid`` and ``--range`` do: many points, the same seeds at each."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from design.monte_carlo.parallel import Workers
+    from hil.sweeps.parameters import ParameterSweep, Points
+
+
+def run_points(
+    experiment: str,
+    points: Points,
+    *,
+    sets: Sequence[str],
+    runs: int,
+    first_seed: int,
+    workers: Workers,
+    resume: Path | None,
+    page: Path | None,
+    table: Path | None,
+    as_json: bool,
+) -> None:
+    """Run an experiment at many points; print a table, and write a page and a CSV file where asked to.
+
+    Args:
+        experiment: shipped name or TOML file.
+        points: where.
+        sets: changes of all points.
+        runs: at each point.
+        first_seed: of each point.
+        workers: where the runs are computed.
+        resume: folder of finished runs.
+        page: HTML page to write.
+        table: CSV file to write, a row per run.
+        as_json: print one JSON object instead of a table.
+
+    Raises:
+        HilError: if a point is no valid experiment, or a file cannot be written.
+    """
+    from rich.console import Console
+    from rich.progress import Progress, TimeRemainingColumn
+
+    from hil.cli.outputs import check_output, write_output
+    from hil.report.parameters import interval_of, parameter_page
+    from hil.sweeps.parameters import sweep_parameters
+
+    for path in (page, table):
+        if path is not None:
+            check_output(path, page=path is page)
+    begun = time.perf_counter()
+    err = Console(stderr=True)
+    shown = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
+    with Progress(*shown, console=err, disable=not err.is_terminal) as bar:
+        task = bar.add_task(f"{len(points.values)} points", total=runs * len(points.values))
+        found = sweep_parameters(
+            experiment, points, sets=sets, runs=runs, first_seed=first_seed, workers=workers, folder=resume,
+            progress=lambda done: bar.update(task, completed=done),
+        )  # fmt: skip
+    if table is not None:
+        write_output(table, csv_of(found))
+    if page is not None and found.columns:
+        write_output(page, parameter_page(Path(experiment).stem, found, runs))
+    out: dict[str, Any] = {
+        "experiment": experiment,
+        "runs": runs,
+        "wall_s": round(time.perf_counter() - begun, 3),
+        "points": [
+            {
+                "changes": dict(zip(points.keys, points.values[number])),
+                "stopped_by_safety": int(columns["stopped"].sum()),
+                "metrics": {
+                    q.name: {"n": i.n, "mean": i.value, "low": i.low, "high": i.high} if i.n > 1 else {"n": i.n}
+                    for q in found.quantities
+                    for i in [interval_of(columns[q.name])]
+                },
+            }
+            for number, columns in enumerate(found.columns)
+        ],
+    }
+    if as_json:
+        print(json.dumps(out, indent=2))
+    else:
+        _show(out, found, page, table)
+    if found.interrupted:
+        if resume is not None:
+            print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
+        sys.exit(found.interrupted)
+
+
+def csv_of(sweep: ParameterSweep) -> str:
+    """Return a row per run: what was changed, the seed, whether safety stopped it, every quantity; empty where undefined."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [q.name for q in sweep.quantities]
+    writer.writerow([*sweep.points.keys, "seed", "stopped", *names])
+    for number, columns in enumerate(sweep.columns):
+        for i, seed in enumerate(columns["seed"].tolist()):
+            values = [float(columns[name][i]) for name in names]
+            row = ["" if v != v else repr(v) for v in values]
+            writer.writerow([*sweep.points.values[number], int(seed), int(columns["stopped"][i]), *row])
+    return text.getvalue()
+
+
+def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: Path | None) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from hil.cli.tables import print_table
+    from hil.cli.terminal import cell, visible
+    from hil.measure.signals import with_unit
+
+    print(f"{visible(out['experiment'])}: {out['runs']} runs at each of {len(out['points'])} points in {out['wall_s']} s")
+    for quantity in sweep.quantities:
+        if not any("mean" in point["metrics"][quantity.name] for point in out["points"]):
+            continue
+        shown = Table(title=with_unit(quantity.name, quantity.unit), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        for head in (*sweep.points.keys, "n", "mean", "95 % interval"):
+            shown.add_column(head, justify="right")
+        for point in out["points"]:
+            seen = point["metrics"][quantity.name]
+            numbers = ("-", "-") if "mean" not in seen else (f"{seen['mean']:.5g}", f"{seen['low']:.4g} to {seen['high']:.4g}")
+            shown.add_row(*map(cell, point["changes"].values()), str(seen["n"]), *numbers)
+        print_table(shown)
+    for what, path in (("page", page), ("csv", table)):
+        if path is not None:
+            print(f"{what}: {visible(path)}")
+
+
+def points_of(grids: Sequence[str], ranges: Sequence[str], count: int | None) -> Points:
+    """Return the points that the options ask for.
+
+    Raises:
+        HilError: for both kinds at once, a number of points without a range, or the reverse.
+    """
+    from hil.sweeps.parameters import grid, latin_hypercube
+
+    if grids and ranges:
+        raise HilError("--grid and --range: one or the other; a grid takes all combinations, ranges a Latin hypercube")
+    if bool(ranges) != (count is not None):
+        raise HilError("--range and --points belong together: so many points of a Latin hypercube over the ranges")
+    return grid(grids) if grids else latin_hypercube(ranges, count or 0)

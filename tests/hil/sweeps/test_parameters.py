@@ -1,0 +1,107 @@
+"""Sweeps over parameters: the points, common seeds, resuming, and what the command writes."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hil
+from design.monte_carlo.parallel import Workers
+from hil.cli import main
+from hil.errors import HilError
+from hil.sweeps import parameters
+from hil.sweeps.parameters import grid, latin_hypercube, sweep_parameters
+
+HERE = Workers(backend="serial")
+
+
+def test_a_latin_hypercube_has_one_point_in_each_part_of_every_range() -> None:
+    points = latin_hypercube(["plant.gain=100:200", "period=10ms:50ms"], 20, seed=3)
+    assert points == latin_hypercube(["plant.gain=100:200", "period=10ms:50ms"], 20, seed=3)
+    assert all(row[1].endswith(" ms") for row in points.values)
+    for column, (low, high) in enumerate([(100, 200), (10, 50)]):
+        x = np.array([float(row[column].split()[0]) for row in points.values])
+        assert sorted(np.floor((x - low) / (high - low) * 20).astype(int)) == list(range(20))
+
+
+@pytest.mark.parametrize("asked", ["period", "=1,2", "period=1,,2", "period="])
+def test_a_grid_of_another_form_is_refused(asked: str) -> None:
+    with pytest.raises(HilError, match="--grid"):
+        grid([asked])
+
+
+@pytest.mark.parametrize("asked", ["plant.gain", "plant.gain=2:1", "plant.gain=1:nan", "period=1s:2ms", "plant.gain=1:2:3"])
+def test_a_range_of_another_form_is_refused(asked: str) -> None:
+    with pytest.raises(HilError, match="--range"):
+        latin_hypercube([asked], 3)
+
+
+def test_too_many_points_are_refused() -> None:
+    many = ",".join(map(str, range(200)))
+    with pytest.raises(HilError, match="40000 points"):
+        grid([f"seed={many}", f"plant.gain={many}"])
+
+
+def test_every_point_has_the_numbers_of_a_sweep_of_its_own() -> None:
+    points = grid(["plant.gain=150,170"])
+    found = sweep_parameters("dc-motor-hinf", points, sets=["duration=3"], runs=3, workers=HERE)
+    for columns, gain in zip(found.columns, (150, 170)):
+        alone = hil.sweep("dc-motor-hinf", runs=3, jobs=1, duration=3, **{"plant.gain": gain})
+        assert columns["seed"].tolist() == [0, 1, 2] and np.array_equal(columns["sse"], alone.values["sse"])
+
+
+def test_a_bad_point_is_named_before_anything_runs(tmp_path: Path) -> None:
+    with pytest.raises(HilError, match="period=-1: "):
+        sweep_parameters("dc-motor-hinf", grid(["period=0.05,-1"]), runs=2, workers=HERE, folder=tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
+
+
+def test_what_was_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    points = grid(["plant.gain=150,170"])
+
+    def sweep() -> parameters.ParameterSweep:
+        return sweep_parameters("dc-motor-hinf", points, sets=["duration=2"], runs=2, workers=HERE, folder=tmp_path)
+
+    first = sweep()
+    monkeypatch.setattr("hil.sweeps.seeds.run_seeds", lambda loop, seeds: pytest.fail("ran again"))
+    assert np.array_equal(sweep().columns[1]["sse"], first.columns[1]["sse"])
+
+
+def test_the_command_writes_a_page_and_a_table_of_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, table = tmp_path / "page.html", tmp_path / "runs.csv"
+    arguments = ["sweep", "dc-motor-hinf", "--grid", "plant.gain=150,170", "--grid", "period=25ms,50ms", "--runs", "3"]
+    arguments += ["--jobs", "1", "--set", "duration=3", "--set", "allow_uncertified=true", "-o", str(page), "--csv", str(table)]
+    with pytest.raises(SystemExit) as end:
+        main([*arguments, "--json"])
+    out = json.loads(capsys.readouterr().out)
+    assert end.value.code in (None, 0) and len(out["points"]) == 4
+    rows = list(csv.DictReader(table.open()))
+    assert len(rows) == 12 and rows[-1]["period"] == "50 ms" and rows[-1]["seed"] == "2"
+    mean = np.mean([float(row["sse"]) for row in rows[-3:]])
+    assert out["points"][-1]["metrics"]["sse"]["mean"] == pytest.approx(mean)
+    text = page.read_text()
+    assert 'class="matrix"' in text and "plant.gain 150" in text and text.startswith("<!doctype html")
+    with pytest.raises(SystemExit):
+        main(arguments)
+    shown = capsys.readouterr().out
+    assert f"page: {page}" in shown and "sse (rad² s)" in shown
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        (["--grid", "period=1,2", "--range", "period=1:2"], "one or the other"),
+        (["--range", "plant.gain=1:2"], "belong together"),
+        (["--points", "3"], "belong together"),
+        (["--csv", "x.csv"], "only with --grid"),
+        (["--grid", "plant.gain=150", "--until", "sse=1"], "--until"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["sweep", "dc-motor-hinf", *options])
+    assert end.value.code == 2 and says in capsys.readouterr().err
