@@ -62,6 +62,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
         name: {
             "stopped_by_safety": int(values["stopped"].sum()),
             "metrics": {m: statistics(values[m]) for m in names},
+            "verdict": comparison.verdict(name) if name != first else None,
             "difference": {m: comparison.difference(name, m) for m in names},
         }
         for name, values in comparison.values.items()
@@ -69,6 +70,8 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
     if as_json:
         print(json.dumps({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None}, indent=2))
         return
+    for name in experiments[1:]:
+        print(visible(comparison.verdict(name)))
     for quantity in comparison.quantities:
         metric = quantity.name
         table = Table(title=with_unit(metric, quantity.unit))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from hil.errors import HilError
 from hil.experiment import Experiment
@@ -26,6 +26,7 @@ class Quantity:
         note: how it is judged, a few words.
         absent: what None means in a run that has had what it `needs`.
         needs: label of the mark without which it is not defined, such as "reference step".
+        better: which values are better, where that can be said; a comparison is judged by the first that has it.
         per_output: whether it is also told for every tracked output.
     """
 
@@ -36,6 +37,7 @@ class Quantity:
     note: str = ""
     absent: str = ""
     needs: str = ""
+    better: Literal["", "lower", "higher"] = ""
     per_output: bool = True
 
 

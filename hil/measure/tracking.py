@@ -32,8 +32,8 @@ class Tracking:
         """Return the six numbers with their units, which are those of the tracked outputs and of the inputs."""
         unit, squared = signals.tracked_unit() or "", squared_unit(signals)
         return (
-            Quantity(name="sse", title="squared tracking error", unit=squared, note="whole run, × T"),
-            Quantity(name="sse_after_5s", title="squared error after 5 s", unit=squared, note="× T"),
+            Quantity(name="sse", title="squared tracking error", unit=squared, note="whole run, × T", better="lower"),
+            Quantity(name="sse_after_5s", title="squared error after 5 s", unit=squared, note="× T", better="lower"),
             Quantity(name="overshoot", title="overshoot", share_of="the step", needs=REFERENCE_STEP),
             Quantity(
                 name="settling_time_s", title="settling time", unit="s", note="to 2 %", absent="not settled to 2 %",

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.report.html.figures import Block, Figure, Section, Series, Table
+from hil.report.html.figures import Block, Figure, Section, Series, Table, Text
 from hil.report.html.page import render_page
 from hil.sweeps.comparison import Comparison
 
@@ -54,6 +54,7 @@ def compare_page(comparison: Comparison) -> str:
             ),
         )
         sections.append(Section(title=title, blocks=blocks))
+    sections.insert(0, _answer(comparison))
     stopped = ", ".join(f"{name}: {int(found[name]['stopped'].sum())}" for name in names)
     return render_page(
         "Comparison of experiments",
@@ -61,3 +62,19 @@ def compare_page(comparison: Comparison) -> str:
         subtitle=", ".join(names),
         facts=(("runs of each", str(comparison.runs)), ("stopped by safety", stopped)),
     )
+
+
+def _answer(comparison: Comparison) -> Section:
+    """The verdicts in words, and one table of the means of all quantities."""
+    names = list(comparison.values)
+    rows: list[list[Any]] = []
+    for quantity in comparison.quantities:
+        means = []
+        for name in names:
+            values = comparison.values[name][quantity.name]
+            finite = values[np.isfinite(values)]
+            means.append(float(finite.mean()) if finite.size else None)
+        rows.append([quantity.title, quantity.unit, *means])
+    verdicts = tuple(Text(text=comparison.verdict(name)) for name in names[1:])
+    table = Table(columns=("mean of", "unit", *names), rows=rows)
+    return Section(title="Answer", blocks=(*verdicts, table))

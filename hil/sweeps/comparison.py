@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from design.monte_carlo.confidence import Interval
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity
 from hil.sweeps.seeds import here, quantities_in, run_sweep
@@ -34,6 +35,30 @@ class Comparison:
         """Return the mean difference of an experiment against the first, and its 95 % interval; see `paired`."""
         first = next(iter(self.values))
         return paired(self.values[first][quantity], self.values[name][quantity])
+
+    def verdict(self, name: str) -> str:
+        """Return in words whether an experiment is better than the first, with the number that decides and its interval.
+
+        It is judged by the first quantity of which it can be said what is better. Runs that safety stopped are shorter than
+        the others, so that no verdict is given where there are any.
+        """
+        first = next(iter(self.values))
+        judged = next((q for q in self.quantities if q.better), None)
+        stops = {each: int(self.values[each]["stopped"].sum()) for each in (first, name)}
+        if any(stops.values()):
+            told = ", ".join(f"{each} in {count}" for each, count in stops.items())
+            return f"{name} against {first}: undecided; safety stopped runs (of {self.runs}): {told}"
+        if judged is None:
+            return f"{name} against {first}: undecided; no measure says what is better"
+        gap = relative(self.values[first][judged.name], self.values[name][judged.name])
+        if gap is None:
+            return f"{name} against {first}: undecided; {judged.name} is not a number above 0 in two runs of both"
+        value, low, high = (f"{100.0 * share:+.1f}" for share in (gap.value, gap.low, gap.high))
+        numbers = f"{judged.name} {value} %, 95 % interval {low} to {high} %, {gap.n} runs"
+        if gap.low <= 0.0 <= gap.high:
+            return f"{name} against {first}: no difference is shown: {numbers}"
+        better = (gap.value < 0.0) == (judged.better == "lower")
+        return f"{name} is {'better' if better else 'worse'} than {first}: {numbers}"
 
 
 def compare(
@@ -69,6 +94,26 @@ def common_quantities(several: Sequence[Sequence[Quantity]]) -> tuple[Quantity, 
         for name, q in first.items()
         if all(name in other for other in others)
     )
+
+
+def relative(a: NDArray[np.float64], b: NDArray[np.float64]) -> Interval | None:
+    """Return mean(b) / mean(a) - 1 over the seeds that both have, and its 95 % interval, normal, by the delta method.
+
+    With q = mean(b) / mean(a) the deviation is that of the mean of (b - q a) / mean(a): pairs share their seed.
+
+    Args:
+        a, b: one entry per seed, in the same order.
+
+    Returns:
+        None for fewer than two pairs, or if mean(a) is not positive.
+    """
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both], b[both]
+    if a.size < 2 or not a.mean() > 0.0:
+        return None
+    q = float(b.mean() / a.mean())
+    half = 1.96 * float((b - q * a).std(ddof=1)) / (float(a.mean()) * float(np.sqrt(a.size)))
+    return Interval(q - 1.0, q - 1.0 - half, q - 1.0 + half, 0.95, int(a.size))
 
 
 def paired(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:

@@ -14,16 +14,16 @@ from hil.sweeps.comparison import relative
 
 @pytest.fixture(scope="module")
 def both() -> hil.Comparison:
-    return hil.compare("dc-motor-ours-h2", "dc-motor-h2", runs=30, jobs=1, duration=10)
+    return hil.compare("dc-motor-ours-h2", "dc-motor-smith", runs=30, jobs=1, duration=10)
 
 
 def test_it_says_which_is_better_by_how_much(both: hil.Comparison) -> None:
-    told = both.verdict("dc-motor-h2")
+    told = both.verdict("dc-motor-smith")
     a, b = (both.values[name]["sse"] for name in both.values)
-    assert b.mean() > a.mean() and told.startswith("dc-motor-h2 is worse than dc-motor-ours-h2: sse +")
+    assert b.mean() > a.mean() and told.startswith("dc-motor-smith is worse than dc-motor-ours-h2: sse +")
     assert f"sse {100 * (b.mean() / a.mean() - 1):+.1f} %, 95 % interval +" in told and told.endswith("30 runs")
     turned = replace(both, values=dict(reversed(both.values.items())))
-    assert turned.verdict("dc-motor-ours-h2").startswith("dc-motor-ours-h2 is better than dc-motor-h2: sse -")
+    assert turned.verdict("dc-motor-ours-h2").startswith("dc-motor-ours-h2 is better than dc-motor-smith: sse -")
 
 
 def test_the_same_experiment_shows_no_difference_and_stopped_runs_are_undecided(both: hil.Comparison) -> None:
@@ -46,6 +46,6 @@ def test_the_interval_of_a_ratio_holds_it_as_often_as_it_says() -> None:
 
 def test_the_page_begins_with_the_answer(both: hil.Comparison) -> None:
     page = compare_page(both)
-    assert "dc-motor-h2 is worse than dc-motor-ours-h2" in page
+    assert "dc-motor-smith is worse than dc-motor-ours-h2" in page
     assert page.index("is worse than") < page.index("share of runs at or below")
     assert page.index("mean of") < page.index("share of runs at or below")
