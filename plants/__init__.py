@@ -6,6 +6,7 @@ nanoseconds under a held input, and measures.
 """
 
 from plants.dc_motor import DCMotor, DCMotorRun, LoadTorque
+from plants.delayed_states import DelayedStates
 from plants.errors import PlantError
 from plants.omni import Omni
 from plants.parts.actuators import Driver
@@ -13,7 +14,7 @@ from plants.parts.check import check_plant
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import DiscreteStateSpace, LinearRun, Signal, StateSpace
-from plants.parts.protocols import BeyondModel, JumpPlant, Plant, PlantRun
+from plants.parts.protocols import BeyondModel, HasCost, HasStateDelays, JumpPlant, Plant, PlantRun
 from plants.parts.semi_markov import JumpProcess, TransitionRates
 from plants.parts.sensors import Encoder
 from plants.python_control import from_control, to_control
@@ -28,6 +29,7 @@ __all__ = [
     "BeyondModel",
     "DCMotor",
     "DCMotorRun",
+    "DelayedStates",
     "DelayedVTOL",
     "DelayedVTOLRun",
     "DiscreteStateSpace",
@@ -36,6 +38,8 @@ __all__ = [
     "FaultyVTOL",
     "FaultyVTOLRun",
     "Friction",
+    "HasCost",
+    "HasStateDelays",
     "JumpModel",
     "JumpPlant",
     "JumpProcess",

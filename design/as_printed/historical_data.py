@@ -1,71 +1,11 @@
-"""The example of Section 5.4 and its printed gains (5.16), (5.17)."""
+"""The printed gains of Section 5.4, (5.16) and (5.17); the plant that they are for is `plants.delayed_states`."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from design.historical_data.lifted_loop import DelayedPlant
-
 Array = npt.NDArray[np.float64]
-
-START = (-4.0, 3.0, -6.0, 1.0)
-"""x(0); the history before it is zero."""
-
-
-def example(*, variant: bool = False) -> DelayedPlant:
-    """The plant of Section 5.4, with Xi = 0.1 I.
-
-    Args:
-        variant: A33 = 0.6 and a quarter of every delayed matrix; Theorem 5.1 is feasible on that plant.
-    """
-    A = np.array(
-        [
-            [0.8, 0.1, -0.016, -0.5],
-            [0.0, 0.5, -0.337, -0.017],
-            [0.0, 0.0, 1.1, 0.2],
-            [0.0, 0.0, 0.024, 0.09],
-        ]
-    )
-    delayed = np.array(
-        [
-            [
-                [-0.0044, 0.052, -0.0356, 0.1662],
-                [-0.0806, -0.123, 0.0276, -0.1278],
-                [0.0932, -0.0848, 0.0194, -0.042],
-                [-0.0632, -0.157, 0.029, 0.0024],
-            ],
-            [
-                [-0.044, -0.0111, -0.038, 0.0035],
-                [-0.0122, 0.0228, -0.0411, -0.0494],
-                [0.0547, 0.0532, -0.0769, 0.0438],
-                [0.0, 0.0185, -0.0083, -0.0243],
-            ],
-            [
-                [-0.0171, 0.0435, -0.0405, 0.023],
-                [-0.0001, 0.0061, -0.0487, 0.0059],
-                [-0.0154, 0.0398, -0.0362, 0.005],
-                [0.001, -0.0439, -0.0201, -0.0359],
-            ],
-            [
-                [-0.0542, -0.0265, 0.0115, -0.0217],
-                [0.03, -0.0113, 0.0773, 0.0064],
-                [-0.0037, -0.0119, -0.0001, -0.0033],
-                [0.0246, 0.0241, 0.0023, -0.0351],
-            ],
-            [
-                [0.0025, 0.0032, -0.004, 0.0017],
-                [0.0013, -0.0006, -0.0004, 0.0067],
-                [-0.0043, 0.0011, -0.0041, -0.0011],
-                [0.0085, -0.0032, -0.0014, -0.0012],
-            ],
-        ]
-    )
-    if variant:
-        A[2, 2] = 0.6
-        delayed *= 0.25
-    B = np.array([[0.0045], [0.0896], [-0.0068], [-0.1377]])
-    return DelayedPlant(A=A, delayed=delayed, B=B, weight=0.1 * np.eye(4))
 
 
 def historical_gains() -> Array:

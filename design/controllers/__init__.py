@@ -18,11 +18,14 @@ from design.controllers.contract import (
     sojourns_told,
 )
 from design.controllers.gain_rows_many import feedforward
+from design.controllers.historical import Historical
 from design.controllers.published_motor import PublishedH2, PublishedHinf
 from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nested
+from design.controllers.sensor_nodes import FromSamples, HistoryGains, Known, Sample, SensorNodes, Turns
 
 __all__ = [
-    "Constant", "Controller", "CountsSojourns", "GainIndex", "GainTable", "Gains", "IntegralAction", "Local", "LoopModel",
-    "ModeSchedule", "PublishedH2", "PublishedHinf", "Rows", "RunningController", "Selection", "SendAll", "SeveralSamples",
-    "feedforward", "integrates", "nested", "packet_samples", "row_count", "sojourns_told",
+    "Constant", "Controller", "CountsSojourns", "FromSamples", "GainIndex", "GainTable", "Gains", "Historical", "HistoryGains",
+    "IntegralAction", "Known", "Local", "LoopModel", "ModeSchedule", "PublishedH2", "PublishedHinf", "Rows", "RunningController",
+    "Sample", "Selection", "SendAll", "SensorNodes", "SeveralSamples", "Turns", "feedforward", "integrates", "nested",
+    "packet_samples", "row_count", "sojourns_told",
 ]  # fmt: skip

@@ -23,12 +23,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.scheduled_gain import ScheduledGain
+
+if TYPE_CHECKING:
+    from design.controllers.sensor_nodes import FromSamples, SensorNodes
 
 Selection = Literal["constant", "generated", "applied", "previous", "both"]
 Rows = tuple[tuple[float, ...], ...]
@@ -52,6 +55,7 @@ class LoopModel:
         A, B, C: shapes (n, n), (n, m), (p, n). Nominal plant, zero-order hold at ``period_s``.
         period_s: sample period T, s.
         tau_max, d_max: largest sensor-to-controller and controller-to-actuator delays, samples.
+        sensors: the sensor nodes, None where one measures every output and sends in every slot.
     """
 
     A: NDArray[np.float64]
@@ -60,6 +64,7 @@ class LoopModel:
     period_s: float
     tau_max: int
     d_max: int
+    sensors: SensorNodes | None = None
 
 
 class RunningController(Protocol):
@@ -78,7 +83,7 @@ class RunningController(Protocol):
 class Controller(Protocol):
     """Parameters of a controller: a frozen dataclass that an experiment's ``[controller]`` table fills."""
 
-    def start(self, model: LoopModel) -> RunningController:
+    def start(self, model: LoopModel) -> RunningController | FromSamples:
         """Return the controller, ready for slot 0.
 
         Raises:

@@ -8,6 +8,10 @@ from typing import TYPE_CHECKING
 from design.controllers import LoopModel
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from design.historical_data.lifted_loop import DelayedPlant
     from design.processes.delay_chain import DelayChain
     from design.processes.semi_markov import FaultDetection, SemiMarkov
     from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
@@ -22,6 +26,8 @@ class DesignTask:
         sc, ca: the delay chains of both directions; None where a law has none.
         jump_system: the modes of a plant that jumps, None of one that does not.
         jump_process: how its modes change.
+        delayed_plant: the plant of Chapter 5, None of one that does not measure its state.
+        initial_state: x(0) of that plant, shape (n,).
         folder: where relative file names begin.
     """
 
@@ -30,4 +36,6 @@ class DesignTask:
     ca: DelayChain | None = None
     jump_system: JumpSystem | DelayedJumpSystem | None = None
     jump_process: SemiMarkov | FaultDetection | None = None
+    delayed_plant: DelayedPlant | None = None
+    initial_state: NDArray[np.float64] | None = None
     folder: str = "."

@@ -15,13 +15,14 @@ from msgspec.structs import replace
 from design.controllers import Controller, LoopModel
 from design.verdict import Verdict, digest
 from hil.compose.certifier import Certifier, LoopToCertify, undecided
+from hil.compose.historical_loop import certify_historical
 from hil.compose.jump_loop import certify_jump_loop
 from hil.compose.send_all_loop import certify_send_all
 from hil.compose.wall_loop import certify_wall_loop
 from hil.errors import ForeignVerdict
 from hil.experiment import Experiment
 
-CERTIFIERS: tuple[Certifier, ...] = (certify_send_all, certify_jump_loop, certify_wall_loop)
+CERTIFIERS: tuple[Certifier, ...] = (certify_send_all, certify_jump_loop, certify_wall_loop, certify_historical)
 """Asked in this order; the first that knows the kind of loop answers."""
 
 
@@ -30,6 +31,7 @@ def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) 
     resolved = replace(experiment, controller=controller).resolved()
     said = {name: resolved[name] for name in ("plant", "controller", "links", "period")}
     said["links"] = {side: said["links"][side] for side in ("sc", "ca")}  # over which link its frames go is no part of it
+    said |= {name: resolved[name] for name in ("nodes", "media") if name in resolved}
     law = f"{type(controller).__module__}.{type(controller).__qualname__}"  # two laws may have the same parameters
     return digest({**said, "control law": law, "A": model.A, "B": model.B, "C": model.C})
 

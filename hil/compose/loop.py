@@ -10,19 +10,30 @@ import numpy as np
 from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
-from design.controllers import Controller, LoopModel, RunningController, packet_samples, row_count
+from design.controllers import (
+    Controller,
+    FromSamples,
+    HistoryGains,
+    LoopModel,
+    RunningController,
+    packet_samples,
+    row_count,
+)
 from design.errors import DesignError, FieldError
 from design.requests.task import DesignTask
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify
 from hil.compose.certify import certify, digest_of
 from hil.compose.delay_chains import delay_chains
+from hil.compose.historical_loop import delayed_plant_of, mask_faults
 from hil.compose.jump_plant import process_of, system_of
+from hil.compose.sensors import Sensor, Shared, node_faults, sensor_nodes, sensors_of, shared_media
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.check import fault_at
 from hil.experiment.protocols import Designer, JumpPlant
 from hil.log.records import Channel, channels
+from plants.errors import PlantError
 from transport.laws.protocols import load_files, prepare, slots_served
 from transport.packets import MAX_OUTPUTS
 
@@ -39,6 +50,8 @@ class Loop:
         rows: rows in one send-all packet.
         selection: how the actuator picks one of them.
         samples: samples in one sensor packet: the newest, and so many less one before it.
+        sensors: the sensor nodes, by number.
+        media: what they share on their way to the controller.
         verdict: what is claimed of the closed loop, None if nobody asked.
     """
 
@@ -50,6 +63,8 @@ class Loop:
     rows: int
     selection: str
     samples: int
+    sensors: tuple[Sensor, ...]
+    media: tuple[Shared, ...]
     verdict: Verdict | None
 
     def __post_init__(self) -> None:
@@ -61,15 +76,15 @@ class Loop:
         """The verdict as JSON."""
         return None if self.verdict is None else self.verdict.to_json()
 
-    def start_controller(self) -> RunningController:
+    def start_controller(self) -> RunningController | FromSamples:
         """Return the control law, ready for slot 0."""
-        running: RunningController = self.controller.start(self.model)
-        return running
+        return self.controller.start(self.model)
 
     def channels(self) -> dict[str, Channel]:
         """Return the topics that a run of this loop logs."""
         plant = self.experiment.plant
-        return channels(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows)
+        named = bool(self.experiment.nodes)
+        return channels(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows, nodes=named)
 
     def reference(self) -> Callable[[int], tuple[float, ...]]:
         """Return the reference as a function of the slot."""
@@ -125,7 +140,10 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         raise ExperimentError(experiment.name, faults)
     experiment = _loaded(experiment)
     plant, links = experiment.plant, experiment.links
-    discrete = plant.model().discretise(float(experiment.period))
+    try:
+        discrete = plant.model().discretise(float(experiment.period))
+    except PlantError as e:
+        raise ExperimentError(experiment.name, [f"period: {e}"]) from e
     model = LoopModel(
         A=np.asarray(discrete.A),
         B=np.asarray(discrete.B),
@@ -133,6 +151,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         period_s=float(experiment.period),
         tau_max=links.sc.max_age,
         d_max=links.ca.max_age,
+        sensors=sensor_nodes(experiment),
     )
     controller: Controller = experiment.controller
     try:
@@ -143,10 +162,18 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         running = controller.start(model)
         sc, ca = delay_chains(experiment)
         samples = packet_samples(controller)
+        if not experiment.nodes and isinstance(running, FromSamples):
+            raise FieldError("kind", "it takes samples of named sensor nodes: [nodes.NAME] outputs, buffer")
+        if experiment.nodes and samples > 1:
+            raise FieldError("samples", "a controller of one sensor takes one sample where several nodes measure")
         if not 1 <= samples * len(plant.outputs) <= MAX_OUTPUTS:
             raise FieldError("samples", f"{samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
     except (ValueError, DesignError) as e:
         raise ExperimentError(experiment.name, [fault_at("controller", e)]) from e
+    if isinstance(controller, HistoryGains) and model.sensors is not None:
+        unknown = mask_faults(controller, model.sensors)
+        if unknown:
+            raise ExperimentError(experiment.name, unknown)
     verdict = _certified(experiment, controller, model, sc, ca) if certify else None
     return Loop(
         experiment=experiment,
@@ -157,6 +184,8 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         rows=row_count(running.selection, model.d_max),
         selection=running.selection,
         samples=samples,
+        sensors=sensors_of(experiment, samples),
+        media=shared_media(experiment),
         verdict=verdict,
     )
 
@@ -193,7 +222,7 @@ def _faults(e: Experiment) -> list[str]:
     for name in e.limits.state:
         if name not in names:
             faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
-    return faults
+    return faults + node_faults(e)
 
 
 def _task(e: Experiment, model: LoopModel) -> DesignTask:
@@ -205,7 +234,12 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
             jumps = {"jump_system": system_of(plant.jump_system()), "jump_process": process_of(plant.jump_process())}
         except ValueError as error:
             raise FieldError("kind", f"no design covers this plant: {error}") from error
-    return DesignTask(model=model, sc=sc, ca=ca, folder=e.folder, **jumps)
+    delayed, initial = (delayed_plant_of(plant, model), None) if model.sensors is not None else (None, None)
+    if delayed is not None:
+        initial = np.array(plant.start(np.random.default_rng(0)).state)
+    return DesignTask(
+        model=model, sc=sc, ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial, **jumps
+    )  # fmt: skip
 
 
 def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: Any, ca: Any) -> Verdict:

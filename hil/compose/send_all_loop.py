@@ -25,6 +25,8 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
     controller = loop.controller
     if not isinstance(controller, GainTable):
         return None
+    if loop.model.sensors is not None:
+        return undecided(loop, "mean-square stability", "there is no certificate for a table of gains over several sensor nodes")
     if loop.sc is None or loop.ca is None:
         return undecided(loop, "mean-square stability", "there is no certificate for this kind of network law")
     if isinstance(loop.plant, JumpPlant):

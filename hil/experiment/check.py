@@ -5,19 +5,23 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import re
 import typing
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
 from hil.errors import HilError
 from hil.experiment import plugins as registry
+from hil.experiment.nodes import Medium, Node
 from hil.experiment.protocols import NamesField
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Links, Seconds, Table
 from transport.laws.protocols import load_files
 
 INFINITE = "is not a finite number"
 OLDEST = 63  # slots
+NODE_NAME = re.compile(r"[a-z][a-z0-9_]{0,40}")
 
 
 def _hook(kind: type, value: object) -> object:
@@ -55,6 +59,8 @@ class Checker:
             "plant": self.plugin("hil.plants", raw.get("plant"), "plant"),
             "controller": self.plugin("hil.controllers", raw.get("controller"), "controller"),
             "links": self._links(links, folder),
+            "nodes": self._nodes(raw.get("nodes", {}), folder),
+            "media": self._named(Medium, raw.get("media", {}), "media", lambda table, path: {}),
             "text": text,
             "folder": folder,
             "kinds": self.kinds,
@@ -99,6 +105,33 @@ class Checker:
             given[side] = direction
         links: Links | None = self.table(Links, {k: v for k, v in raw.items() if k not in given}, "links", given)
         return links
+
+    def _nodes(self, raw: Any, folder: str) -> dict[str, Any] | None:
+        """Return the sensor nodes, each with the network law that it names."""
+
+        def law(table: dict[str, Any], path: str) -> dict[str, Any]:
+            return {"law": self._law(table["law"], f"{path}.law", folder)} if "law" in table else {}
+
+        return self._named(Node, raw, "nodes", law)
+
+    def _named(
+        self, cls: type, raw: Any, at: str, made: Callable[[dict[str, Any], str], dict[str, Any]]
+    ) -> dict[str, Any] | None:
+        """Return the tables of one kind by name; `made` makes the fields that are plug-ins."""
+        if not isinstance(raw, dict):
+            self.faults.append(f"{at}: expected a table, got {raw!r:.60}")
+            return None
+        found: dict[str, Any] = {}
+        for name, table in raw.items():
+            path = f"{at}.{name:.60}"
+            if not NODE_NAME.fullmatch(name):
+                self.faults.append(f"{path}: expected a name of lower-case letters, digits and _")
+            elif not isinstance(table, dict):
+                self.faults.append(f"{path}: expected a table, got {table!r:.60}")
+            else:
+                given = made(table, path)
+                found[name] = self.table(cls, {k: v for k, v in table.items() if k not in given}, path, given)
+        return found
 
     def _law(self, raw: Any, path: str, folder: str) -> Any:
         """Return a network law with the files that it names read, from where the experiment stands."""

@@ -15,9 +15,13 @@ from numpy.typing import NDArray
 
 from design.controllers import (
     Controller,
+    FromSamples,
     GainTable,
+    HistoryGains,
+    Known,
     LoopModel,
     ModeSchedule,
+    Sample,
     SeveralSamples,
     integrates,
     packet_samples,
@@ -52,7 +56,12 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
         out = []
         for k in range(60):
             y = tuple(map(float, rng.normal(size=(seen,))))
-            rows = running.rows(k, int(rng.integers(0, model.tau_max + 1)), y, (1.0,) * p)
+            if isinstance(running, FromSamples):
+                outputs = model.sensors.outputs if model.sensors is not None else (tuple(range(p)),)
+                newest = [Sample(i, k - (k + i) % len(outputs), tuple(y[o] for o in own)) for i, own in enumerate(outputs)]
+                rows = running.rows(k, Known(tuple(s for s in newest if s.slot >= 0), (1.0,) * p))
+            else:
+                rows = running.rows(k, int(rng.integers(0, model.tau_max + 1)), y, (1.0,) * p)
             expected = row_count(running.selection, model.d_max)
             assert len(rows) == expected, f"{len(rows)} rows, expected {expected} for {running.selection!r}"
             assert all(len(row) == m for row in rows), f"a row has not {m} inputs"
@@ -74,6 +83,10 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
         shape = controller.schedule_of_modes().gain.shape[2:]
         assert shape == (m, p - 1), f"gains of shape {shape}, expected ({m}, {p - 1}): the state without the mode"
         said.append(f"{name} is a ModeSchedule: its loop over a JumpPlant is judged at the period that it runs with")
+    if isinstance(controller, HistoryGains):
+        shape = controller.history().shape[2:]
+        assert shape == (m, p), f"gains of shape {shape}, expected ({m}, {p})"
+        said.append(f"{name} is a HistoryGains: its loop over scheduled nodes is certified where they measure the state")
     if len(said) == 1:
         said.append(f"{name} is neither a GainTable nor a ModeSchedule: its loop runs with allow_uncertified only")
     if isinstance(controller, SeveralSamples):

@@ -8,12 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from design.controllers import LoopModel, RunningController
-from plants.parts.protocols import BeyondModel, JumpPlant, Plant, PlantRun
+from plants.parts.protocols import BeyondModel, HasCost, HasStateDelays, JumpPlant, Plant, PlantRun
 
 if TYPE_CHECKING:
     from design.requests.task import DesignTask
 
-__all__ = ["BeyondModel", "Designer", "JumpPlant", "NamedController", "NamesField", "Plant", "PlantRun"]
+__all__ = [
+    "BeyondModel", "Designer", "HasCost", "HasStateDelays", "JumpPlant", "NamedController", "NamesField", "Plant", "PlantRun",
+]  # fmt: skip
 
 
 @runtime_checkable

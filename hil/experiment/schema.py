@@ -10,6 +10,7 @@ from docstring_parser import ParseError
 from docstring_parser.google import parse
 
 from hil.experiment import plugins as registry
+from hil.experiment.nodes import Node
 from hil.experiment.tables import HIDDEN, UNITS, Direction, Experiment, Seconds
 
 PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
@@ -48,6 +49,7 @@ def experiment_schema() -> dict[str, Any]:
     experiment["properties"]["controller"] |= variants("hil.controllers")
     definitions[Direction.__name__]["properties"]["law"] |= variants("hil.laws")
     definitions[Direction.__name__]["required"] = ["law"]
+    definitions[Node.__name__]["properties"]["law"] |= variants("hil.laws")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "hilrig-experiment",

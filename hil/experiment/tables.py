@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import typing
 from typing import Any, Literal
 
@@ -12,53 +11,16 @@ import msgspec
 from hil.errors import HilError
 from hil.experiment import plugins
 from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
+from hil.experiment.nodes import Medium, Node
+from hil.experiment.table import LONGEST_S, UNITS, Seconds, Table
 from transport.links.link import TransportError, find_link
 
+__all__ = [
+    "HIDDEN", "UNITS", "Direction", "Experiment", "Limits", "Links", "Pulse", "Report", "Seconds", "Step", "Table", "Timing",
+]  # fmt: skip
+
 HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-
-
-LONGEST_S = 6e9  # 1e8 slots of 60 s; in nanoseconds it still is a number of 64 bits
-
-
-class Seconds(float):
-    """A duration: a bare number in seconds or a string with a unit, ``"50 ms"``."""
-
-    @classmethod
-    def parse(cls, value: object) -> Seconds:
-        """Return the duration in seconds.
-
-        >>> Seconds.parse("50 ms"), Seconds.parse(2)
-        (0.05, 2.0)
-        """
-        if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise ValueError(f"expected a duration such as '50 ms' or 0.05, got {value!r:.60}")
-        if not isinstance(value, str):
-            seconds = float(value) if isinstance(value, float) or value.bit_length() <= 64 else math.inf
-        else:
-            number, _, unit = value.strip().partition(" ")
-            scale = UNITS.get(unit.strip() or "s")
-            try:
-                if scale is None:
-                    raise ValueError
-                seconds = float(number) * scale
-            except ValueError:
-                raise ValueError(f"{value!r:.60} is not a duration: write a number and one of {', '.join(UNITS)}") from None
-        if not math.isfinite(seconds):
-            raise ValueError(f"{value!r:.60} is not a finite number of seconds")
-        return cls(seconds)
-
-
-class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of every table of an experiment file.
-
-    ``faults(values)`` checks the fields that could be converted, whether or not the others could.
-    """
-
-    @staticmethod
-    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
-        """Yield ``field: what is wrong``."""
-        yield from ()
+SPARSE = ("nodes", "media")  # fields that the resolved form leaves out where they are empty
 
 
 def _not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
@@ -252,6 +214,8 @@ class Experiment(Table, frozen=True, kw_only=True):
         reference: steps of the reference; 0 before the first.
         disturbance: pulses that are added to the plant's input.
         links: the real link, and the network that is emulated on both sides of the rig.
+        nodes: sensor nodes by name; without any there is one, which measures every output and sends in every slot.
+        media: what nodes share on their way to the controller, by name.
         limits: what the rig allows, whatever the controller does.
         timing: how rig and controller run in real time.
         report: what a run is judged by.
@@ -271,6 +235,8 @@ class Experiment(Table, frozen=True, kw_only=True):
     reference: tuple[Step, ...] = ()
     disturbance: tuple[Pulse, ...] = ()
     links: Links
+    nodes: dict[str, Node] = msgspec.field(default_factory=dict)
+    media: dict[str, Medium] = msgspec.field(default_factory=dict)
     limits: Limits = Limits()
     timing: Timing = Timing()
     report: Report = Report()
@@ -311,8 +277,9 @@ class Experiment(Table, frozen=True, kw_only=True):
         """Return the experiment with every default written out, as plain JSON values."""
         out: dict[str, Any] = {}
         for f in self.__struct_fields__:
-            if f not in HIDDEN:
-                out[f] = _plain(getattr(self, f))
+            value = getattr(self, f)
+            if f not in HIDDEN and (value or f not in SPARSE):
+                out[f] = _plain(value)
         for path, kind in self.kinds.items():
             node = out
             for part in path.split("."):

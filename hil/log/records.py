@@ -211,13 +211,19 @@ def field_name(name: str) -> str:
 
 
 def channels(
-    *, states: Sequence[SignalLike], inputs: Sequence[SignalLike], outputs: Sequence[SignalLike], n_rows: int
+    *,
+    states: Sequence[SignalLike],
+    inputs: Sequence[SignalLike],
+    outputs: Sequence[SignalLike],
+    n_rows: int,
+    nodes: bool = False,
 ) -> dict[str, Channel]:
     """Every signal topic of a session, in the order of their numbers (``/events`` stands apart, in JSON).
 
     Args:
         states, inputs, outputs: the plant's signals, n, m and p of them, each with ``name`` and ``unit``.
         n_rows: rows of the longest control packet that the selection rule can demand.
+        nodes: sensor nodes are named: what the network decided says about which of them.
 
     Returns:
         Topic to channel.
@@ -242,7 +248,7 @@ def channels(
             _i64("control_ns", "ns", "when the controller answered"), _tick,
             _i32("tau", "samples", "sensor delay that the controller measured"),
             _i32("selection", "1", "code of the selection rule"))),
-        ("/network/sc", "NetworkDraw", _draw),
+        ("/network/sc", "NodeDraw" if nodes else "NetworkDraw", _node_draw if nodes else _draw),
         ("/network/ca", "NetworkDraw", _draw),
         ("/link/sensor", "LinkFrame", _frame),
         ("/link/control", "LinkFrame", _frame),
@@ -293,6 +299,7 @@ _draw: Final = (
     _i32("mode", "1", "mode of the law"), _i32("age", "samples", "age of the newest packet, -1 if none"),
     _u8("reason", "code of the fate, names in the metadata"),
 )
+_node_draw: Final = (*_draw[:-1], _i32("node", "1", "number of the sensor node"), _draw[-1])
 _frame: Final = (
     _tick, _u8("late", "came after the deadline"), Field(type="uint8[]", name="data", doc="bytes on the link")
 )

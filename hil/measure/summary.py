@@ -10,6 +10,7 @@ from hil.experiment import Experiment
 from hil.log.read.run import Run
 from hil.measure.measure import measured, measures_of, quantities_of
 from hil.measure.network import network_metrics
+from hil.measure.network_load import node_metrics, several_nodes
 from hil.measure.timing import timing_metrics
 from hil.measure.view import MEASUREMENT, TIMING, RunView, view_of
 from transport.medium.draws import REASONS
@@ -21,7 +22,8 @@ def summarise(view: RunView) -> dict[str, Any]:
     Keys: experiment, seed, clock, link, ticks, duration_s; metrics (the numbers of the experiment's measures, see
     `hil.measure.measure.measured`) and units (of them, nothing for a pure number); network.sc and network.ca (see
     `network_metrics`); timing (see `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or
-    None); certificate (what the log carries of it, or None).
+    None); network.nodes (where nodes are named: the same per node, and its load); certificate (what the log carries of it,
+    or None).
 
     Args:
         view: a log that was read, or a run kept in memory with `metadata` and `resolved`.
@@ -37,6 +39,9 @@ def summarise(view: RunView) -> dict[str, Any]:
         kind = str(links.get(side, {}).get("law", {}).get("kind", "?"))
         late = timing["late"] if side == "ca" else 0
         network[side] = network_metrics(run.arrays.get(f"/network/{side}"), laws[side], kind, late=late, reasons=reasons)
+    if experiment is not None and experiment.nodes:
+        network["sc"] = several_nodes(network["sc"])
+        network["nodes"] = node_metrics(view, reasons)
     measures = measures_of(experiment)
     return {
         "experiment": run.metadata.get("experiment", ""),

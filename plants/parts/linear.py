@@ -105,6 +105,16 @@ class DiscreteStateSpace:
             object.__setattr__(self, name, matrix)
         object.__setattr__(self, "period_s", float(period_s))
 
+    def discretise(self, period_s: float) -> DiscreteStateSpace:
+        """Return the model itself, which has its own period.
+
+        Raises:
+            PlantError: another period is asked for.
+        """
+        if period_s != self.period_s:
+            raise PlantError(f"discretise: {period_s:g} s, but the plant is given in slots of {self.period_s:g} s")
+        return self
+
     def to_control(self) -> control.StateSpace:
         """Return the model as a `control.StateSpace` with this period (imports python-control, see above)."""
         import control

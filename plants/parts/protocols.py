@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plants.parts.jump import JumpModel, JumpRates
-from plants.parts.linear import Signal, StateSpace
+from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace
 
 
 class PlantRun(Protocol):
@@ -42,7 +43,7 @@ class Plant(Protocol):
     @property
     def states(self) -> tuple[Signal, ...]: ...
 
-    def model(self) -> StateSpace:
+    def model(self) -> StateSpace | DiscreteStateSpace:
         """Return the linear model that a designer sees."""
         ...
 
@@ -70,4 +71,22 @@ class BeyondModel(Protocol):
 
     def beyond_model(self) -> tuple[str, ...]:
         """Return what it has beyond its model, each a noun phrase; empty: the model is the plant."""
+        ...
+
+
+@runtime_checkable
+class HasStateDelays(Protocol):
+    """A plant in slots whose own past states act on it: its model is x(k+1) = A x(k) + A_1 x(k-1) + ... + B u(k)."""
+
+    def state_delays(self) -> NDArray[np.float64]:
+        """Return A_1, ..., A_tau, (tau, n, n)."""
+        ...
+
+
+@runtime_checkable
+class HasCost(Protocol):
+    """A plant that says what deviation and effort cost: J is the sum of x' Xi x + u' Xi_u u."""
+
+    def cost_weights(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return Xi, (n, n), and Xi_u, (m, m)."""
         ...

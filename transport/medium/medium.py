@@ -19,6 +19,10 @@ class Medium(Protocol):
     the smaller identifier wins.
     """
 
+    def may_send(self, node: int, k: int) -> bool:
+        """Return whether slot k is the node's to send in, as its own clock tells it; asked before `offer`, slots in order."""
+        ...
+
     def offer(self, node: int, k: int, packet: object) -> None:
         """Take a packet that a node sends in slot k, before `collect(k)`; at most one per node and slot.
 
@@ -45,6 +49,10 @@ class IndependentChannels:
 
     def __init__(self, channels: Sequence[Impairment]) -> None:
         self._channels = tuple(channels)
+
+    def may_send(self, node: int, k: int) -> bool:
+        """Return True: every slot is everybody's."""
+        return True
 
     def offer(self, node: int, k: int, packet: object) -> None:
         """Send a packet over the node's own channel, see `Medium.offer`."""

@@ -166,3 +166,12 @@ def read_control(data: bytes) -> ControlPacket | None:
     freshness, tag = fields[-2:] if tagged else (0, b"")
     rows = tuple([fields[i : i + inputs] for i in range(5, 5 + size, inputs or 1)])
     return ControlPacket(seq, sample_ns, control_ns, tau, selection, rows, nonce, freshness, tag, 2)
+
+
+def sensor_length(values: int) -> int:
+    """Bytes of a sensor packet without a tag that holds so many values, references included.
+
+    >>> sensor_length(1 + 1), sensor_length(3 + 4)
+    (48, 64)
+    """
+    return _sensor_layout(values, False).size

@@ -119,7 +119,7 @@ def delay_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     for side, (array, field, symbol) in measured.items():
         series = []
         draws = run.arrays.get(f"/network/{side}")
-        if draws is not None and len(draws):
+        if draws is not None and len(draws) and "node" not in (draws.dtype.names or ()):
             own = draws[(draws["mode"] >= 0)]
             age = np.where(own["age"] >= 0, own["age"], np.nan).astype(np.float64)
             if not np.any(np.isfinite(age)):

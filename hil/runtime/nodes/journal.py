@@ -55,6 +55,13 @@ class Journal:
             for tick, packet_tick, mode, age, latency_s, reason in draws:
                 log(t_ns, pack(latency_s, tick, packet_tick, mode, age, reason))
 
+    def node_draws(self, topic: str, t_ns: int, node: int, draws: Sequence[Draw]) -> None:
+        """Record the decisions about one node of several."""
+        log, pack = self._log[topic]
+        if log:
+            for tick, packet_tick, mode, age, latency_s, reason in draws:
+                log(t_ns, pack(latency_s, tick, packet_tick, mode, age, node, reason))
+
     def applied(self, t_ns: int, k: int, applied: Applied, w: Sequence[float]) -> None:
         """Record what the actuator applied in slot k, and the disturbance w that comes on top."""
         if self._u:

@@ -17,7 +17,9 @@ from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answers import Answers
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.safety import Safety
-from hil.runtime.nodes.sensor_node import EverySlot, SensorNode
+from hil.runtime.nodes.sensor_node import SensorNode
+from hil.runtime.nodes.triggers import trigger_of
+from hil.runtime.nodes.uplink import fresh, uplink_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
 from transport.medium.independent import impair
@@ -51,9 +53,10 @@ class Rig:
         deadline_s = e.timing.deadline * float(e.period)
         self._period_ns = e.period_ns
         self._plant = e.plant.start(rng_for(seed, "plant"))
-        self._samples = loop.samples
-        self._sensors = (SensorNode(None, loop.samples, EverySlot()),)
-        self._uplink: Medium = IndependentChannels([impair(loop.sc_law, rng_for(seed, "link.sc"), float(e.period), deadline_s)])
+        self._several = bool(e.nodes)
+        self._samples = [sensor.buffer for sensor in loop.sensors]
+        self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger)) for s in loop.sensors)
+        self._uplink = uplink_of(loop, seed, float(e.period), deadline_s)
         self._downlink: Medium = IndependentChannels([impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)])
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
         self.actuator = ActuatorNode(inputs, loop.model.d_max, Safety(e.limits.input, limits, e.limits.watchdog_ticks))
@@ -78,26 +81,28 @@ class Rig:
         y = self._y = plant.measure()
         nonce = self.answers.open(t_ns, k)
         for i, node in enumerate(self._sensors):
-            sample = node.measure(k, y)
+            sample = node.measure(k, y, self._uplink.may_send(i, k))
             if sample is not None:
                 self._uplink.offer(i, k, sample)
-        self._sent = self._uplink.collect(k)
+        sent = self._uplink.collect(k)
+        self._sent = fresh(sent) if self._several else sent
         return self._frames(k, nonce)
 
     def _frames(self, k: int, nonce: int) -> list[bytes]:
-        arrivals, version, samples = self._sent[0][1], self._wire.version, self._samples
-        reference = self._reference(k)
+        arrivals = [(node, g, y) for node, (_, arrived) in enumerate(self._sent) for g, y in arrived]
+        version, samples, nodes, reference = self._wire.version, self._samples, len(self._sensors), self._reference(k)
         if not arrivals:
-            return [encode_sensor(SensorPacket(k, EMPTY, 0, (), reference=reference, nonce=nonce, version=version))]
+            nothing = SensorPacket(k, EMPTY, 0, (), reference=reference, nodes=nodes, nonce=nonce, version=version)
+            return [encode_sensor(nothing)]
         last = len(arrivals) - 1
         return [
             encode_sensor(
                 SensorPacket(
-                    k, MORE if i < last else 0, g * self._period_ns, y, samples=samples,  # type: ignore[arg-type]
-                    reference=reference, nonce=nonce, version=version,
+                    k, MORE if i < last else 0, g * self._period_ns, y, node, samples[node], reference, nodes, nonce,  # type: ignore[arg-type]
+                    version=version,
                 )
             )
-            for i, (g, y) in enumerate(arrivals)
+            for i, (node, g, y) in enumerate(arrivals)
         ]  # fmt: skip
 
     def record(self, t_ns: int, frames: Sequence[bytes]) -> None:
@@ -109,7 +114,11 @@ class Rig:
         """
         k, state, journal = self.k, self._plant.state, self._journal
         journal.sensed(t_ns, k, state, self._y, self._reference(k))
-        journal.draws("/network/sc", t_ns, self._sent[0][0])
+        if self._several:
+            for node, (draws, _) in enumerate(self._sent):
+                journal.node_draws("/network/sc", t_ns, node, draws)
+        else:
+            journal.draws("/network/sc", t_ns, self._sent[0][0])
         journal.asked(t_ns, k, frames)
         self._note_trip(t_ns, self.actuator.watch(state))
 

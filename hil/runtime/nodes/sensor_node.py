@@ -7,10 +7,10 @@ from typing import Protocol
 
 
 class Trigger(Protocol):
-    """Decides in every slot whether a sensor node sends."""
+    """Decides whether a sensor node sends."""
 
     def sends(self, k: int, y: Sequence[float]) -> bool:
-        """Return whether the node sends in slot k; called once a slot, in order.
+        """Return whether the node sends in slot k; called in order, in every slot in which its medium lets it send.
 
         Args:
             k: slot.
@@ -42,13 +42,14 @@ class SensorNode:
         self._outputs, self._samples, self._sends = outputs, buffer, trigger.sends
         self._buffer: tuple[float, ...] = ()
 
-    def measure(self, k: int, y: tuple[float, ...]) -> tuple[float, ...] | None:
+    def measure(self, k: int, y: tuple[float, ...], turn: bool = True) -> tuple[float, ...] | None:
         """Take the plant's measurement of slot k; return what the node sends, newest sample first, None if it does not.
 
         Args:
             k: slot.
             y: all outputs of the plant, shape (p,).
+            turn: whether its medium lets the node send in this slot.
         """
         own = y if self._outputs is None else tuple([y[i] for i in self._outputs])
         self._buffer = (own + self._buffer)[: len(own) * self._samples] if k else own * self._samples
-        return self._buffer if self._sends(k, own) else None
+        return self._buffer if turn and self._sends(k, own) else None

@@ -19,7 +19,7 @@ from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
+from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, VIRTUAL, Wire, session_wire
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
@@ -88,7 +88,8 @@ class RealLoop:
 class Rehearsal:
     """A link without a link: every question is answered with zeros, so that no line of a controller runs in this process."""
 
-    def __init__(self, loop: Loop) -> None:
+    def __init__(self, loop: Loop, wire: Wire) -> None:
+        self._version = wire.version
         self._period_ns = loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
         self._rows = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
@@ -98,7 +99,8 @@ class Rehearsal:
 
     def answer(self, t_ns: int, hear: Hear) -> None:
         """Answer with zeros."""
-        hear(encode_control(ControlPacket(t_ns // self._period_ns, 0, 0, 0, self._selection, self._rows)))
+        k = t_ns // self._period_ns
+        hear(encode_control(ControlPacket(k, 0, 0, 0, self._selection, self._rows, version=self._version)))
 
 
 def warm_up(loop: Loop, local: bool = False) -> None:
@@ -109,8 +111,9 @@ def warm_up(loop: Loop, local: bool = False) -> None:
         local: the controller will run in this process: it takes part.
     """
     e = loop.experiment
-    rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), lambda: None, VERSION_1)
-    slot = Slot(rig, DirectExchange(ControlNode(loop)) if local else Rehearsal(loop))
+    wire = VIRTUAL if e.nodes else VERSION_1  # version 1 knows one sensor node only
+    rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), lambda: None, wire)
+    slot = Slot(rig, DirectExchange(ControlNode(loop)) if local else Rehearsal(loop, wire))
     for k in range(min(e.ticks, 50)):
         slot.run(k * e.period_ns)
 

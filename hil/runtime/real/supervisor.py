@@ -60,6 +60,8 @@ def run_real(
     Raises:
         HilError: if rig or controller ended before the run began, or no controller answered.
     """
+    if loop.experiment.nodes and wire_version(uri) == 1:
+        raise HilError(f"{uri}: wire version 1 knows one sensor node; named nodes ([nodes.NAME]) need version 2")
     if external and uri == LOCAL:
         raise HilError(f"{LOCAL} runs our controller in the rig's process: an external one needs a link")
     outcome = RealOutcome()

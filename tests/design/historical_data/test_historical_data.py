@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from design.as_printed.guaranteed_cost import printed_functional, stabilising_intervals
-from design.as_printed.historical_data import START, example, historical_gains, newest_gains
+from design.as_printed.historical_data import historical_gains, newest_gains
 from design.errors import Infeasible, NotStable
 from design.historical_data.block_diagonal import functional, largest_eigenvalue, tangent_scheme
 from design.historical_data.common_lyapunov import common_bound
@@ -22,8 +22,14 @@ from design.historical_data.guaranteed_cost import (
 from design.historical_data.information import Information, round_robin
 from design.historical_data.lifted_loop import DelayedPlant, close
 from design.jump_linear.second_moment import operator_matrix
+from plants.delayed_states import DelayedStates
 
-PLANT, AVERAGE = example(), average_start(4, 4)
+EXAMPLE = DelayedStates()
+START = EXAMPLE.initial_state
+A, B, DELAYED, WEIGHT = EXAMPLE.model().A, EXAMPLE.model().B, EXAMPLE.state_delays(), EXAMPLE.cost_weights()[0]
+PLANT, AVERAGE = DelayedPlant(A=A, delayed=DELAYED, B=B, weight=WEIGHT), average_start(4, 4)
+# A33 = 0.6 and a quarter of every delayed matrix: Theorem 5.1 is feasible on this plant.
+VARIANT = DelayedPlant(A=A - 0.5 * np.diag([0, 0, 1, 0]), delayed=DELAYED / 4, B=B, weight=WEIGHT)
 IID = np.full((4, 4), 0.25)
 
 
@@ -210,7 +216,7 @@ def test_the_corrected_functional_bounds_the_cost_and_the_printed_one_does_not()
 
 
 def test_the_tangent_scheme_falls_and_its_answer_meets_the_theorem() -> None:
-    plant, x0 = example(variant=True), np.array(START)
+    plant, x0 = VARIANT, np.array(START)
     proof = tangent_scheme(plant, round_robin(4, buffer=3).mask(), x0)
     assert proof.bounds[-1] <= 14.6 and np.all(np.diff(proof.bounds) < 0)
     assert largest_eigenvalue(plant, proof.gains, proof.P, proof.Q) < 0

@@ -1,0 +1,148 @@
+r"""Gains over the historical data of scheduled sensor nodes, in the loop (Chapter 5).
+
+.. math:: u(k) = \sum_{j=0}^{\tau} K(I(k), j)\, x(k - j)
+
+The phase I(k) is a turn of the schedule, which the controller knows from the slot; over random turns it is the node that was
+heard. An entry of K may differ from zero only where x_l(k - j) has arrived: the zero-element constraints (5.8).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers.contract import LoopModel, Rows, Selection
+from design.controllers.sensor_nodes import Known, SensorNodes, Turns, Uses
+from design.errors import FieldError
+
+History = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [phase][j][m][p]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Historical:
+    """Gains K[phase][j][m][p] on the outputs of j slots ago, for every turn of the schedule.
+
+    Args:
+        gains: nested tuple [phase][j][m][p]. Input unit per output unit.
+        uses: ``history``: all that has come; a sample that is missing is held from the one before. ``current-packet``: the packet
+            of this slot only; without one the input is 0.
+    """
+
+    kind: ClassVar[str] = "historical"
+
+    gains: History
+    uses: Literal["history", "current-packet"] = "history"
+
+    def __post_init__(self) -> None:
+        self.history()
+
+    def history(self) -> NDArray[np.float64]:
+        """Return K[phase, j, m, p].
+
+        Raises:
+            ValueError: rows of different lengths, or an entry that is not finite.
+        """
+        for i, phase in enumerate(self.gains):
+            shapes = {(len(rows), *map(len, rows)) for rows in phase}
+            if len(phase) != len(self.gains[0]) or len(shapes) != 1 or 0 in {n for shape in shapes for n in shape}:
+                raise FieldError(f"gains[{i}]", "expected as many matrices as gains[0], all of one shape m x p")
+        try:
+            K = np.array(self.gains, dtype=float)
+        except ValueError:
+            raise FieldError("gains", "expected [phase][j][m][p] with equal lengths") from None
+        if K.ndim != 4 or not K.size:
+            raise FieldError("gains", "expected [phase][j][m][p], at least one of each")
+        for at in np.argwhere(~np.isfinite(K))[:1]:
+            raise FieldError(f"gains{''.join(f'[{i}]' for i in at)}", f"{K[tuple(at)]}, expected a finite number")
+        return K
+
+    def start(self, model: LoopModel) -> HistoricalRun:
+        """Return the controller, ready for slot 0.
+
+        Raises:
+            ValueError: gains that do not fit the plant or its nodes.
+        """
+        K, nodes = self.history(), model.sensors
+        m, p = model.B.shape[1], model.C.shape[0]
+        if K.shape[2:] != (m, p):
+            raise FieldError("gains", f"{K.shape[2]} x {K.shape[3]} matrices, but the plant has {m} inputs and {p} outputs")
+        if nodes is None:
+            raise FieldError("gains", "over historical data they need sensor nodes: [nodes.NAME] outputs, buffer")
+        if nodes.mixed:
+            raise FieldError("gains", "over historical data need all nodes on one medium, or none on any")
+        phases = phase_count(nodes.turns)
+        if len(K) != phases:
+            raise FieldError("gains", f"{len(K)} phases, but the schedule has {phases}")
+        if self.uses == "current-packet" and (nodes.turns is None or len(set(nodes.delays)) != 1 or None in nodes.delays):
+            raise FieldError("uses", "the current packet is defined where nodes take turns and all have one constant delay")
+        if nodes.turns is not None and not nodes.turns.order and self.uses == "history":
+            raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
+        return HistoricalRun(K, nodes, self.uses)
+
+
+def phase_count(turns: Turns | None) -> int:
+    """Return the number of phases of a schedule: turns of a cycle, nodes of random turns, 1 where all send in every slot."""
+    return 1 if turns is None else len(turns.order) or len(turns.transition)
+
+
+def phase_at(turns: Turns | None, k: int) -> int:
+    """Return the phase of a cycle in slot k.
+
+    >>> [phase_at(Turns(order=(0, 1, 2), phase=1), k) for k in range(4)]
+    [1, 2, 0, 1]
+    """
+    return 0 if turns is None or not turns.order else (k + turns.phase) % len(turns.order)
+
+
+class HistoricalRun:
+    """The controller while it runs, see `design.controllers.sensor_nodes.FromSamples`."""
+
+    def __init__(self, K: NDArray[np.float64], nodes: SensorNodes, uses: Uses) -> None:
+        self.selection: Selection = "constant"
+        self.memory = K.shape[1] - 1
+        self._inputs, self._uses, self._turns = K.shape[2], uses, nodes.turns
+        self._delay = nodes.delays[0] or 0
+        self._buffers, self._outputs = nodes.buffers, nodes.outputs
+        # Per phase the entries that are not zero: (input, age, node, place in the node's sample, gain).
+        place = {output: (n, at) for n, own in enumerate(nodes.outputs) for at, output in enumerate(own)}
+        self._entries = [
+            [(int(i), int(j), *place[int(l)], float(phase[j, i, l])) for j, i, l in np.argwhere(phase != 0.0)] for phase in K
+        ]
+
+    def rows(self, k: int, known: Known) -> Rows:
+        """Return u(k) as the one row; see `FromSamples.rows`."""
+        at: dict[int, dict[int, tuple[float, ...]]] = {}
+        for node, slot, values in known.samples:
+            at.setdefault(node, {})[slot] = values
+        phase = self._phase(k, at)
+        u = [0.0] * self._inputs
+        for i, j, node, place, gain in self._entries[phase] if phase is not None else ():
+            value = self._held(at.get(node), k - j)
+            if value is not None:
+                u[i] += gain * value[place]
+        return (tuple(u),)
+
+    def _phase(self, k: int, at: dict[int, dict[int, tuple[float, ...]]]) -> int | None:
+        turns = self._turns
+        if self._uses == "history" or turns is None:
+            return phase_at(turns, k)
+        sent = k - self._delay
+        if turns.order:  # whose turn it was is known from the slot; whether it was heard, from the samples
+            phase = phase_at(turns, sent)
+            return phase if sent in at.get(turns.order[phase], ()) else None
+        return next((node for node, samples in at.items() if sent in samples), None)
+
+    @staticmethod
+    def _held(samples: dict[int, tuple[float, ...]] | None, slot: int) -> tuple[float, ...] | None:
+        """The sample of a slot, or the newest before it; before slot 0 everything was zero."""
+        if samples is None or slot < 0:
+            return None
+        exact = samples.get(slot)
+        if exact is not None:
+            return exact
+        newest = max((s for s in samples if s <= slot), default=-math.inf)
+        return samples[int(newest)] if newest >= 0 else None

@@ -1,0 +1,104 @@
+r"""Sensor nodes of a rig as the theory of Chapter 5 takes them: what is known in each phase, and the chain of the phases.
+
+Over a cycle the phase is the turn, and a turn whose packet may get lost has a twin in which nothing came. Over random turns the
+phase is the node that was heard.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
+from design.errors import FieldError
+from design.historical_data.information import Information, Mask
+from design.historical_data.lifted_loop import cycle
+
+Array = npt.NDArray[np.float64]
+
+
+def mask_of(nodes: SensorNodes, memory: int, uses: Uses) -> Mask:
+    """Return which gains may differ from zero, (phases, memory + 1, outputs).
+
+    Args:
+        nodes: the sensor nodes.
+        memory: tau, the oldest sample x(k - tau) that the controller uses.
+        uses: all that has come, or the packet of this slot.
+
+    Raises:
+        ValueError: a delay that changes, or a buffer that is longer than the history; the message begins with the place.
+
+    >>> one = SensorNodes(names=("a", "b"), outputs=((0,), (1,)), buffers=(1, 2), delays=(0, 0), turns=Turns(order=(0, 1)))
+    >>> mask_of(one, 1, "history").astype(int).tolist()
+    [[[1, 0], [0, 1]], [[1, 1], [0, 1]]]
+    """
+    outputs = sum(map(len, nodes.outputs))
+    delays = [delay for delay in nodes.delays if delay is not None]
+    if len(delays) < len(nodes.delays):
+        raise FieldError("nodes", "which samples are known is stated where every node has a constant delay")
+    for name, buffer, delay in zip(nodes.names, nodes.buffers, delays):
+        if buffer + delay > memory + 1:
+            raise FieldError(
+                f"nodes.{name}.buffer",
+                f"{buffer} samples that are {delay} slots late, but the gains reach back {memory} slots only",
+            )
+    turns = nodes.turns
+    count = 1 if turns is None else len(turns.order) or len(turns.transition)
+    known = np.zeros((count, memory + 1, outputs), dtype=bool)
+    for n, (own, buffer, delay) in enumerate(zip(nodes.outputs, nodes.buffers, delays)):
+        if turns is None:
+            known[0, delay:, list(own)] = True
+            continue
+        if uses == "history" and turns.order:
+            order = Information(nodes=tuple(range(len(delays))), order=turns.order, buffer=buffer, memory=memory, delay=delay)
+            for i in range(count):
+                for e in order.newest(i, n):
+                    known[i, e : e + buffer, list(own)] = True
+            continue
+        for i in range(count):  # a phase of the current packet is the turn in which it was sent
+            if (turns.order[i] if turns.order else i) == n:
+                known[i, delay : delay + buffer, list(own)] = True
+    return known
+
+
+def lossy(turns: Turns | None) -> bool:
+    """Return whether a phase has a twin in which nothing came."""
+    return turns is not None and turns.loss > 0.0
+
+
+def phase_chain(nodes: SensorNodes) -> Array | None:
+    """Return the transition matrix of the phases, those in which nothing came last; None for a cycle without loss."""
+    turns = nodes.turns
+    if turns is None or (turns.order and not turns.loss):
+        return None
+    plain = cycle(len(turns.order)) if turns.order else np.array(turns.transition)
+    return np.kron([[1.0 - turns.loss, turns.loss]] * 2, plain) if turns.loss else plain
+
+
+def phases_at_start(nodes: SensorNodes, uses: Uses) -> Array:
+    """Return the distribution of the phases in slot 0; those of the current packet count from the turn in which it was sent."""
+    turns = nodes.turns
+    if turns is None:
+        return np.ones(1)
+    if turns.order:
+        late = (nodes.delays[0] or 0) if uses == "current-packet" else 0
+        start = np.eye(len(turns.order))[(turns.phase - late) % len(turns.order)]
+    else:
+        start = np.array(turns.initial)
+    return np.kron([1.0 - turns.loss, turns.loss], start) if turns.loss else start
+
+
+def with_lost_turns(array: npt.NDArray[np.generic], nodes: SensorNodes) -> npt.NDArray[np.generic]:
+    """Return gains or a mask with zeros for the phases in which nothing came, where packets may get lost."""
+    return np.concatenate([array, np.zeros_like(array)]) if lossy(nodes.turns) else array
+
+
+def undecided_because(nodes: SensorNodes, uses: Uses) -> str:
+    """Return what about the nodes the theory does not know, empty if nothing; a trigger is the caller's to look at."""
+    if nodes.mixed:
+        return "the theory knows nodes that all share one medium, or that all send when they will"
+    if None in nodes.delays:
+        return "the theory knows constant delays of sensor packets only"
+    if uses == "history" and lossy(nodes.turns):
+        return "the theory knows lost packets for the current packet only, not for a history with gaps"
+    return ""

@@ -1,0 +1,116 @@
+"""Gains over historical data as an experiment asks for them: of least cost for its own plant and nodes, or as printed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.historical import Historical, History
+from design.errors import FieldError
+from design.requests.task import DesignTask
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HistoricalDesigned:
+    """Gains of least cost over scheduled sensor nodes, solved for the plant and the nodes of the experiment (Section 5.3).
+
+    Args:
+        uses: ``history``: all that has come; ``current-packet``: the packet of this slot; ``newest``: its newest sample.
+        memory: age in slots of the oldest sample that is used; by default the oldest of the first full cycle, or of a packet.
+        start: what the cost is the mean over: ``average``: x(0) ~ N(0, I) in any phase; ``given``: the plant's x(0), in
+            the schedule's first phase.
+        input_weight: a number on u'u in the cost of the design, on top of the plant's own weights.
+    """
+
+    uses: Literal["history", "current-packet", "newest"] = "history"
+    memory: int | None = None
+    start: Literal["average", "given"] = "average"
+    input_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.memory is not None and not 0 <= self.memory <= 100:
+            raise FieldError("memory", f"{self.memory}, expected 0 to 100 slots")
+        if not (np.isfinite(self.input_weight) and self.input_weight >= 0):
+            raise FieldError("input_weight", f"{self.input_weight}, expected a finite number, at least 0")
+
+    def solve(self, task: DesignTask) -> Historical:
+        """Return the gains as the controller that runs.
+
+        Raises:
+            ValueError: a plant or nodes for which nothing can be designed.
+        """
+        from design.historical_data.guaranteed_cost import Start, average_start, synthesise
+        from design.historical_data.lifted_loop import DelayedPlant
+        from design.historical_data.sensor_schedule import (
+            mask_of,
+            phase_chain,
+            phases_at_start,
+            undecided_because,
+            with_lost_turns,
+        )
+
+        nodes, plant = task.model.sensors, task.delayed_plant
+        if nodes is None:
+            raise FieldError("kind", "needs sensor nodes: [nodes.NAME] outputs, buffer")
+        if plant is None or task.initial_state is None:
+            raise FieldError("kind", "needs a plant in slots whose state is measured, with a cost (state_delays, cost_weights)")
+        uses: Literal["history", "current-packet"] = "history" if self.uses == "history" else "current-packet"
+        if self.uses == "history" and nodes.turns is not None and not nodes.turns.order:
+            raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
+        unknown = undecided_because(nodes, uses)
+        if unknown:
+            raise FieldError("kind", unknown)
+        if self.uses != "history" and nodes.turns is None:
+            raise FieldError("uses", "where no node waits for its turn, everything is in the current packets: uses = 'history'")
+        late = max(delay or 0 for delay in nodes.delays)
+        cycle = len(nodes.turns.order) if nodes.turns is not None and uses == "history" else 1
+        memory = max(cycle - 1, 0) + max(nodes.buffers) - 1 + late if self.memory is None else self.memory
+        try:
+            mask = mask_of(nodes, memory, uses)
+        except ValueError as error:
+            raise FieldError("memory", str(error)) from None
+        if self.uses == "newest":
+            mask &= (np.arange(memory + 1) == late)[None, :, None]
+        phases = len(mask)
+        m = plant.B.shape[1]
+        weight = self.input_weight * np.eye(m) + (0.0 if plant.input_weight is None else plant.input_weight)
+        problem = DelayedPlant(A=plant.A, delayed=plant.delayed, B=plant.B, weight=plant.weight, input_weight=weight)
+        at = phases_at_start(nodes, uses)
+        full: npt.NDArray[np.bool_] = with_lost_turns(mask, nodes).astype(bool)
+        if self.start == "given":
+            start = Start(moment=np.outer(task.initial_state, task.initial_state), phases=at)
+        else:
+            start = average_start(len(plant.A), len(full))
+            if nodes.turns is not None and nodes.turns.loss:
+                share = nodes.turns.loss
+                start = Start(moment=start.moment, phases=np.kron([1.0 - share, share], np.full(phases, 1.0 / phases)))
+        K = synthesise(problem, full, start, transition=phase_chain(nodes))[:phases]
+        return historical_of(K, uses)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedHistorical:
+    """The printed gains of Section 5.4, as an experiment can name them; of the plant they say nothing.
+
+    Args:
+        gains: ``historical`` (5.16), or ``newest`` (5.17), those of the comparison.
+    """
+
+    gains: Literal["historical", "newest"]
+
+    def solve(self, task: DesignTask) -> Historical:
+        """Return the gains as the controller that runs; nothing is solved."""
+        from design.as_printed.historical_data import historical_gains, newest_gains
+
+        if self.gains == "historical":
+            return historical_of(historical_gains(), "history")
+        return historical_of(newest_gains(), "current-packet")
+
+
+def historical_of(K: npt.NDArray[np.float64], uses: Literal["history", "current-packet"]) -> Historical:
+    """Return the controller that runs an array K[phase, j, m, p]."""
+    gains: History = tuple(tuple(tuple(tuple(map(float, row)) for row in rows) for rows in phase) for phase in K.tolist())
+    return Historical(gains=gains, uses=uses)

@@ -1,0 +1,92 @@
+"""The certifier of Chapter 5: gains over what scheduled sensor nodes have sent, over a plant whose state they measure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from design.controllers import HistoryGains, LoopModel, SensorNodes
+from design.verdict import Kind, Verdict
+from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
+from hil.experiment.protocols import HasCost, HasStateDelays, JumpPlant, Plant
+
+if TYPE_CHECKING:
+    from design.historical_data.lifted_loop import DelayedPlant
+
+KIND: Kind = "guaranteed cost"
+
+
+def delayed_plant_of(plant: Plant, model: LoopModel) -> DelayedPlant | None:
+    """Return a plant as Chapter 5 takes it; None for one that jumps, or does not measure its state.
+
+    A plant that states no cost is weighed by the unit matrix, its input by zero.
+    """
+    from design.historical_data.lifted_loop import DelayedPlant
+
+    n, m = model.B.shape
+    if isinstance(plant, JumpPlant) or not np.array_equal(model.C, np.eye(n)):
+        return None
+    delayed = plant.state_delays() if isinstance(plant, HasStateDelays) else np.zeros((0, n, n))
+    weight, input_weight = plant.cost_weights() if isinstance(plant, HasCost) else (np.eye(n), np.zeros((m, m)))
+    return DelayedPlant(A=model.A, delayed=delayed, B=model.B, weight=weight, input_weight=input_weight)
+
+
+def mask_faults(controller: HistoryGains, nodes: SensorNodes) -> list[str]:
+    """Return the gains on samples that have not arrived when they would be used, each with its place; empty: none.
+
+    Reference: thesis (5.8).
+    """
+    from design.historical_data.sensor_schedule import mask_of
+
+    if None in nodes.delays:
+        return []
+    K = controller.history()
+    try:
+        mask = mask_of(nodes, K.shape[1] - 1, controller.uses)
+    except ValueError as error:
+        return [str(error)]
+    owner = {output: name for name, own in zip(nodes.names, nodes.outputs) for output in own}
+    wrong = np.argwhere((K != 0.0) & ~mask[:, :, None, :])
+    faults = [
+        f"controller.gains[{i}][{j}][{row}][{l}]: {K[i, j, row, l]:g}, expected 0: in this phase the sample of {j} slots ago "
+        f"from node {owner[l]!r} has not arrived"
+        for i, j, row, l in wrong[:20].tolist()
+    ]
+    return faults + ([f"controller.gains: {len(wrong) - 20} more entries of this kind"] if len(wrong) > 20 else [])
+
+
+def certify_historical(loop: LoopToCertify) -> Verdict | None:
+    """Return the verdict on gains over historical data: stable or not, exactly, and what the loop costs; None for other loops.
+
+    The cost in the details is that of the run: from the plant's first state, in the schedule's first phase.
+    """
+    controller, nodes = loop.controller, loop.model.sensors
+    if not isinstance(controller, HistoryGains) or nodes is None:
+        return None
+    from design.historical_data.guaranteed_cost import Start, certify_cost
+    from design.historical_data.sensor_schedule import phase_chain, phases_at_start, undecided_because, with_lost_turns
+
+    plant = delayed_plant_of(loop.plant, loop.model)
+    if plant is None:
+        return undecided(loop, KIND, "the theory knows a plant that does not jump and whose state is measured")
+    unknown = undecided_because(nodes, controller.uses)
+    if nodes.silent:
+        unknown = f"the theory does not know the event triggers of the nodes {', '.join(nodes.silent)}"
+    if unknown:
+        return undecided(loop, KIND, unknown)
+    if loop.ca is None or loop.ca.max_delay:
+        return undecided(loop, KIND, "the theory knows an actuator that gets its command in the slot itself, none that waits")
+    x0 = np.array(loop.plant.start(np.random.default_rng(0)).state)
+    if x0.shape != (len(plant.A),):
+        return undecided(loop, KIND, "the plant has states that it does not measure")
+    K = with_lost_turns(controller.history(), nodes).astype(np.float64)
+    start = Start(moment=np.outer(x0, x0), phases=phases_at_start(nodes, controller.uses))
+    verdict = certify_cost(plant, K, start, phase_chain(nodes))
+    lossless = nodes.turns is None or not nodes.turns.loss
+    assumptions = tuple(
+        said if lossless or said != "no packet is lost" else "packets are lost on the medium as it states, and nowhere else"
+        for said in verdict.assumptions
+    )
+    return limited_to_model(loop, replace(verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest))

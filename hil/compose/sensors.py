@@ -1,0 +1,169 @@
+"""The sensor nodes of an experiment: what is wrong with them, and what rig, controller and theory take of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from design.controllers import SensorNodes, Turns
+from hil.experiment import Experiment
+from hil.experiment.nodes import Medium, TriggerTable
+from transport.laws.delay_states import delay_states
+from transport.laws.protocols import prepare, slots_served
+from transport.packets import MAX_OUTPUTS, MAX_VALUES
+
+MOST_NODES = 255
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor:
+    """One sensor node, ready to run.
+
+    Args:
+        name: of the node; empty for the only one of the short form.
+        outputs: indices of the plant's outputs, None for all.
+        buffer: samples in one packet.
+        trigger: when it sends.
+        law: network from it to the controller.
+    """
+
+    name: str
+    outputs: tuple[int, ...] | None
+    buffer: int
+    trigger: TriggerTable
+    law: Any
+
+    @property
+    def stream(self) -> str:
+        """Name of the random stream of its channel."""
+        return f"link.sc.{self.name}" if self.name else "link.sc"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shared:
+    """A medium on which some nodes take turns.
+
+    Args:
+        name: of the medium.
+        nodes: numbers of its nodes, in its order.
+        table: how they take turns.
+    """
+
+    name: str
+    nodes: tuple[int, ...]
+    table: Medium
+
+
+def ordered_names(e: Experiment) -> list[str]:
+    """Return the names of the nodes by their number."""
+    names = list(e.nodes)
+    return sorted(names, key=lambda name: names.index(name) if e.nodes[name].id is None else e.nodes[name].id)  # type: ignore[arg-type,return-value]
+
+
+def node_faults(e: Experiment) -> list[str]:
+    """Return what is wrong with nodes and media, each with its path."""
+    if not e.nodes:
+        return [f"media.{name}: there are no nodes to share it ([nodes.NAME])" for name in e.media]
+    faults, outputs = [], [s.name for s in e.plant.outputs]
+    owner: dict[str, str] = {}
+    taken: dict[int, str] = {}
+    if len(e.nodes) > MOST_NODES:
+        faults.append(f"nodes: {len(e.nodes)} of them, at most {MOST_NODES}")
+    for position, (name, node) in enumerate(e.nodes.items()):
+        number = position if node.id is None else node.id
+        if not 0 <= number < len(e.nodes):
+            faults.append(f"nodes.{name}.id: {number}, expected 0 to {len(e.nodes) - 1}, a number for each node")
+        elif number in taken:
+            faults.append(f"nodes.{name}.id: {number} is the identifier of node {taken[number]!r} already")
+        taken.setdefault(number, name)
+        for i, output in enumerate(node.outputs):
+            at = f"nodes.{name}.outputs[{i}]"
+            if output not in outputs:
+                faults.append(f"{at}: the plant has no output {output!r} (there are: {', '.join(outputs)})")
+            elif owner.setdefault(output, name) != name:
+                faults.append(f"{at}: {output!r} is measured by node {owner[output]!r} already")
+        if len(node.outputs) > MAX_OUTPUTS or len(node.outputs) * node.buffer + len(outputs) > MAX_VALUES:
+            faults.append(f"nodes.{name}.buffer: {node.buffer} samples of {len(node.outputs)} outputs do not fit a packet")
+        bound = e.links.sc.max_age if node.law is None else getattr(node.law, "max_age", None)
+        if bound is not None and bound > e.links.sc.max_age:
+            faults.append(f"nodes.{name}.law: its largest delay {bound} is above links.sc.max_age = {e.links.sc.max_age}")
+        served = None if node.law is None else slots_served(node.law)
+        if served is not None and served < e.ticks:
+            faults.append(f"nodes.{name}.law: the recording serves {served} slots, the run has {e.ticks}; it can repeat")
+    faults += [f"nodes: nobody measures the output {name!r}" for name in outputs if name not in owner]
+    on: dict[str, str] = {}
+    for name, medium in e.media.items():
+        for i, node_name in enumerate(medium.nodes):
+            if node_name not in e.nodes:
+                faults.append(f"media.{name}.nodes[{i}]: there is no node {node_name!r} (there are: {', '.join(e.nodes)})")
+            elif on.setdefault(node_name, name) != name:
+                faults.append(f"media.{name}.nodes[{i}]: node {node_name!r} is on medium {on[node_name]!r} already")
+    return faults
+
+
+def sensors_of(e: Experiment, samples: int) -> tuple[Sensor, ...]:
+    """Return the sensor nodes that run, by number.
+
+    Args:
+        e: checked, its laws loaded.
+        samples: samples per packet of the only node, where none is named.
+    """
+    if not e.nodes:
+        return (Sensor(name="", outputs=None, buffer=samples, trigger=TriggerTable(), law=prepare(e.links.sc.law)),)
+    index = {s.name: i for i, s in enumerate(e.plant.outputs)}
+    return tuple(
+        Sensor(
+            name=name,
+            outputs=tuple(index[output] for output in e.nodes[name].outputs),
+            buffer=e.nodes[name].buffer,
+            trigger=e.nodes[name].trigger,
+            law=prepare(e.links.sc.law if e.nodes[name].law is None else e.nodes[name].law),
+        )
+        for name in ordered_names(e)
+    )
+
+
+def shared_media(e: Experiment) -> tuple[Shared, ...]:
+    """Return the media on which nodes take turns."""
+    number = {name: i for i, name in enumerate(ordered_names(e))}
+    return tuple(
+        Shared(name=name, nodes=tuple(number[node] for node in medium.nodes), table=medium)
+        for name, medium in e.media.items()
+        if medium.kind != "independent"
+    )
+
+
+def sensor_nodes(e: Experiment) -> SensorNodes | None:
+    """Return the sensor nodes as a controller and the theory see them, None for the only one of the short form."""
+    if not e.nodes:
+        return None
+    sensors, shared = sensors_of(e, 1), shared_media(e)
+    mixed = len(shared) > 1 or any(set(medium.nodes) != set(range(len(sensors))) for medium in shared)
+    return SensorNodes(
+        names=tuple(s.name for s in sensors),
+        outputs=tuple(s.outputs or () for s in sensors),
+        buffers=tuple(s.buffer for s in sensors),
+        delays=tuple(_constant_delay(s.law) for s in sensors),
+        turns=_turns(shared[0]) if shared and not mixed else None,
+        silent=tuple(s.name for s in sensors if s.trigger.kind != "every-slot"),
+        mixed=mixed,
+    )
+
+
+def _turns(shared: Shared) -> Turns:
+    table = shared.table
+    if table.kind == "round-robin":
+        return Turns(order=shared.nodes, phase=table.phase, loss=table.loss)
+    place = {node: i for i, node in enumerate(shared.nodes)}
+    every, matrix, shares = range(len(place)), table.transition(), table.shares()
+    transition = tuple(tuple(matrix[place[a]][place[b]] for b in every) for a in every)
+    return Turns(transition=transition, initial=tuple(shares[place[a]] for a in every), loss=table.loss)
+
+
+def _constant_delay(law: Any) -> int | None:
+    states = delay_states(law)
+    if states is None:
+        return None
+    ages: Sequence[int] = sorted({int(age) for age in states.ages})
+    return ages[0] if len(ages) == 1 else None

@@ -1,0 +1,125 @@
+"""Sensor nodes and the media that they share, as an experiment file names them: `[nodes.NAME]`, `[media.NAME]`."""
+
+from __future__ import annotations
+
+import typing
+from typing import Any, Literal
+
+from hil.experiment.table import Table
+
+LONGEST_BUFFER = 255
+TOLERANCE = 1e-9
+
+
+class TriggerTable(Table, frozen=True, kw_only=True):
+    """When a sensor node sends, on a schedule: whether it uses its turn.
+
+    Args:
+        kind: ``every-slot``; ``magnitude`` (some output is above the threshold), ``error`` (some output changed by more since
+            the node was last asked) or ``dead-band`` (some output differs by more from what was last sent).
+        threshold: in the outputs' unit; of no use to ``every-slot``.
+    """
+
+    kind: Literal["every-slot", "magnitude", "error", "dead-band"] = "every-slot"
+    threshold: float = 0.0
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        threshold, kind = values.get("threshold", 0.0), values.get("kind", "every-slot")
+        if threshold < 0:
+            yield f"threshold: {threshold:g} is negative"
+        if kind == "every-slot" and threshold:
+            yield "threshold: a node that sends in every slot has none"
+        if kind != "every-slot" and "threshold" not in values:
+            yield f"threshold: missing; a trigger of kind {kind!r} needs one"
+
+
+class Node(Table, frozen=True, kw_only=True):
+    """A sensor node: what it measures, how many samples it sends at once, and when.
+
+    Args:
+        outputs: names of the plant's outputs that this node measures.
+        id: number of the node in its packets, from 0; by default its position in the file.
+        buffer: samples in one packet, the newest first.
+        trigger: when the node sends.
+        law: the network from this node to the controller; by default that of ``links.sc``, with draws of its own.
+    """
+
+    outputs: tuple[str, ...]
+    id: int | None = None
+    buffer: int = 1
+    trigger: TriggerTable = TriggerTable()
+    law: Any = None
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        if not 1 <= values.get("buffer", 1) <= LONGEST_BUFFER:
+            yield f"buffer: {values['buffer']} samples, expected 1 to {LONGEST_BUFFER}"
+        outputs = values.get("outputs", ("",))
+        if not outputs:
+            yield "outputs: empty; a sensor node measures something"
+        for i, name in enumerate(outputs):
+            if name in outputs[:i]:
+                yield f"outputs[{i}]: {name!r} is named twice"
+
+
+class Medium(Table, frozen=True, kw_only=True):
+    """What some sensor nodes share: one of them may send in a slot. A node that no medium names sends when it will.
+
+    Args:
+        kind: ``round-robin`` (in the order of ``nodes``, again and again), ``random`` or ``independent`` (all in every
+            slot).
+        nodes: names of the nodes, for ``round-robin`` in the order of their turns (a node may have several).
+        phase: ``round-robin``: position in the order in slot 0, from 0.
+        probabilities: ``random``: probability of each node, independent in every slot; by default all are alike.
+        matrix: ``random``: instead, Pr(next node | last node); slot 0 is drawn from ``probabilities``.
+        loss: probability that what is sent is lost on the medium, independent in every slot.
+    """
+
+    kind: Literal["independent", "round-robin", "random"]
+    nodes: tuple[str, ...]
+    phase: int = 0
+    probabilities: tuple[float, ...] = ()
+    matrix: tuple[tuple[float, ...], ...] = ()
+    loss: float = 0.0
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        kind, nodes = values.get("kind"), values.get("nodes", ("",))
+        if not nodes:
+            yield "nodes: empty"
+        if not 0.0 <= values.get("loss", 0.0) < 1.0:
+            yield f"loss: {values['loss']:g}, expected a probability below 1"
+        if kind == "independent" and values.get("loss"):
+            yield "loss: an independent medium loses nothing; the law of the node does"
+        if kind != "round-robin" and values.get("phase"):
+            yield "phase: for a round-robin medium only"
+        elif not 0 <= values.get("phase", 0) < max(len(nodes), 1):
+            yield f"phase: {values['phase']}, expected 0 to {len(nodes) - 1}"
+        if kind != "round-robin":
+            for i, name in enumerate(nodes):
+                if name in nodes[:i]:
+                    yield f"nodes[{i}]: {name!r} is named twice"
+        if kind != "random":
+            for field in ("probabilities", "matrix"):
+                if values.get(field):
+                    yield f"{field}: for a random medium only"
+            return
+        rows = {"probabilities": values.get("probabilities", ())}
+        matrix = values.get("matrix", ())
+        if matrix and len(matrix) != len(nodes):
+            yield f"matrix: {len(matrix)} rows for {len(nodes)} nodes"
+        rows |= {f"matrix[{i}]": row for i, row in enumerate(matrix)}
+        for field, row in rows.items():
+            if (row or field != "probabilities") and len(row) != len(nodes):
+                yield f"{field}: {len(row)} entries for {len(nodes)} nodes"
+            elif row and (min(row) < 0 or abs(sum(row) - 1) > TOLERANCE):
+                yield f"{field}: expected probabilities that sum to 1, not to {sum(row):g}"
+
+    def shares(self) -> tuple[float, ...]:
+        """Return the probability of each node in slot 0 of a random medium."""
+        return self.probabilities or (1.0 / len(self.nodes),) * len(self.nodes)
+
+    def transition(self) -> tuple[tuple[float, ...], ...]:
+        """Return Pr(next node | last node) of a random medium."""
+        return self.matrix or (self.shares(),) * len(self.nodes)
