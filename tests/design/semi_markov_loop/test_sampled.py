@@ -147,6 +147,16 @@ def test_sides_close_on_the_loop_that_acts_at_every_instant():
     assert gaps[1] < 0.3 * gaps[0]
 
 
+def test_a_loop_between_the_two_sides_is_undecided():
+    ramp = PiecewiseLinearRate(times_s=(0.0, 1.0), values=(0.2, 4.0))
+    process = SemiMarkov(rates=((None, ramp), (constant_rate(2.0), None)))
+    system = JumpSystem(a=np.array([[[1.0]], [[-1.0]]]), b=np.array([[[1.0]], [[0.0]]]))
+    gain = constant_gain(np.array([[[-0.2]], [[0.0]]]))
+    loop = SampledLoop(system=system, process=process, gain=gain, period_s=0.1, tau=0, d=0)
+    assert renewal_radius(loop, [0, 1], upper=False) < 1.0 < renewal_radius(loop, [0, 1], upper=True)
+    assert sampled_verdict(system, process, gain, period_s=0.1).state == "undecided"
+
+
 def test_a_delay_that_destabilises_is_refused():
     system, process, gain = chapter2_system("none"), chapter2_process(), chapter2_gain()
     assert sampled_verdict(system, process, gain, period_s=0.005, tau=1, d=1).certified
