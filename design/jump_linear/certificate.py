@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.jump_linear.mjls import MJLS, STABILITY_MARGIN
-from design.jump_linear.second_moment import Array, Resolvent, backward, expect, mean_square_radius
+from design.jump_linear.second_moment import Array, backward, cost_once, expect, mean_square_radius
 from design.verdict import State
 
 
@@ -99,9 +99,9 @@ def certify_system(
         weight = C.transpose(0, 2, 1) @ C
         worst = transition if between is None else between[1]
         if between is None:
-            P, S = Resolvent(A, transition).cost(np.stack([identity, weight]))
+            P, S = cost_once(A, transition, np.stack([identity, weight]))
         else:
-            P, S = Resolvent(A, worst).cost(identity), Resolvent(A, transition).cost(weight)
+            P, S = cost_once(A, worst, identity), cost_once(A, transition, weight)
         if not (np.isfinite(P).all() and np.isfinite(S).all()):  # too near 1 for the solver: nothing is proved
             P, S = np.zeros_like(P), np.zeros_like(S)
         lyapunov = -_largest(backward(A, worst, P) - P)

@@ -16,7 +16,6 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from design.jump_linear import krylov
 
@@ -110,6 +109,8 @@ class Resolvent:
             matrix = operator_matrix(A, transition)
             np.negative(matrix, out=matrix)
             matrix.flat[:: size + 1] += 1.0
+            import scipy.linalg  # 0.15 s: where a process only certifies a small loop, it is not needed
+
             self.factors = scipy.linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
 
     def cost(self, families: Array) -> Array:
@@ -126,12 +127,16 @@ class Resolvent:
         if self.factors is None:
             solution = np.stack([self._krylov(row, transposed) for row in flat])
         else:
+            import scipy.linalg
+
             solution = scipy.linalg.lu_solve(self.factors, flat.T, trans=transposed, check_finite=False).T
         return to_matrix(np.ascontiguousarray(solution).reshape(vectors.shape), self.n)
 
     def _krylov(self, right: Array, transposed: int) -> Array:
         """Matrix-free; not a number throughout where the radius is so near 1 that no solution was found."""
         if self.A.shape[0] == 1:
+            import scipy.linalg
+
             A = self.A[0] if transposed else self.A[0].T
             return to_vector(scipy.linalg.solve_discrete_lyapunov(A, to_matrix(right, self.n), method="bilinear"))
         shape = (self.A.shape[0], right.size // self.A.shape[0])
@@ -142,6 +147,23 @@ class Resolvent:
 
         solution = krylov.solve(product, right)
         return np.full_like(right, np.nan) if solution is None else solution
+
+
+def cost_once(A: Array, transition: Array, families: Array) -> Array:
+    """S with S - L S = Q, as `Resolvent.cost`, where nothing else is solved with this operator: small ones need numpy alone.
+
+    Args:
+        A: (N, n, n) mode matrices.
+        transition: (N, N) row-stochastic matrix.
+        families: Q, (N, n, n), or several at once, (k, N, n, n).
+    """
+    size = A.shape[0] * A.shape[-1] * (A.shape[-1] + 1) // 2
+    if size > EIG_DENSE_LIMIT:
+        return Resolvent(A, transition).cost(families)
+    vectors = to_vector(families)
+    flat = vectors.reshape(-1, size)
+    solution = np.linalg.solve(np.eye(size) - operator_matrix(A, transition), flat.T).T
+    return to_matrix(np.ascontiguousarray(solution).reshape(vectors.shape), A.shape[-1])
 
 
 class Bordered:
@@ -163,11 +185,15 @@ class Bordered:
             matrix[:size, :size] = operator_matrix(A, transition)
             matrix.flat[: size * (size + 1) : size + 2] -= 1.0
             matrix[:size, size], matrix[size, :size] = left, right
+            import scipy.linalg  # 0.15 s: where a process only certifies a small loop, it is not needed
+
             self.factors = scipy.linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
 
     def solve(self, rhs: Array, *, transposed: bool = False) -> Array:
         """Return the solution (N s + 1,); not a number throughout where none was found."""
         if self.factors is not None:
+            import scipy.linalg
+
             return np.asarray(scipy.linalg.lu_solve(self.factors, rhs, trans=1 if transposed else 0, check_finite=False))
         left, right = (self.right, self.left) if transposed else (self.left, self.right)
         operator, shape = forward if transposed else backward, (self.A.shape[0], -1)

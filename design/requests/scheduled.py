@@ -118,7 +118,12 @@ class RobustScheduled:
             raise FieldError("sections", "give either their number or their starts_s")
 
     def solve(self, task: DesignTask) -> Scheduled:
-        """Return the gains as the controller that runs."""
+        """Return the gains as the controller that runs: from the cache, where this was solved before."""
+        from design.requests.gain_cache import cached_gain
+
+        return scheduled_of(cached_gain((self, task.jump_system, task.jump_process), lambda: self._solved(task)))
+
+    def _solved(self, task: DesignTask) -> ScheduledGain:
         from design.processes.semi_markov import FaultDetection, SemiMarkov
         from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
@@ -145,7 +150,7 @@ class RobustScheduled:
             raise FieldError("method", f"{asked!r} is not for this plant, which has {delay} inside and shows the {shown} mode")
         if found.gain is None:
             raise FieldError("kind", "the design came back without gains")
-        return scheduled_of(found.gain)
+        return found.gain
 
     def _starts(self, shown: SemiMarkov) -> Partition | None:
         from design.processes.partitions import check_partition, equal_probability

@@ -61,13 +61,13 @@ def solve_cached(
         "evaluations": design.evaluations,
     }
     try:
-        _keep(entry, json.dumps(document))
+        keep_entry(entry, json.dumps(document))
     except OSError:
         pass
     return design
 
 
-def _keep(entry: Path, text: str) -> None:
+def keep_entry(entry: Path, text: str) -> None:
     """Put an entry in its place in one step, through no link of anybody's, readable for its user alone."""
     entry.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     part = entry.with_suffix(f".{secrets.token_hex(6)}.part")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from typing import Any
 
 import click
@@ -169,3 +170,50 @@ def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
     for name in ("in_a_row", "at_once"):
         if row[name] is not None:
             print(f"{name.replace('_', ' ')}: " + ", ".join(f"{count} ended with status {s}" for s, count in row[name].items()))
+
+
+@command.command()
+@click.option("--json", "as_json", is_flag=True)
+def engines(as_json: bool) -> None:
+    """A sweep beside run by run, a log beside mcap's own writer, designs over many modes: CPU time."""
+    from hil.bench.engines import bench_log, bench_modes, bench_sweep
+
+    sweeps, logs, modes = bench_sweep(_status), bench_log(_status), bench_modes(_status)
+    if as_json:
+        print(json.dumps({"sweep": sweeps, "log": logs, "modes": modes}, indent=2))
+        return
+    _table("a sweep in lockstep, beside run by run", sweeps)
+    _table("one slot in virtual time, with a log, beside mcap's own writer", logs)
+    _table("an H2 design over many modes (applied, one start)", modes)
+
+
+@command.command(name="all")
+@click.option("--duration", type=float, default=10.0, show_default=True, help="Seconds for each link.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object (nothing else is printed either way).")
+def everything(duration: float, as_json: bool) -> None:
+    """Every figure with its peer and their ratio; takes some minutes."""
+    import platform
+    from datetime import date
+
+    from hil.bench.auth import bench_auth
+    from hil.bench.design import bench_design, bench_scheduled
+    from hil.bench.engines import bench_log, bench_modes, bench_sweep
+    from hil.bench.links import bench_links
+    from hil.bench.montecarlo import bench_montecarlo
+    from hil.bench.timing import bench_timing
+
+    _check("--duration", duration, *SECONDS)
+    found: dict[str, Any] = {
+        "machine": {"python": platform.python_version(), "system": platform.platform(), "cpus": os.cpu_count()},
+        "date": date.today().isoformat(),
+        "sweep": bench_sweep(_status),
+        "log": bench_log(_status),
+        "modes": bench_modes(_status),
+        "design": bench_design(_status),
+        "scheduled": bench_scheduled(progress=_status),
+        "montecarlo": bench_montecarlo(progress=_status),
+        "auth": bench_auth(),
+        "links": bench_links(rate_hz=1000.0, duration_s=duration),
+        "timing": bench_timing(duration_s=duration, progress=_status),
+    }
+    print(json.dumps(found, indent=2))

@@ -15,6 +15,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from hil.bench.plain_log import PlainSink
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -23,7 +24,6 @@ from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import commit
 from hil.log.write.sinks import MemorySink, TeeSink
 from hil.runtime.virtual import run_virtual
-from tests.hil.log.plain_sink import PlainSink
 from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
 
 

@@ -1,0 +1,143 @@
+"""CPU time: a sweep in lockstep beside run by run, a log beside mcap's own writer, designs over ever more modes."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.bench.plain_log import PlainSink
+from hil.compose.loop import Loop, compose
+from hil.experiment import load_experiment
+from hil.log.write.mcap_sink import McapSink
+from hil.log.write.provenance import Provenance
+from hil.log.write.sinks import MemorySink, Sink
+from hil.runtime.virtual import run_virtual
+from hil.sweeps.seeds import run_one_by_one, run_seeds
+
+SWEEPS = ("dc-motor-hinf", "dc-motor-smith", "vtol-h2")
+TURNS = 5
+
+Row = dict[str, Any]
+
+
+def bench_sweep(progress: Callable[[str], None] = lambda text: None, *, runs: int = 1000, alone: int = 8) -> list[Row]:
+    """Return CPU time per run of a sweep in lockstep, and run by run, one row per experiment.
+
+    Args:
+        progress: told what is being done.
+        runs: in lockstep.
+        alone: run by run.
+    """
+    rows = []
+    for name in SWEEPS:
+        progress(f"sweep {name}")
+        loop = compose(load_experiment(name), certify=False)
+        together = _cpu(partial(run_seeds, loop, range(runs))) / runs
+        plain = _cpu(partial(run_one_by_one, loop, range(alone))) / alone
+        rows.append(
+            {
+                "sweep": name,
+                "slots": loop.experiment.ticks,
+                "lockstep us per run": round(together * 1e6, 1),
+                "run by run us": round(plain * 1e6, 1),
+                "ratio": round(plain / together, 1),
+            }
+        )
+    return rows
+
+
+def bench_log(progress: Callable[[str], None] = lambda text: None, *, slots: int = 5000, turns: int = TURNS) -> list[Row]:
+    """Return CPU time per virtual slot with our log, with mcap's own writer and without a log: medians of turns.
+
+    Args:
+        progress: told what is being done.
+        slots: of one run.
+        turns: how often all three are run.
+    """
+    progress("virtual slot")
+    loop = compose(load_experiment("dc-motor-hinf", [f"duration={slots * 0.05!r}"]), certify=False)
+    found: dict[str, list[float]] = {"ours": [], "plain": [], "none": []}
+    with tempfile.TemporaryDirectory(prefix="hilrig-bench-") as folder:
+        for _ in range(turns):
+            for name in found:
+                found[name].append(_cpu(partial(_virtual, loop, name, Path(folder) / name)) / slots * 1e6)
+        equal = (Path(folder) / "ours").read_bytes() == (Path(folder) / "plain").read_bytes()
+    ours, plain, none = (statistics.median(found[name]) for name in ("ours", "plain", "none"))
+    return [
+        {
+            "virtual slot": "dc-motor-hinf with log",
+            "us": round(ours, 1),
+            "mcap's writer us": round(plain, 1),
+            "ratio": round(ours / plain, 3),
+            "without log us": round(none, 1),
+            "same bytes": equal,
+        }
+    ]
+
+
+def bench_modes(progress: Callable[[str], None] = lambda text: None, *, largest: int = 4) -> list[Row]:
+    """Return CPU time of an H2 design over ever more modes, one start each; its peer is the design with one delay less.
+
+    Args:
+        progress: told what is being done.
+        largest: tau_max = d_max of the last design.
+    """
+    from design.tracking.problem import TrackingProblem
+    from design.tracking.synthesis import solve
+
+    model = compose(load_experiment("dc-motor-hinf"), certify=False).model
+    rows: list[Row] = []
+    for most in range(1, largest + 1):
+        progress(f"H2 design, tau_max = d_max = {most}")
+        chain = shortening_chain(most)
+        problem = TrackingProblem(A=model.A, B=model.B, C=model.C, sc=chain, ca=chain, starts=1)
+        begun = time.process_time()
+        design = solve(problem)
+        spent = time.process_time() - begun
+        rows.append(
+            {
+                "tau_max = d_max": most,
+                "modes": design.certificate.modes,
+                "h2": design.certificate.h2_norm,
+                "CPU s": round(spent, 2),
+                "ratio": round(spent / rows[-1]["CPU s"], 1) if rows and rows[-1]["CPU s"] else None,
+            }
+        )
+    return rows
+
+
+def shortening_chain(most: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return a chain of the delays 0 .. most in which a delay grows by at most one: (most + 1, most + 1).
+
+    >>> shortening_chain(2).tolist()
+    [[0.5, 0.5, 0.0], [0.5, 0.25, 0.25], [0.5, 0.25, 0.25]]
+    """
+    chain = np.zeros((most + 1, most + 1))
+    for i in range(most + 1):
+        reach = min(i + 1, most)
+        chain[i, 0] = 0.5
+        chain[i, 1 : reach + 1] = 0.5 / reach
+    return chain
+
+
+def _virtual(loop: Loop, writer: str, path: Path) -> None:
+    about = Provenance(experiment="bench", experiment_text="", resolved={}, seed=0, clock="virtual", link="memory:")
+    if writer == "none":
+        run_virtual(loop, 0, MemorySink(loop.channels(), []))
+        return
+    sink: Sink
+    with McapSink(path, loop.channels(), about) if writer == "ours" else PlainSink(path, loop.channels(), about) as sink:
+        run_virtual(loop, 0, sink)
+
+
+def _cpu(task: Callable[[], object]) -> float:
+    begun = time.process_time()
+    task()
+    return time.process_time() - begun

@@ -1,0 +1,26 @@
+"""The bench of the engines: every row has its peer and the ratio of the two."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.bench import engines
+
+
+def test_a_sweep_is_set_beside_the_plain_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engines, "SWEEPS", ("vtol-h2",))
+    (row,) = engines.bench_sweep(runs=20, alone=1)
+    assert row["slots"] == 500
+    assert row["ratio"] == pytest.approx(row["run by run us"] / row["lockstep us per run"], rel=0.01)
+
+
+def test_a_log_is_set_beside_mcaps_own_writer_and_has_its_bytes() -> None:
+    (row,) = engines.bench_log(slots=1500, turns=1)
+    assert row["same bytes"] is True
+    assert row["ratio"] == pytest.approx(row["us"] / row["mcap's writer us"], rel=0.01)
+
+
+def test_designs_over_more_modes_have_more_modes_and_a_norm() -> None:
+    rows = engines.bench_modes(largest=2)
+    assert [row["modes"] for row in rows] == sorted(row["modes"] for row in rows)
+    assert all(0.0 < row["h2"] < 10.0 for row in rows)
