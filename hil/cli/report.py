@@ -26,6 +26,7 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     from hil.measure.view import view_of
     from hil.report.run.prediction import theory_section
     from hil.report.run.run_page import render_report
+    from hil.report.run.wall_section import wall_section
 
     run = read_run(file)
     target = output or file.with_suffix(".html")
@@ -33,9 +34,9 @@ def command(file: Path, output: Path | None, show: bool) -> None:
         raise HilError(f"{target}: is the log itself; choose another -o")
     check_output(target, page=True)
     view = view_of(run)
-    theory = theory_section(view)
+    found = (wall_section(view), theory_section(view))
     said: dict[str, Any] = {name: run.summary[name] for name in ("problems", "log") if name in run.summary}
-    page = render_report(view, {**summarise(view), **said}, sections=[theory] if theory else [])
+    page = render_report(view, {**summarise(view), **said}, sections=[section for section in found if section])
     write_output(target, page)
     click.echo(f"written: {visible(target)} ({len(page.encode()) / 1e6:.1f} MB)")
     if show:

@@ -74,7 +74,7 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
         )
         for c in cells
     ]  # fmt: skip
-    return Section(title=f"T = {rate}", blocks=(*blocks, Table(columns=columns, rows=rows, wide=True), *taps))
+    return Section(title=f"T = {rate}", blocks=(*blocks, Table(columns=columns, rows=rows), *taps))
 
 
 def _contours(cells: Sequence[StiffnessCell], damping: float, most: float) -> tuple[Series, ...]:

@@ -219,7 +219,45 @@ class Tile:
     state: State = "neutral"
 
 
-Block: TypeAlias = Figure | Bars | Histogram | Matrix | Table | Text | Badge
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """An area or a way.
+
+    Args:
+        points: shape (n, 2); a row with NaN lifts the pen.
+        label: what it is; equal labels stand in the legend once.
+        colour: index into the page's palette of eight, None for the colour of text.
+        filled: an area rather than a way.
+        faint: thin and pale.
+    """
+
+    points: npt.NDArray[np.float64] | Sequence[tuple[float, float]]
+    label: str = ""
+    colour: int | None = None
+    filled: bool = False
+    faint: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """Areas and ways in a plane with one scale for both axes: a path over a map, a projected solid.
+
+    Args:
+        shapes: at least one; later ones lie above.
+        axes: whether the axes have ticks and labels.
+        labels: words at points, (x, y, text).
+    """
+
+    title: str
+    shapes: tuple[Shape, ...]
+    axes: bool = True
+    x_label: str = ""
+    y_label: str = ""
+    labels: tuple[tuple[float, float, str], ...] = ()
+    note: str = ""
+
+
+Block: TypeAlias = Figure | Bars | Histogram | Matrix | Scene | Table | Text | Badge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.report.html.decimation import bucket_extremes, step_ends
-from hil.report.html.figures import Badge, Bars, Block, Cell, Figure, Histogram, Link, Matrix, Series, Table, Text, Tile
+from hil.report.html.figures import Badge, Bars, Block, Cell, Figure, Histogram, Link, Matrix, Scene, Series, Table, Text, Tile
 from hil.report.html.numbers import text_of
+from hil.report.html.scene import draw_scene, scene_legend
 from hil.report.html.svg import draw_bars, draw_histogram
 
 WHOLE = 25_000
@@ -81,6 +82,8 @@ def block_html(block: Block, payload: Payload) -> str:
         return _panel(block.title, f'{_legend(block)}<div class="scroll">{draw_bars(block)}</div>', block.note)
     if isinstance(block, Histogram):
         return _panel(block.title, f'<div class="scroll">{draw_histogram(block)}</div>', block.note)
+    if isinstance(block, Scene):
+        return _panel(block.title, f'{scene_legend(block)}<div class="scroll">{draw_scene(block)}</div>', block.note)
     if isinstance(block, Matrix):
         return _matrix(block)
     if isinstance(block, Table):

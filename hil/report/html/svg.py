@@ -23,7 +23,7 @@ def draw_bars(bars: Bars) -> str:
         for i, value in enumerate(group.values)
         if math.isfinite(value)
     ]
-    ticks = _nice_ticks(0.0, max([v for v in tallest if math.isfinite(v)], default=1.0) or 1.0)
+    ticks = nice_ticks(0.0, max([v for v in tallest if math.isfinite(v)], default=1.0) or 1.0)
     y_of = _linear(ticks[0], ticks[-1], HEIGHT - BOTTOM, TOP)
     parts = _frame(ticks, y_of, bars.x_label, _with_unit(bars.y_label, bars.y_unit))
     slot = (WIDTH - LEFT - RIGHT) / max(len(bars.categories), 1)
@@ -60,7 +60,7 @@ def draw_histogram(histogram: Histogram) -> str:
         ticks = ticks if len(ticks) > 1 else [1.0, 10.0]
         y_of = _logarithmic(0.6, ticks[-1], HEIGHT - BOTTOM, TOP)
     else:
-        ticks = _nice_ticks(0.0, most or 1.0)
+        ticks = nice_ticks(0.0, most or 1.0)
         y_of = _linear(0.0, ticks[-1], HEIGHT - BOTTOM, TOP)
     low, high = (float(edges[0]), float(edges[-1])) if edges.size > 1 else (0.0, 1.0)
     if histogram.x_log and low > 0:
@@ -71,7 +71,7 @@ def draw_histogram(histogram: Histogram) -> str:
             x_ticks = [v for e in decades for m in (1, 2, 5) if low <= (v := m * 10.0**e) <= high]
     else:
         x_of = _linear(low, high, LEFT, WIDTH - RIGHT)
-        x_ticks = [v for v in _nice_ticks(low, high) if low <= v <= high]
+        x_ticks = [v for v in nice_ticks(low, high) if low <= v <= high]
     parts = _frame(ticks, y_of, _with_unit(histogram.x_label, histogram.x_unit), histogram.y_label)
     parts += [_label("tick", x_of(v), HEIGHT - BOTTOM + 16, "middle", text_of(v, 3)) for v in x_ticks]
     style = _bar_class(histogram.colour or 0, False)
@@ -143,7 +143,7 @@ def _logarithmic(low: float, high: float, start: float, end: float) -> Callable[
     return lambda value: position(math.log10(max(value, low)))
 
 
-def _nice_ticks(low: float, high: float, wanted: int = 5) -> list[float]:
+def nice_ticks(low: float, high: float, wanted: int = 5) -> list[float]:
     """Return ticks of 1, 2, 2.5 or 5 times a power of ten that enclose [low, high]."""
     span = (high - low) or 1.0
     raw = span / wanted

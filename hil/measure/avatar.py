@@ -1,0 +1,108 @@
+"""Avatar and material of a haptic run, computed again: the wall is deterministic in what the log holds.
+
+Packets carry single precision: the wall saw the measured values rounded to it, and its forces are logged rounded to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.virtual_wall import RendersWall
+from hil.compose.loop import Loop, compose
+from hil.errors import HilError
+from hil.measure.view import MEASUREMENT, RunView, matrix
+
+ROWS = "/controller/rows"
+
+Array = npt.NDArray[np.float64]
+
+
+class InContact(Protocol):
+    """Where the avatar is."""
+
+    avatar_m: float
+    material: int
+
+
+@runtime_checkable
+class TouchesWall(Protocol):
+    """A running controller that says what it touches."""
+
+    @property
+    def contact(self) -> InContact: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AvatarPath:
+    """What the wall saw, in every slot that the controller answered from a sample.
+
+    Args:
+        t_s: session time of the answer (n,), s.
+        depth_m: place of the avatar behind the surface (n,), m.
+        material: index of the material under it (n,).
+        y_m, z_m: its place along the wall (n,), m: that of the sample, which is as old as the link made it.
+        same: whether the forces computed again are those of the log, bit for bit.
+    """
+
+    t_s: Array
+    depth_m: Array
+    material: npt.NDArray[np.int64]
+    y_m: Array
+    z_m: Array
+    same: bool
+
+
+def wall_loop_of(view: RunView) -> Loop | None:
+    """Return the composed loop of a run if its controller renders a wall, None for every other run."""
+    if view.experiment is None or ROWS not in view.run.arrays:
+        return None
+    try:
+        loop = compose(view.experiment, certify=False)
+    except HilError:
+        return None
+    return loop if isinstance(loop.controller, RendersWall) else None
+
+
+def _touching(controller: object) -> TouchesWall | None:
+    return controller if isinstance(controller, TouchesWall) else None
+
+
+def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
+    """Return the avatar's path; None where the controller does not say what it touches, or nothing was answered.
+
+    Args:
+        view: the run.
+        loop: what ran, of `wall_loop_of`.
+    """
+    controller = loop.start_controller()
+    touching = _touching(controller)
+    if touching is None:
+        return None
+    measured = view.run.arrays[MEASUREMENT]
+    outputs = list(view.signals.outputs)
+    carried = matrix(measured, outputs).astype(np.float32).tolist()
+    samples: dict[int, list[float]] = dict(zip(measured["tick"].tolist(), carried))
+    answers = view.run.arrays[ROWS]
+    first = next((n for n in answers.dtype.names or () if n.startswith("row0_")), None)
+    reference = loop.reference()
+    found: list[tuple[float, float, int, float, float]] = []
+    same = first is not None
+    for k, sample_ns, tau, force in zip(
+        answers["tick"].tolist(), answers["sample_ns"].tolist(), answers["tau"].tolist(), answers[first or "tick"].tolist()
+    ):
+        taken = k - tau
+        if sample_ns < 0 or taken not in samples:
+            continue
+        packet = [samples.get(taken - i, samples[taken]) for i in range(loop.samples)]
+        rows = controller.rows(k, tau, [value for sample in packet for value in sample], reference(k))
+        same = same and float(np.float32(rows[0][0])) == force
+        contact = touching.contact
+        found.append((k * loop.model.period_s, contact.avatar_m, contact.material, packet[0][1], packet[0][2]))
+    if not found:
+        return None
+    t, depth, material, y, z = (np.array(column) for column in zip(*found))
+    return AvatarPath(t_s=t, depth_m=depth, material=material, y_m=y, z_m=z, same=same)

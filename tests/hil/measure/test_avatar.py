@@ -1,0 +1,61 @@
+"""The avatar that is computed again from a log is the one that the controller had."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.measure.avatar import avatar_path, wall_loop_of
+from hil.measure.view import view_of
+from hil.session import simulate
+
+
+class Watched:
+    """A wall that keeps where its avatar was, slot by slot."""
+
+    def __init__(self, running):
+        self._running, self.selection, self.seen = running, running.selection, {}
+
+    def rows(self, k, tau, y, r):
+        rows = self._running.rows(k, tau, y, r)
+        self.seen[k] = (self._running.contact.avatar_m, self._running.contact.material)
+        return rows
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("omni-slide", []), ("omni-1khz", ["duration=1"]), ("omni-wifi", []), ("omni-push", ["controller.wall.material=2"])],
+)
+def test_avatar_and_material_are_those_of_the_run_bit_for_bit(monkeypatch, name, changes):
+    experiment = load_experiment(name, [*changes] if any("duration" in c for c in changes) else [*changes, "duration=10"])
+    loop = compose(experiment)
+    watched = []
+    start = type(loop).start_controller
+    monkeypatch.setattr(type(loop), "start_controller", lambda self: watched.append(Watched(start(self))) or watched[-1])
+    run = simulate(loop, 3)
+    monkeypatch.undo()
+    view = view_of(run, experiment)
+    path = avatar_path(view, wall_loop_of(view))
+    seen = watched[0].seen
+    slots = np.rint(path.t_s / loop.model.period_s).astype(int)
+    assert path.same and slots.tolist() == sorted(seen)
+    assert path.depth_m.tolist() == [seen[k][0] for k in slots.tolist()]
+    assert path.material.tolist() == [seen[k][1] for k in slots.tolist()]
+    assert np.ptp(path.depth_m) > 1e-4
+
+
+def test_forces_of_another_program_are_told():
+    experiment = load_experiment("omni-push", ["duration=5"])
+    view = view_of(simulate(compose(experiment), 0), experiment)
+    softer = load_experiment("omni-push", ["duration=5", "controller.wall.material=1"])
+    other = dataclasses.replace(view, experiment=softer)
+    assert avatar_path(view, wall_loop_of(view)).same and not avatar_path(other, wall_loop_of(other)).same
+
+
+def test_other_runs_have_no_wall():
+    experiment = load_experiment("dc-motor-hinf", ["duration=2"])
+    assert wall_loop_of(view_of(simulate(compose(experiment), 0), experiment)) is None
