@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from design.controllers import FromSamples
 from design.controllers.virtual_wall import RendersWall
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
@@ -80,7 +81,7 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
     """
     controller = loop.start_controller()
     touching = _touching(controller)
-    if touching is None:
+    if touching is None or isinstance(controller, FromSamples):
         return None
     measured = view.run.arrays[MEASUREMENT]
     outputs = list(view.signals.outputs)
