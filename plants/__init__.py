@@ -20,6 +20,7 @@ from plants.parts.sensors import Encoder
 from plants.python_control import from_control, to_control
 from plants.state_space import LinearPlant
 from plants.switched_example import SwitchedExample, SwitchedExampleRun
+from plants.transfer_function import TransferFunction
 from plants.vtol import VTOL, vtol_matrices
 from plants.vtol_delayed import DelayedVTOL, DelayedVTOLRun
 from plants.vtol_fault import FaultyVTOL, FaultyVTOLRun
@@ -56,6 +57,7 @@ __all__ = [
     "StateSpace",
     "SwitchedExample",
     "SwitchedExampleRun",
+    "TransferFunction",
     "TransitionRates",
     "check_plant",
     "from_control",
