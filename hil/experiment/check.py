@@ -112,7 +112,12 @@ class Checker:
         def law(table: dict[str, Any], path: str) -> dict[str, Any]:
             return {"law": self._law(table["law"], f"{path}.law", folder)} if "law" in table else {}
 
-        return self._named(Node, raw, "nodes", law)
+        found = self._named(Node, raw, "nodes", law)
+        if found is None:
+            return None
+        # A log does not keep the order of tables: their numbers stand in the resolved form.
+        numbered = enumerate(found.items())
+        return {n: msgspec.structs.replace(t, id=i) if t is not None and t.id is None else t for i, (n, t) in numbered}
 
     def _named(
         self, cls: type, raw: Any, at: str, made: Callable[[dict[str, Any], str], dict[str, Any]]

@@ -15,6 +15,7 @@ from hil.measure.view import RunView
 from hil.report.html.figures import Badge, Block, Cell, Section, State, Table, Text, Tile
 from hil.report.html.numbers import text_of
 from hil.report.html.page import render_page
+from hil.report.run.sensor_blocks import sensor_blocks
 from hil.report.run.statistics import network_blocks, network_table, timing_blocks
 from hil.report.run.time_panels import (
     Prediction,
@@ -78,6 +79,7 @@ def run_sections(view: RunView, summary: Mapping[str, Any], predicted: Mapping[s
             "where they part, a packet was late, lost or not yet there.",
             blocks=(*delay_panels(view, marks), network_table(summary["network"], laws)),
         ),
+        Section(title="Sensor nodes", blocks=tuple(sensor_blocks(view, marks))),
         Section(title="Network against its law", columns=2, blocks=tuple(network_blocks(run, summary["network"], laws))),
         Section(title="Timing", blocks=() if lateness is None else (lateness,)),
         Section(title="Distribution of times", columns=2, blocks=tuple(timing_blocks(run, summary["timing"]))),

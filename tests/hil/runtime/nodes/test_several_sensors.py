@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from design.historical_data.lifted_loop import close
 from design.historical_data.sensor_schedule import phase_chain, with_lost_turns
 from hil.compose.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
+from hil.compose.sensors import ordered_names
 from hil.errors import HilError
-from hil.experiment import load_experiment
+from hil.experiment import experiment_from_resolved, load_experiment
 from hil.measure.cost import Cost
 from hil.measure.network_load import loads
 from hil.measure.summary import summarise
@@ -169,6 +171,8 @@ def test_one_node_has_no_key_of_nodes_and_several_have_theirs() -> None:
     assert "node" not in (simulate(loop, 0).arrays["/network/sc"].dtype.names or ())
     several = compose(load_experiment("multisensor-published", ["duration=1"]))
     resolved = several.experiment.resolved()
+    again = experiment_from_resolved(json.loads(json.dumps(resolved, sort_keys=True)), "", "log")  # as a log keeps it
+    assert ordered_names(again) == ["first", "second", "third", "fourth"]
     assert resolved["nodes"]["third"]["outputs"] == ["x3"] and resolved["media"]["bus"]["kind"] == "round-robin"
     run = simulate(several, 0)
     summary = summarise(view_of(run, several.experiment))

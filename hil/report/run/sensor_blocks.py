@@ -1,0 +1,60 @@
+"""Several sensor nodes in the report: who spoke in which slot, how old the newest sample of each is, and the load of each."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.compose.sensors import ordered_names
+from hil.measure.network_load import loads
+from hil.measure.view import RunView
+from hil.report.html.figures import Block, Cell, Figure, Marker, Series, Table
+from transport.medium.draws import DELIVERED, DISORDERED, LOST
+
+
+def newest_ages(draws: npt.NDArray[np.void], node: int, slots: int) -> npt.NDArray[np.float64]:
+    """Return the age in slots of a node's newest sample at the controller, slot by slot; NaN before the first.
+
+    Args:
+        draws: records of `/network/sc` with the field `node`.
+        node: number of the node.
+        slots: length of the run.
+    """
+    newest = np.full(slots, -1, dtype=np.int64)
+    own = draws[(draws["node"] == node) & np.isin(draws["reason"], (DELIVERED, DISORDERED)) & (draws["tick"] < slots)]
+    np.maximum.at(newest, own["tick"], own["packet_tick"])
+    newest = np.maximum.accumulate(newest) if slots else newest
+    return np.where(newest >= 0, np.arange(slots) - newest, np.nan)
+
+
+def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
+    """Return the figures and the table of a run with named sensor nodes, none for any other."""
+    draws, e = view.run.arrays.get("/network/sc"), view.experiment
+    if e is None or not e.nodes or draws is None or not len(draws):
+        return []
+    names, slots = ordered_names(e), int(draws["tick"].max()) + 1
+    t = np.arange(slots) * view.period_s
+    spoke: list[Series] = []
+    for reasons, label, colour in (((DELIVERED, DISORDERED), "heard", 0), ((LOST,), "lost", 4)):
+        own = draws[np.isin(draws["reason"], reasons)]
+        if len(own):
+            at, who = own["packet_tick"] * view.period_s, own["node"].astype(np.float64)
+            spoke.append(Series(label=label, x=at, y=who, style="points", colour=colour))
+    ages = tuple(
+        Series(label=name, x=t, y=newest_ages(draws, i, slots), style="step", colour=i % 8) for i, name in enumerate(names)
+    )
+    numbered = ", ".join(f"{i}: {name}" for i, name in enumerate(names))
+    rows: list[list[Cell]] = [
+        [load.node, ", ".join(e.nodes[load.node].outputs), load.packets, load.lost, load.packets_per_s, load.bits_per_s]
+        for load in loads(view)
+    ]
+    return [
+        Figure(title="Which node spoke", y_label="node", series=tuple(spoke), markers=marks, integer_y=True, note=numbered),
+        Figure(
+            title="Age of each node's newest sample", y_label="age", y_unit="samples", series=ages, markers=marks, integer_y=True
+        ),
+        Table(
+            title="Network load", columns=["node", "outputs", "packets", "lost", "packets/s", "bit/s"], rows=rows,
+            note="Sensor packets as sent, lost ones included, with their headers in wire version 2.",
+        ),
+    ]  # fmt: skip

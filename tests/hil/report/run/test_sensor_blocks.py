@@ -1,0 +1,32 @@
+"""The report of several sensor nodes: who spoke, the age of each node's newest sample, the load."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.measure.summary import summarise
+from hil.measure.view import view_of
+from hil.report.html.figures import Figure, Table
+from hil.report.run.run_page import render_report
+from hil.report.run.sensor_blocks import newest_ages, sensor_blocks
+from hil.session import simulate
+
+
+def test_who_spoke_and_how_old_each_newest_sample_is() -> None:
+    loop = compose(load_experiment("multisensor-published", ["duration=1", "links.sc.max_age=1"]), certify=False)
+    view = view_of(simulate(loop, 0), loop.experiment)
+    spoke, ages, table = sensor_blocks(view, ())
+    assert isinstance(spoke, Figure) and isinstance(ages, Figure) and isinstance(table, Table)
+    assert spoke.series[0].y.tolist() == [(k + 1) % 4 for k in range(20)]
+    draws = view.run.arrays["/network/sc"]
+    np.testing.assert_array_equal(newest_ages(draws, 0, 8), [np.nan, np.nan, np.nan, 0, 1, 2, 3, 0])
+    assert [row[:4] for row in table.rows][2] == ["third", "x3", 5, 0]
+    page = render_report(view, summarise(view))
+    assert "Which node spoke" in page and "Network load" in page
+
+
+def test_a_run_of_one_node_has_no_such_section() -> None:
+    loop = compose(load_experiment("dc-motor-hinf", ["duration=1"]), certify=False)
+    assert sensor_blocks(view_of(simulate(loop, 0), loop.experiment), ()) == []
