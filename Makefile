@@ -73,14 +73,17 @@ clean: ## remove .venv, runs and caches (not ~/.cache/hilrig)
 	rm -rf .venv runs dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# uv inside the venv for speed; plain pip does the same, slower, where uv is not to be had.
+# uv inside the venv for speed; it holds what it installs to the hashes of constraints.txt. Plain pip does the same, slower, where
+# uv is not to be had, and without the hashes: with one it wants one of everything, and this folder itself has none.
+UV = uv==0.13.9
 $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	    echo "Python 3.11 or newer is needed; $(PYTHON) is $$($(PYTHON) -V 2>&1). Another one: make PYTHON=python3.12"; exit 1; }
 	@$(BIN)/python -c '' 2>/dev/null || $(PYTHON) -m venv --clear .venv || { \
 	    echo "$(PYTHON) -m venv failed; on Debian: apt-get install python3-venv"; exit 1; }
 	@echo "installing into .venv (once)"
-	@{ $(BIN)/python -m pip install -q --disable-pip-version-check uv && \
-	   $(BIN)/uv pip install -q --python $(BIN)/python --compile-bytecode -c constraints.txt -e '.[test]'; } || \
-	 $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@if $(BIN)/python -m pip install -q --disable-pip-version-check '$(UV)'; then \
+	   $(BIN)/uv pip install -q --python $(BIN)/python --verify-hashes --compile-bytecode -c constraints.txt -e '.[test]'; \
+	 else sed -e '/--hash=/d' -e 's/ *\\$$//' constraints.txt >.venv/constraints.txt && \
+	   $(BIN)/python -m pip install -q --disable-pip-version-check -c .venv/constraints.txt -e '.[test]'; fi
 	@touch $@
