@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, cast
 
 from hil.runtime.nodes.safety import Safety
@@ -11,13 +11,13 @@ from transport.packets import SELECTIONS, ControlPacket
 OK, HOLD, NONE_YET, SAFE = range(4)  # the codes of /actuator/applied.status
 
 
-def row_index(selection: str, d: int, g: int, measured_d: Sequence[int], d_max: int) -> int:
+def row_index(selection: str, d: int, g: int, measured_d: Mapping[int, int] | Sequence[int], d_max: int) -> int:
     """Return which row the actuator applies (see :mod:`design.controllers`).
 
     Args:
         selection: the rule that the packet names.
         d, g: age of the packet now, and the slot in which it was generated.
-        measured_d: what the actuator measured in slots 0, 1, ...; -1 where there was no packet.
+        measured_d: what the actuator measured, by slot; -1 where there was no packet.
         d_max: largest age that the rows cover.
 
     >>> [row_index(s, 1, 2, [0, 1, 0, 1], 1) for s in ("constant", "generated", "applied", "previous", "both")]
@@ -66,7 +66,7 @@ class ActuatorNode:
         self._zero = (0.0,) * inputs
         self._held: ControlPacket | None = None
         self._held_tick = -1
-        self._measured_d: list[int] = []
+        self._measured_d: dict[int, int] = {}  # of the slots that a packet in use may refer to, no more
         self.u: tuple[float, ...] = self._zero
 
     @property
@@ -99,7 +99,8 @@ class ActuatorNode:
                 self._held_tick, self._held = g, cast(ControlPacket, arrived)
         held, g = self._held, self._held_tick
         d = k - g if held is not None else -1
-        self._measured_d.append(d)
+        self._measured_d[k] = d
+        self._measured_d.pop(k - self._d_max - 2, None)
         row, status, reason = -1, SAFE, None
         if self._safety.tripped is None:
             if held is None or d > self._d_max:
