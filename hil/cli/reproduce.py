@@ -25,7 +25,7 @@ COLOURS = ("green", "yellow", "red")
     "-o", "--output", type=click.Path(path_type=Path), help="Write the page with the figures here; for all, a folder."
 )
 def command(chapter: str, as_json: bool, output: Path | None) -> None:
-    """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch6, ch7), or all: every number, and with -o every figure.
+    """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch5, ch6, ch7), or all: every number, and with -o every figure.
 
     A verdict follows from the numbers of its row by the rule that stands with it.
     """
