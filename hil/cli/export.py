@@ -10,12 +10,12 @@ import click
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Ends in .log, .blf, .csv or .npz."
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Ends in .log, .blf, .asc, .trc, .csv or .npz."
 )
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may be given more than once.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 def command(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> None:
-    """Write the log FILE as a CAN log (candump .log, Vector .blf) or as tables (.csv, .npz).
+    """Write the log FILE as a CAN log (candump .log, Vector .blf or .asc, PEAK .trc) or as tables (.csv, .npz).
 
     Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
     OUTPUT.topic.csv.

@@ -3,6 +3,8 @@
 ========= ===================================================================================================
 ``.log``  candump's text format (``can-utils``, SavvyCAN, cantools), through python-can
 ``.blf``  Vector's binary format (CANalyzer, CANoe), through python-can
+``.asc``  Vector's text format, through python-can; its times count from the first frame
+``.trc``  PEAK's text format, through python-can: classic frames only
 ``.csv``  one table per topic, numbers in full precision, units in the header
 ``.npz``  one structured array per topic for ``numpy.load``; raw frames as a matrix of bytes, padded with zeros
 ========= ===================================================================================================
@@ -40,7 +42,8 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
 
     Args:
         run: what to write.
-        target: ``.log``, ``.blf``, ``.csv`` or ``.npz``. Tables of more than one topic make files ``name.topic.csv``.
+        target: ``.log``, ``.blf``, ``.asc``, ``.trc``, ``.csv`` or ``.npz``. Tables of more than one topic make files
+            ``name.topic.csv``.
         topics: only these; all by default. CAN logs hold ``/link/sensor`` and ``/link/control``.
         replace: replace files that are there, each when it is whole. Otherwise none is touched where one is in the way.
 
@@ -52,7 +55,7 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
             ``replace``) or cannot be written.
     """
     target = Path(target)
-    writers = {".log": _can_log, ".blf": _can_log, ".csv": _tables, ".npz": _npz}
+    writers = {".log": _can_log, ".blf": _can_log, ".asc": _can_log, ".trc": _can_log, ".csv": _tables, ".npz": _npz}
     writer = writers.get(target.suffix)
     if writer is None:
         raise HilError(f"{target}: the ending {target.suffix!r} names no format, expected {', '.join(writers)}")
@@ -129,6 +132,8 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
     if not messages:
         raise HilError(f"{target}: no frames to write; a CAN log is made of the records of {' and '.join(FRAME_TOPICS)}")
 
+    if target.suffix == ".trc" and any(message.is_fd for message in messages):
+        raise HilError(f"{target}: python-can writes classic frames only as .trc, and this link has CAN FD; export .asc instead")
     with written_whole(target, replace=replace) as part, can.Logger(part) as writer:  # picks the writer by the ending
         for message in messages:
             writer.on_message_received(message)

@@ -117,6 +117,25 @@ def test_a_can_log_holds_the_frames_of_the_link(run: Run, tmp_path: Path, ending
     assert all(m.is_fd and m.bitrate_switch and not m.is_extended_id for m in messages)
 
 
+def test_vectors_text_format_holds_the_frames_and_the_time_between_them(run: Run, tmp_path: Path) -> None:
+    export(run, tmp_path / "run.asc")
+    with can.LogReader(tmp_path / "run.asc") as reader:
+        messages = list(reader)
+    expected = packets(run)
+    assert [(m.arbitration_id, bytes(m.data), m.is_fd) for m in messages] == [(i, data, True) for _, i, data in expected]
+    first = expected[0][0]
+    assert [m.timestamp - messages[0].timestamp for m in messages] == pytest.approx([t - first for t, _, _ in expected], abs=2e-6)
+
+
+def test_peaks_text_format_takes_classic_frames_only(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(HilError, match=r"classic frames only as \.trc, .* export \.asc instead"):
+        export(run, tmp_path / "run.trc")
+    assert not list(tmp_path.iterdir())
+    export(replace(run, metadata={**run.metadata, "link": "can:hil:rig0?fd=0"}), tmp_path / "run.trc", ["/link/sensor"])
+    with can.LogReader(tmp_path / "run.trc") as reader:
+        assert b"".join(bytes(m.data) for m in reader) == b"".join(run.arrays["/link/sensor"]["data"])
+
+
 def test_a_can_log_of_a_classic_link_holds_its_classic_frames(run: Run, tmp_path: Path) -> None:
     classic = replace(run, metadata={**run.metadata, "link": "can:hil:rig0?fd=0&base=0x200"})
     export(classic, tmp_path / "run.log", ["/link/sensor"])
@@ -143,7 +162,7 @@ def test_a_can_log_without_frames_is_refused(run: Run, tmp_path: Path) -> None:
 
 
 def test_an_unknown_ending_or_topic_is_named(run: Run, tmp_path: Path) -> None:
-    with pytest.raises(HilError, match=r"the ending '\.xls' names no format, expected \.log, \.blf, \.csv, \.npz"):
+    with pytest.raises(HilError, match=r"the ending '\.xls' names no format, expected \.log, \.blf, \.asc, \.trc, \.csv, \.npz"):
         export(run, tmp_path / "run.xls")
     with pytest.raises(HilError, match=r"topic '/plant/stat': not in the log, expected one of /plant/state, "):
         export(run, tmp_path / "run.csv", ["/plant/stat"])
