@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 MM_PER_INCH = 25.4
 FORMATS = (".svg", ".pdf", ".png")
 TILES = 6
+PAPER_STYLE: Any = {
+    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
+    "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
+}  # fmt: skip
+"""What matplotlib is told for a figure that is printed in a column."""
 
 
 def tables(run: Run) -> dict[str, pandas.DataFrame]:
@@ -83,11 +88,7 @@ def figure(run: Run, path: str | Path | None = None, *, width_mm: float = 85.0, 
     if not (10.0 <= width_mm <= 2000.0 and 10.0 <= height_mm <= 2000.0):
         raise HilError(f"plot: {width_mm:g} mm x {height_mm:g} mm; expected 10 to 2000 mm")
     view = view_of(run)
-    style: Any = {
-        "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
-        "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
-    }  # fmt: skip
-    with rc_context(style):
+    with rc_context(PAPER_STYLE):
         drawn = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
         outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
         rows = drawn.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]

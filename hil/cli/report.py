@@ -13,8 +13,9 @@ from hil.errors import HilError
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="Page to write, FILE.html by default.")
+@click.option("--figures", type=click.Path(path_type=Path), metavar="DIR", help="Also write every plot as SVG and PDF.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
-def command(file: Path, output: Path | None, show: bool) -> None:
+def command(file: Path, output: Path | None, figures: Path | None, show: bool) -> None:
     """Make one self-contained HTML page from the log FILE: it needs no network and no other file.
 
     An existing page is replaced; the log is never changed.
@@ -36,8 +37,16 @@ def command(file: Path, output: Path | None, show: bool) -> None:
     view = view_of(run)
     found = (wall_section(view), theory_section(view))
     said: dict[str, Any] = {name: run.summary[name] for name in ("problems", "log") if name in run.summary}
-    page = render_report(view, {**summarise(view), **said}, sections=[section for section in found if section])
+    summary = {**summarise(view), **said}
+    further = [section for section in found if section]
+    page = render_report(view, summary, sections=further)
     write_output(target, page)
     click.echo(f"written: {visible(target)} ({len(page.encode()) / 1e6:.1f} MB)")
+    if figures is not None:
+        from hil.report.paper import write_figures
+        from hil.report.run.run_page import run_sections
+
+        drawn = write_figures([*run_sections(view, summary, {}), *further], figures)
+        click.echo(f"written: {len(drawn)} figures in {visible(figures)}")
     if show:
         click.launch(str(target))
