@@ -5,13 +5,17 @@ Reference: Chapter 6, (6.9), (6.10), (6.11), Section 6.5; what replaces it: `des
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from design.controllers.coupler import Coupler, wave_coupler
 from design.controllers.wall import Contact, Material, Wall
+from design.jump_linear.mjls import MJLS
 from design.passivity.condition import is_passive_over
 from design.passivity.device import HeldDevice
+from design.passivity.transparency import distortion
 
 PERIOD_S = 0.05
 DELAY = 6
@@ -57,6 +61,26 @@ def least_real_part(device: HeldDevice, delay: int, period_s: float = PERIOD_S, 
     b = device.damping_n_s_per_m
     value: npt.NDArray[np.complex128] = ((z - 1) / (period_s * z) * held + (z - 1) / (2 * b * z)) * z**-delay
     return float(value.real.min())
+
+
+def printed_distortion(
+    materials: Sequence[Material], transition: npt.ArrayLike, coupler: Coupler, *, cutoff_hz: float, delay: int = DELAY
+) -> MJLS:
+    """Return (6.14) as printed, for a strictly proper weight: nothing drives the weight's state, so that z stays 0.
+
+    The last rows of the printed A and B lack B_w. (6.15) to (6.17) speak of this system, whose norm is 0 (ERRATA 26).
+
+    Args:
+        materials: one per mode.
+        transition: Lambda.
+        coupler: C, without an integrator.
+        cutoff_hz: of the weight W, a first-order low-pass, in Hz.
+        delay: nd in samples.
+    """
+    meant = distortion(materials, transition, coupler, period_s=PERIOD_S, delay=delay, cutoff_hz=cutoff_hz)
+    A, B = meant.A.copy(), meant.B.copy()
+    A[:, -1, :-1], B[:, -1] = 0.0, 0.0
+    return MJLS(A=A, B=B, C=meant.C, transition=transition)
 
 
 def energy_of_a_press(switching: str, depth_m: float = 0.1) -> float:

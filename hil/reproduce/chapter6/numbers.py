@@ -11,6 +11,7 @@ from design.as_printed.coupler import (
     energy_of_a_press,
     least_real_part,
     meets_printed_condition,
+    printed_distortion,
     theorem_61_coupler,
 )
 from design.controllers.coupler import Coupler, static_coupler, wave_coupler
@@ -22,8 +23,9 @@ from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion, distortion_bound
 from hil.report.html.figures import Figure, Series
 from hil.reproduce.chapter import Chapter, Part, Plot, Stage, Tell
+from hil.reproduce.chapter6.rig_rows import identification_rows, slide_part
 from hil.reproduce.chapter6.wall_rows import wall_rows
-from hil.reproduce.judgement import Row, above, below, row, says, within
+from hil.reproduce.judgement import Row, above, below, near, row, says, within
 from plants.omni import Omni
 
 SLOTS = 800
@@ -33,6 +35,14 @@ def published_device() -> HeldDevice:
     """Return the device of (6.2) without a hand."""
     omni = Omni()
     return HeldDevice(mass_kg=omni.inertia, damping_n_s_per_m=omni.damping)
+
+
+def _identification(tell: Tell) -> Part:
+    return Part(rows=tuple(identification_rows()))
+
+
+def _slide(tell: Tell) -> Part:
+    return slide_part()
 
 
 def _mixed_wall(tell: Tell) -> Part:
@@ -111,6 +121,8 @@ def transparency_rows(device: HeldDevice) -> list[Row]:
     def norm(coupler: Coupler) -> float:
         return hinf_norm(distortion(MATERIALS[:1], [[1.0]], coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff))
 
+    meant = hinf_norm(distortion(MATERIALS, LAMBDA, wave, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff))
+    printed = hinf_norm(printed_distortion(MATERIALS, LAMBDA, wave, cutoff_hz=cutoff))
     wall_off = MATERIALS[0].stiffness_n_per_m
     best = norm(wave)
     bound = distortion_bound(MATERIALS[0], period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff)
@@ -118,6 +130,12 @@ def transparency_rows(device: HeldDevice) -> list[Row]:
     depth = push_response(creep, MATERIALS[0], DELAY, 0, 1.0, 4000)
     drift = float(depth[4000] - depth[2000])
     return [
+        row(
+            "(6.14), of which (6.17) speaks: the system of Figure 6.6, weighted by (6.13)", "F",
+            near("norm of (6.14) as printed beside that of Figure 6.6, N/m,", printed, meant, relative=0.01),
+            witness=(below("norm of (6.14)", printed, 1e-9), above("of Figure 6.6", meant, 100.0)),
+            basis=f"B_w is missing from the last rows, so that nothing drives W; wave coupler, weight of {cutoff:g} Hz, Lambda",
+        ),
         row(
             "(6.12): the smallest distortion is the most transparent wall", "-",
             below(f"distortion of the stiffest safe coupler under a weight of {cutoff:g} Hz, N/m,", best, wall_off),
@@ -191,9 +209,11 @@ def push_plot(device: HeldDevice, safe: Coupler) -> Plot:
 CHAPTER = Chapter(
     title="Chapter 6: a haptic example",
     stages=(
+        Stage("identification", _identification),
         Stage("mixed wall", _mixed_wall),
         Stage("passivity", _passivity),
         Stage("transparency", _transparency),
         Stage("push", _push),
+        Stage("slide", _slide),
     ),
 )

@@ -2,10 +2,23 @@
 
 import pytest
 
-from design.as_printed.coupler import PERIOD_S, energy_of_a_press, least_real_part, meets_printed_condition, theorem_61_coupler
+from design.as_printed.coupler import (
+    LAMBDA,
+    PERIOD_S,
+    energy_of_a_press,
+    least_real_part,
+    meets_printed_condition,
+    printed_distortion,
+    theorem_61_coupler,
+)
+from design.controllers.coupler import wave_coupler
+from design.controllers.wall import MATERIALS
+from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.device import HeldDevice
+from design.passivity.synthesis import stiffest_coupler
+from design.passivity.transparency import distortion
 from hil.reproduce import chapters, reproduce
-from hil.reproduce.chapter6.numbers import passivity_rows
+from hil.reproduce.chapter6.numbers import passivity_rows, push_rows
 from hil.reproduce.pages import chapter_page
 
 DEVICE = HeldDevice(mass_kg=0.7943, damping_n_s_per_m=1.9857)
@@ -21,9 +34,12 @@ def test_the_chapter_with_its_page():
     assert "radius at one sample 1.083" in found["Theorem 6.1: (6.9) makes the networked system oscillation free"].computed
     assert found["Figure 6.8: materials 2 and 3 end at one depth"].verdict == "reproduced"
     assert found["Figure 6.10: the modes {2, 3, 2, 3, 2, 1}"].verdict == "reproduced"
-    assert len(result.rows) >= 16
+    assert len(result.rows) >= 19
+    assert found["(6.2): m and b from a square wave of 0.4545 Hz and 0.02"].verdict == "reproduced"
+    assert verdicts["(6.14), of which (6.17) speaks"] == "claim false"
+    assert found["Figure 6.9: the avatar's displacement along x is very small"].verdict == "reproduced"
     page = chapter_page(result)
-    assert "Figure 6.8" in page and page.startswith("<!doctype html>")
+    assert "Figure 6.8" in page and "Figures 6.9 and 6.10" in page and page.startswith("<!doctype html>")
 
 
 def test_a_verdict_turns_with_its_number():
@@ -42,3 +58,17 @@ def test_the_printed_statements_and_their_counterexamples():
     assert energy_of_a_press("plain") == pytest.approx(-0.91, abs=0.2)
     assert energy_of_a_press("energy") > -1e-9
     assert PERIOD_S == 0.05
+
+
+@pytest.mark.parametrize(("cutoff", "norm"), [(0.3, 845.1), (3.0, 1718.6)])
+def test_the_printed_weighted_system_is_driven_by_nothing(cutoff, norm):
+    wave = wave_coupler(PERIOD_S, DEVICE.damping_n_s_per_m, 6)
+    meant = distortion(MATERIALS, LAMBDA, wave, period_s=PERIOD_S, delay=6, cutoff_hz=cutoff)
+    assert hinf_norm(meant) == pytest.approx(norm, rel=1e-3)
+    assert hinf_norm(printed_distortion(MATERIALS, LAMBDA, wave, cutoff_hz=cutoff)) == 0.0
+
+
+def test_the_device_moves_at_once():
+    safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=DEVICE.damping_n_s_per_m).coupler
+    late = next(r for r in push_rows(DEVICE, safe) if "the delays of the responses" in r.item)
+    assert late.verdict == "claim false" and late.witness[0].value > 1.0  # mm after one sample

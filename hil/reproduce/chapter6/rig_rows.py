@@ -1,0 +1,72 @@
+"""What the rig itself shows: the identification of Section 6.2.1, and the slide of Figures 6.9 and 6.10."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from design.identification.output_error import identify_axis
+from design.identification.record import Record
+from hil.compose.loop import compose
+from hil.errors import HilError
+from hil.experiment import load_experiment
+from hil.measure.avatar import avatar_path, wall_loop_of
+from hil.measure.view import APPLIED, MEASUREMENT, view_of
+from hil.report.html.figures import Figure, Series
+from hil.reproduce.chapter import Part, Plot
+from hil.reproduce.judgement import Row, below, near, row, says
+from hil.session import simulate
+
+
+def identification_rows() -> list[Row]:
+    """Return the row of (6.2)."""
+    experiment = load_experiment("omni-identify", [])
+    run = simulate(compose(experiment), experiment.seed)
+    record = Record(
+        u=run.arrays[APPLIED]["torque"], y=run.arrays[MEASUREMENT]["angle"], period_s=float(experiment.period)
+    )
+    fit = identify_axis([record])
+    plain = "none" if fit.plain is None else f"m = {1.0 / fit.plain[0]:.3g}, b = {fit.plain[1] / fit.plain[0]:.3g}"
+    return [
+        row(
+            "(6.2): m and b from a square wave of 0.4545 Hz and 0.02", "0.7943, 1.9857",
+            near("m", fit.inertia.value, 0.7943, relative=0.01), near("b", fit.damping.value, 1.9857, relative=0.01),
+            says("residuals", fit.residuals.verdict, "white"),
+            basis="the emulated joint has these numbers: what is reproduced is that the printed experiment finds them, with "
+            f"noise of 1e-3 on the encoder, by output error. Plain least squares: {plain}",
+        )
+    ]  # fmt: skip
+
+
+def slide_part() -> Part:
+    """Return the row and the picture of Figures 6.9 and 6.10.
+
+    Raises:
+        HilError: the shipped experiment has no wall.
+    """
+    experiment = load_experiment("omni-slide", [])
+    run = simulate(compose(experiment), experiment.seed)
+    view = view_of(run, experiment)
+    loop = wall_loop_of(view)
+    path = avatar_path(view, loop) if loop is not None else None
+    if path is None:
+        raise HilError("omni-slide: renders no wall")
+    way = float(np.hypot(np.diff(path.y_m), np.diff(path.z_m)).sum())
+    deepest = float(path.depth_m.max())
+    found = row(
+        "Figure 6.9: the avatar's displacement along x is very small", "very small",
+        below("deepest avatar over the length of its way", deepest / way, 0.001),
+        below("deepest avatar, mm,", 1e3 * deepest, 5.0),
+        basis=f"omni-slide, metre reading: an arm that means to be 50 mm behind the wall slides {way:.3g} m; the device itself "
+        f"is up to {1e3 * float(view.run.arrays[MEASUREMENT]['position'].max()):.3g} mm behind the surface",
+    )  # fmt: skip
+    panels = (
+        Figure(
+            title="6.9: depth of the avatar", y_label="depth", y_unit="mm",
+            series=(Series(label="avatar", x=path.t_s, y=1e3 * path.depth_m),),
+        ),
+        Figure(
+            title="6.10: material under it", y_label="material", integer_y=True,
+            series=(Series(label="material", x=path.t_s, y=path.material + 1, style="step"),),
+        ),
+    )  # fmt: skip
+    return Part(rows=(found,), figures=(Plot(title="Figures 6.9 and 6.10", panels=panels),))
