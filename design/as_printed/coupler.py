@@ -78,7 +78,7 @@ def printed_distortion(
         delay: nd in samples.
     """
     meant = distortion(materials, transition, coupler, period_s=PERIOD_S, delay=delay, cutoff_hz=cutoff_hz)
-    A, B = meant.A.copy(), meant.B.copy()
+    A, B = np.array(meant.A, dtype=np.float64), np.array(meant.B, dtype=np.float64)
     A[:, -1, :-1], B[:, -1] = 0.0, 0.0
     return MJLS(A=A, B=B, C=meant.C, transition=transition)
 
