@@ -34,7 +34,7 @@ from hil.experiment.check import fault_at
 from hil.experiment.protocols import Designer, JumpPlant
 from hil.log.records import Channel, channels
 from plants.errors import PlantError
-from transport.laws.protocols import load_files, prepare, slots_served
+from transport.laws.protocols import NetworkLaw, load_files, prepare, slots_served
 from transport.packets import MAX_OUTPUTS
 
 
@@ -58,8 +58,8 @@ class Loop:
     experiment: Experiment
     model: LoopModel
     controller: Controller
-    sc_law: Any
-    ca_law: Any
+    sc_law: NetworkLaw
+    ca_law: NetworkLaw
     rows: int
     selection: str
     samples: int
@@ -153,12 +153,13 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         d_max=links.ca.max_age,
         sensors=sensor_nodes(experiment),
     )
-    controller: Controller = experiment.controller
+    controller: Controller
     try:
-        if isinstance(controller, Designer):  # a design problem: what runs is its solution
-            solved = controller.solve(_task(experiment, model))
-            controller, kinds = solved, {**experiment.kinds, "controller": solved.kind}
-            experiment = replace(experiment, controller=solved, kinds=kinds)
+        if isinstance(experiment.controller, Designer):  # a design problem: what runs is its solution
+            controller = solved = experiment.controller.solve(_task(experiment, model))
+            experiment = replace(experiment, controller=solved, kinds={**experiment.kinds, "controller": solved.kind})
+        else:
+            controller = experiment.controller
         running = controller.start(model)
         sc, ca = delay_chains(experiment)
         samples = packet_samples(controller)

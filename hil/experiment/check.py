@@ -17,7 +17,7 @@ from hil.experiment import plugins as registry
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.protocols import NamesField
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Links, Seconds, Table
-from transport.laws.protocols import load_files
+from transport.laws.protocols import BoundedAge, load_files
 
 INFINITE = "is not a finite number"
 OLDEST = 63  # slots
@@ -89,7 +89,7 @@ class Checker:
                 given[side] = None
                 continue
             law = self._law(table.get("law"), f"links.{side}.law", folder)
-            bound = getattr(law, "max_age", None)
+            bound = law.max_age if isinstance(law, BoundedAge) else None
             default = 3 if bound is None else int(bound)
             direction = self.table(
                 Direction, {"max_age": default} | {k: v for k, v in table.items() if k != "law"}, f"links.{side}", {"law": law}

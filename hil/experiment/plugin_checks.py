@@ -7,7 +7,7 @@ Each raises AssertionError with a sentence. Plants have theirs in :mod:`plants.p
 from __future__ import annotations
 
 import pickle
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -28,7 +28,18 @@ from design.controllers import (
     row_count,
 )
 from transport.laws.delay_states import delay_states
-from transport.laws.protocols import BoundedTail, ChainLaw, ChannelLaw, RecordedLaw, SemiMarkovLaw, prepare, slots_served
+from transport.laws.protocols import (
+    AgeLaw,
+    BoundedAge,
+    BoundedTail,
+    ChainLaw,
+    ChannelLaw,
+    NetworkLaw,
+    RecordedLaw,
+    SemiMarkovLaw,
+    prepare,
+    slots_served,
+)
 from transport.laws.statistics import law_p_value
 from transport.medium.independent import impair
 
@@ -94,7 +105,7 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     return said
 
 
-def check_law(law: Any, slots: int = 400) -> list[str]:
+def check_law(law: NetworkLaw, slots: int = 400) -> list[str]:
     """Check a network law: reproducible, nothing from the future, ages within their bound, and drawn as it states.
 
     Returns:
@@ -105,7 +116,7 @@ def check_law(law: Any, slots: int = 400) -> list[str]:
     """
     assert msgspec.json.encode(law), "parameters must be plain data"
     law, name = prepare(law), type(law).__name__
-    bound = law.max_age if law.family == "age" else None
+    bound = law.max_age if isinstance(law, BoundedAge) else None
 
     def arrivals() -> list[list[int]]:
         impairment = impair(law, np.random.default_rng(5), 0.01, 0.006)
@@ -123,12 +134,12 @@ def check_law(law: Any, slots: int = 400) -> list[str]:
 
     assert arrivals() == arrivals(), "the same generator must give the same fates"
     if law.family == "packet":
-        said = [f"{name} is a PacketLaw: it can run in a loop"]
+        said = [f"{name} is a PerPacketLaw: it can run in a loop"]
         if isinstance(law, ChannelLaw):
             said.append(f"{name} is a ChannelLaw: its losses are analysed exactly, and every record is tested against it")
         return [*said, f"{name} is neither a ChainLaw nor a SemiMarkovLaw: loops over it run with allow_uncertified only"]
     said = [f"{name} is an AgeLaw: it can run in a loop"]
-    modes = _check_drawn(law, slots)
+    modes = _check_drawn(cast(AgeLaw, law), slots)
     if isinstance(law, RecordedLaw):
         said.append(f"{name} is a RecordedLaw: its ages are analysed exactly, and every record is tested against it")
     elif isinstance(law, SemiMarkovLaw):
@@ -149,7 +160,7 @@ def check_law(law: Any, slots: int = 400) -> list[str]:
     return said
 
 
-def _check_drawn(law: Any, slots: int) -> NDArray[np.int64]:
+def _check_drawn(law: AgeLaw, slots: int) -> NDArray[np.int64]:
     """Return the modes of a run; every age must be a whole number within the bound, and that of its mode."""
     draw = law.start(np.random.default_rng(5)).draw
     served = slots_served(law)

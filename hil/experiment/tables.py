@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import typing
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
@@ -18,6 +18,17 @@ from transport.links.link import TransportError, find_link
 __all__ = [
     "HIDDEN", "UNITS", "Direction", "Experiment", "Limits", "Links", "Pulse", "Report", "Seconds", "Step", "Table", "Timing",
 ]  # fmt: skip
+if TYPE_CHECKING:
+    from design.controllers import Controller
+    from hil.experiment.protocols import Designer
+    from plants.parts.protocols import Plant
+    from transport.laws.protocols import NetworkLaw
+
+    PlantTable = Plant
+    ControllerTable = Controller | Designer
+    LawTable = NetworkLaw
+else:  # msgspec reads these at run time: which class a table becomes is said by its kind, see `Checker.plugin`
+    PlantTable = ControllerTable = LawTable = Any
 
 HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
 SPARSE = ("nodes", "media")  # fields that the resolved form leaves out where they are empty
@@ -74,7 +85,7 @@ class Direction(Table, frozen=True, kw_only=True):
         max_age: largest delay in samples that the controller's rows cover; by default the law's own bound.
     """
 
-    law: Any
+    law: LawTable
     max_age: int
 
     @property
@@ -230,8 +241,8 @@ class Experiment(Table, frozen=True, kw_only=True):
     duration: Seconds
     seed: int = 0
     allow_uncertified: bool = False
-    plant: Any
-    controller: Any
+    plant: PlantTable
+    controller: ControllerTable
     reference: tuple[Step, ...] = ()
     disturbance: tuple[Pulse, ...] = ()
     links: Links

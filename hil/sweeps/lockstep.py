@@ -76,7 +76,7 @@ def run_together(loop: Loop, seeds: Sequence[int]) -> Together:
         loop: a loop of which `in_lockstep` says that it can.
         seeds: one run each; memory grows with their number.
     """
-    plants = loop.experiment.plant.start_many(len(seeds))
+    plants = loop.experiment.plant.start_many(len(seeds))  # type: ignore[attr-defined]
     with np.errstate(all="ignore"):  # what overflows is not known
         return _Slots(loop, seeds, plants, loop.controller.start_many(loop.model, len(seeds))).run()  # type: ignore[attr-defined]
 

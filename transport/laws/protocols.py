@@ -53,8 +53,8 @@ class PacketProcess(Protocol):
         ...
 
 
-class PacketLaw(Protocol):
-    """Parameters of a packet law, a plug-in of group `hil.laws`."""
+class PerPacketLaw(Protocol):
+    """Parameters of a packet law, a plug-in of group `hil.laws`; `transport.PacketLaw` is ours."""
 
     kind: ClassVar[str]
     family: ClassVar[Literal["age", "packet"]]
@@ -71,6 +71,20 @@ class PacketLaw(Protocol):
 
     def start(self, rng: np.random.Generator, period_s: float, deadline_s: float) -> PacketProcess:
         """Return a new process for slots of `period_s` seconds that close `deadline_s` after they begin."""
+        ...
+
+
+NetworkLaw = AgeLaw | PerPacketLaw
+"""What an experiment may name as the law of one direction."""
+
+
+@runtime_checkable
+class BoundedAge(Protocol):
+    """A law that says how old the newest packet can be."""
+
+    @property
+    def max_age(self) -> int | None:
+        """Largest age in slots; None for no bound."""
         ...
 
 

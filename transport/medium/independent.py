@@ -11,7 +11,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from transport.errors import FieldError
-from transport.laws.protocols import AgeLaw, AgeProcess, GapLaw, PacketLaw, PacketProcess
+from transport.laws.protocols import AgeLaw, AgeProcess, GapLaw, NetworkLaw, PacketProcess, PerPacketLaw
 from transport.medium.draws import (
     ABSENT,
     COPIED,
@@ -230,7 +230,7 @@ class PacketImpairment:
         return offered.tick, offered.packet
 
 
-def impair(law: AgeLaw | PacketLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:
+def impair(law: NetworkLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:
     """Return the emulated network of one direction under a law.
 
     Args:
@@ -248,7 +248,7 @@ def impair(law: AgeLaw | PacketLaw, rng: np.random.Generator, period_s: float, d
         gaps = law.allow_gaps if isinstance(law, GapLaw) else True
         return AgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age, gaps=gaps)
     if law.family == "packet":
-        packet_law = cast(PacketLaw, law)
+        packet_law = cast(PerPacketLaw, law)
         process = packet_law.start(rng, period_s, deadline_s)
         return PacketImpairment(process, period_s=period_s, reordering=packet_law.reordering, queue=packet_law.queue)
     raise FieldError("family", f'got {law.family!r} from law {type(law).__name__}, expected "age" or "packet"')
