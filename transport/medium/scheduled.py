@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from transport.errors import FieldError
 from transport.medium.draws import LOST, NO_MODE, Draw
 from transport.medium.independent import Impairment
 from transport.medium.medium import Delivery
@@ -110,7 +111,7 @@ class ScheduledMedium:
             ValueError: it is not the node's turn.
         """
         if not self.may_send(node, k):
-            raise ValueError(f"node: {node} sends in slot {k}, which is another's turn")
+            raise FieldError("node", f"{node} sends in slot {k}, which is another's turn")
         shared = self._shared.get(node)
         if shared is not None and self._now[shared][1]:
             self._lost.append((node, Draw(k, k, NO_MODE, 0, nan, LOST)))
