@@ -10,7 +10,7 @@ from design.controllers import SensorNodes, Turns
 from hil.experiment import Experiment
 from hil.experiment.nodes import Medium, TriggerTable
 from transport.laws.delay_states import delay_states
-from transport.laws.protocols import prepare, slots_served
+from transport.laws.protocols import BoundedAge, prepare, slots_served
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
 
 MOST_NODES = 255
@@ -85,7 +85,7 @@ def node_faults(e: Experiment) -> list[str]:
                 faults.append(f"{at}: {output!r} is measured by node {owner[output]!r} already")
         if len(node.outputs) > MAX_OUTPUTS or len(node.outputs) * node.buffer + len(outputs) > MAX_VALUES:
             faults.append(f"nodes.{name}.buffer: {node.buffer} samples of {len(node.outputs)} outputs do not fit a packet")
-        bound = e.links.sc.max_age if node.law is None else getattr(node.law, "max_age", None)
+        bound = node.law.max_age if isinstance(node.law, BoundedAge) else None
         if bound is not None and bound > e.links.sc.max_age:
             faults.append(f"nodes.{name}.law: its largest delay {bound} is above links.sc.max_age = {e.links.sc.max_age}")
         served = None if node.law is None else slots_served(node.law)
