@@ -14,7 +14,10 @@ from hil.experiment.plugin_checks import check_controller, check_law
 from plants.parts.check import check_plant
 from transport.laws.protocols import prepare
 
-PLANTS = {"state-space": ["A=[[-1.0]]", "B=[[2.0]]", "C=[[1.0]]"]}  # every other one is made from its defaults
+PLANTS = {  # every other one is made from its defaults
+    "state-space": ["A=[[-1.0]]", "B=[[2.0]]", "C=[[1.0]]"],
+    "transfer-function": ["num=[2.0]", "den=[1.0, 1.0]"],
+}
 LAWS: dict[str, list[str]] = {
     "constant": ["age=2"],
     "iid": ["probabilities=[0.7, 0.3]"],
