@@ -60,7 +60,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marker and what it requires."""
-    need = Requirement(has_vcan, "no vcan0: run pytest under `hil vcan --`", "hil_vcan", "hil")
+    remedy = "no vcan0: as root, ip link add dev vcan0 type vcan && ip link set vcan0 mtu 72 up"
+    need = Requirement(has_vcan, remedy, "hil_vcan", "hil")
     config.stash[REQUIREMENTS] = {"vcan": need}
     config.addinivalue_line("markers", "hil_vcan: uses `hil` on vcan0; skipped without one, failed with --hil-require=vcan")
 
