@@ -77,9 +77,12 @@ class RunView:
     def tracking(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return times in s (n,), tracked outputs (n, p) and their reference (n, p), of the slots that have both."""
         measurement, reference = self.run.arrays[MEASUREMENT], self.run.arrays[REFERENCE]
+        names = list(self.signals.tracked)
+        ticks = measurement["tick"]
+        if np.array_equal(ticks, reference["tick"]) and (ticks[1:] > ticks[:-1]).all():
+            return measurement[TIME_FIELD] / 1e9, matrix(measurement, names), matrix(reference, names)
         # A torn log may hold a sample without its reference: what belongs together has one tick.
         _, i, j = np.intersect1d(measurement["tick"], reference["tick"], assume_unique=True, return_indices=True)
-        names = list(self.signals.tracked)
         return measurement[TIME_FIELD][i] / 1e9, matrix(measurement, names)[i], matrix(reference, names)[j]
 
     def applied(self) -> npt.NDArray[np.float64]:
@@ -124,7 +127,7 @@ def signal_names(run: Run, topic: str) -> list[str]:
 
 def matrix(array: npt.NDArray[np.void], names: list[str]) -> npt.NDArray[np.float64]:
     """Return fields of a structured array as one array (n, len(names))."""
-    return np.column_stack([array[n] for n in names]).astype(np.float64) if names else np.zeros((len(array), 0))
+    return np.column_stack([array[n] for n in names]).astype(np.float64, copy=False) if names else np.zeros((len(array), 0))
 
 
 def _unit(run: Run, topic: str, name: str) -> str:
@@ -154,9 +157,9 @@ def _marks(run: Run) -> tuple[Mark, ...]:
     applied = run.arrays.get(APPLIED)
     disturbances = [] if applied is None else [n for n in applied.dtype.names or () if n.startswith("w_")]
     if applied is not None and disturbances and len(applied):
-        active = np.any(matrix(applied, disturbances) != 0.0, axis=1)
+        active = np.logical_or.reduce([applied[name] != 0.0 for name in disturbances])
         begins = np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
-        found += [Mark(t_s=float(t), label=DISTURBANCE) for t in seconds(applied)[begins]]
+        found += [Mark(t_s=float(t), label=DISTURBANCE) for t in seconds(applied[begins])]
     for event in run.events:
         if event.get("kind") not in _BOOKKEEPING:
             severity: Severity = "neutral"
@@ -178,6 +181,6 @@ def _reference_steps(run: Run) -> list[float]:
     if REFERENCE not in run.arrays:
         return []
     array = run.arrays[REFERENCE]
-    values = matrix(array, signal_names(run, REFERENCE))
-    changed = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1)) + 1
-    return [float(t) for t in seconds(array)[changed]]
+    columns = [array[name] for name in signal_names(run, REFERENCE)]
+    steps = [column[1:] != column[:-1] for column in columns]
+    return [float(t) for t in seconds(array[np.flatnonzero(np.logical_or.reduce(steps)) + 1])] if steps else []

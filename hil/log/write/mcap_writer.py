@@ -92,7 +92,7 @@ class McapWriter:
         self._start: int | None = None
         self._end = 0
         self._opening = RecordBuilder()  # schemas and channels that stand at the begin of the open chunk
-        self._parts: list[bytes] = []  # head, payload, head, payload, ...
+        self._parts: list[bytes] = []  # the messages of the open chunk
         self.open_bytes = self.refused = 0
         self.closed = False
         self._write(MAGIC)
@@ -135,7 +135,7 @@ class McapWriter:
 
     def messages_of(self, channel_id: int) -> Callable[[int, bytes], None]:
         """Return the function that adds a message of a channel to the open chunk: time in ns, 0 at least, and payload."""
-        extend, pack, frame, opcode = self._parts.extend, _HEAD.pack, MESSAGE_OVERHEAD - 9, int(Opcode.MESSAGE)
+        append, pack, frame, opcode = self._parts.append, _HEAD.pack, MESSAGE_OVERHEAD - 9, int(Opcode.MESSAGE)
 
         def add(t_ns: int, payload: bytes) -> None:
             if self.closed:
@@ -144,7 +144,7 @@ class McapWriter:
             if t_ns < 0:
                 t_ns = 0
             size = len(payload)
-            extend((pack(opcode, frame + size, channel_id, 0, t_ns, t_ns), payload))
+            append(pack(opcode, frame + size, channel_id, 0, t_ns, t_ns) + payload)
             self.open_bytes += MESSAGE_OVERHEAD + size
 
         return add
@@ -152,7 +152,7 @@ class McapWriter:
     @property
     def open_messages(self) -> int:
         """Messages in the open chunk."""
-        return len(self._parts) // 2
+        return len(self._parts)
 
     def flush(self) -> None:
         """End the open chunk, if it has a message, and let everything go to the disk."""
@@ -162,9 +162,11 @@ class McapWriter:
     def _end_chunk(self) -> None:
         if not self._parts:
             return
-        heads = np.frombuffer(b"".join(self._parts[::2]), HEAD_FIELDS)
         opening = self._opening.end()  # type: ignore[no-untyped-call]
         data = b"".join((opening, *self._parts))
+        sizes = np.fromiter(map(len, self._parts), np.int64, len(self._parts))
+        begins = len(opening) + np.cumsum(sizes) - sizes
+        heads = np.frombuffer(data, np.uint8)[begins[:, None] + np.arange(MESSAGE_OVERHEAD)].view(HEAD_FIELDS)[:, 0]
         self._parts.clear()
         self.open_bytes = 0
         first, last = int(heads["log"].min()), int(heads["log"].max())
@@ -176,8 +178,6 @@ class McapWriter:
         at = self._stream.tell()
         self._write(_bytes(chunk))
         length = self._stream.tell() - at
-        sizes = heads["length"].astype(np.int64) + 9
-        begins = len(opening) + np.cumsum(sizes) - sizes
         indexes, offsets = self._indexes(heads, begins)
         self._write(indexes)
         self._chunks.append(
