@@ -147,6 +147,11 @@ class Schema:
             set_(self, "pack", partial(Struct(f"<4s{codes}").pack, CDR_HEADER))
 
     @property
+    def codes(self) -> str:
+        """The numbers of a record as `struct` writes them, behind the CDR header."""
+        return "".join(_CODES[f.type] for f in self.fields if f.type != "uint8[]")
+
+    @property
     def data_offset(self) -> int:
         """Where the bytes of ``uint8[]`` begin in a payload (its u32 length stands just before)."""
         return 4 + self.dtype.itemsize + -self.dtype.itemsize % 4 + 4

@@ -11,11 +11,11 @@ from typing import Any, Final
 
 from hil.errors import HilError
 from hil.log.events import encode_event, to_json
-from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
+from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write.kept import Keep, Kept
 from hil.log.write.mcap_writer import McapWriter
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import Put
+from hil.log.write.sinks import Put, Record
 
 LIBRARY: Final = "hilrig"
 FLUSH_BYTES: Final = 1 << 16
@@ -60,6 +60,7 @@ class McapSink:
         self._summary: Mapping[str, Any] = {}
         self._closed = False
         self._ids: dict[str, int] = {}
+        self._channels = channels
         self.kept = Kept(channels, keep or {})
         try:
             self._disk = _Disk(self.path)
@@ -103,6 +104,16 @@ class McapSink:
         if topic not in self._ids:
             return None
         return self._writer.messages_of(self._ids[topic])
+
+    def record(self, topic: str) -> Record | None:
+        """See ``PacksRecords``."""
+        if topic not in self._channels:
+            return None
+        schema = self._channels[topic].schema
+        if not schema.raw:
+            return self._writer.records_of(self._ids[topic], CDR_HEADER, schema.codes)
+        add, pack = self._writer.messages_of(self._ids[topic]), schema.pack
+        return lambda t_ns, *values: add(t_ns, pack(*values))
 
     @property
     def dropped(self) -> int:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -146,6 +147,29 @@ class McapWriter:
             size = len(payload)
             append(pack(opcode, frame + size, channel_id, 0, t_ns, t_ns) + payload)
             self.open_bytes += MESSAGE_OVERHEAD + size
+
+        return add
+
+    def records_of(self, channel_id: int, before: bytes, codes: str) -> Callable[..., None]:
+        """Return the function that adds a message of numbers, packed with its head at once: time in ns, then the numbers.
+
+        Args:
+            channel_id: the channel.
+            before: bytes of the payload before the numbers.
+            codes: the numbers, as `struct` writes them.
+        """
+        layout = struct.Struct(f"<BQHIQQ{len(before)}s{codes}")
+        pack = partial(layout.pack, int(Opcode.MESSAGE), layout.size - 9, channel_id, 0)
+        append, size = self._parts.append, layout.size
+
+        def add(t_ns: int, *numbers: float) -> None:
+            if self.closed:
+                self.refused += 1
+                return
+            if t_ns < 0:
+                t_ns = 0
+            append(pack(t_ns, t_ns, before, *numbers))
+            self.open_bytes += size
 
         return add
 

@@ -7,13 +7,17 @@ ever raises into the loop: what it cannot keep it counts.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from hil.log.events import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
 
 Put = Callable[[int, bytes], None]
 """Takes the nominal session time in ns and the payload of one record."""
+
+
+Record = Callable[..., None]
+"""Takes the nominal session time in ns, then the fields of one record."""
 
 
 class Sink(Protocol):
@@ -29,6 +33,23 @@ class Sink(Protocol):
 
     def commit(self) -> None:
         """Close the tick: everything since the last commit may now leave."""
+
+
+@runtime_checkable
+class PacksRecords(Protocol):
+    """A sink that packs the numbers of a record itself, quicker than it takes bytes."""
+
+    def record(self, topic: str) -> Record | None:
+        """Function that takes time in ns and the fields of a record of ``topic``; None if nobody wants them."""
+        ...
+
+
+def record_to(sink: Sink, channel: Channel) -> Record | None:
+    """Return the function that logs a record of a topic: time in ns, then its fields; None if nobody wants them."""
+    if isinstance(sink, PacksRecords):
+        return sink.record(channel.topic)
+    put, pack = sink.channel(channel.topic), channel.schema.pack
+    return None if put is None else lambda t_ns, *values: put(t_ns, pack(*values))
 
 
 class MemorySink:

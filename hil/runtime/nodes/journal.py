@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from math import nan
 
 from hil.log.records import Channel
-from hil.log.write.sinks import Sink
+from hil.log.write.sinks import Sink, record_to
 from hil.runtime.nodes.actuator_node import Applied
 from transport.medium.draws import Draw
 from transport.packets import ControlPacket
@@ -23,61 +23,61 @@ class Journal:
 
     def __init__(self, sink: Sink, channels: Mapping[str, Channel], row_values: int) -> None:
         self.event = sink.event
-        self._log = {topic: (sink.channel(topic), c.schema.pack) for topic, c in channels.items()}
-        self._state, self._pack_state = self._log["/plant/state"]
-        self._y, self._pack_y = self._log["/plant/measurement"]
-        self._r, self._pack_r = self._log["/reference"]
-        self._u, self._pack_u = self._log["/actuator/applied"]
-        self._rows, self._pack_rows = self._log["/controller/rows"]
-        self._sensor, self._pack_sensor = self._log["/link/sensor"]
-        self._control, self._pack_control = self._log["/link/control"]
+        self._log = {topic: record_to(sink, channel) for topic, channel in channels.items()}
+        self._state = self._log["/plant/state"]
+        self._y = self._log["/plant/measurement"]
+        self._r = self._log["/reference"]
+        self._u = self._log["/actuator/applied"]
+        self._rows = self._log["/controller/rows"]
+        self._sensor = self._log["/link/sensor"]
+        self._control = self._log["/link/control"]
         self._row_values = row_values
 
     def sensed(self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float]) -> None:
         """Record the plant's state, its outputs and the reference in slot k."""
         if self._state:
-            self._state(t_ns, self._pack_state(*state, k))
+            self._state(t_ns, *state, k)
         if self._y:
-            self._y(t_ns, self._pack_y(*y, k))
+            self._y(t_ns, *y, k)
         if self._r:
-            self._r(t_ns, self._pack_r(*r, k))
+            self._r(t_ns, *r, k)
 
     def asked(self, t_ns: int, k: int, frames: Sequence[bytes]) -> None:
         """Record the sensor frames of slot k."""
         if self._sensor:
             for frame in frames:
-                self._sensor(t_ns, self._pack_sensor(k, 0, frame))
+                self._sensor(t_ns, k, 0, frame)
 
     def draws(self, topic: str, t_ns: int, draws: Sequence[Draw]) -> None:
         """Record the decisions of a network law."""
-        log, pack = self._log[topic]
+        log = self._log[topic]
         if log:
             for tick, packet_tick, mode, age, latency_s, reason in draws:
-                log(t_ns, pack(latency_s, tick, packet_tick, mode, age, reason))
+                log(t_ns, latency_s, tick, packet_tick, mode, age, reason)
 
     def node_draws(self, topic: str, t_ns: int, node: int, draws: Sequence[Draw]) -> None:
         """Record the decisions about one node of several."""
-        log, pack = self._log[topic]
+        log = self._log[topic]
         if log:
             for tick, packet_tick, mode, age, latency_s, reason in draws:
-                log(t_ns, pack(latency_s, tick, packet_tick, mode, age, node, reason))
+                log(t_ns, latency_s, tick, packet_tick, mode, age, node, reason)
 
     def applied(self, t_ns: int, k: int, applied: Applied, w: Sequence[float]) -> None:
         """Record what the actuator applied in slot k, and the disturbance w that comes on top."""
         if self._u:
             u, packet_tick, d, row, status, _ = applied
-            self._u(t_ns, self._pack_u(*u, *w, k, packet_tick, d, row, status))
+            self._u(t_ns, *u, *w, k, packet_tick, d, row, status)
 
     def answered(self, t_ns: int, k: int, packet: ControlPacket, data: bytes) -> None:
         """Record the control packet that answered slot k in time."""
         if self._control:
-            self._control(t_ns, self._pack_control(k, 0, data))
+            self._control(t_ns, k, 0, data)
         if self._rows:
             values = [v for row in packet.rows for v in row][: self._row_values]
             values += [nan] * (self._row_values - len(values))
-            self._rows(t_ns, self._pack_rows(*values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection))
+            self._rows(t_ns, *values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection)
 
     def late(self, t_ns: int, seq: int, data: bytes) -> None:
         """Record a control frame that came too late for the slot that it answers."""
         if self._control:
-            self._control(t_ns, self._pack_control(seq, 1, data))
+            self._control(t_ns, seq, 1, data)

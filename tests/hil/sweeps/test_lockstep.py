@@ -24,8 +24,9 @@ SERVED = {
     "vtol-ours-h2", "vtol-ours-hinf",
 }  # fmt: skip
 ALONE = {
-    "dc-motor-h2-friction", "dc-motor-hinf-friction", "dc-motor-ours-integral", "dc-motor-packets", "omni-1khz", "omni-push",
-    "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published", "vtol-delayed",
+    "dc-motor-h2-friction", "dc-motor-hinf-friction", "dc-motor-ours-integral", "dc-motor-packets", "multisensor-event",
+    "multisensor-lossy", "multisensor-newest", "multisensor-ours", "multisensor-published", "omni-1khz", "omni-identify",
+    "omni-push", "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published", "vtol-delayed",
     "vtol-delayed-published", "vtol-fault", "vtol-fault-partitioned", "vtol-fault-published",
 }  # fmt: skip
 SEMI_MARKOV = "kind='semi-markov',matrix=[[0,1],[1,0]],sojourn=[{law='uniform',low=1,high=3},{law='geometric',p=0.5}]"
@@ -64,7 +65,7 @@ def test_every_shipped_experiment_is_in_one_of_the_lists() -> None:
     assert sorted(SERVED | ALONE) == SHIPPED
 
 
-@pytest.mark.parametrize("name", ["dc-motor-h2-friction", "dc-motor-packets", "smjls-robust-published", "omni-theorem61"])
+@pytest.mark.parametrize("name", ["dc-motor-h2-friction", "dc-motor-packets", "multisensor-newest", "smjls-robust-published"])
 def test_what_is_not_served_is_run_seed_by_seed(name: str) -> None:
     loop = loop_of(name, "duration=1")
     assert not (in_lockstep(loop) and measures_in_lockstep(loop))
@@ -139,6 +140,12 @@ def test_a_run_that_overflows_is_the_plain_engine_s() -> None:
     loop = loop_of("dc-motor-hinf", "controller={kind='local',gain=[[-50.0]]}", "limits={}", "duration=50")
     assert not run_together(loop, range(3)).known.any()
     same_bits(loop, range(3))
+
+
+def test_a_loop_with_named_nodes_is_left_to_the_plain_engine() -> None:
+    loop = loop_of("vtol-h2", "duration=2", "nodes={velocity={outputs=['vertical_velocity']}}")
+    assert not in_lockstep(loop)
+    same_bits(loop, range(2))
 
 
 class Liar(TraceAge):
