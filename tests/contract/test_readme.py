@@ -129,7 +129,7 @@ def test_commands_on_a_log_run_one_after_the_other(tmp_path: Path, monkeypatch: 
             cli.main(words, prog_name="hil")
         assert end.value.code in (None, 0), words
         ran += 1
-    assert ran == 4 and (tmp_path / "run.html").exists() and (tmp_path / "run.plant_state.csv").stat().st_size > 1000
+    assert ran == 5 and (tmp_path / "run.html").exists() and (tmp_path / "run.plant_state.csv").stat().st_size > 1000
 
 
 def test_names_in_the_text_exist() -> None:
