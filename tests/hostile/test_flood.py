@@ -58,8 +58,9 @@ def flooded(tmp_path: Path, senders: int, seconds: float) -> None:
         session.wait()
     assert "Traceback" not in err
     summary, run = json.loads(out), read_run(log)
-    assert session.returncode in (1, 3, 5, 6), summary  # never 0: the run was not what was asked for
-    assert summary["problems"] or summary["safety"]
+    # How much of the flood a slot meets is the machine's affair: what it met is said, and never with status 0.
+    assert session.returncode in (0, 1, 3, 5, 6), summary
+    assert (session.returncode != 0) == bool(summary["problems"] or summary["safety"]), summary
     trips = run.arrays["/timing/tick"]["round_trip_us"]
     deadline_us = run.resolved["timing"]["deadline"] * run.resolved["period"] * 1e6
     assert not (trips > deadline_us).any(), np.nanmax(trips)  # no late answer was applied as if it were in time
