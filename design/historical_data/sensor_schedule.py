@@ -30,7 +30,7 @@ def mask_of(nodes: SensorNodes, memory: int, uses: Uses) -> Mask:
 
     >>> one = SensorNodes(names=("a", "b"), outputs=((0,), (1,)), buffers=(1, 2), delays=(0, 0), turns=Turns(order=(0, 1)))
     >>> mask_of(one, 1, "history").astype(int).tolist()
-    [[[1, 0], [0, 1]], [[1, 1], [0, 1]]]
+    [[[1, 0], [0, 1]], [[0, 1], [1, 1]]]
     """
     outputs = sum(map(len, nodes.outputs))
     delays = [delay for delay in nodes.delays if delay is not None]

@@ -27,7 +27,7 @@ def check_transition(matrix: npt.ArrayLike, field: str) -> Array:
 
     >>> check_transition([[0.5, 0.48], [0, 1]], "Pi")
     Traceback (most recent call last):
-    ValueError: Pi[0]: row sums to 0.98, expected 1
+    design.errors.FieldError: Pi[0]: row sums to 0.98, expected 1
     """
     try:
         array = np.array(matrix, dtype=np.float64)

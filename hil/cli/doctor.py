@@ -101,8 +101,10 @@ def _packages() -> Check:
 
 
 def _who(uri: str | None) -> Check:
-    from transport.links.who_commands import who_commands
-
+    try:
+        from transport.links.who_commands import who_commands
+    except ImportError as e:  # somebody else's package of that name; "package ownership" tells of it
+        return "who could command a rig", False, str(e), "see package ownership"
     links = ("can:hil:rig0", "zenoh:") if uri is None else (uri,)
     return "who could command a rig", True, "; ".join(f"over {link} {who_commands(link)}" for link in links), ""
 

@@ -169,11 +169,14 @@ def rank(what: str, runs: Sequence[float] | npt.NDArray[np.float64], printed: fl
 
     Sums of squares have skewed laws, of which mean and standard deviation say little; the rank asks nothing of the law. The
     printed run is counted as one of them, (count + 1) / (runs + 1), so that the rule turns a run of the same law away no more
-    often than stated; with fewer than 1 / tail runs it turns away none.
+    often than stated. What lies beyond all runs by more than their whole range is turned away however few they are.
     """
     values = np.asarray(runs, dtype=float)
     if np.isnan(values).any():
         return Check(what, math.nan, Within(tail, 1.0 - tail))
+    reach = float(np.ptp(values))
+    if reach > 0.0 and (printed > values.max() + reach or printed < values.min() - reach):
+        return Check(what, float(printed > values.max()), Within(tail, 1.0 - tail))
     low, high = ((side.sum() + 1.0) / (values.size + 1.0) for side in (values <= printed, values >= printed))
     return Check(what, float(low if low < 0.5 else max(0.5, 1.0 - high)), Within(tail, 1.0 - tail))
 

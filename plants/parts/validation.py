@@ -17,7 +17,7 @@ def require_finite(path: str, value: float) -> None:
 
     >>> require_finite("gain", float("nan"))
     Traceback (most recent call last):
-    ValueError: gain: nan, expected a finite number
+    plants.errors.FieldError: gain: nan, expected a finite number
     """
     if not math.isfinite(value):
         raise FieldError(path, f"{value!r}, expected a finite number")

@@ -43,7 +43,7 @@ def checked_age(path: str, age: object) -> int:
 
     >>> checked_age("age", -1)
     Traceback (most recent call last):
-    ValueError: age: got -1, expected a whole number of slots, 0 to 100000
+    transport.errors.FieldError: age: got -1, expected a whole number of slots, 0 to 100000
     """
     if isinstance(age, (bool, np.bool_)) or not isinstance(age, (int, np.integer)) or not 0 <= age <= LARGEST_AGE:
         raise FieldError(path, f"got {age!r}, expected a whole number of slots, 0 to {LARGEST_AGE}")
@@ -70,9 +70,9 @@ def refuse_gaps(matrix: Sequence[Row], ages: Sequence[int]) -> None:
     Raises:
         ValueError: names the offending entry.
 
-    >>> refuse_gaps([(0.6, 0.3, 0.1), (1, 0, 0), (1, 0, 0)], [0, 1, 2])
+    >>> refuse_gaps([(0.6, 0.3, 0.1), (1, 0, 0), (1, 0, 0)], [0, 1, 2])  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    ValueError: matrix[0][2]: 0.1 lets the age grow from 0 to 2, at most 1 per slot is possible (allow_gaps permits it)
+    transport.errors.FieldError: matrix[0][2]: 0.1 lets the age grow from 0 to 2, at most 1 per slot is possible ...
     """
     for i, row in enumerate(matrix):
         for j, p in enumerate(row):

@@ -30,7 +30,7 @@ def checked_row(path: str, row: object, size: int | None = None) -> Row:
 
     >>> checked_row("matrix[2]", [0.5, 0.48])
     Traceback (most recent call last):
-    ValueError: matrix[2]: row sums to 0.98, expected 1
+    transport.errors.FieldError: matrix[2]: row sums to 0.98, expected 1
     """
     values = checked_numbers(path, row, size)
     for j, p in enumerate(values):

@@ -99,3 +99,10 @@ def test_no_check_is_given_a_literal_value() -> None:
                 names = [n for n in ast.walk(node.args[1]) if isinstance(n, ast.Name)]
                 assert names, f"{path.name}:{node.lineno}: the value of the check is written down"
     assert found > 60
+
+
+def test_a_print_far_beyond_a_few_runs_is_not_one_of_them() -> None:
+    """Fewer runs than 1 / tail leave no rank outside it; a print three standard ranges away is none of them all the same."""
+    runs = [0.12, 0.13, 0.14]
+    for printed, holds in ((0.13, True), (0.155, True), (0.4606, False), (0.01, False)):
+        assert rank("share", runs, printed).holds is holds

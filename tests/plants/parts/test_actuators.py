@@ -72,5 +72,5 @@ def test_parameters_out_of_range_are_refused_by_name(field, value):
 
 
 def test_a_pwm_count_above_the_supply_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"^pwm_step_v: 0.2 V is more than the supply, saturation_v = 0.05 V"):
+    with pytest.raises(ValueError, match=r"^pwm_step_v: 0.2 V is above the supply, saturation_v = 0.05 V"):
         Driver(saturation_v=0.05, pwm_step_v=0.2)
