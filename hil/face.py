@@ -259,13 +259,11 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, **opt
     Raises:
         HilError: an option that does not fit, or no gains meet the request.
     """
-    from design.as_printed.cone_complementarity import design_by_ccl
     from design.errors import DesignError
-    from design.tracking.synthesis import solve
+    from design.requests.tracking import solve_tracking
 
     try:
-        problem = problem_for(tracking_target(source, period, sojourns), **options)
-        return design_by_ccl(problem) if problem.method == "ccl" else solve(problem)
+        return solve_tracking(problem_for(tracking_target(source, period, sojourns), **options))
     except (DesignError, TypeError) as error:
         raise HilError(f"design: {error}") from error
 

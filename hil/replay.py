@@ -25,7 +25,7 @@ from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VERSION_1, Wire
 from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
-from transport.links.link import open_link
+from transport.links.opening import open_link
 from transport.packets import ControlPacket, SensorPacket, decode
 
 

@@ -10,8 +10,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from transport.links.link import Link, LinkCounters, Role, TransportError, open_link
+from transport.links.link import Link, LinkCounters, Role, TransportError
 from transport.links.memory import MemoryLink, memory_pair
+from transport.links.opening import open_link
 from transport.packets import (
     EMPTY,
     MORE,

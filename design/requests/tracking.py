@@ -7,13 +7,36 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from design.controllers import SendAll, nested
 from design.errors import FieldError
 from design.requests.task import DesignTask
+
+if TYPE_CHECKING:
+    from design.tracking.problem import TrackingProblem
+    from design.tracking.synthesis import Design, Progress
+
+
+def solve_tracking(problem: TrackingProblem, progress: Progress | None = None) -> Design:
+    """Return the design that a problem asks for, by the method that it names: "direct", or "ccl" as printed.
+
+    Args:
+        problem: plant, network, information, objective.
+        progress: told the stage, the start, of how many, and the norm reached.
+
+    Raises:
+        DesignError: no gains meet the request.
+    """
+    if problem.method == "ccl":
+        from design.as_printed.cone_complementarity import design_by_ccl
+
+        return design_by_ccl(problem, progress=progress)
+    from design.tracking.synthesis import solve
+
+    return solve(problem, progress=progress)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,7 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
     from hil.runtime.real.controller_process import serve
-    from transport.links.link import find_link
+    from transport.links.opening import find_link
 
     loop = compose(load_experiment(experiment, sets))
     uri = loop.experiment.links.secured(loop.experiment.folder, link)

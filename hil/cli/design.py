@@ -72,10 +72,9 @@ def command(
     """
     import numpy as np
 
-    from design.as_printed.cone_complementarity import design_by_ccl
     from design.errors import DesignError
+    from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
-    from design.tracking.synthesis import solve
     from hil.cli.outputs import check_output, write_output
     from hil.compose.design_problem import problem_for, tracking_target, verdict_on
     from hil.log.write.provenance import package_versions
@@ -93,7 +92,7 @@ def command(
     begun = time.perf_counter()
     try:
         with _Watch(f"{target.plant} {objective} {information}") as watch:
-            design = (design_by_ccl if problem.method == "ccl" else solve)(problem, progress=watch)
+            design = solve_tracking(problem, progress=watch)
     except DesignError as error:
         raise HilError(f"design: {error}") from error
     except KeyboardInterrupt as interrupt:

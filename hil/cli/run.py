@@ -93,8 +93,8 @@ def command(
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.session import run_session
-    from transport.links.link import open_link
     from transport.links.local import LOCAL
+    from transport.links.opening import open_link
 
     if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
         raise HilError(f"--log-mode: {log_mode!r:.20}; expected an octal mode with which you can read and write, such as 640")

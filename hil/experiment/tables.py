@@ -13,7 +13,8 @@ from hil.experiment import plugins
 from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.table import LONGEST_S, UNITS, Seconds, Table
-from transport.links.link import TransportError, find_link
+from transport.links.link import TransportError
+from transport.links.opening import find_link
 
 __all__ = [
     "HIDDEN", "UNITS", "Direction", "Experiment", "Limits", "Links", "Pulse", "Report", "Seconds", "Step", "Table", "Timing",

@@ -9,11 +9,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Literal, Protocol, Self, get_args, runtime_checkable
+from typing import Final, Literal, Protocol, Self, runtime_checkable
 from urllib.parse import parse_qsl
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 Role = Literal["rig", "controller"]
 
@@ -110,7 +107,7 @@ class Closing:
         self.close()
 
 
-_FORMS: Final = {
+FORMS: Final = {
     "can": (re.compile("[^:]+:.+"), "no channel, expected can:<interface>:<channel>, as in can:hil:rig0"),
     "zenoh": (re.compile("([^/:]+/.+)?"), "no endpoint, expected <protocol>/<address>, as in tcp/127.0.0.1:7447, or nothing"),
 }
@@ -131,7 +128,7 @@ def split_uri(uri: str) -> tuple[str, str, dict[str, str]]:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError as error:
         raise TransportError(f"link {uri!r}: options {query!r} are not name=value, joined by &") from error
-    form, expected = _FORMS.get(scheme, (None, ""))
+    form, expected = FORMS.get(scheme, (None, ""))
     if form is not None and not form.fullmatch(address):
         raise TransportError(f"link {uri!r}: {expected}")
     options = dict(pairs)
@@ -170,71 +167,3 @@ def key_file(uri: str) -> str | None:
     if said == "":
         raise TransportError(f"link {uri!r}: auth: expected the file of a key, as `hil keys new DIR` makes one")
     return said
-
-
-def _for_the_plugin(uri: str) -> str:
-    """Return the URI that the plug-in reads: every link carries the packets of either version, with a code or without."""
-    address, _, query = uri.partition("?")
-    kept = "&".join(option for option in query.split("&") if option.partition("=")[0] not in ("version", "auth"))
-    return f"{address}?{kept}" if kept else address
-
-
-def find_link(uri: str) -> EntryPoint:
-    """Return the plug-in that a URI names; nothing is opened or imported.
-
-    Raises:
-        TransportError: no such scheme, or a URI of another form than the scheme's.
-
-    >>> find_link("cann:hil:rig0")
-    Traceback (most recent call last):
-    transport.links.link.TransportError: link 'cann:hil:rig0': no link is called 'cann', did you mean 'can:hil:rig0'?
-    """
-    from importlib.metadata import entry_points  # 20 ms that importing the package does not need
-
-    found = {plugin.name: plugin for plugin in entry_points(group="hil.links")}
-    scheme, colon, rest = uri.partition(":")
-    if not colon or not scheme:
-        raise TransportError(f"link {uri!r}: no scheme, expected one of {', '.join(sorted(found))}, as in can:hil:rig0")
-    if scheme not in found:
-        from difflib import get_close_matches
-
-        near = get_close_matches(scheme, found, n=1)
-        hint = f"did you mean '{near[0]}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
-        raise TransportError(f"link {uri!r}: no link is called {scheme!r}, {hint}")
-    if scheme in _FORMS:
-        key_file(uri)
-    return found[scheme]
-
-
-def open_link(uri: str, role: Role) -> Link:
-    """Open one end of the link that a URI names.
-
-    Args:
-        uri: scheme, colon, address, as in ``can:hil:rig0``.
-        role: which end.
-
-    Returns:
-        The open end; use it with ``with``.
-
-    Raises:
-        TransportError: the URI is not understood, or the medium cannot be had; the message says what to do.
-    """
-    if role not in get_args(Role):
-        raise TransportError(f"link {uri!r}: role {role!r}, expected 'rig' or 'controller'")
-    plugin = find_link(uri)
-    keyed = key_file(uri) if "auth=" in uri else None
-    code = None
-    if keyed is not None:
-        from transport.links.authenticated_link import AuthenticatedLink, cmac, read_key  # imports cryptography: only here
-
-        try:
-            code = cmac(read_key(keyed))
-        except TransportError as error:
-            raise TransportError(f"link {uri!r}: {error}") from error
-    uri = _for_the_plugin(uri) if "version=" in uri or keyed is not None else uri
-    try:
-        opener = plugin.load()
-    except (ImportError, AttributeError) as error:
-        raise TransportError(f"link {uri!r}: plug-in {plugin.value} cannot be loaded: {error}") from error
-    link: Link = opener(uri, role)
-    return link if code is None else AuthenticatedLink(link, role, code)

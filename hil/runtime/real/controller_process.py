@@ -14,7 +14,8 @@ from types import FrameType
 from hil.compose.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
-from transport.links.link import TransportError, open_link
+from transport.links.link import TransportError
+from transport.links.opening import open_link
 
 IDLE_S = 0.2  # how long one wait for a frame lasts, so that a signal is seen soon
 

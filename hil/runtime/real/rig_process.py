@@ -27,8 +27,9 @@ from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.runtime.time.kernel import Kernel
 from hil.runtime.virtual import DirectExchange
-from transport.links.link import Link, TransportError, open_link, wire_version
+from transport.links.link import Link, TransportError, wire_version
 from transport.links.local import LOCAL
+from transport.links.opening import open_link
 from transport.packets import SELECTIONS, ControlPacket, encode_control
 
 SETTLE_NS = 5_000_000

@@ -1,0 +1,80 @@
+"""How a link is opened: the plug-in that a URI names, and around it the codes that the URI asks for.
+
+A link of any scheme carries packets of either version, with a code or without; the plug-in knows nothing of it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, get_args
+
+from transport.links.authenticated_link import AuthenticatedLink, cmac, read_key
+from transport.links.link import FORMS, Link, Role, TransportError, key_file
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+
+def _for_the_plugin(uri: str) -> str:
+    """Return the URI that the plug-in reads: every link carries the packets of either version, with a code or without."""
+    address, _, query = uri.partition("?")
+    kept = "&".join(option for option in query.split("&") if option.partition("=")[0] not in ("version", "auth"))
+    return f"{address}?{kept}" if kept else address
+
+
+def find_link(uri: str) -> EntryPoint:
+    """Return the plug-in that a URI names; nothing is opened or imported.
+
+    Raises:
+        TransportError: no such scheme, or a URI of another form than the scheme's.
+
+    >>> find_link("cann:hil:rig0")
+    Traceback (most recent call last):
+    transport.links.link.TransportError: link 'cann:hil:rig0': no link is called 'cann', did you mean 'can:hil:rig0'?
+    """
+    from importlib.metadata import entry_points  # 20 ms that importing the package does not need
+
+    found = {plugin.name: plugin for plugin in entry_points(group="hil.links")}
+    scheme, colon, rest = uri.partition(":")
+    if not colon or not scheme:
+        raise TransportError(f"link {uri!r}: no scheme, expected one of {', '.join(sorted(found))}, as in can:hil:rig0")
+    if scheme not in found:
+        from difflib import get_close_matches
+
+        near = get_close_matches(scheme, found, n=1)
+        hint = f"did you mean '{near[0]}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
+        raise TransportError(f"link {uri!r}: no link is called {scheme!r}, {hint}")
+    if scheme in FORMS:
+        key_file(uri)
+    return found[scheme]
+
+
+def open_link(uri: str, role: Role) -> Link:
+    """Open one end of the link that a URI names.
+
+    Args:
+        uri: scheme, colon, address, as in ``can:hil:rig0``.
+        role: which end.
+
+    Returns:
+        The open end; use it with ``with``.
+
+    Raises:
+        TransportError: the URI is not understood, or the medium cannot be had; the message says what to do.
+    """
+    if role not in get_args(Role):
+        raise TransportError(f"link {uri!r}: role {role!r}, expected 'rig' or 'controller'")
+    plugin = find_link(uri)
+    keyed = key_file(uri) if "auth=" in uri else None
+    code = None
+    if keyed is not None:
+        try:
+            code = cmac(read_key(keyed))
+        except TransportError as error:
+            raise TransportError(f"link {uri!r}: {error}") from error
+    uri = _for_the_plugin(uri) if "version=" in uri or keyed is not None else uri
+    try:
+        opener = plugin.load()
+    except (ImportError, AttributeError) as error:
+        raise TransportError(f"link {uri!r}: plug-in {plugin.value} cannot be loaded: {error}") from error
+    link: Link = opener(uri, role)
+    return link if code is None else AuthenticatedLink(link, role, code)
