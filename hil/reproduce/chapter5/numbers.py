@@ -15,6 +15,7 @@ from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.report.html.figures import Figure, Series
 from hil.reproduce.chapter import Chapter, Part, Plot, Stage, Tell
+from hil.reproduce.chapter5.further import further_rows
 from hil.reproduce.judgement import Row, above, below, near, row, says
 from hil.session import simulate
 from plants.delayed_states import DelayedStates
@@ -46,6 +47,10 @@ def _theorem(tell: Tell) -> Part:
 
 def _ours(tell: Tell) -> Part:
     return Part(rows=tuple(history_rows(published_plant())))
+
+
+def _further(tell: Tell) -> Part:
+    return Part(rows=tuple(further_rows(published_plant(), tell)))
 
 
 def _runs(tell: Tell) -> Part:
@@ -80,7 +85,8 @@ def cost_rows(plant: DelayedPlant, historical: Array, newest: Array) -> list[Row
                 above("least J of (5.16) over I(0), less the largest of (5.17),", min(ours) - max(theirs), 0.0),
                 below("gain over no control at all, as a share of J,", 1.0 - ours[1] / idle, 0.05),
             ),
-            basis=f"(5.17) costs {theirs[1]:.3f}, no control {idle:.3f}; in smoothness and peak input (5.16) is the better one",
+            basis=f"(5.17) costs {', '.join(f'{J:.3f}' for J in theirs)} for I(0) = 1, 2, 3, 4, no control {idle:.3f}; "
+            "in smoothness and peak input (5.16) is the better one",
         ),
     ]  # fmt: skip
     said = ", ".join(f"{J:.3f}" for J in ours)
@@ -181,5 +187,8 @@ def _settled(x: Array) -> float:
 
 CHAPTER = Chapter(
     title="Chapter 5: guaranteed cost control from historical data",
-    stages=(Stage("printed gains", _gains), Stage("Theorem 5.1", _theorem), Stage("history", _ours), Stage("runs", _runs)),
+    stages=(
+        Stage("printed gains", _gains), Stage("Theorem 5.1", _theorem), Stage("history", _ours), Stage("further", _further),
+        Stage("runs", _runs),
+    ),
 )

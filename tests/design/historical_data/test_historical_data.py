@@ -21,6 +21,8 @@ from design.historical_data.guaranteed_cost import (
 )
 from design.historical_data.information import Information, round_robin
 from design.historical_data.lifted_loop import DelayedPlant, close
+from design.historical_data.matched_peak import match_peak
+from design.historical_data.orders import orders_by_cost
 from design.jump_linear.second_moment import operator_matrix
 from plants.delayed_states import DelayedStates
 
@@ -227,11 +229,22 @@ def test_the_tangent_scheme_falls_and_its_answer_meets_the_theorem() -> None:
 
 
 def test_the_best_order_of_the_nodes_is_found_by_trying_all() -> None:
-    orders = list(cyclic_orders(4))
-    assert len(orders) == 6
-    costs = {}
-    for order in orders:
-        info = Information(nodes=(0, 1, 2, 3), order=order, buffer=1, memory=0)
-        costs[order] = cost(close(PLANT, synthesise(PLANT, info.mask(), AVERAGE)), AVERAGE)
-    assert min(costs.values()) <= costs[0, 1, 2, 3] == pytest.approx(2.0319, abs=1e-4)
-    assert max(costs.values()) > 1.0005 * min(costs.values())
+    found = orders_by_cost(PLANT, Information(nodes=(0, 1, 2, 3), order=(0, 3, 2, 1), buffer=1, memory=0), AVERAGE)
+    assert {each.order for each in found} == set(cyclic_orders(4)) and len(found) == 6
+    assert found[0].order == (0, 1, 2, 3) and found[0].cost == pytest.approx(2.0319, abs=1e-4)
+    assert [each.cost for each in found] == sorted(each.cost for each in found) and found[-1].cost > 2.3
+    for each in found:
+        assert cost(close(PLANT, each.gains), AVERAGE) == pytest.approx(each.cost, rel=1e-12)
+    with pytest.raises(ValueError, match="nodes: 7 of them"):
+        orders_by_cost(PLANT, Information(nodes=tuple(range(7)), order=(0,), buffer=1, memory=0), AVERAGE)
+
+
+def test_the_input_weight_of_a_peak_is_found() -> None:
+    """The newest sample only: gains of least cost whose largest input is the peak, to the step of the search."""
+    mask = round_robin(4, buffer=1, memory=0).mask()
+    ours = match_peak(PLANT, mask, START, 0, 15.93)
+    literal = simulated(PLANT, ours.gains, np.array(START), 0)
+    assert literal == pytest.approx((ours.cost, ours.peak), rel=1e-9)
+    assert 0.97 * 15.93 < ours.peak <= 15.93 and ours.cost < 149.47
+    with pytest.raises(Infeasible):
+        match_peak(PLANT, mask, START, 0, 1e-9)

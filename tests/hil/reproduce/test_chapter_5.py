@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from design.as_printed.historical_data import historical_gains, newest_gains
+from design.historical_data.block_diagonal import tangent_scheme
+from design.historical_data.information import round_robin
 from design.historical_data.lifted_loop import DelayedPlant
+from design.historical_data.matched_peak import PeakMatch
+from design.historical_data.orders import OrderCost
 from hil.reproduce import chapters
+from hil.reproduce.chapter5.further import (
+    Printed,
+    any_order_row,
+    delay_row,
+    further_rows,
+    order_row,
+    peak_row,
+    tangent_row,
+    variant_plant,
+)
 from hil.reproduce.chapter5.numbers import cost_rows, figures, published_plant, theorem_rows
 from hil.reproduce.judgement import Row
 
@@ -43,3 +58,30 @@ def test_the_figures_are_runs_on_the_rig() -> None:
     part = figures()
     assert [panel.title[:3] for panel in part.figures[0].panels] == ["5.3", "5.4"]
     assert {row.verdict for row in part.rows} == {"reproduced"}
+
+
+def test_rows_beyond_the_chapter_turn_with_their_numbers() -> None:
+    prompt, late = (round_robin(4, buffer=3, memory=6, delay=delay).mask() for delay in (0, 1))
+    assert delay_row(prompt, late).verdict == "claim false"
+    slow = prompt.copy()
+    slow[:, 0] = False
+    assert delay_row(prompt, slow).verdict == "reproduced"
+    printed, gains = Printed("(5.16)", 221.1, 2.594), np.zeros((4, 1, 1, 4))
+    assert peak_row(printed, PeakMatch(0.3, gains, 2.57, 187.2)).verdict == "reproduced"
+    for worse in ((2.60, 187.2), (2.57, 191.0)):
+        assert peak_row(printed, PeakMatch(0.3, gains, *worse)).verdict == "not reproduced"
+    first, second = OrderCost((0, 2, 1), gains, 1.0), OrderCost((0, 1, 2), gains, 1.004)
+    assert order_row([first, second]).verdict == "reproduced"
+    assert order_row([first, second._replace(cost=1.006)]).verdict == "not reproduced"
+    variant, x0 = variant_plant(PLANT), np.array([-4.0, 3.0, -6.0, 1.0])
+    proof = tangent_scheme(variant, round_robin(4, buffer=3).mask(), x0, iterations=0)
+    assert tangent_row(variant, proof, x0).verdict == "not reproduced"
+    assert tangent_row(variant, proof._replace(bounds=(14.57,)), x0).verdict == "reproduced"
+
+
+@pytest.mark.slow
+def test_every_row_beyond_the_chapter_is_as_said() -> None:
+    """A bound of J for any order of the sensors, least J at the published peak inputs, the tangent scheme's bound."""
+    said = verdicts(further_rows(PLANT, lambda text, done=0, total=0, /: None))
+    assert sorted(said.values()) == ["claim false"] + ["reproduced"] * 5
+    assert any_order_row(PLANT, newest_gains(), np.array([-4.0, 3.0, -6.0, 1.0])).verdict == "reproduced"
