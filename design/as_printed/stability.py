@@ -11,6 +11,7 @@ from __future__ import annotations
 from functools import partial
 
 from design.controllers.scheduled_gain import ScheduledGain
+from design.lmi.decision import decide
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
@@ -44,7 +45,7 @@ def printed_stability(
     gain = checked_gain(system, gain, process)
     sections = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
     rebuild = partial(known_gain, system, gain, process, sections, "pwc", decay, coupling=PRINTED)
-    found = lyapunov_program(rebuild(as_float), system.states, condition).decide()
+    found = decide(lyapunov_program(rebuild(as_float), system.states, condition))
     return JumpCertificate(
         method="printed", sound=False, reason=f"printed Corollary 2.1, I <= P <= {condition:g} I: {found.explain()}",
         verdict="certified" if found.holds else "refused" if found.refused else "undecided", margin=found.margin,

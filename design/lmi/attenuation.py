@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from design.errors import FieldError, Infeasible
+from design.lmi.decision import decide
 from design.lmi.program import LmiProgram, LmiSolution
 
 BACKOFF = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
@@ -69,7 +70,7 @@ def at_gamma(build: Callable[[float], LmiProgram], gamma: float, what: str) -> A
     """A verified solution at the given gamma. Raises Infeasible as ``smallest_gamma`` does."""
     if not math.isfinite(gamma) or gamma <= 0:
         raise FieldError("gamma", f"{gamma!r} is not a finite positive number")
-    found = with_gamma(build(1.0 / gamma), 1.0).decide()
+    found = decide(with_gamma(build(1.0 / gamma), 1.0))
     if not found.holds:
         raise Infeasible(f"{what} at gamma = {gamma:g}: {found.explain()}", value=found.margin, proved=found.refused)
     return Attenuation(gamma=gamma, scale=1.0 / gamma, found=found)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,7 @@ class ExactProof:
         failed: name of the first that does not hold.
         smallest_pivot: smallest pivot of LDL' over all of them.
         bits: rounding of the matrices, multiples of 2^-bits.
+        matrices_by: whose matrices they are: the certificate's, or those of the second opinion.
     """
 
     proved: bool
@@ -52,6 +53,7 @@ class ExactProof:
     smallest_pivot: Fraction
     failed: str | None
     bits: int
+    matrices_by: Literal["certificate", "cvxpy"] = "certificate"
 
 
 def as_fraction(value: npt.ArrayLike) -> Array:

@@ -7,21 +7,21 @@ same function is evaluated
 - on the returned matrices, whose eigenvalues are the verdict (never the solver's status),
 - on matrices of ``fractions.Fraction`` for an exact proof (``design.lmi.exact``).
 
-Clarabel solves; a verdict "infeasible" needs its dual matrices to prove a bound (weak duality, checked here), and where
-in doubt SCS gives a second opinion.
+Clarabel solves; a verdict "infeasible" needs its dual matrices to prove a bound (weak duality, checked here). Where that
+leaves a doubt, `design.lmi.decision` asks for a second opinion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from design.lmi.conic_solvers import SOLVERS, Solver, excluded, triangle
+from design.lmi.conic_solver import clarabel, excluded, triangle
 
 FloatArray = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -132,7 +132,7 @@ class LmiSolution:
     objective: float
     excluded: float
     reach: float
-    solver: Solver
+    solver: Literal["clarabel", "cvxpy"]
     status: str
 
     @property
@@ -247,9 +247,7 @@ class LmiProgram:
         entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(cols)))
         return sparse.csc_matrix(entries, shape=shape), np.concatenate(rhs), sizes
 
-    def solve(
-        self, minimise: str | None = None, solver: Solver = "clarabel", largest_margin: float = 1.0
-    ) -> LmiSolution:
+    def solve(self, minimise: str | None = None, largest_margin: float = 1.0) -> LmiSolution:
         """Minimise the scalar (1 x 1) of that name, or maximise the margin t <= largest_margin of the strict ones."""
         a, b, sizes = self._conic(minimise is None)
         q = np.zeros(a.shape[1])
@@ -257,20 +255,12 @@ class LmiProgram:
         if minimise is None:  # t <= largest_margin, as one more 1 x 1 block
             row = sparse.csc_matrix(([1.0], ([0], [self.size])), shape=(1, a.shape[1]))
             a, b, sizes = sparse.vstack([a, row], format="csc"), np.append(b, largest_margin), [*sizes, 1]
-        x, z, status = SOLVERS[solver](q, a, b, sizes)
+        x, z, status = clarabel(q, a, b, sizes)
         matrices = {name: variable.value(x) for name, variable in self.variables.items()}
         margin, slack = verify(self.inequalities, matrices)
         largest = float(np.abs(x).max())
         return LmiSolution(
             matrices=matrices, margin=margin, slack=slack, objective=float(q @ x),
             excluded=excluded(q, a, b, sizes, z) if minimise is None else 0.0,
-            reach=max(1e3, 10.0 * largest) if self.reach is None else self.reach, solver=solver, status=status,
+            reach=max(1e3, 10.0 * largest) if self.reach is None else self.reach, solver="clarabel", status=status,
         )  # fmt: skip
-
-    def decide(self) -> LmiSolution:
-        """Maximise the margin with Clarabel, and with SCS too where Clarabel's answer proves neither yes nor no."""
-        found = self.solve()
-        if found.holds or found.refused:
-            return found
-        second = self.solve(solver="scs")
-        return second if second.margin > found.margin and second.slack > -1e-7 else found

@@ -45,13 +45,19 @@ class SecondOpinion:
 
 
 def second_opinion(
-    inequalities: Sequence[Inequality], like: Mapping[str, FloatArray], *, largest_margin: float = 1.0, time_limit_s: float = 20.0
+    inequalities: Sequence[Inequality],
+    like: Mapping[str, FloatArray],
+    *,
+    bases: Mapping[str, FloatArray] | None = None,
+    largest_margin: float = 1.0,
+    time_limit_s: float = 20.0,
 ) -> SecondOpinion:
     """Maximise the margin t <= largest_margin of F_i(X) <= -t I (strict) and F_i(X) <= 0 (the others), by cvxpy and SCS.
 
     Args:
         inequalities: affine in the matrices that they name.
         like: name to a matrix of the shape sought; what is symmetric there is sought symmetric.
+        bases: name to the matrices, (unknowns, rows, columns), whose combination is sought instead, where it has a pattern.
         largest_margin: bound on t.
         time_limit_s: of the solver, s.
 
@@ -63,7 +69,7 @@ def second_opinion(
     cp: Any = cvxpy
     begun = time.perf_counter()
     names = sorted({name for item in inequalities for name in item.on})
-    unknown = {name: cp.Variable(like[name].shape, symmetric=np.array_equal(like[name], like[name].T)) for name in names}
+    unknown = {name: _unknown(cp, like[name], None if bases is None else bases.get(name)) for name in names}
     t = cp.Variable()
     constraints = [t <= largest_margin]
     for item in inequalities:
@@ -84,6 +90,16 @@ def second_opinion(
     }
     margin, slack = verify(inequalities, found)
     return SecondOpinion(margin=margin, slack=slack, status=status, wall_s=time.perf_counter() - begun, matrices=found)
+
+
+def _unknown(cp: Any, like: FloatArray, basis: FloatArray | None) -> Any:
+    """A matrix variable, symmetric or full; where a basis has fewer unknowns than that, their combination."""
+    symmetric = np.array_equal(like, like.T) if basis is None else bool((basis == basis.transpose(0, 2, 1)).all())
+    entries = like.shape[0] * (like.shape[0] + 1) // 2 if symmetric else like.size
+    if basis is None or basis.shape[0] == entries:
+        return cp.Variable(like.shape, symmetric=symmetric)
+    combined = cp.reshape(basis.reshape(basis.shape[0], -1).T @ cp.Variable(basis.shape[0]), like.shape, order="C")
+    return cp.symmetric_wrap(combined) if symmetric else combined
 
 
 def _affine(cp: Any, item: Inequality, unknown: Mapping[str, Any]) -> Any:

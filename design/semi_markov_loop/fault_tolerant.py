@@ -22,6 +22,7 @@ import numpy as np
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
 from design.lmi.attenuation import smallest_gamma
+from design.lmi.decision import decide
 from design.lmi.program import (
     Array,
     LmiProgram,
@@ -221,7 +222,7 @@ def fault_tolerant_feedback(
     build = partial(_start_program, system, process, measured, parts, gain_bound, performance)
     what = f"fault-tolerant feedback with gain norm <= {gain_bound:g}, measured {measured}"
     if performance is not None:
-        found = build(performance.scale).decide()
+        found = decide(build(performance.scale))
         if not found.holds:
             raise Infeasible(f"{what}, SIQC, X shared by what is not told apart: {found.explain()}", value=found.margin)
     else:

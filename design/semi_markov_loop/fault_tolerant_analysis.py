@@ -23,6 +23,7 @@ import numpy.typing as npt
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
 from design.lmi.attenuation import at_gamma, smallest_gamma
+from design.lmi.decision import decide
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
@@ -232,7 +233,7 @@ def analyse_fault_tolerant(
     try:
         if performance is not None:
             scale, level = performance.scale, None
-            found = build(scale).decide()
+            found = decide(build(scale))
             if not found.holds:
                 raise Infeasible(f"{what}, SIQC: {found.explain()}", value=found.margin, proved=found.refused)
         else:

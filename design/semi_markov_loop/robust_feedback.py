@@ -27,6 +27,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import Schedule, ScheduledGain
 from design.errors import FieldError, Infeasible
+from design.lmi.decision import decide
 from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
@@ -200,7 +201,7 @@ class FeedbackRequest:
             if found.refused or quick:
                 break
         else:
-            found = program.decide()
+            found = decide(program)
             if found.holds:
                 return found
         raise Infeasible(

@@ -20,6 +20,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError
+from design.lmi.decision import VerifyWith, decide
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose, verify
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
@@ -146,7 +147,7 @@ def analyse(
     parts: int = 4,
     decay: float = 0.0,
     condition: float = CONDITION,
-    second_opinion: bool = True,
+    verify_with: VerifyWith = "cvxpy",
 ) -> JumpCertificate:
     """Certify or refuse mean-square stability of the loop u = K(i, h) x, with decay rate at least ``decay``.
 
@@ -159,7 +160,7 @@ def analyse(
             starts of the gains, for ``pwl`` with the kinks of the rates, each gap cut into ``parts``.
         decay: demanded decay rate of E|x|^2 (1/s).
         condition: largest condition number of P that is searched.
-        second_opinion: ask a second solver where the first proves neither yes nor no (seconds).
+        verify_with: who is asked where our solver leaves a doubt (seconds), see `design.lmi.decision`.
 
     Returns:
         The certificate; its ``decay_rate`` is the largest that the returned matrices prove.
@@ -179,7 +180,7 @@ def analyse(
         nodes = refine(process, starts, parts) if method == "pwl" else starts
     rebuild = partial(known_gain, system, gain, process, nodes, method, decay)
     program = lyapunov_program(rebuild(as_float), system.states, condition)
-    found = program.decide() if second_opinion else program.solve()
+    found = decide(program, verify_with=verify_with)
     certified = found.holds
     form = f"method {method}, I <= P <= {condition:g} I" + (f", decay {decay:g}/s" if decay else "")
     proved = None
@@ -254,7 +255,7 @@ def largest_decay(
     low, high = best.decay_rate or 0.0, np.inf
     while high - low > tolerance * max(low, 1e-3):
         decay = 2.0 * low + 0.1 if np.isinf(high) else 0.5 * (low + high)
-        trial = analyse(system, gain, process, method=method, nodes=nodes, parts=parts, decay=decay, second_opinion=False)
+        trial = analyse(system, gain, process, method=method, nodes=nodes, parts=parts, decay=decay, verify_with="nothing")
         if trial.certified and trial.decay_rate is not None:
             best, low = trial, max(trial.decay_rate, decay)
         else:

@@ -17,7 +17,7 @@ from design.as_printed.examples import (
 )
 from design.as_printed.robust_feedback import PrintedRequest
 from design.as_printed.stability import PRINTED, printed_stability
-from design.lmi.exact import prove
+from design.lmi.decision import decide, prove_certificate
 from design.lmi.program import LmiSolution
 from design.processes.partitions import uniform
 from design.processes.rates import PiecewiseLinearRate, clip_rate, constant_rate
@@ -57,7 +57,7 @@ def _gains_exist(system: JumpSystem, sections: int, form: Form) -> LmiSolution:
             program = feedback_program(system, process, asked.nodes, "pwc", 100.0, 0.0, condition, PRINTED, multipliers=2)
         else:
             program = feedback_program(system, process, asked.nodes, asked.method, 100.0, 0.0, condition)
-        found = program.decide()
+        found = decide(program)
         if found.holds or found.refused:
             break
     return found
@@ -71,7 +71,7 @@ def _feasibility(tell: Tell) -> Part:
     """What Section 2.5 says of the conditions for the example."""
     process, printed = chapter2_process(), chapter2_system("printed")
     single = robust_feedback(printed, process, gain_bound=30.0, sections=1, method="pwc")
-    proof = prove(single)
+    proof = prove_certificate(single)
     gains = ", ".join(np.array2string(g[0, 0], precision=2) for g in single.gain.gain) if single.gain is not None else ""
     published = printed_stability(printed, chapter2_gain(), process)
     constant = analyse(printed, chapter2_gain(), process, method="pwc", condition=1e3)

@@ -1,4 +1,4 @@
-"""Two conic solvers behind one call: min q'x with b - A x in a product of positive semidefinite triangles.
+"""Clarabel behind one call: min q'x with b - A x in a product of positive semidefinite triangles.
 
 The triangles are upper ones, column by column, off-diagonals times sqrt(2). What comes back is a candidate and dual matrices;
 whoever calls verifies the one and makes a proof of the other.
@@ -7,16 +7,13 @@ whoever calls verifies the one and makes a proof of the other.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
 FloatArray = npt.NDArray[np.float64]
-Solver = Literal["clarabel", "scs"]
-Run = Callable[[FloatArray, sparse.csc_matrix, FloatArray, list[int]], tuple[FloatArray, FloatArray, str]]
 
 
 def triangle(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray]:
@@ -56,24 +53,3 @@ def clarabel(
     quadratic = sparse.csc_matrix((q.size, q.size))
     result = solver.DefaultSolver(quadratic, q, a, b, cones, settings).solve()
     return np.array(result.x), np.array(result.z), str(result.status)
-
-
-def scs(q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]) -> tuple[FloatArray, FloatArray, str]:
-    """First order, three seconds at most: a second opinion on doubt, no more; arguments and return as ``clarabel``."""
-    solver: Any = importlib.import_module("scs")
-    order, top = [], 0  # SCS reads the lower triangle column by column
-    for size in sizes:
-        r, c, _ = triangle(size)
-        order.append(top + np.lexsort((c, r)))
-        top += r.size
-    swap = np.concatenate(order)
-    data = {"P": None, "A": a[swap].tocsc(), "b": b[swap], "c": q}
-    result = solver.SCS(
-        data, {"s": list(sizes)}, verbose=False, eps_abs=1e-7, eps_rel=1e-7, max_iters=100_000, time_limit_secs=3.0
-    ).solve()
-    z = np.empty_like(b)
-    z[swap] = result["y"]
-    return np.asarray(result["x"]), z, str(result["info"]["status"])
-
-
-SOLVERS: dict[Solver, Run] = {"clarabel": clarabel, "scs": scs}

@@ -1,0 +1,114 @@
+"""A solve that fails, stops early or holds by rounding only is not the last word: the second opinion is asked, and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from design.lmi import decision, program
+from design.lmi.decision import decide, prove_certificate
+from design.lmi.exact import as_fraction, prove
+from design.lmi.program import Inequality, LmiProgram, symmetric_part
+
+A = np.array([[0.0, 1.0], [-2.0, -0.5]])
+
+
+def lyapunov(a: np.ndarray = A, *, diagonal: bool = False) -> LmiProgram:
+    found = LmiProgram()
+    n = len(a)
+    if diagonal:
+        found.add("P", np.stack([np.diag(row) for row in np.eye(n)]))
+    else:
+        found.symmetric("P", n)
+    found.require("decrease", lambda p: symmetric_part(p @ a), "P")
+    found.require("P >= I", lambda p: np.eye(n) - p, "P")
+    found.require("bounded", lambda p: p - 50.0 * np.eye(n), "P")
+    return found
+
+
+def stops_early(share: float) -> Any:
+    """A Clarabel that returns a share of its solution, and no dual matrices, as after too few iterations."""
+    sound = program.clarabel
+
+    def stopped(q: np.ndarray, a: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, np.ndarray, str]:
+        x, z, _ = sound(q, a, b, sizes)
+        return share * x, np.zeros_like(z), "MaxIterations"
+
+    return stopped
+
+
+@pytest.mark.parametrize("diagonal", [False, True])
+def test_a_solve_that_stops_early_is_taken_over_by_cvxpy(monkeypatch: pytest.MonkeyPatch, diagonal: bool) -> None:
+    a = np.array([[-1.0, 0.4], [-0.3, -2.0]]) if diagonal else A
+    monkeypatch.setattr(program, "clarabel", stops_early(0.01))
+    alone = decide(lyapunov(a, diagonal=diagonal), verify_with="nothing")
+    assert not alone.holds and not alone.refused and alone.solver == "clarabel"
+    found = decide(lyapunov(a, diagonal=diagonal))
+    P = found.matrices["P"]
+    assert found.holds and found.solver == "cvxpy" and found.margin > 0.5
+    assert np.linalg.eigvalsh(P @ a + a.T @ P).max() < 0 < np.linalg.eigvalsh(P).min()
+    assert not diagonal or P[0, 1] == 0.0  # the pattern of the unknown is kept
+
+
+def test_a_margin_as_small_as_rounding_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = LmiProgram()
+    one.symmetric("x", 1)
+    one.require("x > 1", lambda x: 1.0 - x, "x")
+    sound = program.clarabel
+
+    def narrow(q: np.ndarray, a: Any, b: np.ndarray, sizes: list[int]) -> tuple[np.ndarray, np.ndarray, str]:
+        _, z, status = sound(q, a, b, sizes)
+        return np.array([1.0 + 1e-12, 1e-12]), np.zeros_like(z), status
+
+    monkeypatch.setattr(program, "clarabel", narrow)
+    assert decide(one, verify_with="nothing").holds
+    assert decide(one).solver == "cvxpy" and decide(one).margin > 0.1
+
+
+def test_no_doubt_asks_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nobody(*_: object, **__: object) -> None:
+        raise AssertionError("asked without a doubt")
+
+    monkeypatch.setattr(decision, "second_opinion", nobody)
+    assert decide(lyapunov()).solver == "clarabel"  # holds
+    hopeless = lyapunov(A + np.eye(2))
+    hopeless.reach = 50.0
+    assert decide(hopeless).refused
+
+
+def test_the_second_opinion_is_not_believed_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a solution, what cvxpy returns does not verify, and the first answer stands."""
+    monkeypatch.setattr(program, "clarabel", stops_early(0.01))
+    found = decide(lyapunov(A + np.eye(2)))
+    assert not found.holds and found.solver == "clarabel"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """A certificate that holds in floats by less than the rounding to fractions takes away."""
+
+    matrices: Mapping[str, np.ndarray]
+    method: str = "pwl"
+
+    def rebuild(self, lift: Any) -> list[Inequality]:
+        a, one = lift(A), lift(np.eye(2))
+        return [
+            Inequality(name="decrease", function=lambda p: symmetric_part(p @ a), on=("P",)),
+            Inequality(name="P > I", function=lambda p: one - p, on=("P",)),
+        ]
+
+
+def test_a_proof_that_fails_narrowly_is_found_at_the_second_opinion() -> None:
+    P = decide(lyapunov()).matrices["P"]
+    P = P / np.linalg.eigvalsh(P).min() * (1.0 + 1e-12)  # P > I holds in floats, not after rounding to 2^-24
+    narrow = Held(matrices={"P": P})
+    assert np.linalg.eigvalsh(P).min() > 1.0 and not prove(narrow).proved
+    assert not prove_certificate(narrow, verify_with="nothing").proved
+    proof = prove_certificate(narrow)
+    assert proof.proved and proof.matrices_by == "cvxpy"
+    sound = Held(matrices={"P": 2.0 * P})
+    assert prove_certificate(sound).matrices_by == "certificate" and as_fraction(1.0) == 1
