@@ -13,8 +13,9 @@ from plants.errors import FieldError, PlantError
 from plants.parts.actuators import Driver
 from plants.parts.exponential import zero_order_hold
 from plants.parts.friction import Friction, RubbingAxis
+from plants.parts.friction_many import RubbingAxes
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
-from plants.parts.motor_many import MotorRuns
+from plants.parts.motor_many import Axes, FreeAxes, MotorRuns
 from plants.parts.sensors import Encoder
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
@@ -147,13 +148,15 @@ class DCMotor:
         """Return the motor at time 0. It draws nothing from ``rng``."""
         return DCMotorRun(self)
 
-    def start_many(self, runs: int) -> MotorRuns | None:
-        """Return so many motors at time 0; None with dry friction, which slips and sticks at instants of its own."""
-        if self.friction.dry:
-            return None
+    def start_many(self, runs: int) -> MotorRuns:
+        """Return so many motors at time 0."""
+        axes: Axes = (
+            RubbingAxes(self.gain, self.pole, self.friction)
+            if self.friction.dry
+            else FreeAxes(self.gain, self.pole + self.gain * self.friction.viscous_v_s_per_rad)
+        )
         return MotorRuns(
-            self.gain,
-            self.pole + self.gain * self.friction.viscous_v_s_per_rad,
+            axes,
             (self.initial_angle_rad, self.initial_speed_rad_s),
             driver=None if self.driver.ideal else self.driver,
             through=self.disturbance_through_driver,

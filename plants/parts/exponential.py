@@ -22,7 +22,9 @@ Rows = tuple[tuple[float, ...], ...]
 _BITS = 256  # of the fraction; each of at most 20 doublings may cost one or two of them
 _ONE = 1 << _BITS
 _MAX_DOUBLINGS = 24
-_LN2 = 0.6931471805599453
+LN2 = 0.6931471805599453
+MOST_HALVINGS = 40
+"""Of an argument of `phi`: beyond it is no number of modest size."""
 
 
 def _fixed(value: float) -> int:
@@ -158,7 +160,7 @@ def phi(x: float) -> tuple[float, float]:
     while not -0.5 <= x <= 0.5:
         x *= 0.5
         halvings += 1
-        if halvings > 40:
+        if halvings > MOST_HALVINGS:
             raise PlantError(f"phi: argument {x * 2.0**halvings!r}, expected a finite number of modest size")
     p2 = 1.0
     for k in (15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3):  # 2 x^14/16! is below 1e-17 for |x| <= 1/2
@@ -191,4 +193,4 @@ def log1p(z: float) -> float:
     series = 0.0
     for k in (21, 19, 17, 15, 13, 11, 9, 7, 5, 3):  # |s| <= 0.18: s^22/23 is below 1e-17
         series = (series + 1.0 / k) * q
-    return exponent * _LN2 + 2.0 * s * (1.0 + series)
+    return exponent * LN2 + 2.0 * s * (1.0 + series)

@@ -85,28 +85,33 @@ class RubbingAxis:
         gain: acceleration per volt, rad/s^2 per V.
         pole: viscous rate of the plant without the friction, 1/s.
         friction: the friction.
+
+    Attributes:
+        static_v: drive under which a body at rest stays at rest, V.
+        corners: speeds at which the friction curve has its corners, rad/s, from 0.
+        rates: v' = rates[i] v + gain (drive - levels[i]) from corner i on, 1/s.
+        levels: V.
     """
 
-    __slots__ = ("_corners", "_gain", "_levels", "_rates", "_slopes", "_static")
+    __slots__ = ("_gain", "corners", "levels", "rates", "static_v")
 
     def __init__(self, gain: float, pole: float, friction: Friction) -> None:
         self._gain = gain
-        self._static = friction.breakaway_v
+        self.static_v = friction.breakaway_v
         speeds, values = friction.curve()
         slopes = [(f1 - f0) / (v1 - v0) for v0, v1, f0, f1 in zip(speeds, speeds[1:], values, values[1:])] + [0.0]
         damping = pole + gain * friction.viscous_v_s_per_rad
-        self._corners = speeds
-        self._rates = tuple(-damping - gain * s for s in slopes)
-        self._slopes = tuple(slopes)
+        self.corners = speeds
+        self.rates = tuple(-damping - gain * s for s in slopes)
         # friction at speed v of cell i is levels[i] + slopes[i] v
-        self._levels = tuple(f - s * v for f, s, v in zip(values, slopes, speeds))
+        self.levels = tuple(f - s * v for f, s, v in zip(values, slopes, speeds))
 
     def move(self, angle: float, speed: float, drive: float, dt_s: float) -> tuple[float, float]:
         """Return angle (rad) and speed (rad/s) after dt_s of a held drive (V)."""
         left = dt_s
         while left > 0.0:
             if speed == 0.0:
-                if abs(drive) <= self._static:
+                if abs(drive) <= self.static_v:
                     return angle, 0.0
                 forward = drive > 0.0
             else:
@@ -114,19 +119,19 @@ class RubbingAxis:
             # The rest in the direction of motion: v >= 0 until the next event, then v' = rate v + c.
             v = abs(speed)
             push = drive if forward else -drive
-            i = bisect_right(self._corners, v) - 1
-            rate = self._rates[i]
-            acceleration = rate * v + self._gain * (push - self._levels[i])
-            if acceleration < 0.0 and v == self._corners[i] and i > 0:
+            i = bisect_right(self.corners, v) - 1
+            rate = self.rates[i]
+            acceleration = rate * v + self._gain * (push - self.levels[i])
+            if acceleration < 0.0 and v == self.corners[i] and i > 0:
                 i -= 1
-                rate = self._rates[i]
-                acceleration = min(rate * v + self._gain * (push - self._levels[i]), 0.0)
+                rate = self.rates[i]
+                acceleration = min(rate * v + self._gain * (push - self.levels[i]), 0.0)
             target: float | None = None
             if acceleration < 0.0:
-                target = self._corners[i]
+                target = self.corners[i]
             elif acceleration > 0.0:
-                if i + 1 < len(self._corners):
-                    target = self._corners[i + 1]
+                if i + 1 < len(self.corners):
+                    target = self.corners[i + 1]
             else:
                 return angle + speed * left, speed  # friction and drive balance: the speed stays
             span = left
@@ -144,8 +149,8 @@ class RubbingAxis:
                 v = target
             else:
                 v += acceleration * span * p1
-                if acceleration < 0.0 and v < self._corners[i]:  # by rounding, at most
-                    v = self._corners[i]
+                if acceleration < 0.0 and v < self.corners[i]:  # by rounding, at most
+                    v = self.corners[i]
             angle += travel if forward else -travel
             speed = v if forward or v == 0.0 else -v
             left -= span

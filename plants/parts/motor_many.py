@@ -1,8 +1,9 @@
-"""Many runs of one motor without dry friction at once, each bit for bit what `DCMotorRun` computes alone."""
+"""Many runs of one motor at once, each bit for bit what `DCMotorRun` computes alone."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -11,12 +12,41 @@ from plants.parts.exponential import zero_order_hold
 from plants.parts.linear import NS_PER_S, Matrix
 
 
-class MotorRuns:
-    """Running motors: angle' = speed, speed' = -damping speed + gain (driver(u) + w - load), y = encoder(angle).
+class Axes(Protocol):
+    """Axes of one kind in many runs."""
+
+    def move(self, angle: Matrix, speed: Matrix, drive: Matrix, dt_ns: int) -> tuple[Matrix, Matrix]:
+        """Return angles (rad) and speeds (rad/s), (runs,), after dt_ns of held drives (V)."""
+        ...
+
+
+class FreeAxes:
+    """Axes without dry friction, angle' = speed, speed' = -damping speed + gain drive: one exact step for every length.
 
     Args:
         gain: acceleration per volt in rad/s^2 per V.
         damping: viscous rate in 1/s.
+    """
+
+    def __init__(self, gain: float, damping: float) -> None:
+        self._gain, self._damping = gain, damping
+        self._held: dict[int, tuple[float, float, float, float]] = {}
+
+    def move(self, angle: Matrix, speed: Matrix, drive: Matrix, dt_ns: int) -> tuple[Matrix, Matrix]:
+        """See `Axes`."""
+        found = self._held.get(dt_ns)
+        if found is None:
+            Phi, Gamma = zero_order_hold([[0.0, 1.0], [0.0, -self._damping]], [[0.0], [self._gain]], (dt_ns, NS_PER_S))
+            found = self._held[dt_ns] = (Phi[0][1], Gamma[0][0], Phi[1][1], Gamma[1][0])
+        a, b, c, d = found
+        return angle + a * speed + b * drive, c * speed + d * drive
+
+
+class MotorRuns:
+    """Running motors: an axis under driver(u) + w - load, y = encoder(angle).
+
+    Args:
+        axes: what the drive moves.
         start: angle in rad and speed in rad/s of every run at time 0.
         driver: what becomes of a command; None for nothing.
         through: whether w is added to the command, before the driver.
@@ -26,12 +56,11 @@ class MotorRuns:
     """
 
     def __init__(
-        self, gain: float, damping: float, start: tuple[float, float], *, driver: Driver | None, through: bool,
-        encoder_step_rad: float, pieces: Callable[[int, int], list[tuple[int, float | None]]], runs: int,
+        self, axes: Axes, start: tuple[float, float], *, driver: Driver | None, through: bool, encoder_step_rad: float,
+        pieces: Callable[[int, int], list[tuple[int, float | None]]], runs: int,
     ) -> None:  # fmt: skip
-        self._gain, self._damping, self._driver, self._through = gain, damping, driver, through
+        self._axes, self._driver, self._through = axes, driver, through
         self._step_rad, self._pieces, self._now_ns = encoder_step_rad, pieces, 0
-        self._held: dict[int, tuple[float, float, float, float]] = {}
         self.state: Matrix = np.repeat(np.array(start, dtype=np.float64)[:, None], runs, axis=1)
 
     def advance(self, dt_ns: int, u: Matrix, w: Sequence[float]) -> None:
@@ -43,18 +72,9 @@ class MotorRuns:
         else:
             v = drive_many(self._driver, u[0]) + w[0]
         for span_ns, load_v in self._pieces(self._now_ns, dt_ns):
-            a, b, c, d = self._coefficients(span_ns)
-            force = v if load_v is None else v - load_v
             angle, speed = self.state
-            self.state = np.stack((angle + a * speed + b * force, c * speed + d * force))
+            self.state = np.stack(self._axes.move(angle, speed, v if load_v is None else v - load_v, span_ns))
         self._now_ns += dt_ns
-
-    def _coefficients(self, dt_ns: int) -> tuple[float, float, float, float]:
-        found = self._held.get(dt_ns)
-        if found is None:
-            Phi, Gamma = zero_order_hold([[0.0, 1.0], [0.0, -self._damping]], [[0.0], [self._gain]], (dt_ns, NS_PER_S))
-            found = self._held[dt_ns] = (Phi[0][1], Gamma[0][0], Phi[1][1], Gamma[1][0])
-        return found
 
     def measure(self) -> Matrix:
         """Return the angle in rad as the encoder gives it, (1, runs)."""

@@ -18,13 +18,13 @@ from transport.laws.trace import TraceAge
 
 SHIPPED = sorted(path.stem for path in (Path(hil.__file__).parent / "experiments").glob("*.toml"))
 SERVED = {
-    "dc-motor-1khz", "dc-motor-bursty", "dc-motor-h2", "dc-motor-h2-fast", "dc-motor-hinf", "dc-motor-hinf-fast",
-    "dc-motor-local", "dc-motor-local-fast", "dc-motor-ours-bursty", "dc-motor-ours-h2", "dc-motor-ours-hinf",
-    "dc-motor-ours-mixed", "dc-motor-ours-two-samples", "dc-motor-smith", "dc-motor-smith-fast", "vtol-h2", "vtol-hinf",
-    "vtol-ours-h2", "vtol-ours-hinf",
+    "dc-motor-1khz", "dc-motor-bursty", "dc-motor-h2", "dc-motor-h2-fast", "dc-motor-h2-friction", "dc-motor-hinf",
+    "dc-motor-hinf-fast", "dc-motor-hinf-friction", "dc-motor-local", "dc-motor-local-fast", "dc-motor-ours-bursty",
+    "dc-motor-ours-h2", "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed", "dc-motor-ours-two-samples",
+    "dc-motor-smith", "dc-motor-smith-fast", "vtol-h2", "vtol-hinf", "vtol-ours-h2", "vtol-ours-hinf",
 }  # fmt: skip
 ALONE = {
-    "dc-motor-h2-friction", "dc-motor-hinf-friction", "dc-motor-ours-integral", "dc-motor-packets", "multisensor-event",
+    "dc-motor-packets", "multisensor-event",
     "multisensor-lossy", "multisensor-newest", "multisensor-ours", "multisensor-published", "omni-1khz", "omni-identify",
     "omni-push", "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published", "vtol-delayed",
     "vtol-delayed-published", "vtol-fault", "vtol-fault-partitioned", "vtol-fault-published",
@@ -65,19 +65,20 @@ def test_every_shipped_experiment_is_in_one_of_the_lists() -> None:
     assert sorted(SERVED | ALONE) == SHIPPED
 
 
-@pytest.mark.parametrize("name", ["dc-motor-h2-friction", "dc-motor-packets", "multisensor-newest", "smjls-robust-published"])
+@pytest.mark.parametrize("name", ["vtol-fault-published", "dc-motor-packets", "multisensor-newest", "smjls-robust-published"])
 def test_what_is_not_served_is_run_seed_by_seed(name: str) -> None:
     loop = loop_of(name, "duration=1")
     assert not (in_lockstep(loop) and measures_in_lockstep(loop))
     same_bits(loop, range(2))
 
 
-SLOW = {"dc-motor-ours-mixed", "dc-motor-ours-hinf"}  # their designs take 10 s
+SHORT = {"dc-motor-1khz": 4, "dc-motor-h2-friction": 12, "dc-motor-hinf-friction": 35}
+SLOW = {"dc-motor-ours-mixed", "dc-motor-ours-hinf", "dc-motor-ours-integral"}  # their designs take 10 s
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in sorted(SERVED)])
 def test_a_shipped_experiment_has_the_bits_of_the_plain_engine(name: str) -> None:
-    loop = loop_of(name, *(["duration=4"] if name == "dc-motor-1khz" else []))
+    loop = loop_of(name, *([f"duration={SHORT[name]}"] if name in SHORT else []))
     assert in_lockstep(loop) and measures_in_lockstep(loop)
     same_bits(loop, range(3))
 
@@ -114,8 +115,9 @@ def test_what_a_controller_remembers_is_the_same(sets: list[str]) -> None:
         "plant={kind='dc-motor',driver={saturation_v=0.06},disturbance_through_driver=true,encoder={step_rad=0.0038}}",
         "plant.load={torque_v=0.01,start_s=2.025,stop_s=4.01}",
         "plant.friction={viscous_v_s_per_rad=0.001}",
+        "plant.friction={coulomb_v=0.0017,static_v=0.0026,stribeck_speed_rad_s=0.2}",
     ],
-    ids=["driver", "through and encoder", "load", "viscous"],
+    ids=["driver", "through and encoder", "load", "viscous", "stribeck"],
 )
 def test_a_motor_moves_the_same(plant: str) -> None:
     loop = loop_of("dc-motor-hinf", "duration=10", plant)
