@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from hil.log.growing import Growing
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Channel
 from hil.log.write.mcap_writer import MESSAGE_OVERHEAD, Heads
 
@@ -21,6 +23,7 @@ class Kept:
     Args:
         channels: the session's table.
         keep: topic to the fields that are kept, None for all; no topic with raw frames.
+        folder: where those of a long run are kept, see `Growing`.
 
     Attributes:
         schemas: of the topics, in full.
@@ -30,7 +33,7 @@ class Kept:
         ValueError: a topic that the session does not have, or that holds raw frames.
     """
 
-    def __init__(self, channels: Mapping[str, Channel], keep: Keep) -> None:
+    def __init__(self, channels: Mapping[str, Channel], keep: Keep, folder: Path | None = None) -> None:
         for topic in keep:
             if topic not in channels or channels[topic].schema.raw:
                 raise ValueError(f"keep: {topic!r} is no topic of numbers in the table of channels")
@@ -39,7 +42,7 @@ class Kept:
         self._fields = {
             topic: list((self.schemas[topic].dtype.names or ()) if fields is None else fields) for topic, fields in keep.items()
         }
-        self._parts: dict[str, list[StructuredArray]] = {topic: [] for topic in keep}
+        self._columns = {topic: Growing(self._dtype(topic), folder) for topic in keep}
         self._ids: Mapping[str, int] = {}
         self.events: list[bytes] = []
 
@@ -60,7 +63,7 @@ class Kept:
             part[TIME_FIELD] = heads["log"][own]
             for name in self._fields[topic]:
                 part[name] = records[name]
-            self._parts[topic].append(part)
+            self._columns[topic].extend(part)
         for begin, length in zip(*(a[channels == self._ids[EVENTS_TOPIC]].tolist() for a in (begins, heads["length"]))):
             self.events.append(data[begin + MESSAGE_OVERHEAD : begin + 9 + length])
 
@@ -70,8 +73,6 @@ class Kept:
 
     def arrays(self) -> dict[str, StructuredArray]:
         """Return what was kept, topic to records; the columns are empty afterwards."""
-        found = {}
-        for topic, parts in self._parts.items():
-            found[topic] = np.concatenate(parts) if parts else np.empty(0, self._dtype(topic))
-            parts.clear()
+        found = {topic: column.array() for topic, column in self._columns.items()}
+        self._columns = {topic: Growing(column.dtype) for topic, column in self._columns.items()}
         return found

@@ -36,6 +36,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from hil.log.growing import Growing
+
 MAGIC: Final = b"\x89MCAP0\r\n"
 COMPRESSION: Final = "zstd"
 
@@ -88,7 +90,8 @@ class McapWriter:
         self._channels: list[Channel] = []
         self._metadata: list[MetadataIndex] = []
         self._attachments: list[AttachmentIndex] = []
-        self._chunks: list[ChunkIndex] = []
+        self._chunks = 0
+        self._chunk_indexes = Growing(np.uint8)  # as they will stand in the summary
         self._counts: dict[int, int] = {}
         self._start: int | None = None
         self._end = 0
@@ -204,13 +207,13 @@ class McapWriter:
         length = self._stream.tell() - at
         indexes, offsets = self._indexes(heads, begins)
         self._write(indexes)
-        self._chunks.append(
-            ChunkIndex(
-                message_start_time=first, message_end_time=last, chunk_start_offset=at, chunk_length=length,
-                message_index_offsets=offsets, message_index_length=len(indexes), compression=COMPRESSION,
-                compressed_size=len(packed), uncompressed_size=len(data),
-            )
+        index = ChunkIndex(
+            message_start_time=first, message_end_time=last, chunk_start_offset=at, chunk_length=length,
+            message_index_offsets=offsets, message_index_length=len(indexes), compression=COMPRESSION,
+            compressed_size=len(packed), uncompressed_size=len(data),
         )  # fmt: skip
+        self._chunks += 1
+        self._chunk_indexes.extend(np.frombuffer(_bytes(index), np.uint8))
         self._start = first if self._start is None else min(self._start, first)
         self._end = max(self._end, last)
         self._chunk_ended(heads, data, begins)
@@ -239,26 +242,26 @@ class McapWriter:
         start = self._stream.tell()
         statistics = Statistics(
             attachment_count=len(self._attachments), channel_count=len(self._channels), channel_message_counts=self._counts,
-            chunk_count=len(self._chunks), message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
+            chunk_count=self._chunks, message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
             message_start_time=self._start or 0, message_end_time=self._end, schema_count=len(self._schemas),
         )  # fmt: skip
-        groups: tuple[tuple[Opcode, list[Any]], ...] = (
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+        groups = (
+            (Opcode.SCHEMA, b"".join(map(_bytes, self._schemas))),
+            (Opcode.CHANNEL, b"".join(map(_bytes, self._channels))),
+            (Opcode.STATISTICS, _bytes(statistics)),
+            (Opcode.CHUNK_INDEX, self._chunk_indexes.array().tobytes()),
+            (Opcode.ATTACHMENT_INDEX, b"".join(map(_bytes, self._attachments))),
+            (Opcode.METADATA_INDEX, b"".join(map(_bytes, self._metadata))),
         )
-        summary, offsets = b"", b""
-        for opcode, records in groups:
-            group = b"".join(map(_bytes, records))
-            offsets += _bytes(SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group)))
-            summary += group
-        tail = start + len(summary)
+        offsets, tail, crc = b"", start, 0
+        for opcode, group in groups:
+            offsets += _bytes(SummaryOffset(group_opcode=opcode, group_start=tail, group_length=len(group)))
+            self._stream.write(group)
+            tail += len(group)
+            crc = zlib.crc32(group, crc)
         footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, tail)
-        crc = zlib.crc32(footer, zlib.crc32(summary + offsets))
-        self._stream.write(summary + offsets)
+        crc = zlib.crc32(footer, zlib.crc32(offsets, crc))
+        self._stream.write(offsets)
         self._stream.write(_bytes(Footer(summary_start=start, summary_offset_start=tail, summary_crc=crc)))
         self._stream.write(MAGIC)
 

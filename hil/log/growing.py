@@ -1,0 +1,132 @@
+"""An array that grows at its end: in memory while it is small, in a file without a name beyond that.
+
+A long run has gigabytes of columns. What is mapped from a file can be given back to the system at any time, so that memory does
+not grow with the run.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, Final, TypeAlias, TypeVar
+
+import numpy as np
+
+Column: TypeAlias = np.ndarray[Any, np.dtype[Any]]
+T = TypeVar("T", bound=np.generic)
+
+IN_MEMORY: Final = 4 << 20
+"""Bytes up to which an array stays in memory."""
+
+PENDING: Final = 1 << 19
+"""Bytes that a longer one gathers before it writes them."""
+
+ROWS: Final = 1 << 15
+"""Rows of a piece."""
+
+
+class Growing:
+    """Rows of one dtype that come in parts.
+
+    Args:
+        dtype: of the rows; no objects.
+        folder: where the file without a name is made; the system's folder for temporary files if it cannot be made there.
+    """
+
+    def __init__(self, dtype: Any, folder: str | os.PathLike[str] | None = None) -> None:
+        self.dtype = np.dtype(dtype)
+        self._folder = folder
+        self._parts: list[Column] = []
+        self._pending = 0  # bytes in the parts
+        self._file: int | None = None
+        self._written = 0
+        self._refused = False  # the disk is full: the rest stays in memory
+
+    def __len__(self) -> int:
+        return (self._written + self._pending) // self.dtype.itemsize
+
+    def extend(self, rows: Column) -> None:
+        """Take rows; they are not copied, and must not change any more."""
+        self._parts.append(rows)
+        self._pending += rows.nbytes
+        if self._pending >= (IN_MEMORY if self._file is None else PENDING) and not self._refused:
+            self._write()
+
+    def _write(self) -> None:
+        data = memoryview(np.ascontiguousarray(np.concatenate(self._parts)).view(np.uint8))
+        try:
+            if self._file is None:
+                self._file = _nameless(self._folder)
+            done = 0
+            while done < len(data):
+                done += os.pwrite(self._file, data[done:], self._written + done)
+        except OSError:
+            self._refused = True
+            return
+        self._written += len(data)
+        self._parts, self._pending = [], 0
+
+    def array(self) -> Column:
+        """Return all rows as one array; one that is mapped from the file is read only."""
+        if self._written and self._parts and not self._refused:
+            self._write()
+        parts = [*([_mapped(self._file, self._written, self.dtype)] if self._file is not None and self._written else [])]
+        parts += self._parts
+        if not parts:
+            return np.empty(0, self.dtype)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def __del__(self) -> None:
+        if self._file is not None:
+            with suppress(OSError):
+                os.close(self._file)  # what is mapped stays
+
+
+def _nameless(folder: str | os.PathLike[str] | None) -> int:
+    if folder is not None:
+        with suppress(OSError), tempfile.TemporaryFile(dir=folder) as file:
+            return os.dup(file.fileno())
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
+
+
+def _mapped(file: int, length: int, dtype: np.dtype[Any]) -> Column:
+    return np.frombuffer(mmap.mmap(file, length, flags=mmap.MAP_SHARED, prot=mmap.PROT_READ), dtype)
+
+
+def pieces(array: np.ndarray[Any, np.dtype[T]], rows: int = ROWS) -> Iterator[np.ndarray[Any, np.dtype[T]]]:
+    """Give an array piece by piece; what a mapped one took of the memory is given back behind every piece.
+
+    Args:
+        array: any; of length 0 there is no piece.
+        rows: of a piece.
+    """
+    for start in range(0, len(array), rows):
+        yield array[start : start + rows]
+        let_go(array)
+
+
+def let_go(array: Column) -> None:
+    """Give back the memory of an array that is mapped from a file; it is read again when it is asked for."""
+    base: Any = array
+    while isinstance(base, np.ndarray):
+        base = base.base
+    if isinstance(base, memoryview):
+        base = base.obj
+    if isinstance(base, mmap.mmap) and not array.flags.writeable:  # what was written to it would be lost
+        base.madvise(mmap.MADV_DONTNEED)
+
+
+def whole(array: Column, name: str) -> Column:
+    """Return one field of a structured array as an array of its own, copied piece by piece."""
+    if len(array) <= ROWS:
+        return np.ascontiguousarray(array[name])
+    out = np.empty(len(array), array.dtype[name])
+    at = 0
+    for piece in pieces(array):
+        out[at : at + len(piece)] = piece[name]
+        at += len(piece)
+    return out
