@@ -46,7 +46,7 @@ class Growing:
         self._refused = False  # the disk is full: the rest stays in memory
 
     def __len__(self) -> int:
-        return (self._written + self._pending) // self.dtype.itemsize
+        return (self._written + self._pending) // int(self.dtype.itemsize)
 
     def extend(self, rows: Column) -> None:
         """Take rows; they are not copied, and must not change any more."""
@@ -56,7 +56,7 @@ class Growing:
             self._write()
 
     def _write(self) -> None:
-        data = memoryview(np.ascontiguousarray(np.concatenate(self._parts)).view(np.uint8))
+        data = memoryview(np.concatenate(self._parts).tobytes())
         try:
             if self._file is None:
                 self._file = _nameless(self._folder)

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from hil.log.growing import whole
 from hil.measure.measure import Quantity
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
@@ -38,13 +39,14 @@ class Haptics:
     def of(self, view: RunView) -> dict[str, float | None]:
         """Return the numbers of one run."""
         name = view.signals.tracked[0]
-        depth = np.asarray(view.run.arrays[MEASUREMENT][name], dtype=np.float64)
+        depth = np.asarray(whole(view.run.arrays[MEASUREMENT], name), dtype=np.float64)
         depth = depth[np.isfinite(depth)]
         force = np.abs(view.applied())
         force = force[np.isfinite(force)]
         last = depth[-max(round(LAST_SHARE * depth.size), 1) :]
         states = view.run.arrays[STATE]
-        given = states["given"][np.isfinite(states["given"])] if "given" in (states.dtype.names or ()) else np.zeros(0)
+        given = whole(states, "given") if "given" in (states.dtype.names or ()) else np.zeros(0)
+        given = given[np.isfinite(given)]
         return {
             "final_depth": float(last.mean()) if last.size else None,
             "largest_depth": float(depth.max()) if depth.size else None,

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hil.log.growing import pieces
 from transport.laws.modes import mode_shares, mode_transitions
 from transport.laws.statistics import law_p_value, mode_counts, transition_counts
 from transport.medium.draws import REASONS
@@ -18,7 +19,8 @@ Draws: TypeAlias = npt.NDArray[np.void]
 
 def mode_sequence(draws: Draws) -> npt.NDArray[np.int64]:
     """Return the modes that the law drew, one per slot in slot order (rows with mode < 0 book a packet's fate)."""
-    return np.asarray(draws["mode"][draws["mode"] >= 0], dtype=np.int64)
+    parts = [modes[modes >= 0].astype(np.int64) for modes in (piece["mode"] for piece in pieces(draws))]
+    return np.concatenate(parts) if parts else np.empty(0, np.int64)
 
 
 def network_metrics(
@@ -46,8 +48,8 @@ def network_metrics(
         found["mode_counts"] = mode_counts(modes, size).tolist()
         found["transition_counts"] = transition_counts(modes, size).tolist() if size else []
         found["p_value"] = _p_value(law, modes, draws)
-        codes, counts = np.unique(draws["reason"], return_counts=True)
-        fates = {reasons[c] if c < len(reasons) else str(c): int(n) for c, n in zip(codes.tolist(), counts)}
+        counts = np.sum([np.bincount(piece["reason"], minlength=256) for piece in pieces(draws)], axis=0)
+        fates = {reasons[c] if c < len(reasons) else str(c): int(counts[c]) for c in np.flatnonzero(counts).tolist()}
     found["lost"] = fates.get("lost", 0) + fates.get("overflow", 0)
     found["late"] = late
     found["duplicated"] = fates.get("duplicated", 0)

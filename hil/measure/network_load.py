@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from design.controllers import packet_samples
 from hil.compose.sensors import ordered_names
+from hil.log.growing import Growing, pieces
 from hil.measure.network import network_metrics
 from hil.measure.view import MEASUREMENT, RunView
 from transport.medium.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
@@ -41,11 +42,11 @@ def loads(view: RunView) -> tuple[Load, ...]:
     draws, e = view.run.arrays.get("/network/sc"), view.experiment
     if draws is None or e is None or not len(draws):
         return ()
-    slots = len(view.run.arrays.get(MEASUREMENT, ())) or int(draws["tick"].max()) + 1
+    slots = len(view.run.arrays.get(MEASUREMENT, ())) or max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
     seconds, outputs = slots * view.period_s, len(e.plant.outputs)
     found = []
     for number, name in enumerate(ordered_names(e) or ["sensor"]):
-        own = draws[draws["node"] == number] if e.nodes else draws
+        own = of_node(draws, number) if e.nodes else draws
         width = len(e.nodes[name].outputs) * e.nodes[name].buffer if e.nodes else outputs * packet_samples(e.controller)
         sent, lost = sent_packets(own)
         bits = 8 * sensor_length(width + outputs)
@@ -55,10 +56,20 @@ def loads(view: RunView) -> tuple[Load, ...]:
     return tuple(found)
 
 
+def of_node(draws: npt.NDArray[np.void], number: int) -> npt.NDArray[np.void]:
+    """Return the draws of one node."""
+    own = Growing(draws.dtype)
+    for piece in pieces(draws):
+        own.extend(piece[piece["node"] == number])
+    return own.array()
+
+
 def sent_packets(draws: npt.NDArray[np.void]) -> tuple[int, int]:
     """Return how many packets a node sent as far as their fate is known, and how many of them were lost."""
-    came = int(np.isin(draws["reason"], (DELIVERED, DISORDERED, SUPERSEDED)).sum())
-    lost = int((draws["reason"] == LOST).sum())
+    came = lost = 0
+    for piece in pieces(draws):
+        came += int(np.isin(piece["reason"], (DELIVERED, DISORDERED, SUPERSEDED)).sum())
+        lost += int((piece["reason"] == LOST).sum())
     return came + lost, lost
 
 
@@ -78,7 +89,7 @@ def node_metrics(view: RunView, reasons: Sequence[str]) -> dict[str, Any]:
         own = e.nodes[name].law is not None
         law = e.nodes[name].law if own else e.links.sc.law
         kind = e.kinds.get(f"nodes.{name}.law" if own else "links.sc.law", "?")
-        found[name] = network_metrics(draws[draws["node"] == number], law, kind, reasons=reasons)
+        found[name] = network_metrics(of_node(draws, number), law, kind, reasons=reasons)
         if name in load:
             found[name] |= {key: value for key, value in asdict(load[name]).items() if key != "node" and key != "lost"}
     return found

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import partial
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from hil.measure.followed import Followed, as_columns, followed
 from hil.measure.many import Many, ManyView
 from hil.measure.measure import Quantity
+from hil.measure.pairwise_sum import LEAF, pairwise_sum
 from hil.measure.signals import Signals
-from hil.measure.step_response import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, target_of
+from hil.measure.step_response import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE
 from hil.measure.tracking_many import tracking_of_many
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 
@@ -45,8 +49,7 @@ class Tracking:
 
     def of(self, view: RunView) -> dict[str, float | None]:
         """Return the numbers of one run; what would add or compare outputs (or inputs) of several units is None."""
-        t, y, r = view.tracking()
-        found = tracking_metrics(t, y, r, view.applied(), view.period_s, disturbed_at_s=view.disturbed_at_s())
+        found = metrics_of(view.followed(), _largest(view.inputs()), view.period_s, disturbed_at_s=view.disturbed_at_s())
         return found | dict.fromkeys(without_sense(view.signals))
 
     def of_many(self, view: ManyView) -> dict[str, Many]:
@@ -116,63 +119,116 @@ def tracking_metrics(
     >>> perfect["sse"], perfect["overshoot"], perfect["settling_time_s"]
     (9.0, 0.0, 0.0)
     """
-    outputs, reference = _columns(y), _columns(r)
+    u = np.asarray(u, dtype=np.float64)
+    largest = _largest(u[i : i + LEAF] for i in range(0, len(u), LEAF))
+    return metrics_of(followed(t, as_columns(y), as_columns(r)), largest, period_s, disturbed_at_s=disturbed_at_s)
+
+
+def metrics_of(
+    run: Followed, max_abs_u: float | None, period_s: float, *, disturbed_at_s: float | None = None
+) -> dict[str, float | None]:
+    """Return `tracking_metrics` of what is read in blocks.
+
+    Args:
+        run: outputs and reference.
+        max_abs_u: largest |u|.
+        period_s: sample period T in s.
+        disturbed_at_s: begin of the first input disturbance in s, None if there is none.
+    """
     none = dict.fromkeys(("sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error"))
-    found: dict[str, float | None] = {**none, "max_abs_u": _largest(np.asarray(u, dtype=np.float64))}
-    n = min(len(t), len(outputs), len(reference))
+    found: dict[str, float | None] = {**none, "max_abs_u": max_abs_u}
+    n = run.slots
     if n == 0:
         return found
-    t, outputs, reference = np.asarray(t, dtype=np.float64)[:n], outputs[:n], reference[:n]
-    changes = np.flatnonzero(np.any(reference[1:] != reference[:-1], axis=1)) + 1
-    target = target_of(reference)
+    changes = run.changes(2)
     with np.errstate(over="ignore", invalid="ignore"):
-        error = outputs - target
-        squared = np.sum(error**2, axis=1)
-        found["sse"] = _finite(period_s * float(np.sum(squared)))
-        after = t >= AFTER_S - 1e-9
-        found["sse_after_5s"] = _finite(period_s * float(np.sum(squared[after]))) if after.any() else None
-        last = error[-max(round(STEADY_SHARE * n), 1) :]
-        means = [_finite(float(np.mean(column))) for column in last.T]
-        found["steady_state_error"] = _worst(means)
-        if changes.size:
-            end = int(changes[1]) if changes.size > 1 else n
-            if disturbed_at_s is not None and disturbed_at_s > t[changes[0]]:
-                end = min(end, int(np.searchsorted(t, disturbed_at_s - 1e-9)))
-            first = int(changes[0])
-            step = reference[first] - reference[first - 1]
-            moved = step != 0.0
-            found["overshoot"] = _overshoot(error[first:end, moved], step[moved])
-            found["settling_time_s"] = _settling(t[first:end], error[first:end, moved], step[moved])
+        error = _Error(run, changes[0] if changes else 0)
+        found["sse"] = _finite(period_s * pairwise_sum(error.squared, n))
+        after = _after(run, error, AFTER_S - 1e-9)
+        found["sse_after_5s"] = None if after is None else _finite(period_s * after)
+        last = max(round(STEADY_SHARE * n), 1)
+        columns = [partial(error.output, c) for c in range(error.outputs)]
+        found["steady_state_error"] = _worst([_finite(pairwise_sum(column, last, n - last) / last) for column in columns])
+        if changes:
+            first, end = changes[0], changes[1] if len(changes) > 1 else n
+            if disturbed_at_s is not None and disturbed_at_s > run.time(first):
+                end = min(end, run.first_at(disturbed_at_s - 1e-9))
+            step = run.reference(first) - run.reference(first - 1)
+            found["overshoot"] = _overshoot(run, error, step, first, end)
+            found["settling_time_s"] = _settling(run, error, step, first, end)
     return found
 
 
-def _overshoot(error: Array, step: Array) -> float | None:
+class _Error:
+    """The error against the target: the reference, and before its first change the value that it goes to."""
+
+    def __init__(self, run: Followed, change: int) -> None:
+        self._run, self._change, self._goal = run, change, run.reference(change)
+        self.outputs = len(self._goal)
+
+    def of(self, i: int, j: int) -> Array:
+        _, y, r = self._run.of(i, j)
+        if i < self._change:
+            r = r.copy()
+            r[: self._change - i] = self._goal
+        return y - r
+
+    def squared(self, i: int, j: int) -> Array:
+        total: Array = np.sum(self.of(i, j) ** 2, axis=1)
+        return total
+
+    def output(self, column: int, i: int, j: int) -> Array:
+        return self.of(i, j)[:, column]
+
+
+def _after(run: Followed, error: _Error, begin_s: float) -> float | None:
+    """Sum of the squared error from an instant on; None if the run has ended by then."""
+    first, count = run.slots, 0
+    for i, j in run.blocks():
+        late = run.of(i, j)[0] >= begin_s
+        if first == run.slots and late.any():
+            first = i + int(np.argmax(late))
+        count += int(np.count_nonzero(late))
+    if not count:
+        return None
+    if first + count == run.slots:
+        return pairwise_sum(error.squared, count, first)
+    parts = [error.squared(i, j)[run.of(i, j)[0] >= begin_s] for i, j in run.blocks()]  # times that do not grow
+    return float(np.sum(np.concatenate(parts)))
+
+
+def _overshoot(run: Followed, error: _Error, step: Array, first: int, end: int) -> float | None:
     """Largest share of the step by which an output went beyond its target."""
-    if error.size == 0:
+    moved = step != 0.0
+    if end <= first or not moved.any():
         return None
-    return _finite(max(float(np.max(error / step)), 0.0))
+    most = [float(np.max(error.of(i, j)[:, moved] / step[moved])) for i, j in run.blocks(first, end)]
+    return _finite(max(float(np.max(most)), 0.0))
 
 
-def _settling(t: Array, error: Array, step: Array) -> float | None:
+def _settling(run: Followed, error: _Error, step: Array, first: int, end: int) -> float | None:
     """Time from the step after which every output stays within its band."""
-    if error.size == 0:
+    moved = step != 0.0
+    if end <= first or not moved.any():
         return None
-    # Not "outside the band": a NaN is not inside either.
-    outside = ~np.all(np.abs(error) <= SETTLING_BAND * np.abs(step), axis=1)
-    if outside[-max(round(SETTLED_SHARE * len(t)), 1) :].any():
+    band = SETTLING_BAND * np.abs(step[moved])
+    last = None
+    for i, j in reversed([*run.blocks(first, end)]):
+        # Not "outside the band": a NaN is not inside either.
+        outside = np.flatnonzero(~np.all(np.abs(error.of(i, j)[:, moved]) <= band, axis=1))
+        if outside.size:
+            last = i + int(outside[-1])
+            break
+    if last is None:
+        return 0.0
+    if last >= end - max(round(SETTLED_SHARE * (end - first)), 1):
         return None
-    last = np.flatnonzero(outside)
-    return float(t[last[-1] + 1] - t[0]) if last.size else 0.0
+    return run.time(last + 1) - run.time(first)
 
 
-def _columns(values: Array) -> Array:
-    array = np.asarray(values, dtype=np.float64)
-    return array[:, None] if array.ndim == 1 else array
-
-
-def _largest(values: Array) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.max(np.abs(finite))) if finite.size else None
+def _largest(blocks: Iterable[Array]) -> float | None:
+    found = [float(np.max(np.abs(finite))) for block in blocks if (finite := block[np.isfinite(block)]).size]
+    return max(found, default=None)
 
 
 def _worst(values: list[float | None]) -> float | None:

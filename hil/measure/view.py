@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,8 +11,10 @@ import numpy.typing as npt
 
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
+from hil.log.growing import ROWS, let_go, pieces, whole
 from hil.log.read.run import Run
 from hil.log.records import TIME_FIELD
+from hil.measure.followed import Followed
 from hil.measure.signals import Signals, bare, tracked_among
 
 MEASUREMENT, REFERENCE, APPLIED, TIMING = "/plant/measurement", "/reference", "/actuator/applied", "/timing/tick"
@@ -76,18 +79,53 @@ class RunView:
 
     def tracking(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return times in s (n,), tracked outputs (n, p) and their reference (n, p), of the slots that have both."""
-        measurement, reference = self.run.arrays[MEASUREMENT], self.run.arrays[REFERENCE]
         names = list(self.signals.tracked)
-        ticks = measurement["tick"]
-        if np.array_equal(ticks, reference["tick"]) and (ticks[1:] > ticks[:-1]).all():
-            return measurement[TIME_FIELD] / 1e9, matrix(measurement, names), matrix(reference, names)
+        measurement, reference = self._paired()
+        return seconds(measurement), matrix(measurement, names), matrix(reference, names)
+
+    def followed(self) -> Followed:
+        """Return the same, to be read in blocks."""
+        names = list(self.signals.tracked)
+        measurement, reference = self._paired()
+
+        def of(i: int, j: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+            y, r = measurement[i:j], reference[i:j]
+            found = seconds(y), matrix(y, names), matrix(r, names)
+            let_go(measurement)
+            let_go(reference)
+            return found
+
+        return Followed(slots=len(measurement), of=of)
+
+    def _paired(self) -> tuple[npt.NDArray[np.void], npt.NDArray[np.void]]:
+        measurement, reference = self.run.arrays[MEASUREMENT], self.run.arrays[REFERENCE]
+        if _same_slots(measurement, reference):
+            return measurement, reference
         # A torn log may hold a sample without its reference: what belongs together has one tick.
         _, i, j = np.intersect1d(measurement["tick"], reference["tick"], assume_unique=True, return_indices=True)
-        return measurement[TIME_FIELD][i] / 1e9, matrix(measurement, names)[i], matrix(reference, names)[j]
+        return measurement[i], reference[j]
 
     def applied(self) -> npt.NDArray[np.float64]:
         """Return the inputs that were applied, (n, m), without the disturbances."""
         return matrix(self.run.arrays[APPLIED], list(self.signals.inputs))
+
+    def inputs(self) -> Iterator[npt.NDArray[np.float64]]:
+        """Give the same in blocks."""
+        for piece in pieces(self.run.arrays[APPLIED]):
+            yield matrix(piece, list(self.signals.inputs))
+
+
+def _same_slots(a: npt.NDArray[np.void], b: npt.NDArray[np.void]) -> bool:
+    """Return whether two series of records have the same ticks, each once and in order."""
+    last = -1
+    if len(a) != len(b):
+        return False
+    for one, other in zip(pieces(a), pieces(b)):
+        ticks = one["tick"]
+        if not np.array_equal(ticks, other["tick"]) or (ticks[1:] <= ticks[:-1]).any() or ticks[0] <= last:
+            return False
+        last = ticks[-1]
+    return True
 
 
 def view_of(run: Run, experiment: Experiment | None = None) -> RunView:
@@ -110,7 +148,7 @@ def view_of(run: Run, experiment: Experiment | None = None) -> RunView:
 
 def seconds(array: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
     """Return the session time of every record, s."""
-    return np.asarray(array[TIME_FIELD] / 1e9, dtype=np.float64)
+    return np.asarray(whole(array, TIME_FIELD) / 1e9, dtype=np.float64)
 
 
 def signal_names(run: Run, topic: str) -> list[str]:
@@ -127,7 +165,15 @@ def signal_names(run: Run, topic: str) -> list[str]:
 
 def matrix(array: npt.NDArray[np.void], names: list[str]) -> npt.NDArray[np.float64]:
     """Return fields of a structured array as one array (n, len(names))."""
-    return np.column_stack([array[n] for n in names]).astype(np.float64, copy=False) if names else np.zeros((len(array), 0))
+    if not names:
+        return np.zeros((len(array), 0))
+    if len(array) <= ROWS:
+        return np.column_stack([array[n] for n in names]).astype(np.float64, copy=False)
+    out, at = np.empty((len(array), len(names))), 0
+    for piece in pieces(array):
+        out[at : at + len(piece)] = matrix(piece, names)
+        at += len(piece)
+    return out
 
 
 def _unit(run: Run, topic: str, name: str) -> str:
@@ -156,10 +202,13 @@ def _marks(run: Run) -> tuple[Mark, ...]:
     found = [Mark(t_s=t, label=REFERENCE_STEP) for t in _reference_steps(run)]
     applied = run.arrays.get(APPLIED)
     disturbances = [] if applied is None else [n for n in applied.dtype.names or () if n.startswith("w_")]
-    if applied is not None and disturbances and len(applied):
-        active = np.logical_or.reduce([applied[name] != 0.0 for name in disturbances])
-        begins = np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
-        found += [Mark(t_s=float(t), label=DISTURBANCE) for t in seconds(applied[begins])]
+    if applied is not None and disturbances:
+        before = False
+        for piece in pieces(applied):
+            active = np.logical_or.reduce([piece[name] != 0.0 for name in disturbances])
+            begins = np.flatnonzero(active & ~np.concatenate(([before], active[:-1])))
+            found += [Mark(t_s=float(t), label=DISTURBANCE) for t in seconds(piece[begins])]
+            before = bool(active[-1])
     for event in run.events:
         if event.get("kind") not in _BOOKKEEPING:
             severity: Severity = "neutral"
@@ -169,10 +218,10 @@ def _marks(run: Run) -> tuple[Mark, ...]:
                 severity = "error"
             found.append(Mark(t_s=float(event.get("t_s", 0.0)), label=str(event.get("kind", "event")), severity=severity))
     timing = run.arrays.get(TIMING)
-    if timing is not None and len(timing):
+    if timing is not None:
         named = {m.t_s for m in found if m.label == "late"}
-        late = seconds(timing)[timing["late"] != 0]
-        found += [Mark(t_s=float(t), label="", severity="warning") for t in late if float(t) not in named]
+        late = [t for piece in pieces(timing) for t in seconds(piece[piece["late"] != 0]).tolist()]
+        found += [Mark(t_s=t, label="", severity="warning") for t in late if t not in named]
     return tuple(found)
 
 
@@ -180,7 +229,12 @@ def _reference_steps(run: Run) -> list[float]:
     """Return the times at which the reference changed, s."""
     if REFERENCE not in run.arrays:
         return []
-    array = run.arrays[REFERENCE]
-    columns = [array[name] for name in signal_names(run, REFERENCE)]
-    steps = [column[1:] != column[:-1] for column in columns]
-    return [float(t) for t in seconds(array[np.flatnonzero(np.logical_or.reduce(steps)) + 1])] if steps else []
+    array, names = run.arrays[REFERENCE], signal_names(run, REFERENCE)
+    found: list[float] = []
+    before = np.empty((0, len(names)))
+    for piece in pieces(array):
+        rows = np.concatenate((before, matrix(piece, names)))
+        changed = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1)) + 1 - len(before)
+        found += seconds(piece[changed]).tolist()
+        before = rows[-1:]
+    return found

@@ -20,6 +20,7 @@ from transport.medium.draws import COPIED, LOST, OVERFLOW, SENT, Draw
 
 EXPECTED = 5.0
 LATENCY_BINS = 10
+_BLOCK = 1 << 18  # transitions that are counted at once
 
 Modes = NDArray[np.int64]
 
@@ -52,7 +53,10 @@ def transition_counts(modes: Modes, size: int | None = None) -> NDArray[np.int64
     [[0, 1], [1, 1]]
     """
     size = size or int(modes.max(initial=-1)) + 1
-    pairs = np.bincount(modes[:-1] * size + modes[1:], minlength=size * size)
+    pairs = np.zeros(size * size, dtype=np.int64)
+    for start in range(0, len(modes) - 1, _BLOCK):
+        block = modes[start : start + _BLOCK + 1]
+        pairs += np.bincount(block[:-1] * size + block[1:], minlength=size * size)
     return pairs.reshape(size, size)
 
 

@@ -33,7 +33,7 @@ class McapSink:
         channels: the session's table (``records.channels``).
         provenance: what stands before the first record.
         now: monotonic seconds of a clock, in real time only.
-        keep: what is also kept as columns, in memory or beside the file: topic to the fields of its records, None for all of them.
+        keep: what is also kept as columns, see `Growing`: topic to the fields of its records, None for all of them.
 
     Attributes:
         kept: what was kept of the chunks that were written.

@@ -1,0 +1,64 @@
+"""Arrays that grow in a file: the same rows, whatever was in memory and whatever the disk refused."""
+
+import os
+
+import numpy as np
+import pytest
+
+from hil.log import growing
+from hil.log.growing import IN_MEMORY, Growing, let_go, pieces, whole
+
+ROW = np.dtype([("t_ns", "<i8"), ("value", "<f8"), ("late", "u1")])
+
+
+def rows(n: int, seed: int = 0) -> np.ndarray:
+    found = np.zeros(n, ROW)
+    found["t_ns"], found["value"] = np.arange(n), np.random.default_rng(seed).standard_normal(n)
+    return found
+
+
+@pytest.mark.parametrize("n", [0, 1, 5_000, 2 * IN_MEMORY // ROW.itemsize + 17])
+def test_what_was_added_is_what_is_there(n: int, tmp_path) -> None:
+    expected, column = rows(n), Growing(ROW, tmp_path)
+    for start in range(0, n, 999):
+        column.extend(expected[start : start + 999])
+    assert len(column) == n
+    array = column.array()
+    del column  # the file is held by what is mapped
+    assert array.dtype == ROW and array.tobytes() == expected.tobytes()
+    let_go(array)
+    assert np.concatenate([np.empty(0, ROW), *pieces(array, 1000)]).tobytes() == expected.tobytes()
+    assert whole(array, "value").tobytes() == expected["value"].tobytes()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_long_array_is_no_memory_of_ours(tmp_path) -> None:
+    column = Growing(ROW, tmp_path)
+    for seed in range(2 * IN_MEMORY // (1000 * ROW.itemsize)):
+        column.extend(rows(1000, seed))
+    array = column.array()
+    assert not array.flags.owndata and not array.flags.writeable
+
+
+def test_a_full_disk_costs_memory_and_not_the_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    expected, column = rows(3 * IN_MEMORY // ROW.itemsize), Growing(ROW)
+    write, room = os.pwrite, [2]
+
+    def pwrite(*arguments) -> int:
+        room[0] -= 1
+        if room[0] < 0:
+            raise OSError(28, "No space left on device")
+        return write(*arguments)
+
+    monkeypatch.setattr(growing.os, "pwrite", pwrite)
+    for start in range(0, len(expected), 5000):
+        column.extend(expected[start : start + 5000])
+    assert room[0] < 0
+    assert column.array().tobytes() == expected.tobytes()
+
+
+def test_a_folder_that_cannot_be_written_is_not_needed(tmp_path) -> None:
+    column = Growing(ROW, tmp_path / "gone")
+    for _ in range(2):
+        column.extend(rows(IN_MEMORY // ROW.itemsize + 1))
+    assert len(column.array()) == 2 * (IN_MEMORY // ROW.itemsize + 1)

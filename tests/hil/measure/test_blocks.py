@@ -1,0 +1,44 @@
+"""What is read in blocks gives the numbers of whole arrays, bit for bit."""
+
+import numpy as np
+import pytest
+
+from hil.measure import followed, pairwise_sum, tracking
+from hil.measure.step_response import target_of
+
+BLOCK = 256  # the smallest that keeps numpy's halving: it adds up to 128 entries in eight lanes
+
+
+@pytest.fixture(autouse=True)
+def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (followed, pairwise_sum, tracking):
+        monkeypatch.setattr(module, "LEAF", BLOCK)
+
+
+def test_a_sum_by_halves_is_numpys_sum() -> None:
+    rng = np.random.default_rng(0)
+    for n in [1, 128, 255, 256, 257, 263, 264, 265, 512, 1000, 4096, 5001, *rng.integers(1, 20_000, 40).tolist()]:
+        column = rng.standard_normal(n) * 10.0 ** rng.integers(-8, 8, n)
+        assert pairwise_sum.pairwise_sum(lambda i, j, c=column: c[i:j], n) == np.sum(column)
+
+
+@pytest.mark.parametrize("outputs", [1, 2, 9])
+@pytest.mark.parametrize("change", [None, 1, 255, 256, 1500])
+def test_errors_in_blocks_are_those_of_whole_arrays(outputs: int, change: int | None) -> None:
+    rng, n, period_s = np.random.default_rng(outputs), 3001, 0.01
+    t, r = np.arange(n) * period_s, np.zeros((n, outputs))
+    if change is not None:
+        r[change:] += 3.0
+    y = r * (1.0 - np.exp(-(t - t[change or 0]).clip(0.0) / 2.0))[:, None] + 1e-3 * rng.standard_normal((n, outputs))
+    u = rng.standard_normal((n - 1, 1))
+    found = tracking.tracking_metrics(t, y, r, u, period_s)
+    error = y - target_of(r)
+    squared = np.sum(error**2, axis=1)
+    assert found["sse"] == period_s * float(np.sum(squared))
+    assert found["sse_after_5s"] == period_s * float(np.sum(squared[t >= 5.0 - 1e-9]))
+    assert found["steady_state_error"] == max((float(np.mean(c)) for c in error[-300:].T), key=abs)
+    assert found["max_abs_u"] == float(np.max(np.abs(u)))
+    if change is not None:
+        outside = np.flatnonzero(~np.all(np.abs(error[change:]) <= 0.02 * 3.0, axis=1))
+        assert found["settling_time_s"] == t[change:][outside[-1] + 1] - t[change]
+        assert found["overshoot"] == max(float(np.max(error[change:] / 3.0)), 0.0)
