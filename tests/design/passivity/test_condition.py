@@ -101,30 +101,86 @@ def hands(rng, count, least_damping=0.0):
     ]  # fmt: skip
 
 
+def characteristic_polynomials(devices, coupler, delays):
+    """Coefficients in z^-1 of den (1 + H C) + num H z^-nd for every device, wall and delay, leading one first.
+
+    The device is num/den behind its hold, the wall H = K + B (1 - z^-1)/T; the order is that of `loop.matrix` less what is
+    neither seen nor felt.
+    """
+    held = [device.discretise(PERIOD_S) for device in devices]
+    A, B = np.array([a for a, _ in held]), np.array([b for _, b in held])
+    one = np.ones(len(devices))
+    den = np.stack([one, -A[:, 0, 0] - A[:, 1, 1], A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]], axis=1)
+    num = np.stack([B[:, 0], A[:, 0, 1] * B[:, 1] - A[:, 1, 1] * B[:, 0]], axis=1)  # z^-1 and z^-2
+    rows = []
+    for wall in WALLS:
+        force = np.array([wall.stiffness_n_per_m + wall.damping_n_s_per_m / PERIOD_S, -wall.damping_n_s_per_m / PERIOD_S])
+        inner = np.convolve(force, coupler.taps_m_per_n)
+        inner[0] += 1.0
+        size = max(inner.size + 2, max(delays) + 4)
+        own = np.zeros((len(devices), size))
+        for i in range(3):
+            own[:, i : i + inner.size] += den[:, i : i + 1] * inner
+        for delay in delays:
+            whole = own.copy()
+            for i in range(2):
+                whole[:, delay + 1 + i : delay + 3 + i] += num[:, i : i + 1] * force
+            rows.append(whole)
+    return np.concatenate(rows)
+
+
+def inside(polynomials):
+    """Schur and Cohn: all roots are within the circle iff every reflection coefficient is; True only where rounding cannot lie."""
+    p = polynomials / np.abs(polynomials).max(axis=1, keepdims=True)
+    certain = np.ones(len(p), dtype=bool)
+    while p.shape[1] > 1:
+        reflection = p[:, -1] / p[:, 0]
+        certain &= np.abs(reflection) < 1.0 - 1e-7
+        p = (p - reflection[:, None] * p[:, ::-1])[:, :-1]
+        p /= np.abs(p[:, :1]) + (p[:, :1] == 0.0)
+    return certain
+
+
+def largest_root(polynomial):
+    """Modulus of the largest root, by the eigenvalues of the companion matrix."""
+    return float(np.abs(np.roots(polynomial)).max())
+
+
 def unstable(coupler, delays, count, seed):
-    rng = np.random.default_rng(seed)
-    found = 0
-    for device in hands(rng, count):
-        loop = HapticLoop(device=device, coupler=coupler, period_s=PERIOD_S, sc_max=max(delays), ca_max=0)
-        found += loop.radius(WALLS[rng.integers(len(WALLS))], int(rng.choice(delays)), 0) >= 1.0 + 1e-9
-    return found
+    """How many of the hands are unstable on some wall at some delay of the set, of how many loops."""
+    polynomials = characteristic_polynomials(hands(np.random.default_rng(seed), count), coupler, delays)
+    open_ = np.flatnonzero(~inside(polynomials))
+    bad = [i for i in open_.tolist() if largest_root(polynomials[i]) >= 1.0 + 1e-9]
+    return len({i % count for i in bad}), len(polynomials)
 
 
-def test_the_designed_coupler_is_stable_for_4000_hands_on_walls_over_delays():
-    """Error rate: none is a theorem. Power: of 400 such hands Theorem 6.1's coupler leaves most unstable."""
+def test_the_polynomials_are_those_of_the_loop_and_the_test_of_roots_tells_stable_from_unstable():
+    """Every loop of some hands against the eigenvalues of its matrix, for a coupler that is safe and one that is not."""
+    safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=DAMPING).coupler
+    told = []
+    for coupler in (safe, THEOREM_61):
+        devices = hands(np.random.default_rng(5), 3)
+        polynomials = characteristic_polynomials(devices, coupler, range(9))
+        cases = [(device, wall, delay) for wall in WALLS for delay in range(9) for device in devices]
+        for (device, wall, delay), polynomial, stable in zip(cases, polynomials, inside(polynomials).tolist(), strict=True):
+            radius = HapticLoop(device=device, coupler=coupler, period_s=PERIOD_S, sc_max=delay, ca_max=0).radius(wall, delay, 0)
+            assert largest_root(polynomial) == pytest.approx(radius, abs=1e-6)
+            assert stable == (radius < 1.0) or abs(radius - 1.0) < 1e-4
+            told.append(stable)
+    assert 0.2 < np.mean(told) < 0.9
+
+
+def test_the_designed_coupler_is_stable_for_200_hands_on_every_wall_at_every_delay():
+    """Error rate: none is a theorem. Power: Theorem 6.1's coupler leaves most of the same hands unstable."""
     coupler = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=DAMPING).coupler
-    assert unstable(coupler, list(range(9)), 4000, seed=1) == 0
-    assert unstable(THEOREM_61, list(range(1, 9)), 400, seed=1) > 200
+    assert unstable(coupler, range(9), 200, seed=1) == (0, 200 * len(WALLS) * 9)
+    assert unstable(THEOREM_61, range(1, 9), 200, seed=1)[0] > 100
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_every_hand_on_every_wall_over_every_delay():
+def test_every_one_of_4000_hands_on_every_wall_at_every_delay():
     coupler = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=DAMPING).coupler
-    for device in hands(np.random.default_rng(2), 4000):
-        loop = HapticLoop(device=device, coupler=coupler, period_s=PERIOD_S, sc_max=8, ca_max=0)
-        matrices = np.array([loop.matrix(wall, delay, 0) for wall in WALLS for delay in range(9)])
-        assert np.abs(np.linalg.eigvals(matrices)).max() < 1.0 + 1e-9, device
+    assert unstable(coupler, range(9), 4000, seed=2) == (0, 4000 * len(WALLS) * 9)
 
 
 def test_a_nonlinear_time_varying_hand_gains_no_energy_from_the_wall():
