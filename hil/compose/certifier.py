@@ -24,6 +24,7 @@ class LoopToCertify:
         model: the plant's nominal model at the sample period, and the largest delays.
         sc, ca: the delay chains of both directions; None where a law has none.
         digest: SHA-256 of everything above, in the user's words; a verdict on this loop carries it.
+        damped: whether a passivity controller at the rig may add to the command.
     """
 
     plant: Plant
@@ -32,6 +33,7 @@ class LoopToCertify:
     sc: DelayChain | None
     ca: DelayChain | None
     digest: str
+    damped: bool = False
 
 
 class Certifier(Protocol):
@@ -53,4 +55,19 @@ def limited_to_model(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     if not beyond or verdict.state == "undecided":
         return verdict
     reason = f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}"
+    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
+
+
+def limited_to_undamped(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on a loop without its passivity controller as one on the loop: only a passive loop is what it was.
+
+    Behind a controller that is certified passive with the damping of the model, the observed energy never exceeds 0, whatever the
+    hand does: sum |u|^2 <= sum |u - 2 b w|^2 is what the condition of `design.passivity.condition` says of the controller.
+    """
+    if not loop.damped or verdict.state == "undecided" or (verdict.kind == "passivity" and verdict.certified):
+        return verdict
+    reason = (
+        f"{verdict.state} without the passivity controller at the rig; not decided with what it adds to the command "
+        f"({verdict.reason})"
+    )
     return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})

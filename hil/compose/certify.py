@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from design.controllers import Controller, LoopModel
 from design.verdict import Verdict, digest
-from hil.compose.certifier import Certifier, LoopToCertify, undecided
+from hil.compose.certifier import Certifier, LoopToCertify, limited_to_undamped, undecided
 from hil.compose.historical_loop import certify_historical
 from hil.compose.jump_loop import certify_jump_loop
 from hil.compose.send_all_loop import certify_send_all
@@ -32,6 +32,8 @@ def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) 
     said = {name: resolved[name] for name in ("plant", "controller", "links", "period")}
     said["links"] = {side: said["links"][side] for side in ("sc", "ca")}  # over which link its frames go is no part of it
     said |= {name: resolved[name] for name in ("nodes", "media") if name in resolved}
+    if experiment.limits.passivity is not None:  # the other limits stop a run; this one changes it
+        said["passivity"] = resolved["limits"]["passivity"]
     law = f"{type(controller).__module__}.{type(controller).__qualname__}"  # two laws may have the same parameters
     return digest({**said, "control law": law, "A": model.A, "B": model.B, "C": model.C})
 
@@ -51,5 +53,5 @@ def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -
         if verdict is not None:
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
-            return verdict
+            return limited_to_undamped(loop, verdict)
     return undecided(loop, "mean-square stability", "there is no certificate for this kind of controller")

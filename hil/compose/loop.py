@@ -27,6 +27,7 @@ from hil.compose.certify import certify, digest_of
 from hil.compose.delay_chains import delay_chains
 from hil.compose.historical_loop import delayed_plant_of, mask_faults
 from hil.compose.jump_plant import process_of, system_of
+from hil.compose.port import Port, port_of
 from hil.compose.sensors import Sensor, Shared, node_faults, sensor_nodes, sensors_of, shared_media
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
@@ -53,6 +54,7 @@ class Loop:
         sensors: the sensor nodes, by number.
         media: what they share on their way to the controller.
         verdict: what is claimed of the closed loop, None if nobody asked.
+        port: force and position of a device under one force, None for another plant.
     """
 
     experiment: Experiment
@@ -66,6 +68,7 @@ class Loop:
     sensors: tuple[Sensor, ...]
     media: tuple[Shared, ...]
     verdict: Verdict | None
+    port: Port | None = None
 
     def __post_init__(self) -> None:
         if self.verdict is not None and self.verdict.digest != digest_of(self.experiment, self.controller, self.model):
@@ -84,7 +87,10 @@ class Loop:
         """Return the topics that a run of this loop logs."""
         plant = self.experiment.plant
         named = bool(self.experiment.nodes)
-        return channels(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows, nodes=named)
+        passivity = self.experiment.limits.passivity is not None
+        return channels(
+            states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows, nodes=named, passivity=passivity
+        )
 
     def reference(self) -> Callable[[int], tuple[float, ...]]:
         """Return the reference as a function of the slot."""
@@ -188,6 +194,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         sensors=sensors_of(experiment, samples),
         media=shared_media(experiment),
         verdict=verdict,
+        port=port_of(plant),
     )
 
 
@@ -223,6 +230,14 @@ def _faults(e: Experiment) -> list[str]:
     for name in e.limits.state:
         if name not in names:
             faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
+    if e.limits.passivity is not None:
+        port = port_of(e.plant)
+        if port is None or port.output is None:
+            taken, measured = ([f"{s.name} in {s.unit}" for s in signals] for signals in (e.plant.inputs, e.plant.outputs))
+            faults.append(
+                "limits.passivity: needs a device that takes one force and measures the position that it acts on; "
+                f"this plant takes {', '.join(taken)} and measures {', '.join(measured)}"
+            )
     return faults + node_faults(e)
 
 
@@ -246,7 +261,8 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
 def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: Any, ca: Any) -> Verdict:
     """Return the verdict on the loop that will run, or refuse the run."""
     own = digest_of(e, controller, model)
-    verdict = certify(LoopToCertify(plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own))
+    damped = e.limits.passivity is not None
+    verdict = certify(LoopToCertify(plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own, damped=damped))
     if not verdict.certified and not e.allow_uncertified:
         raise ExperimentError(
             e.name,

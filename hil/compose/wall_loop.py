@@ -7,7 +7,7 @@ from dataclasses import replace
 from design.controllers.virtual_wall import RendersWall
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
-from hil.experiment.protocols import JumpPlant
+from hil.compose.port import port_of
 
 
 def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
@@ -18,18 +18,13 @@ def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
     controller, plant = loop.controller, loop.plant
     if not isinstance(controller, RendersWall):
         return None
-    model = plant.model()
-    if isinstance(plant, JumpPlant) or model.A.shape != (2, 2) or model.B.shape != (2, 1) or model.A[0].tolist() != [0.0, 1.0]:
+    port = port_of(plant)
+    if port is None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
     from design.passivity.certificate import certify_wall
     from design.passivity.device import HeldDevice
 
-    mass = 1.0 / float(model.B[1, 0])
-    device = HeldDevice(
-        mass_kg=mass,
-        damping_n_s_per_m=-float(model.A[1, 1]) * mass,
-        hand_stiffness_n_per_m=max(-float(model.A[1, 0]) * mass, 0.0),
-    )
+    device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     verdict = certify_wall(
         device=device, wall=controller.wall, coupler=controller.coupler, period_s=loop.model.period_s, sc=loop.sc, ca=loop.ca,
         equalised=controller.equalise, material_chain=controller.wall.chain,

@@ -202,13 +202,12 @@ class Checker:
             return None
 
     def _value(self, hint: Any, value: Any, at: str) -> Any:
-        if (
-            isinstance(hint, type)
-            and isinstance(value, dict)
-            and (issubclass(hint, msgspec.Struct) or dataclasses.is_dataclass(hint))
-        ):
-            return self.table(hint, value, at, {})
         args = typing.get_args(hint)
+        kinds = [kind for kind in (hint, *args) if isinstance(kind, type) and issubclass(kind, Table)]
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+            kinds = [hint]
+        if kinds and isinstance(value, dict):  # a table, or one that may be left out
+            return self.table(kinds[0], value, at, {})
         if typing.get_origin(hint) is tuple and isinstance(value, list) and len(args) == 2 and args[1] is ...:
             return tuple(self._value(args[0], v, f"{at}[{i}]") for i, v in enumerate(value))
         try:

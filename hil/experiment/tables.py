@@ -17,7 +17,8 @@ from transport.links.link import TransportError
 from transport.links.opening import find_link
 
 __all__ = [
-    "HIDDEN", "UNITS", "Direction", "Experiment", "Limits", "Links", "Pulse", "Report", "Seconds", "Step", "Table", "Timing",
+    "HIDDEN", "UNITS", "Direction", "Experiment", "Limits", "Links", "Passivity", "Pulse", "Report", "Seconds", "Step",
+    "Table", "Timing",
 ]  # fmt: skip
 if TYPE_CHECKING:
     from design.controllers import Controller
@@ -135,6 +136,36 @@ class Links(Table, frozen=True, kw_only=True):
             yield f"uri: {error}"
 
 
+class Passivity(Table, frozen=True, kw_only=True):
+    """A passivity controller at the rig: it observes the energy that the motor gives, at the device, without the network.
+
+    Counted is what the motor gives beyond what the damping of device and hand takes, as their model says; it needs a plant that
+    takes one force and measures the position that it acts on.
+
+    Args:
+        damping_n_s_per_m: largest damping that it injects while too much was given, in the plant's unit; 0 for none. A damper
+            that is held over a sample period T is no damper beyond about 2 m/T.
+        energy_j: what may be given before it damps, in J; the rounding of packets feigns less than a microjoule.
+        trip_j: what trips the safe state when given, in J; never by default.
+    """
+
+    damping_n_s_per_m: float = 0.0
+    energy_j: float = 1e-6
+    trip_j: float | None = None
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        damping, trip = values.get("damping_n_s_per_m", 0.0), values.get("trip_j")
+        if damping < 0:
+            yield f"damping_n_s_per_m: {damping:g} is negative"
+        elif damping == 0 and trip is None:
+            yield "damping_n_s_per_m: it neither damps nor trips; give a damping, or trip_j"
+        if values.get("energy_j", 0.0) < 0:
+            yield f"energy_j: {values['energy_j']:g} is negative"
+        if trip is not None and trip <= 0:
+            yield f"trip_j: {trip:g} is not positive"
+
+
 class Limits(Table, frozen=True, kw_only=True):
     """What the rig allows, whatever the controller does; a violation latches the safe state (zero input).
 
@@ -143,12 +174,14 @@ class Limits(Table, frozen=True, kw_only=True):
         input: largest absolute command per input, in the input's unit.
         state: largest absolute value of named states, in the state's unit.
         after_trip: how long the rig goes on in the safe state before the run ends.
+        passivity: damping, or a trip, on the energy that the motor gives; off without the table.
     """
 
     watchdog_ticks: int = 3
     input: tuple[float, ...] | None = None
     state: dict[str, float] = msgspec.field(default_factory=dict)
     after_trip: Seconds = typing.cast(Seconds, 1.0)  # a plain float, for the JSON Schema
+    passivity: Passivity | None = None
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:

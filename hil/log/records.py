@@ -24,6 +24,7 @@ CDR_HEADER: Final = b"\x00\x01\x00\x00"
 """Encapsulation header of plain CDR, little endian (OMG DDSI-RTPS 2.3, table 10.3)."""
 
 EVENTS_TOPIC: Final = "/events"
+PASSIVITY_TOPIC: Final = "/actuator/passivity"
 
 TIME_FIELD: Final = "t_ns"
 """Field of a run's arrays that holds the log time; no schema has it."""
@@ -222,6 +223,7 @@ def channels(
     outputs: Sequence[SignalLike],
     n_rows: int,
     nodes: bool = False,
+    passivity: bool = False,
 ) -> dict[str, Channel]:
     """Every signal topic of a session, in the order of their numbers (``/events`` stands apart, in JSON).
 
@@ -229,6 +231,7 @@ def channels(
         states, inputs, outputs: the plant's signals, n, m and p of them, each with ``name`` and ``unit``.
         n_rows: rows of the longest control packet that the selection rule can demand.
         nodes: sensor nodes are named: what the network decided says about which of them.
+        passivity: the rig has a passivity controller: what it saw and did is logged.
 
     Returns:
         Topic to channel.
@@ -263,6 +266,11 @@ def channels(
             _f64("work_us", "us", "time spent in the slot, waiting excluded"), _tick,
             _u8("late", "no packet before the deadline"), _u8("overrun", "the slot ended after its period"))),
     )
+    if passivity:
+        table += ((PASSIVITY_TOPIC, "ActuatorPassivity", (
+            _f64("energy", "J", "given by the motor beyond what damping takes"),
+            _f64("damping", "1", "injected, force per speed of the device"),
+            _f64("force", u[0].unit, "injected on top of the command"), _tick)),)  # fmt: skip
     found = {}
     for number, (topic, name, fields) in enumerate(table, 1):
         try:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from design.controllers.virtual_wall import RendersWall
 from design.controllers.wall import Wall
 from hil.compose.loop import Loop
+from hil.log.records import PASSIVITY_TOPIC
 from hil.measure.avatar import AvatarPath, avatar_path, wall_loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, RunView, seconds
 from hil.report.html.figures import Block, Figure, Marker, Scene, Section, Series, Shape
@@ -80,22 +81,27 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
                 note="What the motor gave beyond what damping takes: 0 behind a coupler that is safe.",
             )
         )  # fmt: skip
+    damper = run.arrays.get(PASSIVITY_TOPIC)
+    if damper is not None:
+        injected = Series(label="injected damping", x=seconds(damper), y=damper["damping"], style="step", colour=5)
+        found.append(
+            Figure(
+                title="Passivity controller at the rig", series=(injected,), y_label="damping", y_unit="N s/m", markers=marks,
+                y_range=None if np.nanmax(damper["damping"], initial=0.0) > 0.0 else (0.0, 1.0),
+                note="What the rig added by itself, while more energy was given than is allowed.",
+            )
+        )  # fmt: skip
     return found
 
 
 def _margin(loop: Loop, controller: RendersWall) -> Figure | None:
-    model = loop.experiment.plant.model()
-    if model.A.shape != (2, 2) or model.A[0].tolist() != [0.0, 1.0]:
+    port = loop.port
+    if port is None:
         return None
     from design.passivity.device import HeldDevice
     from design.passivity.loop import HapticLoop
 
-    mass = 1.0 / float(model.B[1, 0])
-    device = HeldDevice(
-        mass_kg=mass,
-        damping_n_s_per_m=-float(model.A[1, 1]) * mass,
-        hand_stiffness_n_per_m=max(-float(model.A[1, 0]) * mass, 0.0),
-    )
+    device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     own = loop.model.tau_max + loop.model.d_max
     delays = list(range(own + FURTHER + 1))
     felt = HapticLoop(

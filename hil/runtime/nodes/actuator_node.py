@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, cast
 
+from hil.runtime.nodes.port_damper import Injected, PortDamper
 from hil.runtime.nodes.safety import Safety
 from transport.packets import SELECTIONS, ControlPacket
 
@@ -42,6 +43,7 @@ class Applied(NamedTuple):
         row: index of the row, -1 if none was applied.
         status: OK, HOLD, NONE_YET or SAFE.
         tripped: why safety tripped in this slot, None if it did not.
+        injected: what the passivity controller saw and did, None without one.
     """
 
     u: tuple[float, ...]
@@ -50,6 +52,7 @@ class Applied(NamedTuple):
     row: int
     status: int
     tripped: str | None
+    injected: Injected | None = None
 
 
 class ActuatorNode:
@@ -59,10 +62,12 @@ class ActuatorNode:
         inputs: number m of inputs.
         d_max: largest age of a packet that its rows cover, samples.
         safety: limits and watchdog, latched.
+        damper: passivity controller at the port of a device with one input.
     """
 
-    def __init__(self, inputs: int, d_max: int, safety: Safety) -> None:
-        self._d_max, self._safety = d_max, safety
+    def __init__(self, inputs: int, d_max: int, safety: Safety, damper: PortDamper | None = None) -> None:
+        self._d_max, self._safety, self._damper = d_max, safety, damper
+        self._command: tuple[float, ...] = (0.0,) * inputs  # without what the damper adds
         self._zero = (0.0,) * inputs
         self._held: ControlPacket | None = None
         self._held_tick = -1
@@ -82,9 +87,19 @@ class ActuatorNode:
         """
         return self._latch(self._safety.check_state(state))
 
+    def feel(self, position: float, force: float) -> str | None:
+        """Let the passivity controller see what the motor did; return the reason when it trips.
+
+        Args:
+            position: where the device is now, as measured.
+            force: what the motor put out in the slot before.
+        """
+        reason = None if self._damper is None else self._damper.observe(position, force)
+        return None if reason is None else self._latch(self._safety.trip(reason))
+
     def _latch(self, reason: str | None) -> str | None:
         if reason is not None:
-            self.u = self._zero
+            self.u = self._command = self._zero
         return reason
 
     def apply(self, k: int, arrivals: Iterable[tuple[int, object]]) -> Applied:
@@ -112,7 +127,14 @@ class ActuatorNode:
                 reason = self._safety.check_command(u)
                 if reason is None:
                     self._safety.fed()
-                    self.u = u
+                    self.u = self._command = u
         if self._latch(reason) is not None:
             row, status = -1, SAFE
-        return Applied(self.u, g, d, row, status, reason)
+        if self._damper is None:
+            return Applied(self.u, g, d, row, status, reason)
+        if status == SAFE:
+            injected = Injected(self._damper.energy_j, 0.0, 0.0)
+        else:
+            put_out, injected = self._damper.damp(self._command[0])
+            self.u = (put_out,)
+        return Applied(self.u, g, d, row, status, reason, injected)

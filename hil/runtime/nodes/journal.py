@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import nan
 
-from hil.log.records import Channel
+from hil.log.records import PASSIVITY_TOPIC, Channel
 from hil.log.write.sinks import Sink, record_to
 from hil.runtime.nodes.actuator_node import Applied
+from hil.runtime.nodes.port_damper import Injected
 from transport.medium.draws import Draw
 from transport.packets import ControlPacket
 
@@ -31,6 +32,7 @@ class Journal:
         self._rows = self._log["/controller/rows"]
         self._sensor = self._log["/link/sensor"]
         self._control = self._log["/link/control"]
+        self._passivity = self._log.get(PASSIVITY_TOPIC)
         self._row_values = row_values
 
     def sensed(self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float]) -> None:
@@ -65,8 +67,13 @@ class Journal:
     def applied(self, t_ns: int, k: int, applied: Applied, w: Sequence[float]) -> None:
         """Record what the actuator applied in slot k, and the disturbance w that comes on top."""
         if self._u:
-            u, packet_tick, d, row, status, _ = applied
+            u, packet_tick, d, row, status, *_ = applied
             self._u(t_ns, *u, *w, k, packet_tick, d, row, status)
+
+    def injected(self, t_ns: int, k: int, injected: Injected) -> None:
+        """Record what the passivity controller saw and did in slot k."""
+        if self._passivity:
+            self._passivity(t_ns, *injected, k)
 
     def answered(self, t_ns: int, k: int, packet: ControlPacket, data: bytes) -> None:
         """Record the control packet that answered slot k in time."""

@@ -16,6 +16,7 @@ from hil.log.write.sinks import Sink
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answers import Answers
 from hil.runtime.nodes.journal import Journal
+from hil.runtime.nodes.port_damper import damper_of
 from hil.runtime.nodes.safety import Safety
 from hil.runtime.nodes.sensor_node import SensorNode
 from hil.runtime.nodes.triggers import trigger_of
@@ -59,7 +60,9 @@ class Rig:
         self._uplink = uplink_of(loop, seed, float(e.period), deadline_s)
         self._downlink: Medium = IndependentChannels([impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)])
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
-        self.actuator = ActuatorNode(inputs, loop.model.d_max, Safety(e.limits.input, limits, e.limits.watchdog_ticks))
+        safety = Safety(e.limits.input, limits, e.limits.watchdog_ticks)
+        self._port = loop.port.output if loop.port is not None and e.limits.passivity is not None else None
+        self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop))
         self._journal = Journal(sink, channels, loop.rows * inputs)
         self._wire = wire or VIRTUAL
         self.answers = Answers(inputs, loop.model.d_max, self._journal, self._wire)
@@ -121,6 +124,8 @@ class Rig:
             journal.draws("/network/sc", t_ns, self._sent[0][0])
         journal.asked(t_ns, k, frames)
         self._note_trip(t_ns, self.actuator.watch(state))
+        if self._port is not None:
+            self._note_trip(t_ns, self.actuator.feel(self._y[self._port], self._plant.applied[0]))
 
     def hear(self, data: bytes) -> bool:
         """Take one frame from the link; return True when it answers the current slot."""
@@ -146,6 +151,8 @@ class Rig:
         self._w = self._disturbance(k)
         journal = self._journal
         journal.applied(t_ns, k, applied, self._w)
+        if applied.injected is not None:
+            journal.injected(t_ns, k, applied.injected)
         journal.draws("/network/ca", t_ns, draws)
         if packet is not None:
             journal.answered(t_ns, k, packet, self.answers.data)

@@ -34,9 +34,9 @@ class Safety:
         if self.tripped is None:
             for i, name, bound in self._states:
                 if not abs(state[i]) <= bound:
-                    return self._trip(f"{name} = {state[i]:.4g} is beyond its limit {bound:g}")
+                    return self.trip(f"{name} = {state[i]:.4g} is beyond its limit {bound:g}")
             if not math.isfinite(sum(state)):
-                return self._trip("the plant's state is not finite")
+                return self.trip("the plant's state is not finite")
         return None
 
     def check_command(self, u: Sequence[float]) -> str | None:
@@ -44,7 +44,7 @@ class Safety:
         if self.tripped is None and self._inputs is not None:
             for i, (value, bound) in enumerate(zip(u, self._inputs)):
                 if abs(value) > bound:
-                    return self._trip(f"command {i} = {value:.4g} is beyond its limit {bound:g}")
+                    return self.trip(f"command {i} = {value:.4g} is beyond its limit {bound:g}")
         return None
 
     def fed(self) -> None:
@@ -55,9 +55,16 @@ class Safety:
         """No usable command in this slot; return the reason when this trips the watchdog."""
         self._missing += 1
         if self.tripped is None and self._missing >= self._watchdog_ticks:
-            return self._trip(f"watchdog: {self._missing} slots in a row without a usable command")
+            return self.trip(f"watchdog: {self._missing} slots in a row without a usable command")
         return None
 
-    def _trip(self, reason: str) -> str:
+    def trip(self, reason: str) -> str | None:
+        """Latch the safe state for a reason; return it if nothing tripped before.
+
+        Args:
+            reason: in words.
+        """
+        if self.tripped is not None:
+            return None
         self.tripped = reason
         return reason
