@@ -203,7 +203,7 @@ class Checker:
 
     def _value(self, hint: Any, value: Any, at: str) -> Any:
         args = typing.get_args(hint)
-        kinds = [kind for kind in (hint, *args) if isinstance(kind, type) and issubclass(kind, Table)]
+        kinds: list[type] = [kind for kind in (hint, *args) if isinstance(kind, type) and issubclass(kind, Table)]
         if isinstance(hint, type) and dataclasses.is_dataclass(hint):
             kinds = [hint]
         if kinds and isinstance(value, dict):  # a table, or one that may be left out
