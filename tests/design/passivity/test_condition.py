@@ -130,7 +130,7 @@ def characteristic_polynomials(devices, coupler, delays):
 
 
 def inside(polynomials):
-    """Schur and Cohn: all roots are within the circle iff every reflection coefficient is; True only where rounding cannot lie."""
+    """Schur and Cohn: all roots are within the circle iff every reflection coefficient is; True where rounding cannot lie."""
     p = polynomials / np.abs(polynomials).max(axis=1, keepdims=True)
     certain = np.ones(len(p), dtype=bool)
     while p.shape[1] > 1:
