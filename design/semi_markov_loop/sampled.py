@@ -3,10 +3,11 @@
     dx/dt = A_i x + B_i u,    u(t) = K(r, h) x((k - tau) T) computed in slot k, held over [(k + d) T, (k + d + 1) T)
 
 The mode i jumps at any instant; the controller sees it (Chapter 2), or a detected mode r with a clock of its own (Chapter 4), at
-the samples only, and counts the sojourn h from its first sight in whole periods. Two proofs:
+the samples only, and counts the sojourn h from its first sight in whole periods. Three proofs:
 
 - one process: ``sojourn_renewal``, the second moments from one seen change to the next, between two sides; certifies and refuses;
-- failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues.
+- failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues;
+- a state delay inside the plant: ``sampled_delayed_state``, a Lyapunov function over the phase of a period; certifies only.
 
 What neither decides is undecided, with the reason. References: thesis (2.16)-(2.17), (4.1)-(4.3), sampled.
 """
@@ -23,6 +24,7 @@ from design.errors import FieldError
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.period_moments import TooLarge
+from design.semi_markov_loop.sampled_delayed_state import delayed_decrease
 from design.semi_markov_loop.sampled_detection import DetectionLoop, lyapunov_decrease, slowest_growth
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded
@@ -65,11 +67,11 @@ def sampled_verdict(
     late = [_constant(name, delay) for name, delay in (("tau", tau), ("d", d))]
     if late[0] is None or late[1] is None:
         return _undecided("the delay is random; the sampled jump loop is decided under constant delays only")
-    if isinstance(system, DelayedJumpSystem):
-        if system.ad.any():
-            return _undecided("the state is delayed inside the plant; sampled feedback of such a plant is not decided")
-        system = JumpSystem(a=system.a, b=system.b)
     try:
+        if isinstance(system, DelayedJumpSystem):
+            if system.ad.any():
+                return _delayed(system, process, gain, period_s, late[0], late[1])
+            system = JumpSystem(a=system.a, b=system.b)
         if isinstance(process, FaultDetection):
             return _detection(system, process, gain, period_s, late[0], late[1])
         return _renewal(system, process, gain, period_s, late[0], late[1], initial)
@@ -90,7 +92,7 @@ def _undecided(reason: str) -> Verdict:
     return Verdict(kind="mean-square stability", state="undecided", reason=reason, method="sampled jump loop")
 
 
-def _check(modes: int, system: JumpSystem, gain: ScheduledGain) -> None:
+def _check(modes: int, system: JumpSystem | DelayedJumpSystem, gain: ScheduledGain) -> None:
     expected, got = (modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
     if got != expected:
         raise FieldError("gain", f"(modes, inputs, states) = {got}, expected {expected}")
@@ -155,6 +157,31 @@ def _decided(state: State, what: str, number: float, assumed: tuple[str, ...], m
         kind="mean-square stability", state=state, reason=f"{what} from one seen change of the mode to the next", number=number,
         quantity="spectral radius of the second moments per seen sojourn", limit=1.0, assumptions=assumed,
         method="sampled jump loop: sojourns between proved sides", details={"modes": [mode + 1 for mode in modes]},
+    )  # fmt: skip
+
+
+def _delayed(
+    system: DelayedJumpSystem, process: SemiMarkov | FaultDetection, gain: ScheduledGain, period_s: float, tau: int, d: int
+) -> Verdict:
+    if isinstance(process, FaultDetection):
+        return _undecided("a delay inside the plant together with a detected mode is not decided")
+    if process.modes != system.modes:
+        raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
+    _check(system.modes, system, gain)
+    if gain.schedule != "hold":
+        return _undecided("a gain that is linear in the sojourn time is not decided beside a delay inside the plant")
+    if not all(np.isfinite(process.bounds(mode, 0.0, math.inf)[1]).all() for mode in range(process.modes)):
+        return _undecided("a rate has no finite bound")
+    undelayed = JumpSystem(a=system.a, b=system.b)
+    loop = SampledLoop(system=undelayed, process=process, gain=gain, period_s=period_s, tau=tau, d=d)
+    found = delayed_decrease(system, loop)
+    proved = found.margin > MARGIN and found.slack >= 0.0
+    return Verdict(
+        kind="mean-square stability", state="certified" if proved else "undecided", number=-found.margin, limit=0.0,
+        reason=f"{'a' if proved else 'no'} Lyapunov function falls within every period and at every sample: {found.explain()}",
+        quantity="largest eigenvalue of the change of V per second and at a sample",
+        method="sampled jump loop with a delay inside: Lyapunov function over the phase of a period",
+        assumptions=(*_ASSUMED, "in every mode the delay is a function of time that grows at most by its slope"),
     )  # fmt: skip
 
 

@@ -11,9 +11,6 @@ from design.as_printed.examples import (
     chapter2_gain,
     chapter2_process,
     chapter2_system,
-    chapter3_gain,
-    chapter3_process,
-    chapter3_system,
     chapter4_process,
     chapter4_seen_gain,
     chapter4_system,
@@ -185,9 +182,6 @@ def test_what_the_theory_does_not_know_is_undecided():
     assert sampled_verdict(system, process, gain, period_s=0.005, tau=random).state == "undecided"
     constant = DelayChain(transition=[[1.0]], delays=[1])
     assert sampled_verdict(system, process, gain, period_s=0.02, d=constant).certified
-    delayed = sampled_verdict(chapter3_system(), chapter3_process(), chapter3_gain(), period_s=0.01)
-    assert delayed.state == "undecided"
-    assert "delayed inside the plant" in delayed.reason
     endless = SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=0.5)), (constant_rate(1.0), None)))
     assert sampled_verdict(system, endless, gain, period_s=0.005).state == "undecided"
     assert sampled_verdict(system, process, gain, period_s=0.005, tau=200).state == "undecided"

@@ -1,0 +1,103 @@
+"""A delay inside the plant, sampled feedback: certified up to the limits that are known in closed form, and no further."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3_system
+from design.controllers.scheduled_gain import ScheduledGain, constant_gain
+from design.processes.rates import PiecewiseLinearRate, WeibullRate, constant_rate
+from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop.sampled import sampled_verdict
+from design.semi_markov_loop.system import DelayedJumpSystem
+from design.verdict import Verdict
+
+ONE = SemiMarkov(rates=((None,),))
+RAMP = PiecewiseLinearRate(times_s=(0.0, 1.0), values=(0.5, 3.0))
+
+
+def scalar(a: list[float], ad: list[float], slopes: list[float], b: float = 1.0) -> DelayedJumpSystem:
+    modes = len(a)
+    column = [np.array(values).reshape(modes, 1, 1) for values in (a, ad)]
+    one = np.ones((modes, 1, 1))
+    return DelayedJumpSystem(
+        a=column[0], ad=column[1], b=b * one, e=one, c=one, delay_max_s=2.0, delay_slopes=np.array(slopes)
+    )  # fmt: skip
+
+
+def judged(system: DelayedJumpSystem, process: SemiMarkov, gain: list[float], **network: int) -> Verdict:
+    table = constant_gain(np.array(gain).reshape(-1, 1, 1))
+    return sampled_verdict(system, process, table, period_s=0.05, **network)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.6])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_one_mode_is_certified_up_to_the_limit_of_a_delay_that_grows(slope: float, sign: float) -> None:
+    """x' = -x + g x(t - tau), tau' <= h: the condition is |g| < sqrt(1 - h), here from both sides."""
+    limit = math.sqrt(1.0 - slope)
+    states = [judged(scalar([-1.0], [sign * share * limit], [slope]), ONE, [0.0]).state for share in (0.97, 1.03)]
+    assert states == ["certified", "undecided"]
+
+
+def test_modes_that_jump_may_read_one_instant_once_in_every_mode() -> None:
+    """Two equal modes, delays that differ: |g| < (1 / (1 - h_1) + 1 / (1 - h_2))^(-1/2), below what either alone allows."""
+    process = SemiMarkov(rates=((None, RAMP), (constant_rate(2.0), None)))
+    limit = (1.0 / (1.0 - 0.2) + 1.0 / (1.0 - 0.6)) ** -0.5
+    states = [
+        judged(scalar([-1.0, -1.0], [share * limit] * 2, [0.2, 0.6]), process, [0.0, 0.0]).state for share in (0.97, 1.03)
+    ]
+    assert states == ["certified", "undecided"]
+
+
+def test_feedback_that_is_sampled_and_late_decides() -> None:
+    """x' = 0.5 x + 0.2 x(t - tau) + u, u = -k x(t_k - D T): k = 2 holds it, k = 0 does not, k = 2 late by 16 periods does not."""
+    system = scalar([0.5], [0.2], [0.3])
+    assert judged(system, ONE, [-2.0]).certified
+    assert judged(system, ONE, [-2.0], tau=1, d=1).certified
+    assert judged(system, ONE, [0.0]).state == "undecided"
+    assert judged(system, ONE, [-2.0], tau=8, d=8).state == "undecided"
+    assert judged(system, ONE, [-45.0]).state == "undecided"  # 1 - 45 T < -1: too much for the period
+
+
+def test_rates_decide_which_mode_weighs() -> None:
+    """Mode 1 grows, mode 2 falls: certified where mode 1 is left quickly, not where it is left slowly."""
+
+    def state(leave: float) -> str:
+        process = SemiMarkov(rates=((None, constant_rate(leave)), (constant_rate(1.0), None)))
+        return judged(scalar([0.5, -2.0], [0.1, 0.1], [0.3, 0.3]), process, [0.0, 0.0]).state
+
+    assert [state(8.0), state(1.5)] == ["certified", "undecided"]
+
+
+def test_every_section_of_the_gain_counts() -> None:
+    process = SemiMarkov(rates=((None, RAMP), (RAMP, None)))
+    system = scalar([0.5, 0.5], [0.1, 0.1], [0.3, 0.3])
+    for late, state in ((-3.0, "certified"), (1.0, "undecided")):
+        gain = np.array([[[[-2.0]], [[-3.0]]], [[[-2.0]], [[late]]]])
+        table = ScheduledGain(gain=gain, starts_s=np.array([[0.0, 0.5], [0.0, 0.5]]))
+        assert sampled_verdict(system, process, table, period_s=0.05).state == state
+
+
+def test_the_helicopter_is_certified_at_its_period_by_a_margin_that_is_stated() -> None:
+    system, process, gain = chapter3_system(), chapter3_process(), chapter3_gain()
+    found = sampled_verdict(system, process, gain, period_s=0.01)
+    assert found.certified and found.number is not None and found.number < -1e-3
+    assert found.limit == 0.0 and any("slope" in assumption for assumption in found.assumptions)
+
+
+def test_what_the_proof_does_not_know_is_undecided_with_its_size_or_reason() -> None:
+    system, process, gain = chapter3_system(), chapter3_process(), chapter3_gain()
+    late = sampled_verdict(system, process, gain, period_s=0.01, tau=2, d=2)
+    assert late.state == "undecided" and "unknowns" in late.reason
+    endless = SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=0.5)), (constant_rate(1.0), None)))
+    two = scalar([-1.0, -1.0], [0.1, 0.1], [0.0, 0.0])
+    assert "finite bound" in judged(two, endless, [0.0, 0.0]).reason
+    linear = ScheduledGain(gain=np.zeros((2, 2, 1, 1)), starts_s=np.array([[0.0, 1.0]] * 2), schedule="linear")
+    assert "linear" in sampled_verdict(two, constant_two(), linear, period_s=0.05).reason
+
+
+def constant_two() -> SemiMarkov:
+    return SemiMarkov(rates=((None, constant_rate(1.0)), (constant_rate(1.0), None)))
