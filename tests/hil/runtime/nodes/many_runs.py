@@ -1,0 +1,55 @@
+"""Many runs at once of sensor nodes with random turns: the rig's numbers, bit for bit, in the order in which it adds them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import HistoryGains
+from hil.compose.loop import Loop
+from hil.runtime.streams import rng_for
+from plants.delayed_states import DelayedStates
+
+Array = NDArray[np.float64]
+
+
+def states_of_many(loop: Loop, seeds: range, slots: int) -> Array:
+    """Return x(k) of every run, (slots, n, runs): gains on the packet of the slot, which comes at once or never.
+
+    Args:
+        loop: a delayed plant under gains with ``uses = "current-packet"``, its nodes on one random medium, no delay.
+        seeds: one run each.
+        slots: how many, slot 0 included.
+    """
+    plant, controller, nodes = loop.experiment.plant, loop.controller, loop.model.sensors
+    assert isinstance(plant, DelayedStates) and isinstance(controller, HistoryGains) and nodes is not None
+    assert nodes.turns is not None and nodes.turns.transition and set(nodes.delays) == {0} and not loop.ca_law.age  # type: ignore[attr-defined]
+    assert controller.uses == "current-packet" and all(len(own) == 1 for own in nodes.outputs)
+    K, turns = controller.history(), nodes.turns
+    n, runs = len(plant.A), len(seeds)
+    drawn = np.array([rng_for(seed, f"medium.{loop.media[0].name}").random(2 * slots) for seed in seeds])
+    rows = [[a for matrix in (plant.A, *plant.delayed) for a in matrix[i]] for i in range(n)]
+    past = [np.full(runs, v) for v in (*plant.initial_state, *[0.0] * (n * len(plant.delayed)))]
+    shares, matrix = np.cumsum(turns.initial), np.cumsum(turns.transition, axis=1)
+    states, node = np.empty((slots, n, runs)), np.zeros(runs, dtype=int)
+    for k in range(slots):
+        states[k] = past[:n]
+        row = np.broadcast_to(shares, (runs, n)) if k == 0 else matrix[node]
+        node = np.minimum((drawn[:, 2 * k, None] * row[:, -1:] >= row).sum(axis=1), n - 1)
+        heard = drawn[:, 2 * k + 1] >= turns.loss
+        u = np.zeros(runs)
+        for i, own in enumerate(nodes.outputs):
+            here, total = heard & (node == i), np.zeros(runs)
+            for j in range(min(K.shape[1], k + 1)):
+                if K[i, j, 0, own[0]] != 0.0:
+                    total = total + K[i, j, 0, own[0]] * states[k - j, own[0]].astype(np.float32).astype(float)
+            u = np.where(here, total, u)
+        u = u.astype(np.float32).astype(float)
+        moved = []
+        for i in range(n):
+            x, forced = np.zeros(runs), plant.B[i][0] * u
+            for a, v in zip(rows[i], past):
+                x = x + a * v
+            moved.append(x + forced)
+        past = [*moved, *past[:-n]]
+    return states
