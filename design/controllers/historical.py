@@ -77,16 +77,17 @@ class Historical:
         phases = phase_count(nodes.turns)
         if len(K) != phases:
             raise FieldError("gains", f"{len(K)} phases, but the schedule has {phases}")
-        if self.uses == "current-packet" and (nodes.turns is None or len(set(nodes.delays)) != 1 or None in nodes.delays):
+        alone = nodes.turns is not None and not nodes.turns.heard  # one packet in a slot
+        if self.uses == "current-packet" and (not alone or len(set(nodes.delays)) != 1 or None in nodes.delays):
             raise FieldError("uses", "the current packet is defined where nodes take turns and all have one constant delay")
-        if nodes.turns is not None and not nodes.turns.order and self.uses == "history":
+        if nodes.turns is not None and nodes.turns.transition and self.uses == "history":
             raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
         return HistoricalRun(K, nodes, self.uses)
 
 
 def phase_count(turns: Turns | None) -> int:
-    """Return the number of phases of a schedule: turns of a cycle, nodes of random turns, 1 where all send in every slot."""
-    return 1 if turns is None else len(turns.order) or len(turns.transition)
+    """Return the number of phases of a schedule: slots of a cycle, nodes of random turns, 1 where all send in every slot."""
+    return 1 if turns is None else turns.phases
 
 
 def phase_at(turns: Turns | None, k: int) -> int:
@@ -95,7 +96,7 @@ def phase_at(turns: Turns | None, k: int) -> int:
     >>> [phase_at(Turns(order=(0, 1, 2), phase=1), k) for k in range(4)]
     [1, 2, 0, 1]
     """
-    return 0 if turns is None or not turns.order else (k + turns.phase) % len(turns.order)
+    return 0 if turns is None or not turns.cycle else (k + turns.phase) % turns.phases
 
 
 class HistoricalRun:

@@ -54,7 +54,7 @@ class FromSamples(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turns:
-    """Who may send when: a cycle of known phase, or a Markov chain.
+    """Who is heard when: a cycle of known phase, one node after the other or as a bus with arbitration has it, or a Markov chain.
 
     Args:
         order: round robin: nodes in the order of their turns; empty where the turns are random.
@@ -62,6 +62,8 @@ class Turns:
         transition: random: Pr(next node | last node), row by row; empty for a cycle.
         initial: random: probability of each node in slot 0.
         loss: probability that what is sent in a slot is lost.
+        heard: a bus: in every slot of its cycle the (node, age) that it carries, age in slots of the newest sample; slot 0 is the
+            first of the cycle.
     """
 
     order: tuple[int, ...] = ()
@@ -69,6 +71,17 @@ class Turns:
     transition: tuple[tuple[float, ...], ...] = ()
     initial: tuple[float, ...] = ()
     loss: float = 0.0
+    heard: tuple[tuple[tuple[int, int], ...], ...] = ()
+
+    @property
+    def cycle(self) -> tuple[tuple[tuple[int, int], ...], ...]:
+        """In every slot of a cycle the (node, age) that is heard, empty for random turns."""
+        return self.heard or tuple(((node, 0),) for node in self.order)
+
+    @property
+    def phases(self) -> int:
+        """Number of phases: slots of a cycle, nodes of random turns."""
+        return len(self.heard) or len(self.order) or len(self.transition)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,8 +94,9 @@ class SensorNodes:
         buffers: per node the samples of a packet.
         delays: per node the constant delay of its packets, in slots; None where the delay changes or packets get lost on the way.
         turns: who may send when; None where every node sends in every slot.
-        silent: nodes that may let their turn pass, by their trigger.
+        silent: nodes that may let their turn pass, by their trigger or their clock.
         mixed: some nodes share a medium and others do not, or there are several media.
+        unforeseen: why nobody knows beforehand who is heard when, empty where it is known.
     """
 
     names: tuple[str, ...]
@@ -92,6 +106,7 @@ class SensorNodes:
     turns: Turns | None = None
     silent: tuple[str, ...] = ()
     mixed: bool = False
+    unforeseen: str = ""
 
 
 @runtime_checkable

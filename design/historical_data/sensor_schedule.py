@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
 from design.errors import FieldError
-from design.historical_data.information import Information, Mask
+from design.historical_data.information import Mask
 from design.historical_data.lifted_loop import cycle
 
 Array = npt.NDArray[np.float64]
@@ -43,17 +43,18 @@ def mask_of(nodes: SensorNodes, memory: int, uses: Uses) -> Mask:
                 f"{buffer} samples that are {delay} slots late, but the gains reach back {memory} slots only",
             )
     turns = nodes.turns
-    count = 1 if turns is None else len(turns.order) or len(turns.transition)
+    count = 1 if turns is None else turns.phases
+    cycle = () if turns is None else turns.cycle
     known = np.zeros((count, memory + 1, outputs), dtype=bool)
     for n, (own, buffer, delay) in enumerate(zip(nodes.outputs, nodes.buffers, delays)):
         if turns is None:
             known[0, delay:, list(own)] = True
             continue
-        if uses == "history" and turns.order:
-            order = Information(nodes=tuple(range(len(delays))), order=turns.order, buffer=buffer, memory=memory, delay=delay)
+        if uses == "history" and cycle:
             for i in range(count):
-                for e in order.newest(i, n):
-                    known[i, e : e + buffer, list(own)] = True
+                for e in range(delay, memory + 1):
+                    for age in [age for node, age in cycle[(i - e) % count] if node == n]:
+                        known[i, e + age : e + age + buffer, list(own)] = True
             continue
         for i in range(count):  # a phase of the current packet is the turn in which it was sent
             if (turns.order[i] if turns.order else i) == n:
@@ -69,9 +70,9 @@ def lossy(turns: Turns | None) -> bool:
 def phase_chain(nodes: SensorNodes) -> Array | None:
     """Return the transition matrix of the phases, those in which nothing came last; None for a cycle without loss."""
     turns = nodes.turns
-    if turns is None or (turns.order and not turns.loss):
+    if turns is None or (turns.cycle and not turns.loss):
         return None
-    plain = cycle(len(turns.order)) if turns.order else np.array(turns.transition)
+    plain = cycle(turns.phases) if turns.cycle else np.array(turns.transition)
     return np.kron([[1.0 - turns.loss, turns.loss]] * 2, plain) if turns.loss else plain
 
 
@@ -80,9 +81,9 @@ def phases_at_start(nodes: SensorNodes, uses: Uses) -> Array:
     turns = nodes.turns
     if turns is None:
         return np.ones(1)
-    if turns.order:
+    if turns.cycle:
         late = (nodes.delays[0] or 0) if uses == "current-packet" else 0
-        start = np.eye(len(turns.order))[(turns.phase - late) % len(turns.order)]
+        start = np.eye(turns.phases)[(turns.phase - late) % turns.phases]
     else:
         start = np.array(turns.initial)
     return np.kron([1.0 - turns.loss, turns.loss], start) if turns.loss else start
@@ -97,6 +98,8 @@ def undecided_because(nodes: SensorNodes, uses: Uses) -> str:
     """Return what about the nodes the theory does not know, empty if nothing; a trigger is the caller's to look at."""
     if nodes.mixed:
         return "the theory knows nodes that all share one medium, or that all send when they will"
+    if nodes.unforeseen:
+        return nodes.unforeseen
     if None in nodes.delays:
         return "the theory knows constant delays of sensor packets only"
     if uses == "history" and lossy(nodes.turns):

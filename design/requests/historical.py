@@ -58,16 +58,17 @@ class HistoricalDesigned:
         if plant is None or task.initial_state is None:
             raise FieldError("kind", "needs a plant in slots whose state is measured, with a cost (state_delays, cost_weights)")
         uses: Literal["history", "current-packet"] = "history" if self.uses == "history" else "current-packet"
-        if self.uses == "history" and nodes.turns is not None and not nodes.turns.order:
+        if self.uses == "history" and nodes.turns is not None and nodes.turns.transition:
             raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
         unknown = undecided_because(nodes, uses)
         if unknown:
             raise FieldError("kind", unknown)
-        if self.uses != "history" and nodes.turns is None:
-            raise FieldError("uses", "where no node waits for its turn, everything is in the current packets: uses = 'history'")
+        if self.uses != "history" and (nodes.turns is None or nodes.turns.heard):
+            raise FieldError("uses", "where several packets come in a slot, gains are over all that has come: uses = 'history'")
         late = max(delay or 0 for delay in nodes.delays)
-        cycle = len(nodes.turns.order) if nodes.turns is not None and uses == "history" else 1
-        memory = max(cycle - 1, 0) + max(nodes.buffers) - 1 + late if self.memory is None else self.memory
+        cycle = nodes.turns.cycle if nodes.turns is not None and uses == "history" else ()
+        waited = max((age for slot in cycle for _, age in slot), default=0)
+        memory = max(len(cycle) - 1, 0) + waited + max(nodes.buffers) - 1 + late if self.memory is None else self.memory
         try:
             mask = mask_of(nodes, memory, uses)
         except ValueError as error:

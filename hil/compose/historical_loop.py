@@ -73,7 +73,7 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
         return undecided(loop, KIND, "the theory knows a plant that does not jump and whose state is measured")
     unknown = undecided_because(nodes, controller.uses)
     if nodes.silent:
-        unknown = f"the theory does not know the event triggers of the nodes {', '.join(nodes.silent)}"
+        unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"
     if unknown:
         return undecided(loop, KIND, unknown)
     if loop.ca is None or loop.ca.max_delay:

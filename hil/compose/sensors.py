@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from design.controllers import SensorNodes, Turns
+from hil.compose.bus_schedule import bus_cycle
 from hil.experiment import Experiment
-from hil.experiment.nodes import Medium, TriggerTable
+from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import BoundedAge, prepare, slots_served
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
@@ -26,6 +27,7 @@ class Sensor:
         buffer: samples in one packet.
         trigger: when it sends.
         law: network from it to the controller.
+        clock: in which slots it has something to send.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Sensor:
     buffer: int
     trigger: TriggerTable
     law: Any
+    clock: ClockTable
 
     @property
     def stream(self) -> str:
@@ -110,7 +113,8 @@ def sensors_of(e: Experiment, samples: int) -> tuple[Sensor, ...]:
         samples: samples per packet of the only node, where none is named.
     """
     if not e.nodes:
-        return (Sensor(name="", outputs=None, buffer=samples, trigger=TriggerTable(), law=prepare(e.links.sc.law)),)
+        only = prepare(e.links.sc.law)
+        return (Sensor(name="", outputs=None, buffer=samples, trigger=TriggerTable(), law=only, clock=ClockTable()),)
     index = {s.name: i for i, s in enumerate(e.plant.outputs)}
     return tuple(
         Sensor(
@@ -119,6 +123,7 @@ def sensors_of(e: Experiment, samples: int) -> tuple[Sensor, ...]:
             buffer=e.nodes[name].buffer,
             trigger=e.nodes[name].trigger,
             law=prepare(e.links.sc.law if e.nodes[name].law is None else e.nodes[name].law),
+            clock=e.nodes[name].clock,
         )
         for name in ordered_names(e)
     )
@@ -140,19 +145,25 @@ def sensor_nodes(e: Experiment) -> SensorNodes | None:
         return None
     sensors, shared = sensors_of(e, 1), shared_media(e)
     mixed = len(shared) > 1 or any(set(medium.nodes) != set(range(len(sensors))) for medium in shared)
+    on_bus = bool(shared) and not mixed and shared[0].table.kind == "can-arbitration"
+    turns = _turns(shared[0], sensors) if shared and not mixed else None
     return SensorNodes(
         names=tuple(s.name for s in sensors),
         outputs=tuple(s.outputs or () for s in sensors),
         buffers=tuple(s.buffer for s in sensors),
         delays=tuple(_constant_delay(s.law) for s in sensors),
-        turns=_turns(shared[0]) if shared and not mixed else None,
-        silent=tuple(s.name for s in sensors if s.trigger.kind != "every-slot"),
+        turns=turns if isinstance(turns, Turns) else None,
+        silent=tuple(s.name for s in sensors if s.trigger.kind != "every-slot" or (s.clock.every > 1 and not on_bus)),
         mixed=mixed,
+        unforeseen=turns if isinstance(turns, str) else "",
     )
 
 
-def _turns(shared: Shared) -> Turns:
+def _turns(shared: Shared, sensors: Sequence[Sensor]) -> Turns | str:
     table = shared.table
+    if table.kind == "can-arbitration":
+        heard = bus_cycle([s.clock for s in sensors], table.frames)
+        return heard if isinstance(heard, str) else Turns(heard=heard, loss=table.loss)
     if table.kind == "round-robin":
         return Turns(order=shared.nodes, phase=table.phase, loss=table.loss)
     place = {node: i for i, node in enumerate(shared.nodes)}

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from hil.experiment.table import Table
 
 LONGEST_BUFFER = 255
+LONGEST_CYCLE = 1_000_000
 TOLERANCE = 1e-9
 
 
@@ -34,6 +35,40 @@ class TriggerTable(Table, frozen=True, kw_only=True):
             yield f"threshold: missing; a trigger of kind {kind!r} needs one"
 
 
+class ClockTable(Table, frozen=True, kw_only=True):
+    """In which slots a sensor node has a packet to send, by its own clock.
+
+    Args:
+        every: slots from one packet to the next.
+        phase: slot of the first one, from 0.
+        random_phase: drawn once a run instead, any phase as likely as another.
+        jitter: every packet is late by 0 to this many slots, drawn anew each time; less than ``every``.
+    """
+
+    every: int = 1
+    phase: int = 0
+    random_phase: bool = False
+    jitter: int = 0
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        every, phase, jitter = values.get("every", 1), values.get("phase", 0), values.get("jitter", 0)
+        if not 1 <= every <= LONGEST_CYCLE:
+            yield f"every: {every} slots, expected 1 to {LONGEST_CYCLE}"
+            return
+        if not 0 <= phase < every:
+            yield f"phase: {phase}, expected 0 to every - 1 = {every - 1}"
+        if phase and values.get("random_phase"):
+            yield "phase: it is drawn (random_phase), so that none is given"
+        if not 0 <= jitter < every:
+            yield f"jitter: {jitter} slots, expected 0 to every - 1 = {every - 1}"
+
+    @property
+    def drawn(self) -> bool:
+        """Whether the clock draws random numbers."""
+        return self.random_phase or self.jitter > 0
+
+
 class Node(Table, frozen=True, kw_only=True):
     """A sensor node: what it measures, how many samples it sends at once, and when.
 
@@ -42,6 +77,7 @@ class Node(Table, frozen=True, kw_only=True):
         id: number of the node in its packets, from 0; by default its position in the file.
         buffer: samples in one packet, the newest first.
         trigger: when the node sends.
+        clock: in which slots it has something to send; by default in every one.
         law: the network from this node to the controller; by default that of ``links.sc``, with draws of its own.
     """
 
@@ -49,6 +85,7 @@ class Node(Table, frozen=True, kw_only=True):
     id: int | None = None
     buffer: int = 1
     trigger: TriggerTable = TriggerTable()
+    clock: ClockTable = ClockTable()
     law: Any = None
 
     @staticmethod
@@ -64,23 +101,26 @@ class Node(Table, frozen=True, kw_only=True):
 
 
 class Medium(Table, frozen=True, kw_only=True):
-    """What some sensor nodes share: one of them may send in a slot. A node that no medium names sends when it will.
+    """What some sensor nodes share. A node that no medium names sends when it will.
 
     Args:
-        kind: ``round-robin`` (in the order of ``nodes``, again and again), ``random`` or ``independent`` (all in every
-            slot).
+        kind: ``round-robin`` (one in a slot, in the order of ``nodes``, again and again), ``random`` (one in a slot, by chance),
+            ``can-arbitration`` (the lowest ``id`` wins; who loses waits, and its newer sample replaces the waiting one) or
+            ``independent`` (all in every slot).
         nodes: names of the nodes, for ``round-robin`` in the order of their turns (a node may have several).
         phase: ``round-robin``: position in the order in slot 0, from 0.
         probabilities: ``random``: probability of each node, independent in every slot; by default all are alike.
         matrix: ``random``: instead, Pr(next node | last node); slot 0 is drawn from ``probabilities``.
-        loss: probability that what is sent is lost on the medium, independent in every slot.
+        frames: ``can-arbitration``: frames that the bus carries in a slot.
+        loss: probability that what is sent is lost on the medium, independent in every slot, or of every frame.
     """
 
-    kind: Literal["independent", "round-robin", "random"]
+    kind: Literal["independent", "round-robin", "random", "can-arbitration"]
     nodes: tuple[str, ...]
     phase: int = 0
     probabilities: tuple[float, ...] = ()
     matrix: tuple[tuple[float, ...], ...] = ()
+    frames: int = 1
     loss: float = 0.0
 
     @staticmethod
@@ -90,6 +130,10 @@ class Medium(Table, frozen=True, kw_only=True):
             yield "nodes: empty"
         if not 0.0 <= values.get("loss", 0.0) < 1.0:
             yield f"loss: {values['loss']:g}, expected a probability below 1"
+        if not 1 <= values.get("frames", 1) <= LONGEST_BUFFER:
+            yield f"frames: {values['frames']} in a slot, expected 1 to {LONGEST_BUFFER}"
+        elif kind != "can-arbitration" and values.get("frames", 1) != 1:
+            yield "frames: for a can-arbitration medium only"
         if kind == "independent" and values.get("loss"):
             yield "loss: an independent medium loses nothing; the law of the node does"
         if kind != "round-robin" and values.get("phase"):

@@ -16,6 +16,7 @@ REASONS: tuple[str, ...] = (
     "absent",  # the law points at a packet that was never offered (late or not sent)
     "sent",  # packet law: on its way, with this latency
     "copied",  # packet law: a second copy on its way, with its own latency
+    "replaced",  # on a bus with arbitration: a newer packet of its node took its place before the bus was free
 )
 """Names of the reason codes: `REASONS[draw.reason]`."""
 
@@ -31,6 +32,7 @@ REASONS: tuple[str, ...] = (
     ABSENT,
     SENT,
     COPIED,
+    REPLACED,
 ) = range(len(REASONS))
 
 NO_MODE = -1
@@ -46,10 +48,12 @@ class Draw(NamedTuple):
 
     Attributes:
         tick: slot k in which it was decided.
-        packet_tick: slot g in which the packet was sent, -1 when there is no packet.
+        packet_tick: slot g in which the packet was sent, -1 when there is no packet; on a bus with arbitration the slot of its
+            newest sample, from which on it waited for the bus.
         mode: mode of the law, or `NO_MODE`.
         age: slots; in a draw of an age law the age that the law demands, otherwise `tick - packet_tick`
-            (for "sent" and "copied": at arrival); -1 where it has no meaning.
+            (for "sent" and "copied": at arrival; on a bus with arbitration: since the bus carried it); -1 where it has no
+            meaning.
         latency_s: seconds on the way; for age laws age times T; NaN where it has no meaning.
         reason: index into `REASONS`.
     """

@@ -38,7 +38,7 @@ def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
     for reasons, label, colour in (((DELIVERED, DISORDERED), "heard", 0), ((LOST,), "lost", 4)):
         own = draws[np.isin(draws["reason"], reasons)]
         if len(own):
-            at, who = own["packet_tick"] * view.period_s, own["node"].astype(np.float64)
+            at, who = (own["tick"] - own["age"]) * view.period_s, own["node"].astype(np.float64)
             spoke.append(Series(label=label, x=at, y=who, style="points", colour=colour))
     ages = tuple(
         Series(label=name, x=t, y=newest_ages(draws, i, slots), style="step", colour=i % 8) for i, name in enumerate(names)

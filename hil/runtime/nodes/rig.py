@@ -20,7 +20,7 @@ from hil.runtime.nodes.port_damper import damper_of
 from hil.runtime.nodes.safety import Safety
 from hil.runtime.nodes.sensor_node import SensorNode
 from hil.runtime.nodes.triggers import trigger_of
-from hil.runtime.nodes.uplink import fresh, uplink_of
+from hil.runtime.nodes.uplink import clock_of, fresh, uplink_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
 from transport.medium.independent import impair
@@ -56,7 +56,7 @@ class Rig:
         self._plant = e.plant.start(rng_for(seed, "plant"))
         self._several = bool(e.nodes)
         self._samples = [sensor.buffer for sensor in loop.sensors]
-        self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger)) for s in loop.sensors)
+        self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.sensors)
         self._uplink = uplink_of(loop, seed, float(e.period), deadline_s)
         self._downlink: Medium = IndependentChannels([impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)])
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]

@@ -10,12 +10,20 @@ class Trigger(Protocol):
     """Decides whether a sensor node sends."""
 
     def sends(self, k: int, y: Sequence[float]) -> bool:
-        """Return whether the node sends in slot k; called in order, in every slot in which its medium lets it send.
+        """Return whether the node sends in slot k; called in order, in every slot in which its clock and its medium let it.
 
         Args:
             k: slot.
             y: what the node has just measured, in the outputs' units.
         """
+        ...
+
+
+class Clock(Protocol):
+    """Says in which slots a sensor node has something to send."""
+
+    def due(self, k: int) -> bool:
+        """Return whether it has; called in order, in every slot."""
         ...
 
 
@@ -36,10 +44,14 @@ class SensorNode:
         outputs: indices of the plant's outputs that this node measures, None for all of them.
         buffer: samples n in one packet.
         trigger: decides whether the node sends.
+        clock: says in which slots it has something to send; None: in every one.
     """
 
-    def __init__(self, outputs: Sequence[int] | None, buffer: int, trigger: Trigger) -> None:
+    def __init__(
+        self, outputs: Sequence[int] | None, buffer: int, trigger: Trigger, clock: Clock | None = None
+    ) -> None:  # fmt: skip
         self._outputs, self._samples, self._sends = outputs, buffer, trigger.sends
+        self._due = None if clock is None else clock.due
         self._buffer: tuple[float, ...] = ()
 
     def measure(self, k: int, y: tuple[float, ...], turn: bool = True) -> tuple[float, ...] | None:
@@ -52,4 +64,5 @@ class SensorNode:
         """
         own = y if self._outputs is None else tuple([y[i] for i in self._outputs])
         self._buffer = (own + self._buffer)[: len(own) * self._samples] if k else own * self._samples
-        return self._buffer if turn and self._sends(k, own) else None
+        due = self._due is None or self._due(k)
+        return self._buffer if due and turn and self._sends(k, own) else None

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.compose.loop import Loop
-from hil.compose.sensors import Shared
+from hil.compose.sensors import Sensor, Shared
 from hil.runtime.streams import rng_for
+from transport.medium.arbitration import ArbitratedBus
 from transport.medium.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.medium.independent import impair
 from transport.medium.medium import Delivery, IndependentChannels, Medium
+from transport.medium.sample_clock import SampleClock
 from transport.medium.scheduled import RandomTurns, RoundRobin, ScheduledMedium, Turns
+from transport.medium.split import SplitMedium
 
 _CAME = frozenset((DELIVERED, DISORDERED, DUPLICATED))
 
@@ -27,14 +30,42 @@ def uplink_of(loop: Loop, seed: int, period_s: float, deadline_s: float) -> Medi
     channels = [impair(s.law, rng_for(seed, s.stream), period_s, deadline_s) for s in loop.sensors]
     if not loop.media:
         return IndependentChannels(channels)
-    return ScheduledMedium(channels, [(shared.nodes, _turns(shared, seed)) for shared in loop.media])
+    parts: list[tuple[Sequence[int], Medium]] = []
+    turning = []
+    for shared in loop.media:
+        if shared.table.kind != "can-arbitration":
+            turning.append(shared)
+            continue
+        nodes = sorted(shared.nodes)  # a lower identifier wins
+        rng = rng_for(seed, f"medium.{shared.name}")
+        parts.append((nodes, ArbitratedBus([channels[i] for i in nodes], shared.table.frames, shared.table.loss, rng)))
+    on_a_bus = {node for nodes, _ in parts for node in nodes}
+    others = [i for i in range(len(channels)) if i not in on_a_bus]
+    schedules = [([others.index(node) for node in shared.nodes], _turns(shared, others, seed)) for shared in turning]
+    parts.append((others, ScheduledMedium([channels[i] for i in others], schedules)))
+    return SplitMedium(parts) if on_a_bus else parts[0][1]
 
 
-def _turns(shared: Shared, seed: int) -> Turns:
+def clock_of(sensor: Sensor, seed: int) -> SampleClock | None:
+    """Return the clock of a sensor node, None for one that has something to send in every slot.
+
+    Args:
+        sensor: the node.
+        seed: seed of the run.
+    """
+    table = sensor.clock
+    if table.every == 1:
+        return None
+    rng = rng_for(seed, f"clock.{sensor.name}") if table.drawn else None
+    return SampleClock(every=table.every, phase=None if table.random_phase else table.phase, jitter=table.jitter, rng=rng)
+
+
+def _turns(shared: Shared, others: Sequence[int], seed: int) -> Turns:
     table, rng = shared.table, rng_for(seed, f"medium.{shared.name}")
+    nodes = [others.index(node) for node in shared.nodes]
     if table.kind == "round-robin":
-        return RoundRobin(shared.nodes, table.phase, table.loss, rng)
-    return RandomTurns(shared.nodes, table.transition(), table.shares(), table.loss, rng)
+        return RoundRobin(nodes, table.phase, table.loss, rng)
+    return RandomTurns(nodes, table.transition(), table.shares(), table.loss, rng)
 
 
 def fresh(sent: Sequence[Delivery]) -> list[Delivery]:
