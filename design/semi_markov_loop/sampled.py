@@ -3,10 +3,11 @@
     dx/dt = A_i x + B_i u,    u(t) = K(r, h) x((k - tau) T) computed in slot k, held over [(k + d) T, (k + d + 1) T)
 
 The mode i jumps at any instant; the controller sees it (Chapter 2), or a detected mode r with a clock of its own (Chapter 4), at
-the samples only, and counts the sojourn h from its first sight in whole periods. Three proofs:
+the samples only, and counts the sojourn h from its first sight in whole periods. Four proofs:
 
 - one process: ``sojourn_renewal``, the second moments from one seen change to the next, between two sides; certifies and refuses;
 - failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues;
+- a loop too large for either: ``sampled_growth``, a quadratic form that grows while the mode stays; refuses only;
 - a state delay inside the plant: ``sampled_delayed_state``, a Lyapunov function over the phase of a period; certifies only.
 
 What neither decides is undecided, with the reason. References: thesis (2.16)-(2.17), (4.1)-(4.3), sampled.
@@ -26,6 +27,7 @@ from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.period_moments import TooLarge
 from design.semi_markov_loop.sampled_delayed_state import delayed_decrease
 from design.semi_markov_loop.sampled_detection import DetectionLoop, lyapunov_decrease, slowest_growth
+from design.semi_markov_loop.sampled_growth import growth_while_it_stays
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded
 from design.verdict import State, Verdict
@@ -76,7 +78,9 @@ def sampled_verdict(
             return _detection(system, process, gain, period_s, late[0], late[1])
         return _renewal(system, process, gain, period_s, late[0], late[1], initial)
     except TooLarge as error:
-        return _undecided(str(error))
+        if isinstance(system, DelayedJumpSystem) or system.uncertainty is not None:
+            return _undecided(str(error))
+        return _growing(system, process, gain, period_s, late[0], late[1], initial) or _undecided(str(error))
 
 
 def _constant(name: str, delay: int | DelayChain) -> int | None:
@@ -157,6 +161,34 @@ def _decided(state: State, what: str, number: float, assumed: tuple[str, ...], m
         kind="mean-square stability", state=state, reason=f"{what} from one seen change of the mode to the next", number=number,
         quantity="spectral radius of the second moments per seen sojourn", limit=1.0, assumptions=assumed,
         method="sampled jump loop: sojourns between proved sides", details={"modes": [mode + 1 for mode in modes]},
+    )  # fmt: skip
+
+
+def _growing(
+    system: JumpSystem,
+    process: SemiMarkov | FaultDetection,
+    gain: ScheduledGain,
+    period_s: float,
+    tau: int,
+    d: int,
+    initial: int | None,
+) -> Verdict | None:
+    """The refusal of a loop that is too large for its second moments, where it is unstable while a mode stays; None elsewhere."""
+    real = process.failure if isinstance(process, FaultDetection) else process
+    loop = SampledLoop(system=system, process=real, gain=gain, period_s=period_s, tau=tau, d=d)
+    modes = list(range(system.modes)) if initial is None else sorted(_reached(real, initial))
+    growth = 0.0
+    for mode in modes:
+        # a seen mode stays with its last gain; of a fault nothing is seen, and any gain of any detected mode may act
+        held = gain.gain.reshape(-1, *gain.gain.shape[2:]) if isinstance(process, FaultDetection) else gain.gain[mode, -1:]
+        growth = max(growth, growth_while_it_stays(loop, mode, list(held), float(real.bounds(mode, 0.0, math.inf)[1].sum())))
+    if growth <= 1.0 + TOLERANCE:
+        return None
+    return Verdict(
+        kind="mean-square stability", state="refused", number=growth, limit=1.0, assumptions=_ASSUMED,
+        quantity="lower bound of the growth of the second moments per period",
+        reason=f"second moments are multiplied by at least {growth:.6g} per period, by the paths on which the mode stays",
+        method="sampled jump loop: a quadratic form that grows while the mode stays",
     )  # fmt: skip
 
 
