@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +16,11 @@ from design.controllers import packet_samples
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
+from hil.log.growing import Growing, pieces, whole
 from hil.log.read.arrays import StructuredArray
-from hil.log.read.export import FRAME_TOPICS, measured_ns
+from hil.log.read.export import FRAME_TOPICS, measured_frames
 from hil.log.read.run import Run
-from hil.log.write.sinks import MemorySink
+from hil.replay_compare import BATCH, Comparison, in_time
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
@@ -27,6 +29,9 @@ from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport.links.opening import open_link
 from transport.packets import ControlPacket, SensorPacket, decode
+
+REMEMBERED = 4096
+"""Slots beyond the longest delay of which answers are kept."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,16 +55,44 @@ def experiment_of(run: Run, source: str) -> Experiment:
     return experiment_from_resolved(run.resolved, run.experiment_text, source)
 
 
-def _answers(loop: Loop, run: Run) -> dict[int, bytes]:
-    """Feed the recorded sensor frames to the loop's controller; return its answer per slot."""
+def _frames(pieces: Iterator[StructuredArray]) -> Iterator[tuple[int, bytes]]:
+    """Give slot and bytes of every frame."""
+    for piece in pieces:
+        yield from zip(piece["tick"].tolist(), map(bytes, piece["data"]))
+
+
+def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
+    """Feed the recorded sensor frames to the loop's controller; give the slot and its answer."""
     node = ControlNode(loop)
-    out = {}
-    frames = run.arrays["/link/sensor"]
-    for tick, data in zip(frames["tick"].tolist(), frames["data"]):
-        answer = node.hear(bytes(data))
+    for tick, data in _frames(run.pieces("/link/sensor", BATCH)):
+        answer = node.hear(data)
         if answer is not None:
-            out[tick] = answer
-    return out
+            yield tick, answer
+
+
+class Heard:
+    """The control packets that arrived in time, asked for slot by slot.
+
+    Args:
+        run: the log.
+    """
+
+    def __init__(self, run: Run) -> None:
+        numbers = in_time(run.numbers("/link/control"))
+        ticks = whole(numbers, "tick")
+        self.slots = np.unique(ticks)
+        frames = _frames(map(in_time, run.pieces("/link/control", BATCH)))
+        # A dict keeps the last of one slot; in a log that is in order it need hold no more than the slot at hand.
+        self._held: dict[int, bytes] = {} if (ticks[1:] >= ticks[:-1]).all() else dict(frames)
+        self._frames = frames
+        self._next = next(self._frames, None)
+
+    def get(self, k: int) -> bytes | None:
+        """Return the packet of a slot; slots are asked for in order."""
+        while self._next is not None and self._next[0] <= k:
+            self._held = {self._next[0]: self._next[1]}
+            self._next = next(self._frames, None)
+        return self._held.get(k)
 
 
 class Recorded:
@@ -67,11 +100,11 @@ class Recorded:
 
     Args:
         loop: the composed experiment.
-        heard: slot to the control packet that arrived in time.
+        heard: the control packets that arrived in time.
         foreign: somebody else's controller answered; ours is not asked.
     """
 
-    def __init__(self, loop: Loop, heard: Mapping[int, bytes], foreign: bool) -> None:
+    def __init__(self, loop: Loop, heard: Heard, foreign: bool) -> None:
         self._node, self._heard, self._foreign = ControlNode(loop), heard, foreign
         self._period_ns = loop.experiment.period_ns
         self._answer: bytes | None = None
@@ -96,12 +129,25 @@ class Recorded:
 
 def _wire(run: Run) -> Wire:
     """Return version and nonces of the recorded questions."""
-    frames = run.arrays["/link/sensor"]
-    asked = {tick: decode(bytes(data)) for tick, data in zip(frames["tick"].tolist(), frames["data"])}
-    questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
-    if all(packet.version == 1 for packet in questions.values()):
+    slots, nonces, versions = Growing(np.int64), Growing(np.uint64), set()
+    for piece in run.pieces("/link/sensor", BATCH):
+        asked = {tick: decode(bytes(data)) for tick, data in zip(piece["tick"].tolist(), piece["data"])}
+        questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
+        versions |= {packet.version for packet in questions.values()}
+        slots.extend(np.fromiter(questions, np.int64, len(questions)))
+        nonces.extend(np.fromiter((packet.nonce for packet in questions.values()), np.uint64, len(questions)))
+    if versions <= {1}:
         return VERSION_1
-    return Wire(version=2, nonce=lambda k: questions[k].nonce if k in questions else 0)
+    ticks, numbers = slots.array(), nonces.array()
+    if (ticks[1:] < ticks[:-1]).any():
+        order = np.argsort(ticks, kind="stable")
+        ticks, numbers = ticks[order], numbers[order]
+
+    def nonce(k: int) -> int:
+        at = int(np.searchsorted(ticks, k, side="right")) - 1
+        return int(numbers[at]) if at >= 0 and ticks[at] == k else 0
+
+    return Wire(version=2, nonce=nonce)
 
 
 def verify(run: Run, source: str = "log") -> Verdict:
@@ -115,16 +161,15 @@ def verify(run: Run, source: str = "log") -> Verdict:
     experiment = experiment_of(run, source)
     loop = compose(experiment, certify=False)
     foreign = run.session.get("external_controller") == "True"
-    applied = run.arrays["/actuator/applied"]["tick"]
+    applied = run.numbers("/actuator/applied")
     if not len(applied):
         raise HilError(f"{source}: the log holds no slots")
     ended = any(event["kind"] == "outcome" for event in run.events)
-    slots = int(applied[-1]) + ended  # the last slot of a rig that was killed may be torn
-    control = _in_time(run.arrays["/link/control"])
-    heard = dict(zip(control["tick"].tolist(), map(bytes, control["data"])))
-
-    again = MemorySink(loop.channels())
-    rig = Rig(loop, int(run.metadata["seed"]), again, loop.channels(), lambda: None, _wire(run))
+    slots = int(applied["tick"][-1]) + ended  # the last slot of a rig that was killed may be torn
+    heard = Heard(run)
+    channels = loop.channels()
+    again = Comparison(run, channels, sorted(topic for topic in channels if topic != "/timing/tick"), slots)
+    rig = Rig(loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, _wire(run))
     recorded = Recorded(loop, heard, foreign)
     slot = Slot(rig, recorded, stopped=lambda: recorded.difference is not None)
     for k in range(slots):
@@ -132,37 +177,14 @@ def verify(run: Run, source: str = "log") -> Verdict:
         if recorded.difference is not None:
             slots = k
             break
+        if k % BATCH == BATCH - 1:
+            again.compare()
+    again.compare()
     differences = [] if recorded.difference is None else [recorded.difference]
-    now = Run.from_memory(again).arrays
-    for topic in sorted(now):
-        if topic != "/timing/tick":
-            difference = _first_difference(topic, _in_time(run.arrays[topic]), now[topic], slots)
-            differences += [difference] if difference is not None else []
+    differences += again.differences(slots)
     first, text = min(differences, default=(slots, None))
-    return Verdict(answers=0 if foreign else sum(k < first for k in heard), states=min(first, slots), difference=text)
-
-
-def _in_time(records: StructuredArray) -> StructuredArray:
-    return records[records["late"] == 0] if "late" in (records.dtype.names or ()) else records
-
-
-def _first_difference(topic: str, recorded: StructuredArray, now: StructuredArray, slots: int) -> tuple[int, str] | None:
-    """Return the first slot below ``slots`` in which two series of records differ, and how."""
-    recorded, now = recorded[recorded["tick"] < slots], now[now["tick"] < slots]
-    n = min(len(recorded), len(now))
-    a, b = recorded[:n], now[:n]
-    names = [name for name in now.dtype.names or () if name != "tick"]
-    differs = {name: (a[name] != b[name]) & ((a[name] == a[name]) | (b[name] == b[name])) for name in ["tick", *names]}
-    where = np.flatnonzero(np.any([*differs.values()], axis=0))
-    if not where.size and len(recorded) == len(now):
-        return None
-    i = int(where[0]) if where.size else n
-    if i >= n or differs["tick"][i]:
-        missing = i < len(now) and (i >= len(recorded) or recorded["tick"][i] > now["tick"][i])
-        slot = int((now if missing else recorded)["tick"][i])
-        return slot, f"{topic}: a record of slot {slot} is {'missing' if missing else 'there that should not be'}"
-    name, slot = next(name for name in names if differs[name][i]), int(now["tick"][i])
-    return slot, f"{topic} of slot {slot}: {name} = {a[name][i]} recorded, {b[name][i]} now"
+    answers = 0 if foreign else int(np.count_nonzero(heard.slots < first))
+    return Verdict(answers=answers, states=min(first, slots), difference=text)
 
 
 def _words(data: bytes | None) -> str:
@@ -183,25 +205,46 @@ def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[s
     )
     if other.samples != (carried := packet_samples(experiment.controller)):
         raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")
-    answers = {tick: decode(data) for tick, data in _answers(other, run).items()}
-    applied = run.arrays["/actuator/applied"]
+    applied = run.numbers("/actuator/applied")
     names = [f[2:] for f in applied.dtype.names or () if f.startswith("w_")]
-    d_max, selection = other.model.d_max, other.start_controller().selection
-    d = applied["d"].tolist()
-    rows = []
-    for k, g, status in zip(applied["tick"].tolist(), applied["packet_tick"].tolist(), applied["status"].tolist()):
-        packet = answers.get(g)
-        if status != OK or not isinstance(packet, ControlPacket):
-            rows.append((math.nan,) * len(names))
-            continue
-        rows.append(packet.rows[row_index(selection, k - g, g, d, d_max)])
-    if not any(status == OK for status in applied["status"].tolist()):
+    if not any((piece["status"] == OK).any() for piece in pieces(applied)):
         raise HilError(f"{source}: no slot in which a command was applied: there is nothing to compare with")
-    out: dict[str, NDArray[np.float64]] = {"t_s": applied["t_ns"] / 1e9}
-    for i, name in enumerate(names):
-        out[f"recorded_{name}"] = applied[name]
-        out[f"{kind}_{name}"] = np.array([row[i] for row in rows])
+    d_max, selection = other.model.d_max, other.start_controller().selection
+    d = array("i", whole(applied, "d").astype(np.int32).tobytes())
+    answers, recent = _answers(other, run), _Recent(d_max + REMEMBERED)
+    rows = [Growing(np.float64) for _ in names]
+    for piece in pieces(applied, BATCH):
+        found = []
+        for k, g, status in zip(piece["tick"].tolist(), piece["packet_tick"].tolist(), piece["status"].tolist()):
+            packet = recent.of(g, answers) if status == OK else None
+            if isinstance(packet, ControlPacket):
+                found.append(packet.rows[row_index(selection, k - g, g, d, d_max)])
+            else:
+                found.append((math.nan,) * len(names))
+        for i, column in enumerate(rows):
+            column.extend(np.array([row[i] for row in found]))
+    out: dict[str, NDArray[np.float64]] = {"t_s": whole(applied, "t_ns") / 1e9}
+    for name, column in zip(names, rows):
+        out[f"recorded_{name}"] = whole(applied, name)
+        out[f"{kind}_{name}"] = column.array()
     return out
+
+
+class _Recent:
+    """The answers of the last slots: what the actuator may still apply."""
+
+    def __init__(self, slots: int) -> None:
+        self._slots, self._last = slots, -1
+        self._packets: dict[int, SensorPacket | ControlPacket | None] = {}
+
+    def of(self, g: int, answers: Iterator[tuple[int, bytes]]) -> SensorPacket | ControlPacket | None:
+        """Return the answer of a slot, reading on as far as need be."""
+        while self._last <= g and (more := next(answers, None)) is not None:
+            self._last = more[0]
+            self._packets[more[0]] = decode(more[1])
+            if len(self._packets) > self._slots:
+                del self._packets[next(iter(self._packets))]
+        return self._packets.get(g)
 
 
 def _with_controller(experiment: Experiment, controller: Any, kind: str) -> Experiment:
@@ -222,7 +265,7 @@ def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], 
     """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
     schedule: list[tuple[int, str, bytes]] = []
     for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True):
-        schedule += [(t_ns, role, bytes(data)) for t_ns, data in zip(measured_ns(run, topic), run.arrays[topic]["data"])]
+        schedule += [(t_ns, role, bytes(data)) for t_ns, data in measured_frames(run, topic)]
     schedule.sort(key=lambda entry: entry[0])
     if not schedule:
         raise HilError("the log has no frames to play")

@@ -69,7 +69,7 @@ class Session:
         return found
 
     @property
-    def arrays(self) -> dict[str, StructuredArray]:
+    def arrays(self) -> Mapping[str, StructuredArray]:
         """Topic to records, a structured numpy array each; field ``t_ns`` is the session time."""
         return self.run.arrays
 

@@ -1,13 +1,19 @@
-"""The messages of a topic as columns, gathered chunk by chunk: what is kept is numbers, not a Python object for each record."""
+"""The records of a topic as columns, gathered chunk by chunk: what is kept is numbers, not a Python object for each record.
+
+The columns of a long log grow in files without a name (`hil.log.growing`), so that memory does not grow with the log.
+"""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator, Mapping, MutableMapping
 from typing import Final
 
 import numpy as np
 
+from hil.log.growing import ROWS, Growing, let_go, pieces
 from hil.log.read.arrays import StructuredArray, assemble, run_dtype
-from hil.log.read.mcap_content import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT
+from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT
 from hil.log.records import Schema
 
 TOGETHER: Final = 4096
@@ -19,12 +25,16 @@ class Columns:
 
     Args:
         schema: of the topic.
+        folder: where those of a long log are kept.
     """
 
-    def __init__(self, schema: Schema) -> None:
+    def __init__(self, schema: Schema, folder: str | os.PathLike[str] | None = None) -> None:
         self.schema = schema
         self._messages: list[bytes] = []
-        self._parts: list[StructuredArray] = []
+        self._dtype = run_dtype(schema)
+        self._raw = schema.fields[-1].name if schema.raw else None
+        self._numbers = Growing([(name, self._dtype[name]) for name in self._dtype.names or () if name != self._raw], folder)
+        self._lengths, self._bytes = Growing(np.int64, folder), Growing(np.uint8, folder)
 
     def add(self, messages: list[bytes]) -> None:
         """Take messages, framing included.
@@ -34,17 +44,99 @@ class Columns:
         """
         self._messages += messages
         if len(self._messages) >= TOGETHER:
-            self._assemble()
+            self.finish()
 
-    def _assemble(self) -> None:
-        self._parts.append(
-            assemble(self.schema, self._messages, payload_at=MESSAGE_PAYLOAD_AT, time_at=MESSAGE_TIME_AT)
-        )
+    def finish(self) -> None:
+        """Turn what was taken into numbers.
+
+        Raises:
+            HilError: if a message is not as the schema says.
+        """
+        if not self._messages:
+            return
+        found = assemble(self.schema, self._messages, payload_at=MESSAGE_PAYLOAD_AT, time_at=MESSAGE_TIME_AT)
         self._messages = []
+        if self._raw is None:
+            self._numbers.extend(found)
+            return
+        numbers = np.empty(len(found), self._numbers.dtype)
+        for name in numbers.dtype.names or ():
+            numbers[name] = found[name]
+        data = found[self._raw].tolist()
+        self._numbers.extend(numbers)
+        self._lengths.extend(np.array([len(each) for each in data], np.int64))
+        self._bytes.extend(np.frombuffer(b"".join(data), np.uint8))
+
+    def numbers(self) -> StructuredArray:
+        """Return all records without what is raw."""
+        return self._numbers.array()
+
+    def pieces(self, rows: int = ROWS) -> Iterator[StructuredArray]:
+        """Give the records piece by piece, raw frames as bytes objects."""
+        numbers = self.numbers()
+        if self._raw is None:
+            yield from pieces(numbers, rows)
+            return
+        lengths, data, at = self._lengths.array(), self._bytes.array(), 0
+        for start in range(0, len(numbers), rows):
+            part, sizes = numbers[start : start + rows], lengths[start : start + rows]
+            out = np.empty(len(part), self._dtype)
+            for name in part.dtype.names or ():
+                out[name] = part[name]
+            ends = at + np.cumsum(sizes)
+            content = data[at : int(ends[-1])].tobytes()
+            frames = out[self._raw]
+            for i, (end, size) in enumerate(zip((ends - at).tolist(), sizes.tolist())):
+                frames[i] = content[end - size : end]
+            at = int(ends[-1])
+            yield out
+            for column in (numbers, lengths, data):
+                let_go(column)
 
     def array(self) -> StructuredArray:
-        """Return all records as one array; the columns are empty afterwards."""
-        if self._messages:
-            self._assemble()
-        parts, self._parts = self._parts, []
-        return np.concatenate(parts) if parts else np.empty(0, run_dtype(self.schema))
+        """Return all records as one array."""
+        if self._raw is None:
+            return self.numbers()
+        parts = [*self.pieces()]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0, self._dtype)
+
+
+class Topics(MutableMapping[str, StructuredArray]):
+    """Topic to its records as one array, made when it is first asked for.
+
+    Args:
+        columns: of every topic.
+    """
+
+    def __init__(self, columns: Mapping[str, Columns]) -> None:
+        self._topics = dict.fromkeys(columns)
+        self._columns = dict(columns)
+        self._arrays: dict[str, StructuredArray] = {}
+
+    def __getitem__(self, topic: str) -> StructuredArray:
+        if topic not in self._arrays:
+            self._arrays[topic] = self._columns[topic].array()
+        return self._arrays[topic]
+
+    def __setitem__(self, topic: str, array: StructuredArray) -> None:
+        self._topics[topic] = None
+        self._arrays[topic] = array
+
+    def __delitem__(self, topic: str) -> None:
+        del self._topics[topic]
+        self._columns.pop(topic, None)
+        self._arrays.pop(topic, None)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._topics)
+
+    def __len__(self) -> int:
+        return len(self._topics)
+
+    def pieces(self, topic: str, rows: int = ROWS) -> Iterator[StructuredArray]:
+        """Give the records of a topic piece by piece."""
+        return pieces(self._arrays[topic], rows) if topic in self._arrays else self._columns[topic].pieces(rows)
+
+    def numbers(self, topic: str) -> StructuredArray:
+        """Return the records of a topic, perhaps without what is raw."""
+        return self._arrays[topic] if topic in self._arrays else self._columns[topic].numbers()

@@ -16,25 +16,31 @@ virtual time begins at 2000-01-01 UTC, since can-utils take a time below 1 s for
 from __future__ import annotations
 
 import csv
+import heapq
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
-from numpy.lib.recfunctions import repack_fields
+import numpy.typing as npt
 
 from hil.errors import HilError
 from hil.exclusive_file import written_whole
+from hil.log.growing import pieces, whole
 from hil.log.read.arrays import StructuredArray
+from hil.log.read.npz import NpzFile
 from hil.log.read.run import Run
-from hil.log.records import EVENTS_TOPIC, TIME_FIELD, Schema
+from hil.log.records import EVENTS_TOPIC, TIME_FIELD
 
 FRAME_TOPICS: Final = ("/link/sensor", "/link/control")
 VIRTUAL_BEGIN: Final = "2000-01-01T00:00:00Z"
 ROWS: Final = 4096  # that are made Python numbers at a time
+
+Ticks: TypeAlias = npt.NDArray[np.int64]
 
 
 def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (), *, replace: bool = False) -> list[Path]:
@@ -82,16 +88,16 @@ def _tables(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: boo
             if topic == EVENTS_TOPIC:
                 _write_events(run, part)
             else:
-                _write_csv(run.arrays[topic], run.schemas[topic], part)
+                _write_csv(run, topic, part)
 
 
-def _write_csv(array: StructuredArray, schema: Schema, path: Path) -> None:
-    header = [f"{TIME_FIELD} [ns]", *(f"{f.name} [{f.unit}]" for f in schema.fields)]
+def _write_csv(run: Run, topic: str, path: Path) -> None:
+    header = [f"{TIME_FIELD} [ns]", *(f"{f.name} [{f.unit}]" for f in run.schemas[topic].fields)]
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
-        for start in range(0, len(array), ROWS):
-            for row in array[start : start + ROWS].tolist():  # plain floats print so that they read back the same
+        for piece in run.pieces(topic, ROWS):
+            for row in piece.tolist():  # plain floats print so that they read back the same
                 writer.writerow([value.hex() if isinstance(value, bytes) else value for value in row])
 
 
@@ -105,22 +111,34 @@ def _write_events(run: Run, path: Path) -> None:
 
 
 def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
-    arrays: dict[str, np.ndarray[Any, np.dtype[Any]]] = {}
-    for topic in topics:
-        array, name = run.arrays[topic], _plain_name(topic)
-        if run.schemas[topic].raw:
-            data = array["data"]
-            lengths = np.array([len(item) for item in data], np.uint32)
-            matrix = np.zeros((len(data), int(lengths.max(initial=0))), np.uint8)
-            for row, item in zip(matrix, data, strict=True):
-                row[: len(item)] = np.frombuffer(item, np.uint8)
-            arrays[f"{name}_data"], arrays[f"{name}_length"] = matrix, lengths
-            # Packed again: a selection keeps the gap of the field that it leaves out, which a file cannot say.
-            array = repack_fields(array[[field for field in array.dtype.names or () if field != "data"]])
-        arrays[name] = array
+    with written_whole(paths[0], replace=replace) as part, NpzFile(part) as file:
+        for topic in topics:
+            name, numbers = _plain_name(topic), run.numbers(topic)
+            fields = [field for field in numbers.dtype.names or () if not run.schemas[topic].raw or field != "data"]
+            dtype = np.dtype([(field, numbers.dtype[field]) for field in fields])  # packed: a file cannot say a gap
+            if run.schemas[topic].raw:
+                lengths = np.concatenate([np.empty(0, np.uint32), *(_lengths(piece) for piece in run.pieces(topic, ROWS))])
+                most = int(lengths.max(initial=0))
+                padded = (_padded(piece, most) for piece in run.pieces(topic, ROWS))
+                file.add(f"{name}_data", np.dtype(np.uint8), (len(lengths), most), padded)
+                file.add(f"{name}_length", lengths.dtype, lengths.shape, iter([lengths]))
+            packed = (_of_fields(piece, dtype) for piece in pieces(numbers, ROWS))
+            file.add(name, dtype, numbers.shape, packed)
 
-    with written_whole(paths[0], replace=replace) as part, open(part, "wb") as file:  # a name would get a second ending
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+def _lengths(piece: StructuredArray) -> np.ndarray[Any, np.dtype[np.uint32]]:
+    return np.array([len(item) for item in piece["data"]], np.uint32)
+
+
+def _padded(piece: StructuredArray, most: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    return np.frombuffer(b"".join(item.ljust(most, b"\0") for item in piece["data"]), np.uint8)
+
+
+def _of_fields(piece: StructuredArray, dtype: np.dtype[Any]) -> StructuredArray:
+    out = np.empty(len(piece), dtype)
+    for name in dtype.names or ():
+        out[name] = piece[name]
+    return out
 
 
 def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
@@ -128,45 +146,87 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
 
     target = paths[0]
 
-    messages = _can_messages(run, [topic for topic in FRAME_TOPICS if topic in topics])
-    if not messages:
+    wanted = [topic for topic in FRAME_TOPICS if topic in topics]
+    if not any(len(run.numbers(topic)) for topic in wanted):
         raise HilError(f"{target}: no frames to write; a CAN log is made of the records of {' and '.join(FRAME_TOPICS)}")
-
-    if target.suffix == ".trc" and any(message.is_fd for message in messages):
+    if target.suffix == ".trc" and _framing(run.metadata.get("link", ""))[0]:
         raise HilError(f"{target}: python-can writes classic frames only as .trc, and this link has CAN FD; export .asc instead")
     with written_whole(target, replace=replace) as part, can.Logger(part) as writer:  # picks the writer by the ending
-        for message in messages:
+        for message in _can_messages(run, wanted):
             writer.on_message_received(message)
 
 
-def _can_messages(run: Run, topics: Sequence[str]) -> list[Any]:
+def _can_messages(run: Run, topics: Sequence[str]) -> Iterator[Any]:
     """The run's frames as they stood on a CAN bus, in the order of time.
 
     The framing is that of ``transport.links.can_link``, with the ``fd`` and ``base`` of the session's own link if that was CAN.
     """
+    ways = [_of_topic(run, topic) for topic in topics]
+    if all(_in_order(run, topic) for topic in topics):
+        return heapq.merge(*ways, key=_stamp)
+    return iter(sorted(chain(*ways), key=_stamp))  # an answer that came after the next question: all of them in memory
+
+
+def _stamp(message: Any) -> float:
+    return float(message.timestamp)
+
+
+def _of_topic(run: Run, topic: str) -> Iterator[Any]:
     from transport.links.can_link import CanLink
 
     uri = run.metadata.get("link", "")
     fd, base = _framing(uri)
     bus: Any = _BusOfPaper()
     begin_s = datetime.fromisoformat(run.session.get("started", VIRTUAL_BEGIN)).timestamp()
-    for topic in topics:
-        role: Literal["rig", "controller"] = "rig" if topic == "/link/sensor" else "controller"
-        link = CanLink(uri, role, lambda: bus, base=base, fd=fd)
-        for t_ns, packet in zip(measured_ns(run, topic), run.arrays[topic]["data"], strict=True):
-            bus.t_s = begin_s + t_ns / 1e9
-            link.send(packet)
-            if link.counters.dropped:
-                raise HilError(f"{topic} at {t_ns / 1e9:g} s: {len(packet)} bytes do not fit on CAN; export .csv instead")
-    return sorted(bus.messages, key=lambda message: message.timestamp)
+    role: Literal["rig", "controller"] = "rig" if topic == "/link/sensor" else "controller"
+    link = CanLink(uri, role, lambda: bus, base=base, fd=fd)
+    for t_ns, packet in measured_frames(run, topic):
+        bus.t_s = begin_s + t_ns / 1e9
+        link.send(packet)
+        if link.counters.dropped:
+            raise HilError(f"{topic} at {t_ns / 1e9:g} s: {len(packet)} bytes do not fit on CAN; export .csv instead")
+        yield from bus.messages
+        bus.messages.clear()
 
 
-def measured_ns(run: Run, topic: str) -> list[int]:
-    """Return the instant of every frame of a topic in session time, ns: nominal plus what was measured of that slot."""
-    frames, timing = run.arrays[topic], run.arrays["/timing/tick"]
-    late_us = timing["lateness_us"] + (np.nan_to_num(timing["round_trip_us"]) if topic == "/link/control" else 0.0)
-    measured = dict(zip(timing["tick"].tolist(), np.round(late_us * 1e3).astype(np.int64).tolist()))
-    return [t_ns + measured.get(tick, 0) for t_ns, tick in zip(frames[TIME_FIELD].tolist(), frames["tick"].tolist())]
+def measured_frames(run: Run, topic: str) -> Iterator[tuple[int, bytes]]:
+    """Give every frame of a topic with its instant in session time, ns: nominal plus what was measured of that slot.
+
+    Args:
+        run: the run.
+        topic: ``/link/sensor`` or ``/link/control``.
+    """
+    measured = _lateness(run, topic)
+    for piece in run.pieces(topic):
+        yield from zip((piece[TIME_FIELD] + measured(piece["tick"])).tolist(), piece["data"].tolist())
+
+
+def _in_order(run: Run, topic: str) -> bool:
+    last, measured = -(1 << 62), _lateness(run, topic)
+    for piece in pieces(run.numbers(topic)):
+        at = piece[TIME_FIELD] + measured(piece["tick"])
+        if at[0] < last or (at[1:] < at[:-1]).any():
+            return False
+        last = int(at[-1])
+    return True
+
+
+def _lateness(run: Run, topic: str) -> Callable[[Ticks], Ticks]:
+    """Return how much after its nominal instant a frame of a slot came, ns; 0 for a slot that was not timed."""
+    timing = run.arrays["/timing/tick"]
+    late_us = whole(timing, "lateness_us") + (np.nan_to_num(whole(timing, "round_trip_us")) if topic == "/link/control" else 0.0)
+    late_ns, ticks = np.round(late_us * 1e3).astype(np.int64), whole(timing, "tick")
+    if (ticks[1:] <= ticks[:-1]).any():
+        order = np.argsort(ticks, kind="stable")
+        late_ns, ticks = late_ns[order], ticks[order]
+
+    def of(slots: Ticks) -> Ticks:
+        if not len(ticks):
+            return np.zeros(len(slots), np.int64)
+        at = np.maximum(np.searchsorted(ticks, slots, side="right") - 1, 0)
+        return np.where(ticks[at] == slots, late_ns[at], 0)
+
+    return of
 
 
 def _framing(uri: str) -> tuple[bool, int]:

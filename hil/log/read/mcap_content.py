@@ -5,16 +5,11 @@ from __future__ import annotations
 import struct
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import Final
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from hil.log.read.mcap_walk import Budget, DamagedRecord, Record, parse, parse_attachment, unpack_chunk
-
-_MESSAGE_HEAD: Final = struct.Struct("<BQH")
-MESSAGE_TIME_AT: Final = 15
-MESSAGE_PAYLOAD_AT: Final = 31
+from hil.log.read.mcap_walk import Budget, Record, framed, parse, parse_attachment, unpack_chunk
 
 
 @dataclass(slots=True, kw_only=True)
@@ -65,23 +60,10 @@ class Content:
 
     def _take_chunk(self, content: bytes, record: Record) -> None:
         messages: defaultdict[int, list[bytes]] = defaultdict(list)
-        at, end, head = 0, len(content), _MESSAGE_HEAD.unpack_from
-        while at < end:
-            try:
-                opcode, length, channel = head(content, at)
-            except struct.error:
-                raise DamagedRecord(f"chunk at byte {record.offset}: ends within a record") from None
-            after = at + 9 + length
-            if opcode == 0:
-                raise DamagedRecord(f"chunk at byte {record.offset}: zeros stand where a record should begin")
-            if after > end:
-                raise DamagedRecord(f"chunk at byte {record.offset}: a record of {length} bytes exceeds it")
+        for opcode, channel, at, after in framed(content, record):
             if opcode == Opcode.MESSAGE:
-                if length < MESSAGE_PAYLOAD_AT - 9:
-                    raise DamagedRecord(f"chunk at byte {record.offset}: a message of {length} bytes is too short")
                 messages[channel].append(content[at:after])
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.take(Record(record.offset, opcode, memoryview(content)[at + 9 : after]))
-            at = after
         for channel, found in messages.items():
             self.messages[channel] += found

@@ -16,14 +16,16 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk, McapRecord
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Attachment, Chunk
 from mcap.writer import MCAP0_MAGIC
 
 from hil.errors import HilError
 
 MAGIC: Final = MCAP0_MAGIC
 _FRAME: Final = struct.Struct("<BQ")
+_HEAD: Final = struct.Struct("<BQH")
+MESSAGE_TIME_AT: Final = 15
+MESSAGE_PAYLOAD_AT: Final = 31
 LARGEST_RECORD: Final = 1 << 26
 """Bytes of a record, and of what a chunk unpacks to; the recorder's chunks have some 10^5."""
 
@@ -166,18 +168,31 @@ def parse_attachment(record: Record) -> Attachment:
     return attachment
 
 
-def chunk_records(record: Record, budget: Budget) -> list[McapRecord]:
-    """Schemas, channels and messages of a chunk, in its order.
+def framed(content: bytes, record: Record) -> Iterator[tuple[int, int, int, int]]:
+    """Give the records of an unpacked chunk in its order: opcode, channel (of messages only), begin and end in the content.
+
+    Args:
+        content: of the chunk.
+        record: the chunk, for messages.
 
     Raises:
-        DamagedRecord: if one of them cannot be read.
+        DamagedRecord: if the framing is broken, or a message is too short.
     """
-    content = unpack_chunk(record, budget)
-    plain = Chunk(
-        compression="", data=content, message_start_time=0, message_end_time=0, uncompressed_crc=0,
-        uncompressed_size=len(content),
-    )  # fmt: skip
-    return _guarded(lambda: breakup_chunk(plain), record)
+    at, end, head = 0, len(content), _HEAD.unpack_from
+    while at < end:
+        try:
+            opcode, length, channel = head(content, at)
+        except struct.error:
+            raise DamagedRecord(f"chunk at byte {record.offset}: ends within a record") from None
+        after = at + 9 + length
+        if opcode == 0:
+            raise DamagedRecord(f"chunk at byte {record.offset}: zeros stand where a record should begin")
+        if after > end:
+            raise DamagedRecord(f"chunk at byte {record.offset}: a record of {length} bytes exceeds it")
+        if opcode == Opcode.MESSAGE and length < MESSAGE_PAYLOAD_AT - 9:
+            raise DamagedRecord(f"chunk at byte {record.offset}: a message of {length} bytes is too short")
+        yield opcode, channel, at, after
+        at = after
 
 
 def parse(read: Callable[[ReadDataStream], R], record: Record) -> R:

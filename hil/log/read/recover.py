@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import os
+import struct
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Message, MessageIndex, Metadata, Schema
-from mcap.writer import CompressionType, Writer
+from mcap.records import Channel, Header, MessageIndex, Metadata, Schema
 
 from hil.errors import HilError
 from hil.exclusive_file import written_whole
 from hil.log.read.mcap_file import open_mcap
 from hil.log.read.mcap_walk import (
+    MESSAGE_TIME_AT,
     Budget,
     Checksums,
     DamagedRecord,
     Record,
     TornFile,
-    chunk_records,
+    framed,
     parse,
     parse_attachment,
+    unpack_chunk,
     walk,
-)  # fmt: skip
+)
+from hil.log.write.mcap_sink import FLUSH_BYTES
+from hil.log.write.mcap_writer import McapWriter
 
 
 @dataclass(slots=True, kw_only=True)
@@ -91,7 +95,9 @@ def recover(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> R
             raise HilError(f"{source}: nothing can be recovered: {report.losses[0] if report.losses else 'no record'}")
         with written_whole(target, replace=False) as part, open(part, "wb") as out:
             os.fchmod(out.fileno(), os.fstat(file.fileno()).st_mode & 0o777)  # no more readers than the log had
-            _rebuild(file, size, plan, Writer(out, compression=CompressionType.ZSTD, enable_data_crcs=True), report)
+            header = plan.header
+            profile, library = (header.profile, header.library) if header else ("", "")
+            _rebuild(file, size, plan, McapWriter(out, profile=profile, library=library), report)
     return report
 
 
@@ -122,26 +128,27 @@ class _Plan:
             report.losses.append(f"{report.lost_bytes} bytes, {error}")
 
     def _define(self, record: Record, budget: Budget) -> None:
-        found: list[Any] = []
         try:
             if record.opcode == Opcode.CHUNK:
-                found = chunk_records(record, budget)
-            elif record.opcode == Opcode.SCHEMA:
-                found = [parse(Schema.read, record)]
-            elif record.opcode == Opcode.CHANNEL:
-                found = [parse(Channel.read, record)]
+                content = unpack_chunk(record, budget)
+                for opcode, _, at, after in framed(content, record):
+                    if opcode != Opcode.MESSAGE:
+                        self._take(Record(record.offset, opcode, memoryview(content)[at + 9 : after]))
+            else:
+                self._take(record)
         except DamagedRecord:
             return  # told when it is this record's turn
-        for item in found:
-            if isinstance(item, Schema):
-                self.schemas.setdefault(item.id, item)
-            elif isinstance(item, Channel):
-                self.channels.setdefault(item.id, item)
+
+    def _take(self, record: Record) -> None:
+        if record.opcode == Opcode.SCHEMA:
+            schema = parse(Schema.read, record)
+            self.schemas.setdefault(schema.id, schema)
+        elif record.opcode == Opcode.CHANNEL:
+            channel = parse(Channel.read, record)
+            self.channels.setdefault(channel.id, channel)
 
 
-def _rebuild(file: BinaryIO, size: int, plan: _Plan, writer: Writer, report: Recovery) -> None:
-    header = plan.header
-    writer.start(profile=header.profile if header else "", library=header.library if header else "")
+def _rebuild(file: BinaryIO, size: int, plan: _Plan, writer: McapWriter, report: Recovery) -> None:
     copy = _Copy(writer, report, plan, Budget(size))
     damaged = False
     for record in islice(walk(file, size), plan.records):
@@ -165,13 +172,13 @@ def _rebuild(file: BinaryIO, size: int, plan: _Plan, writer: Writer, report: Rec
         "kept_messages": str(report.messages), "lost_bytes": str(report.lost_bytes),
         "lost_messages": str(report.lost_messages), "losses": "\n".join(report.losses), "closed": str(report.closed),
     })  # fmt: skip
-    writer.finish()  # type: ignore[no-untyped-call]
+    writer.finish()
 
 
 class _Copy:
     """Copies record by record, renumbering schemas and channels as mcap's writer wants them."""
 
-    def __init__(self, writer: Writer, report: Recovery, plan: _Plan, budget: Budget) -> None:
+    def __init__(self, writer: McapWriter, report: Recovery, plan: _Plan, budget: Budget) -> None:
         self._writer = writer
         self._report = report
         self._budget = budget
@@ -188,12 +195,17 @@ class _Copy:
     def take(self, record: Record) -> None:
         writer, report = self._writer, self._report
         if record.opcode == Opcode.CHUNK:
-            for item in chunk_records(record, self._budget):
-                if isinstance(item, Message):
-                    self._message(item)
+            content = unpack_chunk(record, self._budget)
+            for opcode, channel, at, after in [*framed(content, record)]:  # all of a chunk, or nothing
+                if opcode == Opcode.MESSAGE:
+                    self._message(channel, content[at:after])
             report.chunks += 1
+            if writer.open_bytes >= FLUSH_BYTES:
+                writer.flush()
         elif record.opcode == Opcode.MESSAGE:
-            self._message(parse(lambda stream: Message.read(stream, len(record.body)), record))
+            message = struct.pack("<BQ", record.opcode, len(record.body)) + record.body
+            for _, channel, _, _ in [*framed(message, record)]:
+                self._message(channel, message)
         elif record.opcode == Opcode.METADATA:
             metadata = parse(Metadata.read, record)
             writer.add_metadata(metadata.name, metadata.metadata)
@@ -201,17 +213,20 @@ class _Copy:
             self.ours |= metadata.name == "hilrig"
         elif record.opcode == Opcode.ATTACHMENT:
             found = parse_attachment(record)
-            writer.add_attachment(found.create_time, found.log_time, found.name, found.media_type, found.data)
+            writer.add_attachment(
+                found.name, found.media_type, found.data, create_time=found.create_time, log_time=found.log_time
+            )
             report.attachments += 1
 
-    def _message(self, message: Message) -> None:
-        number = self._channels.get(message.channel_id)
+    def _message(self, channel: int, message: bytes) -> None:
+        number = self._channels.get(channel)
         if number is None:
             self._report.lost_messages += 1
             return
-        self._writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+        self._writer.add_framed(number, message)
         self._report.messages += 1
-        self._report.last_ns = max(self._report.last_ns, message.log_time)
+        log_time = int.from_bytes(message[MESSAGE_TIME_AT : MESSAGE_TIME_AT + 8], "little")
+        self._report.last_ns = max(self._report.last_ns, log_time)
 
 
 def _or_none(read: Any, record: Record) -> Any:

@@ -4,24 +4,34 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
 from hil.errors import HilError
+from hil.log.growing import ROWS, pieces
 from hil.log.read.arrays import StructuredArray, assemble
-from hil.log.read.columns import Columns
+from hil.log.read.columns import Columns, Topics
 from hil.log.read.foreign import check_events, check_topics, check_words
-from hil.log.read.mcap_content import MESSAGE_PAYLOAD_AT, Content
+from hil.log.read.mcap_content import Content
 from hil.log.read.mcap_file import open_mcap
-from hil.log.read.mcap_walk import Budget, Checksums, DamagedRecord, Record, TornFile, walk
+from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.write.provenance import FORMAT
 from hil.log.write.sinks import MemorySink
+
+
+@runtime_checkable
+class InPieces(Protocol):
+    """Arrays that need not be whole in memory."""
+
+    def pieces(self, topic: str, rows: int) -> Iterator[StructuredArray]: ...
+
+    def numbers(self, topic: str) -> StructuredArray: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +40,8 @@ class Run:
 
     Args:
         arrays: topic to records in the order of the log; field ``t_ns`` (nominal session time) first, then the fields of the
-            topic's schema. Raw frames have the field ``data`` of bytes objects. A topic without records has length 0.
+            topic's schema. Raw frames have the field ``data`` of bytes objects. A topic without records has length 0. The arrays
+            of a long log are mapped from a file, and read only.
         schemas: topic to schema, with the units.
         events: records of ``/events``; see ``records.EVENT_SCHEMA``.
         metadata: ``experiment``, ``seed``, ``clock``, ``link``, ``format`` (all text) and what else the record ``hilrig`` holds.
@@ -41,7 +52,7 @@ class Run:
         summary: the summary that closed the log, empty if it was never closed.
     """
 
-    arrays: dict[str, StructuredArray]
+    arrays: MutableMapping[str, StructuredArray]
     schemas: dict[str, Schema]
     events: list[dict[str, Any]] = field(default_factory=list)
     metadata: dict[str, str] = field(default_factory=dict)
@@ -62,6 +73,14 @@ class Run:
         }
         return cls(arrays=arrays, schemas=schemas, events=_events(sink.payloads.get(EVENTS_TOPIC, ())), **about)
 
+    def pieces(self, topic: str, rows: int = ROWS) -> Iterator[StructuredArray]:
+        """Give the records of a topic piece by piece: a long log is never whole in memory."""
+        return self.arrays.pieces(topic, rows) if isinstance(self.arrays, InPieces) else pieces(self.arrays[topic], rows)
+
+    def numbers(self, topic: str) -> StructuredArray:
+        """Return the records of a topic; those of raw frames may lack the field ``data``."""
+        return self.arrays.numbers(topic) if isinstance(self.arrays, InPieces) else self.arrays[topic]
+
 
 def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: int | None = None) -> Run:
     """Read a log.
@@ -77,7 +96,7 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: in
     """
     path = Path(path)
     with open_mcap(path, descriptor) as (file, size):
-        reading = _Reading(Content(budget=Budget(size)))
+        reading = _Reading(Content(budget=Budget(size)), path.parent)
         checksums = Checksums()
         closed = False
         try:
@@ -105,8 +124,9 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: in
 class _Reading:
     """A run in the making: what the file holds, its messages as columns."""
 
-    def __init__(self, content: Content) -> None:
+    def __init__(self, content: Content, folder: Path) -> None:
         self.content = content
+        self._folder = folder
         self._columns: dict[int, Columns] = {}
         self._payloads: list[bytes] = []  # of events
 
@@ -126,7 +146,7 @@ class _Reading:
                 continue
             columns = self._columns.get(number)
             if columns is None:
-                columns = self._columns[number] = Columns(_schema(content, channel))
+                columns = self._columns[number] = Columns(_schema(content, channel), self._folder)
             try:
                 columns.add(messages)
             except HilError as error:
@@ -134,22 +154,21 @@ class _Reading:
 
     def run(self) -> Run:
         """Return what was read."""
-        arrays: dict[str, StructuredArray] = {}
-        schemas: dict[str, Schema] = {}
+        found: dict[str, Columns] = {}
         content = self.content
         _check_head(content)
         for number, channel in content.channels.items():
             if channel.topic == EVENTS_TOPIC:
                 continue
-            if channel.topic in arrays:
+            if channel.topic in found:
                 raise HilError(f"topic {channel.topic}: stands in the file twice")
             columns = self._columns.pop(number, None) or Columns(_schema(content, channel))
-            schemas[channel.topic] = columns.schema
+            found[channel.topic] = columns
             try:
-                arrays[channel.topic] = columns.array()
+                columns.finish()
             except HilError as error:
                 raise HilError(f"topic {channel.topic}: {error}") from error
-        return _run(content, arrays, schemas, _events(self._payloads))
+        return _run(content, found, _events(self._payloads))
 
 
 def _schema(content: Content, channel: Channel) -> Schema:
@@ -170,10 +189,9 @@ def _check_head(content: Content) -> None:
         raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {FORMAT!r}")
 
 
-def _run(
-    content: Content, arrays: dict[str, StructuredArray], schemas: dict[str, Schema], events: list[dict[str, Any]]
-) -> Run:
-    if not arrays:
+def _run(content: Content, columns: dict[str, Columns], events: list[dict[str, Any]]) -> Run:
+    schemas = {topic: each.schema for topic, each in columns.items()}
+    if not columns:
         raise HilError("holds no records: the session ended before the first of them was written")
     resolved = _attached_json(content, "resolved.json")
     summary = _json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'")
@@ -184,7 +202,7 @@ def _run(
     check_words(content.metadata["hilrig"], resolved, summary)
     text = content.attachments.get("experiment.toml")
     return Run(
-        arrays=arrays,
+        arrays=Topics(columns),
         schemas=schemas,
         events=events,
         metadata=content.metadata["hilrig"],

@@ -112,13 +112,17 @@ class McapWriter:
         self._metadata.append(MetadataIndex(offset=self._stream.tell(), length=len(data), name=name))
         self._write(data)
 
-    def add_attachment(self, name: str, media_type: str, content: bytes) -> None:
-        """Write an attachment of time 0."""
-        data = _bytes(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content))
+    def add_attachment(
+        self, name: str, media_type: str, content: bytes, *, create_time: int = 0, log_time: int = 0
+    ) -> None:
+        """Write an attachment; times in ns."""
+        data = _bytes(
+            Attachment(create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=content)
+        )
         self._attachments.append(
             AttachmentIndex(
-                offset=self._stream.tell(), length=len(data), create_time=0, log_time=0, data_size=len(content), name=name,
-                media_type=media_type,
+                offset=self._stream.tell(), length=len(data), create_time=create_time, log_time=log_time,
+                data_size=len(content), name=name, media_type=media_type,
             )
         )  # fmt: skip
         self._write(data)
@@ -130,9 +134,11 @@ class McapWriter:
         schema.write(self._opening)
         return schema.id
 
-    def register_channel(self, topic: str, encoding: str, schema_id: int) -> int:
+    def register_channel(self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str] | None = None) -> int:
         """Add a channel to the open chunk; return its number."""
-        channel = Channel(id=len(self._channels) + 1, topic=topic, message_encoding=encoding, schema_id=schema_id, metadata={})
+        channel = Channel(
+            id=len(self._channels) + 1, topic=topic, message_encoding=encoding, schema_id=schema_id, metadata=dict(metadata or {})
+        )  # fmt: skip
         self._channels.append(channel)
         channel.write(self._opening)
         return channel.id
@@ -175,6 +181,16 @@ class McapWriter:
             self.open_bytes += size
 
         return add
+
+    def add_framed(self, channel_id: int, message: bytes) -> None:
+        """Add a message as it stood in another file, head included, to the open chunk.
+
+        Args:
+            channel_id: its channel here.
+            message: opcode, length, channel, and so on.
+        """
+        self._parts.append(message[:9] + channel_id.to_bytes(2, "little") + message[11:])
+        self.open_bytes += len(message)
 
     @property
     def open_messages(self) -> int:
