@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hil.reproduce import Reproduction, Step
 
 ALL = "all"
-COLOURS = ("green", "yellow", "red")
+COLOURS = ("green", "yellow", "red", "blue")
 
 
 @click.command()

@@ -5,9 +5,12 @@ and, for a claim that we say is wrong, the *witness*: checks that refute it.
 
     all checks hold                      ->  reproduced
     else, all checks of the witness hold ->  claim false
-    else                                 ->  not reproduced
+    else, a check fails                  ->  not reproduced
+    else                                 ->  undecided
 
-No row is given a verdict. A check is one computed number (or word) and one rule, so that a wrong number turns it:
+A statistic has an interval besides its value, and its check holds or fails only if the whole interval does. Where the interval
+lies across the limit the check is undecided: more runs would be needed. No row is given a verdict. A check is one computed
+number (or word) and one rule, so that a wrong number turns it:
 
     near("norm", h2_norm(loop), 0.1225, relative=0.01)          a printed number and a tolerance
     standard_errors("mean", mean, 9.91, sd=2.2, runs=10_000)    a printed Monte-Carlo mean against ours
@@ -26,7 +29,7 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 import numpy.typing as npt
 
-Verdict = Literal["reproduced", "not reproduced", "claim false"]
+Verdict = Literal["reproduced", "not reproduced", "claim false", "undecided"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 Value = float | str
 
@@ -35,6 +38,9 @@ ERRORS = 4.0
 
 TAIL = 0.005
 """Share of emulated runs that must lie on either side of a printed run: two-sided error rate 1 %, whatever the law."""
+
+LEVEL = 0.99
+"""Of the interval of a share of runs (Clopper and Pearson)."""
 
 
 class Rule(Protocol):
@@ -102,24 +108,37 @@ class Check:
         what: what the value is, with its unit.
         value: what came out.
         rule: see `Rule`.
+        interval: that of a statistic's value; empty for a value that is computed and not sampled.
     """
 
     what: str
     value: Value
     rule: Rule
+    interval: tuple[float, float] | tuple[()] = ()
 
     @property
     def holds(self) -> bool:
-        """Whether the value fulfils the rule."""
-        return self.rule.holds(self.value)
+        """Whether the value, and all of its interval, fulfils the rule."""
+        return all(self._said)
+
+    @property
+    def undecided(self) -> bool:
+        """Whether only a part of the interval fulfils the rule."""
+        return any(self._said) and not all(self._said)
+
+    @property
+    def _said(self) -> list[bool]:
+        return [self.rule.holds(value) for value in (self.value, *self.interval)]
 
     def __str__(self) -> str:
-        return f"{self.what} {self.value if isinstance(self.value, str) else format(self.value, '.4g')}"
+        text = f"{self.what} {self.value if isinstance(self.value, str) else format(self.value, '.4g')}"
+        return text + (f" [{self.interval[0]:.2g}, {self.interval[1]:.2g}]" if self.interval else "")
 
     def to_json(self) -> dict[str, object]:
-        """What, value (None if it is not finite), rule and whether it holds."""
+        """What, value (None if it is not finite), rule and whether it holds; of a statistic the interval too."""
         value = self.value if isinstance(self.value, str) or math.isfinite(self.value) else None
-        return {"what": self.what, "value": value, "rule": str(self.rule), "holds": self.holds}
+        found: dict[str, object] = {"what": self.what, "value": value, "rule": str(self.rule), "holds": self.holds}
+        return found | ({"interval": list(self.interval), "undecided": self.undecided} if self.interval else {})
 
 
 def near(what: str, value: float, printed: float, *, relative: float = 0.0, absolute: float = 0.0) -> Check:
@@ -169,7 +188,8 @@ def rank(what: str, runs: Sequence[float] | npt.NDArray[np.float64], printed: fl
 
     Sums of squares have skewed laws, of which mean and standard deviation say little; the rank asks nothing of the law. The
     printed run is counted as one of them, (count + 1) / (runs + 1), so that the rule turns a run of the same law away no more
-    often than stated. What lies beyond all runs by more than their whole range is turned away however few they are.
+    often than stated. The share of so many runs has an interval, and a share whose interval lies across a limit is undecided.
+    What lies beyond all runs by more than their whole range is turned away however few they are.
     """
     values = np.asarray(runs, dtype=float)
     if np.isnan(values).any():
@@ -177,8 +197,26 @@ def rank(what: str, runs: Sequence[float] | npt.NDArray[np.float64], printed: fl
     reach = float(np.ptp(values))
     if reach > 0.0 and (printed > values.max() + reach or printed < values.min() - reach):
         return Check(what, float(printed > values.max()), Within(tail, 1.0 - tail))
-    low, high = ((side.sum() + 1.0) / (values.size + 1.0) for side in (values <= printed, values >= printed))
-    return Check(what, float(low if low < 0.5 else max(0.5, 1.0 - high)), Within(tail, 1.0 - tail))
+    below, beyond = int((values <= printed).sum()), int((values >= printed).sum())
+    if below <= beyond:
+        value, interval = (below + 1.0) / (values.size + 1.0), share_interval(below, values.size)
+    else:
+        value, (low, high) = 1.0 - (beyond + 1.0) / (values.size + 1.0), share_interval(beyond, values.size)
+        interval = (1.0 - high, 1.0 - low)
+    return Check(what, value, Within(tail, 1.0 - tail), interval)
+
+
+def share_interval(count: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
+    """Interval of Clopper and Pearson for the share of which ``count`` in ``runs`` were found.
+
+    >>> [round(v, 4) for v in share_interval(0, 1000, 0.95)]
+    [0.0, 0.0037]
+    """
+    from scipy.special import betaincinv
+
+    side = 0.5 - 0.5 * level
+    low = float(betaincinv(count, runs - count + 1, side)) if count else 0.0
+    return low, float(betaincinv(count + 1, runs - count, 1.0 - side)) if count < runs else 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,7 +251,10 @@ class Row:
         """What follows from the checks."""
         if all(check.holds for check in self.checks):
             return "reproduced"
-        return "claim false" if self.witness and all(check.holds for check in self.witness) else "not reproduced"
+        if self.witness and all(check.holds for check in self.witness):
+            return "claim false"
+        failed = any(not check.holds and not check.undecided for check in self.checks)
+        return "not reproduced" if failed else "undecided"
 
     @property
     def rule(self) -> str:

@@ -9,7 +9,7 @@ from hil.report.html.page import render_page
 from hil.reproduce.chapter import Reproduction
 from hil.reproduce.judgement import VERDICTS, Verdict
 
-STATES: dict[Verdict, State] = dict(zip(VERDICTS, ("good", "warning", "bad"), strict=True))
+STATES: dict[Verdict, State] = dict(zip(VERDICTS, ("good", "warning", "bad", "neutral"), strict=True))
 KICKER = "hilrig · reproduce"
 HOW = (
     "Every number is computed when this page is made, and every verdict follows from the numbers of its row by the rule "

@@ -8,6 +8,9 @@ from plants.parts.exponential_many import log1p_many, phi_many
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.linear import NS_PER_S, Matrix
 
+FEW = 24
+"""Axes up to which one after the other is faster than all at once."""
+
 
 class RubbingAxes:
     """Axes of one kind, from event to event: those that have none left rest while the others go on.
@@ -20,7 +23,7 @@ class RubbingAxes:
 
     def __init__(self, gain: float, pole: float, friction: Friction) -> None:
         one = RubbingAxis(gain, pole, friction)
-        self._gain, self._static = gain, one.static_v
+        self._one, self._gain, self._static = one, gain, one.static_v
         self._corners, self._rates, self._levels = (np.array(values) for values in (one.corners, one.rates, one.levels))
 
     def move(self, angle: Matrix, speed: Matrix, drive: Matrix, dt_ns: int) -> tuple[Matrix, Matrix]:
@@ -34,6 +37,10 @@ class RubbingAxes:
         at = np.flatnonzero(~stuck)
         a, v, d, t = angle[at], speed[at], drive[at], np.full(at.size, left)
         while at.size:
+            if at.size <= FEW:
+                moves = [self._one.move(*each) for each in zip(a.tolist(), v.tolist(), d.tolist(), t.tolist(), strict=True)]
+                angles[at], speeds[at] = np.array(moves).T
+                break
             a, v, t = self._segment(a, v, d, t)
             angles[at], speeds[at] = a, v
             stuck = (v == 0.0) & (np.abs(d) <= self._static)
@@ -57,14 +64,12 @@ class RubbingAxes:
             lower = np.minimum(rate * v + gain * (push - self._levels[cell]), 0.0)
             acceleration = np.where(back, lower, acceleration)
         slower, faster = acceleration < 0.0, acceleration > 0.0
-        bound = slower | (faster & (cell + 1 < corners.size))
+        bound = np.flatnonzero(slower | (faster & (cell + 1 < corners.size)))
         target = corners[np.minimum(cell + faster, corners.size - 1)]
-        with np.errstate(all="ignore"):  # of what is not used
-            way = (target - v) / acceleration
-            z = rate * way
-            inside = z > -1.0
-            arrival = np.where(rate == 0.0, way, np.where(inside, log1p_many(np.where(inside, z, 0.0)) / rate, left))
-        arrived = bound & (arrival < left)
+        arrival = left.copy()
+        if bound.size:
+            arrival[bound] = _arrival(target[bound], v[bound], acceleration[bound], rate[bound], left[bound])
+        arrived = arrival < left
         span = np.where(arrived, arrival, left)
         p1, p2 = phi_many(rate * span)
         travel = span * (v + acceleration * span * p2)
@@ -76,3 +81,12 @@ class RubbingAxes:
         angles = np.where(steady, angle + speed * left, angle + np.where(forward, travel, -travel))
         speeds = np.where(steady, speed, np.where(forward | (reached == 0.0), reached, -reached))
         return angles, speeds, np.where(steady, 0.0, left - span)
+
+
+def _arrival(target: Matrix, speed: Matrix, acceleration: Matrix, rate: Matrix, left: Matrix) -> Matrix:
+    """When the speeds reach their targets, s; `left` where they never do."""
+    with np.errstate(all="ignore"):  # of what is not used
+        way = (target - speed) / acceleration
+        z = rate * way
+        inside = z > -1.0
+        return np.where(rate == 0.0, way, np.where(inside, log1p_many(np.where(inside, z, 0.0)) / rate, left))

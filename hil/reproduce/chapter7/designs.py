@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +14,13 @@ from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import Design, TrackingProblem, solve
 from hil.report.html.figures import BarGroup, Bars, Figure, Series
 from hil.reproduce.chapter import Part, Plot, Tell
+from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.models import H2, HINF, NETWORK, PRINTED_MOTOR, VTOL_H2, VTOL_HINF, Array, Plant, motor, vtol
 from hil.reproduce.judgement import Row, above, below, near, row
 
 PLANTS: dict[str, Callable[[], Plant]] = {"motor": motor, "vtol": vtol}
 NAME = {"motor": "motor", "vtol": "VTOL"}
 NAMES = {"h2": "H2", "hinf": "H-infinity"}
-T = TypeVar("T")
 PROBLEMS = (("vtol", "hinf"), ("vtol", "h2"), ("motor", "hinf"), ("motor", "h2"))
 INFORMATION = ("constant", "tau", "previous", "generated", "total", "applied", "both")
 WORDS = {
@@ -46,7 +46,7 @@ def designs(tell: Tell) -> Part:
     asked = [(*key, output) for key in PROBLEMS for output in ("sum", "stacked")]
     found: dict[tuple[str, str, str], Design] = {}
     spent = dict.fromkeys(PLANTS, 0.0)
-    solved = _on_all_cores(_design_of, asked, tell, [f"{NAME[n]}, {NAMES[o]}, z {z}" for n, o, z in asked])
+    solved = on_all_cores(_design_of, asked, tell, [f"{NAME[n]}, {NAMES[o]}, z {z}" for n, o, z in asked])
     for key, (design, seconds) in zip(asked, solved, strict=True):
         found[key] = design
         spent[key[0]] += seconds
@@ -60,23 +60,6 @@ def designs(tell: Tell) -> Part:
         for name, key, hours in (("motor", "motor", 1.93), ("VTOL", "vtol", 8.23))
     ]  # fmt: skip
     return Part(rows=tuple(rows))
-
-
-def _on_all_cores(work: Callable[..., T], asked: Sequence[Sequence[Any]], tell: Tell, names: Sequence[str]) -> list[T]:
-    """``work(*arguments)`` for all of them, in their order; told as each ends, whichever it is."""
-    from joblib import Parallel, delayed
-
-    run = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", return_as="generator_unordered")
-    found: dict[int, T] = {}
-    tell(f"{len(asked)} designs", 0, len(asked))
-    for at, result in run(delayed(_numbered)(at, work, *arguments) for at, arguments in enumerate(asked)):
-        found[at] = result
-        tell(names[at], len(found), len(asked))
-    return [found[at] for at in range(len(asked))]
-
-
-def _numbered(at: int, work: Callable[..., T], *arguments: Any) -> tuple[int, T]:
-    return at, work(*arguments)
 
 
 def _design_of(name: str, objective: str, output: str) -> tuple[Design, float]:
@@ -204,7 +187,7 @@ def information(tell: Tell) -> Part:
 
 def _norms(asked: Sequence[tuple[str, dict[str, Any]]], tell: Tell) -> list[float]:
     """The norm that each problem asks for, in order."""
-    return _on_all_cores(_norm_of, asked, tell, [f"{NAME[name]}, {options['objective']}" for name, options in asked])
+    return on_all_cores(_norm_of, asked, tell, [f"{NAME[name]}, {options['objective']}" for name, options in asked])
 
 
 def _norm_of(name: str, options: dict[str, Any]) -> float:
@@ -213,17 +196,17 @@ def _norm_of(name: str, options: dict[str, Any]) -> float:
 
 def gain_bounds(tell: Tell) -> Part:
     """H-infinity norm of the VTOL against the bound on its gains, for both readings of z."""
-    outputs = (("stacked", 1), ("sum", 2))
+    outputs = ("stacked", "sum")
     options = {"objective": "hinf", "information": "generated"}
     asked = [
-        ("vtol", {**options, "output": output, "gain_bound": bound, "starts": starts})
-        for output, starts in outputs
-        for bound in BOUNDS
+        ("vtol", {**options, "output": output, "gain_bound": bound, "starts": 1})
+        for output in reversed(outputs)  # the longest first
+        for bound in reversed(BOUNDS)
     ]
-    norms = np.array(_norms(asked, tell)).reshape(len(outputs), len(BOUNDS))
+    norms = np.array(_norms(asked, tell)).reshape(len(outputs), len(BOUNDS))[::-1, ::-1]
     curves = tuple(
         Series(label=f"z {output}", x=np.array(BOUNDS), y=np.minimum.accumulate(np.nan_to_num(found, nan=np.inf)))
-        for (output, _), found in zip(outputs, norms, strict=True)
+        for output, found in zip(outputs, norms, strict=True)
     )
     figure = Figure(
         title="Smallest H-infinity norm of the VTOL", series=curves, x_label="bound on every |gain|", x_unit="",

@@ -49,8 +49,7 @@ def errors(
     for k, r in enumerate(reference):
         if k:
             tau, d = (
-                np.minimum((rng.random(runs)[:, None] > total[mode]).sum(axis=1), len(total) - 1)
-                for total, mode in zip(sums, (tau, d), strict=True)
+                _next(rng.random(runs), total, mode) for total, mode in zip(sums, (tau, d), strict=True)
             )
         outputs = [x @ plant.C[0], *outputs[:2]]  # newest first, as are packets and the d at which they were made
         made = [d, *made[:1]]
@@ -66,6 +65,14 @@ def errors(
         with np.errstate(over="ignore", invalid="ignore"):
             x = x @ plant.A.T + (u + disturbance[k]) @ plant.B.T
         x[~np.isfinite(x)] = np.inf
+    return found
+
+
+def _next(drawn: Array, total: Array, mode: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """The mode whose share of [0, 1] the number drawn lies in; `total` has the summed rows of the matrix."""
+    found = np.zeros(len(mode), dtype=np.intp)
+    for column in total.T[:-1]:
+        found += drawn > column[mode]
     return found
 
 

@@ -8,10 +8,13 @@ import numpy.typing as npt
 from design.networked_loop.prediction import predict_tracking
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
-from hil.measure.summary import run_metrics
+from hil.measure.many import ManyView
+from hil.measure.tracking_many import tracking_of_many
 from hil.report.html.figures import Band, Figure, Marker, Series
 from hil.reproduce.chapter import Part, Plot, Tell
+from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.friction import Imperfections, loop_of
+from hil.reproduce.chapter7.many_runs import numbers_of
 from hil.reproduce.chapter7.models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, everywhere, vtol
 from hil.reproduce.chapter7.tables import CONTROLLERS, motor_prediction
 from hil.reproduce.judgement import above, below, row
@@ -19,7 +22,7 @@ from hil.session import simulate
 
 Array = npt.NDArray[np.float64]
 TOPICS = ("/plant/measurement", "/reference", "/actuator/applied")
-SMITH_RUNS = 20
+SMITH_RUNS = 400
 SMITH_GAINS = (-0.02, -0.03, -0.08, -0.16, -0.2)
 SEED = 7
 
@@ -122,29 +125,19 @@ def _surely(a: Array, b: Array, column: int) -> float:
 
 
 def _all_marks(loops: dict[str, Loop], tell: Tell) -> dict[str, Array]:
-    """Marks of every loop, (runs, 3) each, on all cores."""
-    from joblib import Parallel, delayed
-
-    work = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", return_as="generator")(
-        delayed(_marks_of)(loop) for loop in loops.values()
-    )
-    found = {}
-    for done, (name, marks) in enumerate(zip(loops, work, strict=True)):
-        tell(name, done + 1, len(loops))
-        found[name] = marks
-    return found
+    """Marks of every loop, (runs, 3) each: sum of squares, overshoot, and the largest error from the disturbance on, rad."""
+    found = on_all_cores(_marks_of, [(loop,) for loop in loops.values()], tell, list(loops))
+    return dict(zip(loops, found, strict=True))
 
 
 def _marks_of(loop: Loop) -> Array:
-    return np.array([_marks(loop, seed) for seed in range(SMITH_RUNS)])
+    return numbers_of(loop, range(SMITH_RUNS), 3, _marks)
 
 
-def _marks(loop: Loop, seed: int) -> tuple[float, float, float]:
-    run = simulate(loop, seed, TOPICS)
-    found = run_metrics(run, loop.experiment)
-    measured = run.arrays["/plant/measurement"]
-    peak = float(np.abs(measured["angle"][measured["tick"] * loop.model.period_s >= 30.0] - 3.0).max())
-    return float(found["sse"] or np.nan), float(found["overshoot"] or 0.0), peak
+def _marks(view: ManyView) -> tuple[Array, Array, Array]:
+    found = tracking_of_many(view)
+    peak = np.abs(view.outputs[0][:, view.t_s >= 30.0] - 3.0).max(axis=1)
+    return found["sse"], found["overshoot"], peak
 
 
 def vtol_plots(tell: Tell) -> Part:

@@ -15,20 +15,20 @@ WORDS = ("certified", "refused", "undecided", "feasible", "found", "not found")
 def others(check: Check) -> Iterator[Check]:
     """The check with another value: words for words, and numbers from near to far, also around its limits."""
     if isinstance(check.value, str):
-        yield from (replace(check, value=word) for word in WORDS if word != check.value)
+        yield from (replace(check, value=word, interval=()) for word in WORDS if word != check.value)
         return
     start = check.value if math.isfinite(check.value) else 1.0
     limits = [float(v) for v in (getattr(check.rule, n, math.nan) for n in ("printed", "low", "high")) if math.isfinite(v)]
     middle = [sum(limits) / len(limits)] if limits else []
     around = [v + s * max(abs(v), 1e-3) * 1e-3 for v in limits for s in (-1, 1)]
     for value in (*limits, *middle, *around, *(start * f for f in FACTORS), *(start + f for f in FACTORS)):
-        yield replace(check, value=value)
+        yield replace(check, value=value, interval=())
 
 
 def with_outcome(check: Check, holds: bool) -> Check:
     """The check, or one of its perturbations, that holds or does not."""
     for other in (check, *others(check)):
-        if other.holds is holds:
+        if other.holds is holds and not other.undecided:
             return other
     raise AssertionError(f"no value of {check.what!r} {'meets' if holds else 'breaks'} {check.rule}: it judges nothing")
 
@@ -50,4 +50,4 @@ def assert_every_number_decides(rows: Iterable[Row]) -> None:
                 assert replace(row, checks=bad, witness=missing).verdict == "not reproduced", (row.item, check.what)
         for check in (*row.checks, *row.witness):
             if not isinstance(check.value, str):
-                assert not replace(check, value=math.nan).holds, (row.item, check.what)
+                assert not replace(check, value=math.nan, interval=()).holds, (row.item, check.what)
