@@ -44,7 +44,7 @@ def load_experiment(
         duration: length of a run: seconds, or text such as "2 min".
         changes: path to value, as ``**{"plant.gain": 150, "links.sc.max_age": 4}``. ``plant`` takes a `control.StateSpace` or a
             `control.TransferFunction`, or what `plants.from_control` made of it; ``controller`` a fixed gain as one of them, a
-            matrix (m, p) or a number.
+            matrix (m, p) or a number, or a model in discrete time that the error y - r drives and whose output adds to u*.
 
     Raises:
         HilError: with every fault found, each with the path of its field.
@@ -288,9 +288,12 @@ def _table_of(path: str, value: Any) -> Any:
             return {"kind": "state-space", **fields}
     if path == "controller":
         if control is not None and model:
-            if control.ss(value).nstates:
-                raise HilError("controller: a model with states is no fixed gain; expected a constant")
-            value = control.ss(value).D
+            found = control.ss(value)
+            if found.nstates and not found.isdtime(strict=True):
+                raise HilError("controller: a model with states in continuous time is no fixed gain; sample it first")
+            if found.nstates:
+                return {"kind": "output-feedback", "A": found.A, "B": found.B, "C": found.C, "D": found.D}
+            value = found.D
         if isinstance(value, np.ndarray | list | tuple | float | int):
             return {"kind": "local", "gain": np.atleast_2d(np.asarray(value, dtype=np.float64))}
     return value

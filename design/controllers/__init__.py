@@ -19,13 +19,14 @@ from design.controllers.contract import (
 )
 from design.controllers.gain_rows_many import feedforward
 from design.controllers.historical import Historical
+from design.controllers.linear_law import LinearFeedback, LinearLaw, OutputFeedback
 from design.controllers.published_motor import PublishedH2, PublishedHinf
 from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nested
 from design.controllers.sensor_nodes import FromSamples, HistoryGains, Known, Sample, SensorNodes, Turns
 
 __all__ = [
     "Constant", "Controller", "CountsSojourns", "FromSamples", "GainIndex", "GainTable", "Gains", "Historical", "HistoryGains",
-    "IntegralAction", "Known", "Local", "LoopModel", "ModeSchedule", "PublishedH2", "PublishedHinf", "Rows", "RunningController",
-    "Sample", "Selection", "SendAll", "SensorNodes", "SeveralSamples", "Turns", "feedforward", "integrates", "nested",
-    "packet_samples", "row_count", "sojourns_told",
+    "IntegralAction", "Known", "LinearFeedback", "LinearLaw", "Local", "LoopModel", "ModeSchedule", "OutputFeedback",
+    "PublishedH2", "PublishedHinf", "Rows", "RunningController", "Sample", "Selection", "SendAll", "SensorNodes",
+    "SeveralSamples", "Turns", "feedforward", "integrates", "nested", "packet_samples", "row_count", "sojourns_told",
 ]  # fmt: skip

@@ -30,6 +30,7 @@ from design.controllers import Selection, row_count
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.networked_loop.initial_law import default_initial, initial_law
+from design.networked_loop.joint_modes import joint_bounds, joint_modes
 from design.networked_loop.loop_shapes import check_gains, check_plant_shapes
 from design.networked_loop.packet_registers import packet_registers
 from design.networked_loop.performance_output import performance_output
@@ -192,7 +193,7 @@ def loop_structure(
             reader[:, at : at + width] = np.eye(p) if store == "output" else C_
         return reader
 
-    modes, transition = _modes(sc_chain, ca_chain, with_previous=selection == "previous")
+    modes, transition = joint_modes(sc_chain, ca_chain, with_previous=selection == "previous")
     N = len(modes)
     base = np.repeat(shift[None], N, axis=0)
     input_base = np.zeros((N, m, order))
@@ -239,7 +240,7 @@ def loop_structure(
         B=np.repeat(drive[None], N, axis=0),
         C=np.repeat(weight[None], N, axis=0),
         transition=transition,
-        between=_between(sc_chain, ca_chain, modes),
+        between=joint_bounds(sc_chain, ca_chain, modes),
         default_initial=default_initial(sc_chain, ca_chain, modes),
         initial_law=initial_law(sc_chain, ca_chain),
         entries=_pack(entries, order, m, known_size),
@@ -254,29 +255,6 @@ def loop_structure(
         integral=integral > 0,
         selection=selection,
     )
-
-
-def _modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool) -> tuple[list[tuple[int, int, int]], Array]:
-    if with_previous:
-        triples = [(s, c, b) for s in range(sc.modes) for c in range(ca.modes) for b in range(ca.modes) if ca.bounds[1][b, c] > 0]
-        return triples, _joint(triples, sc.matrix, ca.matrix)
-    pairs = [(s, c, -1) for s in range(sc.modes) for c in range(ca.modes)]
-    return pairs, _joint(pairs, sc.matrix, ca.matrix)
-
-
-def _joint(modes: list[tuple[int, int, int]], sc: Array, ca: Array) -> Array:
-    """Products of the two chains' entries; a mode that keeps the C-A mode before follows only where that fits."""
-    s, c, before = np.array(modes, dtype=np.int64).T
-    joint = np.asarray(sc[np.ix_(s, s)] * ca[np.ix_(c, c)], dtype=np.float64)
-    return joint if before[0] < 0 else np.where(before[None, :] == c[:, None], joint, 0.0)
-
-
-def _between(sc: DelayChain, ca: DelayChain, modes: list[tuple[int, int, int]]) -> tuple[Array, Array] | None:
-    """Entrywise bounds of the joint transition probabilities, where a mode of a chain stands for many."""
-    if sc.between is None and ca.between is None:
-        return None
-    (sc_low, sc_high), (ca_low, ca_high) = sc.bounds, ca.bounds
-    return _joint(modes, sc_low, ca_low), _joint(modes, sc_high, ca_high)
 
 
 def _pack(entries: list[tuple[int, int, int, Array, Array]], order: int, m: int, known: int) -> _Entries:

@@ -14,6 +14,7 @@ from hil.errors import HilError
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
+    from hil.compose.design_problem import TrackingTarget
 
 
 class GainsOrWall(click.Command):
@@ -56,13 +57,19 @@ class GainsOrWall(click.Command):
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--method", type=click.Choice(["direct", "ccl"]), default="direct", show_default=True,
               help="ccl: the thesis's iterated linear matrix inequalities, for comparison.")  # fmt: skip
+@click.option("--uncertainty", multiple=True, metavar="NAME=WIDTH",
+              help="Guarantee the design for a parameter of the plant within gain=10% or pole=0.3 (to either side); repeatable.")
+@click.option("--local", type=click.Choice(["lqr", "lqg", "hinf"]),
+              help="Design for the plant without a network, by python-control, and judge it over the network.")
+@click.option("--noise", type=float, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
 @click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     place: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
-    seed: int, method: str, path: Path | None, force: bool, as_json: bool,
+    seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, path: Path | None, force: bool,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -77,6 +84,7 @@ def command(
     from design.tracking.design_file import design_text, to_document
     from hil.cli.outputs import check_output, write_output
     from hil.compose.design_problem import problem_for, tracking_target, verdict_on
+    from hil.compose.plant_uncertainty import interval, judge_uncertain
     from hil.log.write.provenance import package_versions
 
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
@@ -84,6 +92,12 @@ def command(
     if path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
     target = tracking_target(place, period, sojourns)
+    if local is not None:
+        _local(target, local, input_weight, noise, as_json)
+        return
+    if noise is not None:
+        raise HilError("--noise: belongs to --local")
+    intervals = [interval(target.of, said) for said in uncertainty]
     problem = problem_for(
         target, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
         R=None if input_weight is None else np.full(target.B.shape[1], input_weight), output=z, samples=samples,
@@ -103,6 +117,8 @@ def command(
         design, plant=target.plant, period_s=target.period_s, wall_s=wall_s, versions=package_versions()
     )
     document["verdict"] = verdict_on(target, design).to_json()
+    if intervals:
+        document["uncertainty"] = judge_uncertain(target, design, intervals).to_json()
     if path is not None:
         write_output(path, design_text(document), replace=force)
         document["file"] = str(path)
@@ -110,6 +126,25 @@ def command(
         print(json.dumps(document, indent=2))
     else:
         _show(design, document)
+
+
+def _local(target: TrackingTarget, method: str, input_weight: float | None, noise: float | None, as_json: bool) -> None:
+    """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
+    from click.core import ParameterSource
+
+    from design.requests.local import LocalDesigned
+    from hil.cli.design_local import design_local, show_local
+
+    context = click.get_current_context()
+    common = {"place", "period", "input_weight", "local", "noise", "as_json"}
+    given = [p for p in context.command.params if p.name and context.get_parameter_source(p.name) is ParameterSource.COMMANDLINE]
+    others = [p.opts[-1] for p in given if p.name not in common]
+    if others:
+        raise HilError(f"{others[0]}: not with --local, which designs for the plant alone")
+    request = LocalDesigned(
+        method=method, input_weight=0.01 if input_weight is None else input_weight, noise=0.01 if noise is None else noise  # type: ignore[arg-type]
+    )  # fmt: skip
+    show_local(design_local(target, request), as_json=as_json)
 
 
 class _Watch:
@@ -172,6 +207,14 @@ def _show(design: Design, document: dict[str, Any]) -> None:
         ("margin of (7.28)", "-" if c.hinf_margin is None else f"{c.hinf_margin:.3g}", "at gamma (1 + 1e-6)"),
         ("solved in", f"{document['wall_s']} s", f"{design.evaluations} norms, {len(design.starts)} starts, seed {problem.seed}"),
     ]
+    if "uncertainty" in document:
+        told = document["uncertainty"]
+        for one in told["parameters"]:
+            lines.append((one["name"], f"{one['nominal']:.5g}", f"from {one['low']:.5g} to {one['high']:.5g}, drifting or not"))
+        lines.append(("uncertainty", told["state"], told["reason"]))
+        if told["h2_norm"] is not None:
+            lines.append(("guaranteed H2 norm", f"{told['h2_norm']:.6g}", ""))
+            lines.append(("guaranteed H-infinity", f"{told['hinf_norm']:.6g}", ""))
     for name, value, note in lines:
         console.print(f"{name:>22}  {value:<12} {note}", highlight=False)
     if "file" in document:

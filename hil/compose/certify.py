@@ -17,12 +17,15 @@ from design.verdict import Verdict, digest
 from hil.compose.certifier import Certifier, LoopToCertify, limited_to_undamped, undecided
 from hil.compose.historical_loop import certify_historical
 from hil.compose.jump_loop import certify_jump_loop
+from hil.compose.linear_law_loop import certify_linear_law
 from hil.compose.send_all_loop import certify_send_all
 from hil.compose.wall_loop import certify_wall_loop
 from hil.errors import ForeignVerdict
 from hil.experiment import Experiment
 
-CERTIFIERS: tuple[Certifier, ...] = (certify_send_all, certify_jump_loop, certify_wall_loop, certify_historical)
+CERTIFIERS: tuple[Certifier, ...] = (
+    certify_send_all, certify_jump_loop, certify_wall_loop, certify_historical, certify_linear_law,
+)  # fmt: skip
 """Asked in this order; the first that knows the kind of loop answers."""
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from design.controllers import LoopModel
+from design.controllers import LinearLaw, LoopModel
 from design.processes.delay_chain import DelayChain
 from design.tracking.problem import TrackingProblem
 from design.verdict import Verdict, digest
 from hil.compose.send_all_loop import judge_gains
 from hil.errors import HilError
+from hil.experiment.protocols import Plant
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
@@ -32,15 +34,16 @@ PRINTED_VTOL = (
 
 
 class TrackingTarget(NamedTuple):
-    """Where a controller is to work: plant's name, period in s, discrete plant, and the two delay chains."""
+    """Where a controller is to work: plant's name, period in s, discrete plant, the two delay chains, and the plant itself."""
 
     plant: str
     period_s: float
-    A: Any
-    B: Any
-    C: Any
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
     sc: DelayChain
     ca: DelayChain
+    of: Plant
 
 
 def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1) -> TrackingTarget:
@@ -85,21 +88,38 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
     A, B, C = (np.asarray(M) for M in (discrete.A, discrete.B, discrete.C))
     if name == "vtol" and period_s is None and not of_experiment:
         A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
-    return TrackingTarget(name, float(period), A, B, C, sc, ca)
+    return TrackingTarget(name, float(period), A, B, C, sc, ca, plant)
 
 
 def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
     """Return what the door says of a design over the network that it was made for."""
     sc, ca = design.problem.chains
+    return judge_gains(
+        model_at(target), sc, ca, design.gains, design.selection, samples=design.problem.samples,
+        integral=bool(design.problem.integral), digest=digest_of_design(target, design),
+    )  # fmt: skip
+
+
+def model_at(target: TrackingTarget) -> LoopModel:
+    """Return what a controller may know of the loop that is designed for."""
+    return LoopModel(
+        A=target.A, B=target.B, C=target.C, period_s=target.period_s, tau_max=target.sc.max_delay, d_max=target.ca.max_delay
+    )  # fmt: skip
+
+
+def digest_of_design(target: TrackingTarget, design: Design) -> str:
+    """Return the digest of the loop that a design is for: plant, gains, network, period."""
+    sc, ca = design.problem.chains
     system = {"A": target.A, "B": target.B, "C": target.C, "gains": design.gains, "selection": design.selection}
     system |= {"sc": sc.matrix, "sc delays": sc.delay, "ca": ca.matrix, "ca delays": ca.delay, "period": target.period_s}
-    model = LoopModel(
-        A=target.A, B=target.B, C=target.C, period_s=target.period_s, tau_max=sc.max_delay, d_max=ca.max_delay
-    )  # fmt: skip
-    return judge_gains(
-        model, sc, ca, design.gains, design.selection, samples=design.problem.samples,
-        integral=bool(design.problem.integral), digest=digest(system),
-    )  # fmt: skip
+    return digest(system)
+
+
+def digest_of_law(target: TrackingTarget, law: LinearLaw) -> str:
+    """Return the digest of the loop of a linear controller: plant, law, network, period."""
+    system = {"A": target.A, "B": target.B, "C": target.C, "law": [law.A, law.B, law.C, law.D], "period": target.period_s}
+    system |= {"sc": target.sc.matrix, "sc delays": target.sc.delay, "ca": target.ca.matrix, "ca delays": target.ca.delay}
+    return digest(system)
 
 
 def problem_for(target: TrackingTarget, **options: Any) -> TrackingProblem:

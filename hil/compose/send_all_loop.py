@@ -14,6 +14,7 @@ from hil.compose.delay_chains import gains_over
 from hil.experiment.protocols import JumpPlant
 
 if TYPE_CHECKING:
+    from design.jump_linear.certificate import Certificate
     from design.processes.delay_chain import DelayChain
 
 
@@ -66,6 +67,16 @@ def judge_gains(
     certificate = certify_loop(
         model.A, model.B, model.C, sc, ca, gains, selection, samples=samples, integral=float(integral)
     )  # fmt: skip
+    return second_moment_verdict(certificate, digest)
+
+
+def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:
+    """Return what a certificate of a jump-linear system says of the loop, as a verdict.
+
+    Args:
+        certificate: radius, margins and norms.
+        digest: of the loop that the verdict is on.
+    """
     radius = certificate.mean_square_radius
     stable = f"second-moment radius {radius:.4f}"
     if certificate.state == "certified":

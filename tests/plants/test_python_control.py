@@ -72,3 +72,12 @@ def test_an_experiment_runs_a_model_and_a_fixed_gain_of_python_control_and_its_l
     assert session.summary["certificate"] is not None
     with pytest.raises(hil.HilError, match="no fixed gain"):
         hil.run("dc-motor-hinf", controller=slow)
+
+
+def test_a_controller_with_states_of_python_control_runs_and_is_judged_over_the_network() -> None:
+    lag = control.ss([[0.5]], [[1.0]], [[-0.01]], [[-0.01]], 0.05)
+    session = hil.run("dc-motor-hinf", duration=2, controller=lag)
+    matrices = {"A": [[0.5]], "B": [[1.0]], "C": [[-0.01]], "D": [[-0.01]]}
+    assert session.run.resolved["controller"] == {"kind": "output-feedback", **matrices}
+    assert session.summary["certificate"]["state"] == "certified"
+    assert session.summary["certificate"]["method"] == "second moments of the jump-linear loop (Theorem 7.1)"

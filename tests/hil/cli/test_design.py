@@ -1,15 +1,22 @@
 """``hil design`` and ``hil bench design``: what they print, write and refuse."""
 
+import dataclasses
 import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from design.requests.tracking import solve_tracking
 from hil.bench.design import GOALS, bench_design
 from hil.cli.design import command
+from hil.compose.design_problem import problem_for, tracking_target
+from hil.compose.loop import compose
+from hil.compose.plant_uncertainty import interval, judge_uncertain, plants_between
 from hil.errors import HilError
+from hil.experiment import load_experiment
 
 
 def run(*arguments):
@@ -56,12 +63,62 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor-hinf", "--sojourns", "2"), "sojourns: for a semi-Markov law only"),
         (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),
         (("no-such-thing",), "no-such-thing"),
+        (("dc-motor", "--uncertainty", "mass=5%"), "--uncertainty: mass: .*gain.*pole"),
+        (("dc-motor", "--uncertainty", "gain=much"), "--uncertainty gain=much: expected NAME=PERCENT%"),
+        (("dc-motor", "--uncertainty", "gain=-5%"), "--uncertainty gain=-5%: expected"),
+        (("dc-motor", "--uncertainty", "initial_angle_rad=5%"), "initial_angle_rad: is 0"),
+        (("dc-motor", "--local", "lqg", "--samples", "2"), "--samples: not with --local"),
+        (("dc-motor", "--local", "lqg", "-o", "x.json"), "--file: not with --local"),
+        (("dc-motor", "--local", "lqg", "--noise", "0"), "--noise: 0, expected"),
+        (("dc-motor", "--noise", "1"), "--noise: belongs to --local"),
         (("dc-motor", "-o", "/no/such/directory/x.json"), "there is no folder"),
     ],
 )
 def test_bad_requests_are_refused_with_the_number_that_decides(arguments, message):
     with pytest.raises(HilError, match=message):
         run(*arguments)
+
+
+def test_local_design_has_its_norms_and_the_verdict_over_the_network():
+    found = json.loads(run("dc-motor-hinf", "--local", "lqg", "--json").stdout)
+    assert found["without_network"]["radius"] < 1 and found["without_network"]["h2"] > 0
+    assert found["verdict"]["state"] == "refused" and found["verdict"]["number"] > 1
+    composed = compose(load_experiment("dc-motor-hinf", ['controller={kind="local-designed"}', "allow_uncertified=true"]))
+    assert composed.verdict is not None and composed.verdict.number == pytest.approx(found["verdict"]["number"])
+    assert np.asarray(found["law"]["A"]) == pytest.approx(np.asarray(composed.controller.A))
+    assert "over the network" in run("dc-motor", "--local", "hinf").stdout
+
+
+def test_uncertainty_is_borne_undecided_or_refused_by_its_size():
+    """The plants at the ends are the plant's own, and the guaranteed norms are above the nominal ones."""
+    sure = json.loads(run("dc-motor", "--starts", "1", "--uncertainty", "gain=5%", "--json").stdout)
+    told = sure["uncertainty"]
+    assert told["state"] == "certified" and told["number"] < told["limit"] == 1.0
+    assert told["h2_norm"] > sure["norms"]["h2"] and told["hinf_norm"] > sure["norms"]["hinf"]
+    (one,) = told["parameters"]
+    assert one["low"] == pytest.approx(0.95 * 172.38) and told["digest"] != sure["verdict"]["digest"]
+    target = tracking_target("dc-motor")
+    design = solve_tracking(problem_for(target, starts=1))
+    louder = dataclasses.replace(design, gains=1.5 * design.gains)  # stable, with less to spare
+    states = [judge_uncertain(target, louder, [interval(target.of, f"gain={width}%")]).state for width in (20, 50)]
+    assert states == ["undecided", "refused"]
+
+
+@pytest.mark.parametrize("names", [("gain=10%",), ("pole=30%",), ("gain=5%", "pole=20%")])
+def test_every_plant_between_is_covered(names):
+    """Plants of random parameters, none of them on the grid, lie in the set that the matrices describe."""
+    target = tracking_target("dc-motor")
+    intervals = [interval(target.of, said) for said in names]
+    found = plants_between(target, intervals)
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        values = {i.name: float(rng.uniform(i.low, i.high)) for i in intervals}
+        other = dataclasses.replace(target.of, **values).model().discretise(0.05)
+        change = np.hstack([other.A - target.A, other.B - target.B])
+        N = np.hstack([found.N1, found.N2])
+        delta = np.linalg.pinv(found.M) @ change @ np.linalg.pinv(N)
+        assert np.linalg.norm(delta, 2) <= 1.0 + 1e-9
+        np.testing.assert_allclose(found.M @ delta @ N, change, atol=1e-10)
 
 
 def test_command_line_turns_refusal_into_status_2_and_writes_nothing(tmp_path):

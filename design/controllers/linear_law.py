@@ -1,0 +1,96 @@
+"""A linear controller with a state of its own, u = u* + C xi + D (y - r), xi' = A xi + B (y - r): one row for every delay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers.contract import LoopModel, Rows, RunningController, Selection
+from design.controllers.gain_rows_many import dot, feedforward
+from design.errors import FieldError
+
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinearLaw:
+    """Matrices of a linear controller.
+
+    Args:
+        A, B, C, D: shapes (c, c), (c, p), (m, c), (m, p); c may be 0.
+    """
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+
+
+@runtime_checkable
+class LinearFeedback(Protocol):
+    """A controller that is linear with a state of its own; over delay chains its loop can be certified."""
+
+    def start(self, model: LoopModel) -> RunningController: ...
+
+    def linear_law(self, model: LoopModel) -> LinearLaw:
+        """Return its matrices; every packet has one row, whatever its delay."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputFeedback:
+    """Dynamic output feedback of any origin, such as LQG: xi(k+1) = A xi + B e, u = u* + C xi + D e, e = y - r.
+
+    It takes the newest sample as if it were of this slot: a local design knows no network.
+
+    Args:
+        A: nested tuple [c][c].
+        B: nested tuple [c][p].
+        C: nested tuple [m][c].
+        D: nested tuple [m][p]. Input unit per output unit.
+    """
+
+    kind: ClassVar[str] = "output-feedback"
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+    def linear_law(self, model: LoopModel) -> LinearLaw:
+        c, m, p = len(self.A), model.B.shape[1], model.C.shape[0]
+        found: dict[str, NDArray[np.float64]] = {}
+        for name, value, shape in (("A", self.A, (c, c)), ("B", self.B, (c, p)), ("C", self.C, (m, c)), ("D", self.D, (m, p))):
+            try:
+                matrix = np.asarray(value, dtype=float)
+            except ValueError:
+                matrix = np.full((0,), np.nan)
+            if matrix.shape != shape and not (matrix.size == 0 and 0 in shape):
+                raise FieldError(name, f"shape {list(matrix.shape)} does not fit; expected {list(shape)} for this plant")
+            if not np.isfinite(matrix).all():
+                raise FieldError(name, "not finite")
+            found[name] = matrix.reshape(shape)
+        return LinearLaw(**found)
+
+    def start(self, model: LoopModel) -> RunningController:
+        return _LinearRows(self.linear_law(model), model)
+
+
+class _LinearRows:
+    selection: Selection = "constant"
+
+    def __init__(self, law: LinearLaw, model: LoopModel) -> None:
+        self._omega = feedforward(model).tolist()
+        self._state_rows = np.hstack([law.A, law.B]).tolist()
+        self._input_rows = np.hstack([law.C, law.D]).tolist()
+        self._xi = [0.0] * law.A.shape[0]
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
+        known = self._xi + [a - b for a, b in zip(y, r)]
+        u = tuple([dot(star, r) + dot(row, known) for star, row in zip(self._omega, self._input_rows)])
+        self._xi = [dot(row, known) for row in self._state_rows]
+        return (u,)

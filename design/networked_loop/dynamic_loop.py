@@ -1,0 +1,98 @@
+"""A linear controller with a state of its own over two delay chains, as a jump-linear system.
+
+    xi(k+1) = Ac xi(k) + Bc e(k),    v(k) = Cc xi(k) + Dc e(k),    e(k) = C x(k - tau_k),    u(k) = v(k - d_k)
+
+In deviations from the ideal plant response. Every packet carries one row, which the actuator applies whatever its age. State:
+x, then the stored outputs, xi, then the rows under way, newest first.
+
+Reference: (7.14), with xi in place of a table of gains.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers import LinearLaw
+from design.errors import FieldError
+from design.jump_linear.mjls import MJLS
+from design.networked_loop.initial_law import default_initial, initial_law
+from design.networked_loop.joint_modes import joint_bounds, joint_modes
+from design.networked_loop.loop_shapes import check_plant_shapes
+from design.processes.delay_chain import Array, DelayChain
+
+
+class DynamicLoop(NamedTuple):
+    """The closed loop, bounds of its transition probabilities (None where exact), and the law of the mode at an impulse."""
+
+    system: MJLS
+    between: tuple[Array, Array] | None
+    initial: Array
+    initial_law: str
+
+
+def dynamic_loop(
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    sc: DelayChain,
+    ca: DelayChain,
+    law: LinearLaw,
+    *,
+    input_weight: float = 0.01,
+) -> DynamicLoop:
+    """Return the loop of a plant, two delay chains and a linear controller; z = [C x; input_weight u], w adds to u.
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n) discrete plant (7.1).
+        sc, ca: the delay chains.
+        law: the controller.
+        input_weight: weight of the applied input in z.
+
+    Raises:
+        ValueError: wrong shapes; the message starts with the argument's name.
+    """
+    A_, B_, C_ = check_plant_shapes(A, B, C)
+    n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
+    if law.B.shape[1] != p or law.C.shape[0] != m:
+        raise FieldError("law", f"{law.B.shape[1]} inputs and {law.C.shape[0]} outputs, expected {p} and {m} for this plant")
+    stored, under_way = sc.max_delay, ca.max_delay
+    xi = n + stored * p
+    rows = xi + law.A.shape[0]
+    order = rows + under_way * m
+    modes, transition = joint_modes(sc, ca)
+
+    base = np.zeros((order, order))
+    base[:n, :n] = A_
+    if stored:
+        base[n : n + p, :n] = C_
+        base[n + p : xi, n : xi - p] = np.eye((stored - 1) * p)
+    if under_way:
+        base[rows + m :, rows : order - m] = np.eye((under_way - 1) * m)
+    closed = np.repeat(base[None], len(modes), axis=0)
+    output = np.zeros((len(modes), p + m, order))
+    for i, (s, c, _) in enumerate(modes):
+        tau, d = int(sc.delay[s]), int(ca.delay[c])
+        e = np.zeros((p, order))
+        e[:, : n if tau == 0 else 0] = C_[:, : n if tau == 0 else 0]
+        if tau:
+            e[:, n + (tau - 1) * p : n + tau * p] = np.eye(p)
+        v = law.D @ e
+        v[:, xi:rows] += law.C
+        closed[i, xi:rows] += law.B @ e
+        closed[i, xi:rows, xi:rows] += law.A
+        if under_way:
+            closed[i, rows : rows + m] += v
+        u = v
+        if d:
+            u = np.zeros((m, order))
+            u[:, rows + (d - 1) * m : rows + d * m] = np.eye(m)
+        closed[i, :n] += B_ @ u
+        output[i, :p, :n] = C_
+        output[i, p:] = input_weight * u
+    drive = np.zeros((order, m))
+    drive[:n] = B_
+    system = MJLS(A=closed, B=drive, C=output, transition=transition)
+    return DynamicLoop(system, joint_bounds(sc, ca, modes), default_initial(sc, ca, modes), initial_law(sc, ca))
