@@ -96,7 +96,7 @@ def encode_control(packet: ControlPacket) -> bytes:
     count = len(rows)
     inputs = len(rows[0]) if count else 0
     values = rows[0] if count == 1 else tuple([value for row in rows for value in row])
-    if count > MAX_ROWS or (count and not 0 < inputs <= MAX_INPUTS) or {*map(len, rows)} - {inputs}:
+    if count > MAX_ROWS or (count and not 0 < inputs <= MAX_INPUTS) or (count > 1 and {*map(len, rows)} - {inputs}):
         raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected up to 255 rows of one length, 1 to 255")
     if not 0 <= selection < len(SELECTIONS):
         raise FieldError("selection", f"{selection}, expected a code from 0 to {len(SELECTIONS) - 1}")
@@ -133,11 +133,13 @@ def decode(data: bytes) -> SensorPacket | ControlPacket | None:
     >>> decode(bytes(20)) is None
     True
     """
-    size = packet_size(data)
-    if not size or len(data) < size:
+    length = len(data)
+    size_of = _SIZE.get(data[2]) if length >= 4 else None
+    size = None if size_of is None else size_of(data)
+    if not size or length < size:
         return None
-    if len(data) != size:
-        if len(data) - size > 7 or any(data[size:]):
+    if length != size:
+        if length - size > 7 or any(data[size:]):
             return None
         data = data[:size]
     if crc_hqx(data[2:], CRC_START) != data[0] | data[1] << 8:

@@ -170,6 +170,9 @@ class Flow:
         if rows is None:
             rows = self._tabulate(dt_ns)
         held = (*x, *v)
+        if len(held) == 5:  # a held device, ten thousand times a second: the same sum, written out
+            a0, a1, a2, a3, a4 = held
+            return [0.0 + r[0] * a0 + r[1] * a1 + r[2] * a2 + r[3] * a3 + r[4] * a4 for r in rows]
         after = []
         for row in rows:
             total = 0.0

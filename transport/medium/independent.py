@@ -92,15 +92,18 @@ class AgeImpairment:
 
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
-        _check_offer(k, self._next, self._held[-1].tick if self._held else -1)
-        self._held.append(_Held(k, packet))
+        held = self._held
+        if k < self._next or (held and k <= held[-1].tick):
+            _check_offer(k, self._next, held[-1].tick if held else -1)
+        held.append(_Held(k, packet))
 
     def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
         """Return the decisions of slot k and its one arrival (none before the first), see `Impairment.collect`."""
-        _check_collect(k, self._next)
         draws: list[Draw] = []
-        for slot in range(self._next, k):
-            self._step(slot, draws)
+        if k != self._next:
+            _check_collect(k, self._next)
+            for slot in range(self._next, k):
+                self._step(slot, draws)
         arrivals = self._step(k, draws)
         self._next = k + 1
         return draws, arrivals
@@ -113,8 +116,17 @@ class AgeImpairment:
             return []
         # Ages grow by at most one, so k - age never falls and older packets are done with; a law with gaps may come
         # back to them.
-        self._forget(k, k - self._max_age if self._gaps else target, draws)
-        held = self._newest_until(target)
+        if self._gaps:
+            self._forget(k, k - self._max_age, draws)
+            held = self._newest_until(target)
+        else:
+            kept = self._held
+            if len(kept) > 1 and kept[1].tick <= target:
+                if kept[0].used:  # the usual case: one packet is done with in every slot
+                    kept.popleft()
+                if len(kept) > 1 and kept[1].tick <= target:
+                    self._forget(k, target, draws)
+            held = kept[0] if kept and kept[0].tick <= target else None
         if held is None or held.tick != target:
             draws.append(Draw(k, target, mode, age, nan, ABSENT))
             if held is None:
@@ -125,10 +137,12 @@ class AgeImpairment:
         else:
             reason = DELIVERED if held.tick > self._newest else DISORDERED
             held.used = True
-        self._newest = max(self._newest, held.tick)
-        age = k - held.tick
-        draws.append(Draw(k, held.tick, mode, age, age * self._period_s, reason))
-        return [(held.tick, held.packet)]
+        tick = held.tick
+        if tick > self._newest:
+            self._newest = tick
+        age = k - tick
+        draws.append(Draw(k, tick, mode, age, age * self._period_s, reason))
+        return [(tick, held.packet)]
 
     def _forget(self, k: int, floor: int, draws: list[Draw]) -> None:
         held = self._held
@@ -138,7 +152,7 @@ class AgeImpairment:
                 draws.append(Draw(k, old.tick, NO_MODE, k - old.tick, nan, SUPERSEDED))
 
     def _newest_until(self, target: int) -> _Held | None:
-        for held in reversed(self._held) if self._gaps else list(self._held)[:1]:
+        for held in reversed(self._held):
             if held.tick <= target:
                 return held
         return None

@@ -60,4 +60,5 @@ class IndependentChannels:
 
     def collect(self, k: int) -> list[Delivery]:
         """Return what each channel lets arrive, see `Medium.collect`."""
-        return [channel.collect(k) for channel in self._channels]
+        channels = self._channels
+        return [channels[0].collect(k)] if len(channels) == 1 else [channel.collect(k) for channel in channels]

@@ -10,6 +10,7 @@ from hil.runtime.nodes.safety import Safety
 from transport.packets import SELECTIONS, ControlPacket
 
 OK, HOLD, NONE_YET, SAFE = range(4)  # the codes of /actuator/applied.status
+CONSTANT = SELECTIONS.index("constant")
 
 
 def row_index(selection: str, d: int, g: int, measured_d: Mapping[int, int] | Sequence[int], d_max: int) -> int:
@@ -116,19 +117,21 @@ class ActuatorNode:
         d = k - g if held is not None else -1
         self._measured_d[k] = d
         self._measured_d.pop(k - self._d_max - 2, None)
-        row, status, reason = -1, SAFE, None
-        if self._safety.tripped is None:
+        row, status, reason, safety = -1, SAFE, None, self._safety
+        if safety.tripped is None:
             if held is None or d > self._d_max:
                 status = HOLD if held is not None else NONE_YET
-                reason = self._safety.starved() if k > self._d_max else None
+                reason = safety.starved() if k > self._d_max else None
             else:
-                row, status = row_index(SELECTIONS[held.selection], d, g, self._measured_d, self._d_max), OK
+                rule, status = held.selection, OK
+                row = 0 if rule == CONSTANT else row_index(SELECTIONS[rule], d, g, self._measured_d, self._d_max)
                 u = held.rows[row]
-                reason = self._safety.check_command(u)
+                reason = safety.check_command(u)
                 if reason is None:
-                    self._safety.fed()
+                    safety.fed()
                     self.u = self._command = u
-        if self._latch(reason) is not None:
+        if reason is not None:
+            self._latch(reason)
             row, status = -1, SAFE
         if self._damper is None:
             return Applied(self.u, g, d, row, status, reason)

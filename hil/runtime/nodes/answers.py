@@ -131,7 +131,7 @@ class Answers:
         if len(rows) != expected or len(rows[0]) != self._inputs:
             shape = f"{len(rows)} rows of {len(rows[0]) if rows else 0}"
             fault = f"{shape}, expected {expected} of {self._inputs} for {SELECTIONS[packet.selection]!r}"
-        elif not isfinite(sum(map(sum, rows))):
+        elif not isfinite(sum(rows[0]) if len(rows) == 1 else sum(map(sum, rows))):
             fault = "a row is not finite"
         if fault is None:
             return True

@@ -33,7 +33,7 @@ class Safety:
         """Trip on a state beyond its bound or not finite; return the reason when this call trips."""
         if self.tripped is None:
             for i, name, bound in self._states:
-                if not abs(state[i]) <= bound:
+                if not -bound <= state[i] <= bound:
                     return self.trip(f"{name} = {state[i]:.4g} is beyond its limit {bound:g}")
             if not math.isfinite(sum(state)):
                 return self.trip("the plant's state is not finite")
