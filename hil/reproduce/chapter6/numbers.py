@@ -23,6 +23,7 @@ from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion, distortion_bound
 from hil.report.html.figures import Figure, Series
 from hil.reproduce.chapter import Chapter, Part, Plot, Stage, Tell
+from hil.reproduce.chapter6.equation_rows import equation_rows
 from hil.reproduce.chapter6.rig_rows import identification_rows, slide_part
 from hil.reproduce.chapter6.wall_rows import wall_rows
 from hil.reproduce.judgement import Row, above, below, near, row, says, within
@@ -39,6 +40,10 @@ def published_device() -> HeldDevice:
 
 def _identification(tell: Tell) -> Part:
     return Part(rows=tuple(identification_rows()))
+
+
+def _equations(tell: Tell) -> Part:
+    return Part(rows=tuple(equation_rows(published_device())))
 
 
 def _slide(tell: Tell) -> Part:
@@ -210,6 +215,7 @@ CHAPTER = Chapter(
     title="Chapter 6: a haptic example",
     stages=(
         Stage("identification", _identification),
+        Stage("equations", _equations),
         Stage("mixed wall", _mixed_wall),
         Stage("passivity", _passivity),
         Stage("transparency", _transparency),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from design.controllers.virtual_wall import RendersWall
+from design.controllers.wall import MATERIALS
 from design.identification.output_error import identify_axis
 from design.identification.record import Record
 from hil.compose.loop import compose
@@ -13,7 +15,7 @@ from hil.measure.avatar import avatar_path, wall_loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, view_of
 from hil.report.html.figures import Figure, Series
 from hil.reproduce.chapter import Part, Plot
-from hil.reproduce.judgement import Row, below, near, row, says
+from hil.reproduce.judgement import Row, below, near, row, says, within
 from hil.session import simulate
 
 
@@ -48,8 +50,9 @@ def slide_part() -> Part:
     view = view_of(run, experiment)
     loop = wall_loop_of(view)
     path = avatar_path(view, loop) if loop is not None else None
-    if path is None:
+    if path is None or loop is None or not isinstance(loop.controller, RendersWall):
         raise HilError("omni-slide: renders no wall")
+    compliance = loop.controller.coupler.static_compliance_m_per_n
     way = float(np.hypot(np.diff(path.y_m), np.diff(path.z_m)).sum())
     deepest = float(path.depth_m.max())
     found = row(
@@ -58,6 +61,13 @@ def slide_part() -> Part:
         below("deepest avatar, mm,", 1e3 * deepest, 5.0),
         basis=f"omni-slide, metre reading: an arm that means to be 50 mm behind the wall slides {way:.3g} m; the device itself "
         f"is up to {1e3 * float(view.run.arrays[MEASUREMENT]['position'].max()):.3g} mm behind the surface",
+    )  # fmt: skip
+    device = float(view.run.arrays[MEASUREMENT]["position"].max())
+    pushed = float(compliance) + 1.0 / MATERIALS[0].stiffness_n_per_m
+    order = row(
+        "6.5.2: simulated and measured penetration are of the same order", "the same order",
+        within("deepest device while it slides over its depth under 1 N", device / pushed, 0.1, 10.0),
+        basis=f"the coupler of omni-slide: {1e3 * pushed:.3g} mm under 1 N on material 1",
     )  # fmt: skip
     panels = (
         Figure(
@@ -69,4 +79,4 @@ def slide_part() -> Part:
             series=(Series(label="material", x=path.t_s, y=path.material + 1, style="step"),),
         ),
     )  # fmt: skip
-    return Part(rows=(found,), figures=(Plot(title="Figures 6.9 and 6.10", panels=panels),))
+    return Part(rows=(found, order), figures=(Plot(title="Figures 6.9 and 6.10", panels=panels),))

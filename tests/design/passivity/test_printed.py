@@ -1,0 +1,69 @@
+"""The printed conditions of Chapter 6, each beside what shows that nothing follows from it."""
+
+import numpy as np
+import pytest
+
+from design.as_printed.coupler import DELAY, LAMBDA
+from design.as_printed.haptic_conditions import (
+    inner_loop,
+    printed_attenuation,
+    printed_stability,
+    printed_transparency,
+)
+from design.controllers.coupler import static_coupler, wave_coupler
+from design.controllers.wall import MATERIALS
+from design.errors import FieldError
+from design.jump_linear.bounded_real import hinf_norm
+from design.passivity.loop import HapticLoop
+from design.passivity.transparency import distortion
+from tests.design.passivity.published import DAMPING, DEVICE, PERIOD_S
+
+WAVE = wave_coupler(PERIOD_S, DAMPING, DELAY)
+
+
+def test_6_9_holds_and_the_loop_is_unstable_at_one_sample():
+    coupler = wave_coupler(PERIOD_S, DAMPING, 0)
+    said = printed_stability(coupler, DAMPING)
+    assert said.holds and said.method == "printed" and said.sound is False
+    loop = HapticLoop(device=DEVICE, coupler=coupler, period_s=PERIOD_S, sc_max=1, ca_max=0)
+    assert loop.radius(MATERIALS[0], 1, 0) == pytest.approx(1.083, abs=1e-3)
+    assert not printed_stability(static_coupler(0.9 * said.number), DAMPING).holds
+
+
+def test_6_12_finds_no_wall_more_transparent_than_a_safe_one():
+    said = printed_transparency(MATERIALS[:1], WAVE, cutoff_hz=3.0)
+    assert not said.holds and said.number == pytest.approx(2092, rel=1e-3) and said.sound is False
+    assert printed_transparency(MATERIALS[:1], WAVE, cutoff_hz=0.3).holds  # 988.8 < 1000: it turns with the weight
+
+
+def test_6_17_certifies_a_ten_thousandth_of_the_true_norm():
+    """Findings B4: the norm under Lambda is 845.1 N/m; as printed nothing drives the weight, and any level is certified."""
+    said = printed_attenuation(MATERIALS, LAMBDA, WAVE, cutoff_hz=0.3, gamma=0.06)
+    assert said.holds and said.sound is False and said.condition == "(6.17)"
+    meant = hinf_norm(distortion(MATERIALS, LAMBDA, WAVE, period_s=PERIOD_S, delay=DELAY, cutoff_hz=0.3))
+    assert meant == pytest.approx(845.1, abs=0.1)
+    assert meant > 10_000 * said.number
+
+
+def test_6_17_refuses_a_system_that_is_not_stable():
+    unstable = static_coupler(-0.0011)
+    assert np.abs(np.linalg.eigvals(inner_loop(MATERIALS[2], unstable, 0.3)[0])).max() > 1.0
+    assert not printed_attenuation(MATERIALS, LAMBDA, unstable, cutoff_hz=0.3, gamma=1e6).holds
+    with pytest.raises(FieldError, match="gamma"):
+        printed_attenuation(MATERIALS, LAMBDA, WAVE, cutoff_hz=0.3, gamma=0.0)
+
+
+def test_the_inner_loop_of_6_14_renders_the_wall_behind_its_coupler():
+    """The force that leaves it, without delay, is G/(1 + G C): by its frequency response."""
+    A, B, _ = inner_loop(MATERIALS[0], WAVE, 0.3)
+    rate, direct = MATERIALS[0].damping_n_s_per_m / PERIOD_S, WAVE.taps_m_per_n[0]
+    stiff = MATERIALS[0].stiffness_n_per_m + rate
+    out = np.zeros(len(A))
+    out[1] = -rate / (1.0 + stiff * direct)
+    out[2:-1] = -stiff / (1.0 + stiff * direct) * np.asarray(WAVE.taps_m_per_n[1:])
+    for t in (0.1, 1.0, 3.0):
+        z = np.exp(1j * t)
+        c = sum(tap * z**-l for l, tap in enumerate(WAVE.taps_m_per_n))
+        g = MATERIALS[0].stiffness_n_per_m + rate * (1 - 1 / z)
+        found = out @ np.linalg.solve(z * np.eye(len(A)) - A, B[:, 0]) + stiff / (1.0 + stiff * direct)
+        assert found == pytest.approx(g / (1 + g * c), rel=1e-9)
