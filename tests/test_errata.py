@@ -53,6 +53,6 @@ def test_every_cited_item_exists() -> None:
 
 def test_no_file_cites_a_document_that_is_not_here() -> None:
     gone = re.compile(r"\bfindings\b", re.IGNORECASE)
-    for room in ("hil", "design", "plants", "transport"):
+    for room in ("hil", "design", "plants", "transport", "tests"):
         for path in sorted((ROOT / room).rglob("*.py")):
-            assert not gone.search(path.read_text()), path
+            assert path == Path(__file__) or not gone.search(path.read_text()), path

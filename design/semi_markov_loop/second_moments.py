@@ -80,13 +80,13 @@ def _closed_loop(system: JumpSystem, gain: ScheduledGain, mode: int, left: float
     return a0, system.b[mode] @ (gain.at(mode, right) - k0) / (right - left)
 
 
-def _transitions(a0: FloatArray, slope: FloatArray, offset: float, lengths: FloatArray) -> FloatArray:
-    """Phi from ``offset`` to offset + lengths for A(s) = a0 + slope s (fourth-order Magnus)."""
-    if not slope.any():
-        return exponential(a0 * lengths[:, None, None])
+def _transitions(a0: FloatArray, slope: FloatArray, offsets: FloatArray, lengths: FloatArray) -> FloatArray:
+    """Phi from offsets (steps,) to offset + lengths (l,) for A(s) = a0 + slope s (fourth-order Magnus), (steps, l, n, n)."""
     x = lengths[:, None, None]
-    shift = math.sqrt(3.0) / 6.0
-    first, second = a0 + slope * (offset + x * (0.5 - shift)), a0 + slope * (offset + x * (0.5 + shift))
+    if not slope.any():  # the same in every step
+        return np.broadcast_to(exponential(a0 * x), (offsets.size, lengths.size, *a0.shape))
+    shift, at = math.sqrt(3.0) / 6.0, offsets[:, None, None, None]
+    first, second = a0 + slope * (at + x * (0.5 - shift)), a0 + slope * (at + x * (0.5 + shift))
     commutator = second @ first - first @ second
     return exponential(0.5 * x * (first + second) + math.sqrt(3.0) / 12.0 * x * x * commutator)
 
@@ -113,17 +113,18 @@ def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, 
             raise DesignError(f"second-moment operator: a sojourn in mode {mode + 1} takes more than {_STEPS} steps")
         width = (right - left) / steps
         lengths = np.append(0.5 * width * (_POINTS + 1.0), width)
-        fixed = None if slope.any() else _transitions(a0, slope, 0.0, lengths)
         h = left + width * np.arange(steps)[:, None] + lengths[:-1]
         begun = process.integral(mode, left + width * np.arange(steps + 1))
         density = process.rate(mode, h) * np.exp(begun[:-1, None] - process.integral(mode, h))[:, :, None]
         hs.append(h.ravel())
         weights.append((density * (0.5 * width * _WEIGHTS)[:, None]).reshape(h.size, -1))
-        for step in range(steps):
-            local = _transitions(a0, slope, step * width, lengths) if fixed is None else fixed
-            here = local @ phi  # phi carries e^(-H/2), so that neither factor leaves the range of floats
-            squares.append(_kron2(here[:-1]))
-            phi = here[-1] * math.exp(0.5 * (begun[step] - begun[step + 1]))
+        local = _transitions(a0, slope, width * np.arange(steps), lengths)
+        across = local[:, -1] * np.exp(0.5 * (begun[:-1] - begun[1:]))[:, None, None]
+        starts_of_steps = np.empty((steps, n, n))
+        for step in range(steps):  # phi carries e^(-H/2), so that neither factor leaves the range of floats
+            starts_of_steps[step] = phi
+            phi = across[step] @ phi
+        squares.append(_kron2(local[:, :-1] @ starts_of_steps[:, None]).reshape(-1, n * n, n * n))
     tail = system.a[mode] + system.b[mode] @ gain.at(mode, end)
     generator = np.kron(tail, np.eye(n)) + np.kron(np.eye(n), tail)
     rates = process.rate(mode, end) if math.isfinite(settled) else None

@@ -172,6 +172,7 @@ class _Sojourn:
     def __init__(self, loop: SampledLoop, maps: PeriodMoments, mode: int, ages: RatesByAge, upper: bool) -> None:
         self._loop, self._maps, self._mode, self._ages, self._upper = loop, maps, mode, ages, upper
         self._gain, self._still, self._leaps = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0, 0))
+        self._known: dict[tuple[int, int], tuple[float, FloatArray]] = {}  # groups of one width meet the same ages one by one
 
     def out(self) -> FloatArray | None:
         """The moments at the first sample in every mode from those at the first sample in this one, shape (N, p, p)."""
@@ -221,11 +222,20 @@ class _Sojourn:
 
     def _weights(self, young: IntArray, old: IntArray) -> tuple[FloatArray, FloatArray]:
         # of the still paths, shape (groups,), and of a first jump to j at node g, shape (groups, N, G)
-        boxes = [self._ages.over(int(a), int(b)) for a, b in zip(young, old)]
-        leave = np.array([box.leave(self._upper) for box in boxes])
-        jump = np.array([box.jump(self._upper) for box in boxes])
-        nodes = self._maps.weights_s * np.exp(-np.multiply.outer(leave, self._maps.nodes_s))
-        return np.exp(-leave * self._maps.period_s), jump[:, :, None] * nodes[:, None, :]
+        found = [self._weights_over(a, b) for a, b in zip(young.tolist(), old.tolist())]
+        return np.array([still for still, _ in found]), np.array([jump for _, jump in found])
+
+    def _weights_over(self, young: int, old: int) -> tuple[float, FloatArray]:
+        known = self._known.get((young, old))
+        if known is None:
+            box = self._ages.over(young, old)
+            leave = box.leave(self._upper)
+            nodes = self._maps.weights_s * np.exp(-leave * self._maps.nodes_s)
+            known = math.exp(-leave * self._maps.period_s), np.multiply.outer(box.jump(self._upper), nodes)
+            if len(self._known) > CELLS // 4:
+                self._known.clear()
+            self._known[young, old] = known
+        return known
 
     def _apply(self, young: IntArray, old: IntArray, moments: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The groups after one period, and the moments after a jump by the mode at its end."""

@@ -22,6 +22,16 @@ from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError
 from design.lmi.decision import VerifyWith, decide
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose, verify
+from design.lmi.program import (
+    Array,
+    Inequality,
+    LmiProgram,
+    largest_eigenvalue,
+    symmetric_blocks,
+    symmetric_part,
+    transpose,
+    verify,
+)
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method
@@ -225,13 +235,27 @@ def known_gain(
 
 
 def _proved_decay(build: Callable[[float], list[Inequality]], matrices: dict[str, Array], low: float) -> float:
-    """The largest decay rate at which the same matrices still fulfil every strict inequality (bisection)."""
-    high = low + 1.0
-    while verify(build(high), matrices)[0] > 0:
+    """The largest decay rate at which the same matrices still fulfil every strict inequality (bisection).
+
+    The inequalities are affine in the decay rate: they are built at two rates, and the result is verified as it stands.
+    """
+    ends = [[item.at(matrices) for item in build(decay) if item.strict] for decay in (low, low + 1.0)]
+    stacks: dict[tuple[int, ...], list[tuple[Array, Array]]] = {}
+    for here, there in zip(*ends):
+        stacks.setdefault(here.shape, []).append((here, there - here))
+    parts = [(np.array([at for at, _ in pairs]), np.array([slope for _, slope in pairs])) for pairs in stacks.values()]
+
+    def holds(decay: float) -> bool:
+        return all(largest_eigenvalue(at + (decay - begun) * slope) < 0 for at, slope in parts)
+
+    begun, high = low, low + 1.0
+    while holds(high):
         low, high = high, 2.0 * high
     for _ in range(20):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if verify(build(middle), matrices)[0] > 0 else (low, middle)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    while low > begun and verify(build(low), matrices)[0] <= 0:  # rounding only
+        low = max(begun, low - (high - low))
     return low
 
 

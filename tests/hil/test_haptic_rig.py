@@ -69,7 +69,7 @@ def test_the_shipped_walls_are_certified_and_give_no_energy_away(name: str) -> N
 
 
 def test_the_arm_presses_45_mm_deep_while_it_slides() -> None:
-    """Findings C: 45.0 +- 2.2 mm of 50 mm intended, with the coupler that counts on the bare device alone."""
+    """A long run: 45.0 +- 2.2 mm of 50 mm intended, with the coupler that counts on the bare device alone."""
     x = states("omni-slide", "controller.coupler.damping_n_s_per_m=1.9857", duration="120 s")["position"][200:]
     assert x.mean() == pytest.approx(0.045, abs=1.5e-3)
     assert x.std() < 4e-3

@@ -46,14 +46,14 @@ def assert_in_bands(squares, predicted, ticks):
     assert np.all(np.abs(deviation.mean(axis=0) - predicted.square_sd**2) <= band)
 
 
-# With two samples the error dies out so fast that later only runs too rare for two hundred carry its moments.
+# With two samples the error dies out so fast that later only runs too rare for eighty carry its moments.
 CASES = [("dc-motor-hinf", 160), ("dc-motor-ours-bursty", 160), ("dc-motor-ours-two-samples", 36)]
 
 
 @pytest.mark.parametrize("name, ticks", CASES)
-def test_two_hundred_runs_lie_in_the_bands(name, ticks):
+def test_eighty_runs_lie_in_the_bands(name, ticks):
     loop = compose(load_experiment(name, (f"duration={0.05 * ticks} s",)))
-    assert_in_bands(squared_errors(loop, range(200)), predicted_of(loop, ticks), ticks)
+    assert_in_bands(squared_errors(loop, range(80)), predicted_of(loop, ticks), ticks)
 
 
 @pytest.mark.slow

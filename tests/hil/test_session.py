@@ -116,7 +116,7 @@ def test_loop_that_is_not_stable_is_refused_and_with_leave_is_stopped_by_safety(
     assert "safe state" in json.loads(done.stdout)["safety"]
 
 
-# name, mean and sd of sse, mean and sd of sse_after_5s over 10,000 runs (shared findings of chapter 7)
+# name, mean and sd of sse, mean and sd of sse_after_5s over 10,000 runs (Table 7.2 and Section 7.4.2; ERRATA 16, 17)
 TABLE = [
     ("dc-motor-hinf", 12.03, 0.41, 0.0305, 0.0058),
     ("dc-motor-h2", 12.33, 0.46, 0.0302, 0.0058),

@@ -79,7 +79,7 @@ def test_random_delays_are_a_jump_linear_system_too():
     ],
 )
 def test_limits_without_a_coupler(delay, slow, fast):
-    """Findings B1, B = 0 and 2 N s/m."""
+    """Stiffest stable walls of the loop itself (Section 6.4), at B = 0 and 2 N s/m."""
     for period, expected in ((PERIOD_S, slow), (0.001, fast)):
         found = [exact_n_per_m(DEVICE, period, delay, damping) for damping in (0.0, 2.0)]
         assert found == pytest.approx(expected, rel=4e-3)

@@ -46,7 +46,7 @@ def exact(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov) -> tuple
 
 
 def test_printed_corollary_accepts_a_diverging_system_and_ours_refuse_it() -> None:
-    # DEVIATION from Corollary 2.1: counterexample 1 of the findings
+    # DEVIATION from Corollary 2.1: counterexample 1, ERRATA 1
     printed = printed_stability(STEP_SYSTEM, None, STEP_PROCESS, nodes=HALVES)
     assert printed.certified and printed.check() > 0 and not printed.sound
     assert prove(printed).proved  # the printed inequalities really hold, and the system really diverges

@@ -18,7 +18,7 @@ from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF, VTOL, VTOL_R
 H2_GOALS = {
     ("motor", "generated"): 3.7110, ("motor", "applied"): 3.4697, ("motor", "both"): 3.2918,
     ("vtol", "generated"): 0.12044, ("vtol", "applied"): 0.11709, ("vtol", "both"): 0.11497,
-    # and the rest of the findings' table
+    # and the rest of the table, as found before
     ("motor", "constant"): 3.8913, ("motor", "tau"): 3.7433, ("motor", "previous"): 3.7386, ("motor", "total"): 3.5124,
     ("vtol", "constant"): 0.12396, ("vtol", "tau"): 0.12094, ("vtol", "total"): 0.11747,
 }  # fmt: skip
@@ -78,19 +78,17 @@ def test_deadbeat_optimum_is_reached_although_its_norm_has_no_fold():
 
 
 def test_same_problem_same_gains():
-    first, second = (solve(problem("motor", objective="hinf", starts=3, seed=5)) for _ in range(2))
+    first, second = (solve(problem("motor", objective="hinf", information="constant", starts=2, seed=5)) for _ in range(2))
     assert np.array_equal(first.gains, second.gains)
 
 
 def test_gain_bound_is_kept_and_costs():
-    free = solve(problem("vtol", objective="hinf", information="generated", starts=1)).certificate.hinf_norm
+    free = solve(problem("vtol", information="generated", starts=1)).certificate.h2_norm
     norms = []
-    for bound in (1.5, 3.0, 6.0):
-        design = solve(
-            problem("vtol", objective="hinf", information="generated", starts=1, gain_bound=bound)
-        )
+    for bound in (1.0, 2.0, 3.0):
+        design = solve(problem("vtol", information="generated", starts=1, gain_bound=bound))
         assert np.abs(design.gains).max() <= bound
-        norms.append(design.certificate.hinf_norm)
+        norms.append(design.certificate.h2_norm)
     assert norms == sorted(norms, reverse=True) and norms[-1] > free
 
 
@@ -128,10 +126,11 @@ def test_lower_bounds_lie_below_every_design():
 def test_norm_derivatives_in_every_gain_space_are_difference_quotients():
     rng = np.random.default_rng(2)
     for information in INFORMATION:
+        gains = solve(problem("motor", information=information, starts=1)).gains
         for bound in (None, 0.5):
             p = problem("motor", information=information, gain_bound=bound)
             objective = LoopObjective(p.structure(), p.space(), p.alpha(p.structure()))
-            v = p.space().coordinates(solve(problem("motor", information=information, starts=1)).gains) * 0.9
+            v = p.space().coordinates(gains) * 0.9
             for norm in (objective.h2, objective.hinf):
                 step = 1e-5 * rng.standard_normal(v.size)
                 quotient = (norm(v + step)[0] - norm(v - step)[0]) / 2

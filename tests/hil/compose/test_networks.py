@@ -103,7 +103,7 @@ NEVER_0 = [
 def test_delays_that_are_never_0_run_as_certified_and_predicted(sc, ca):
     loop = compose(over(sc=sc, ca=ca, controller=FLAT))
     assert loop.certificate["state"] == "certified"
-    assert_mean_and_variance(loop, range(300), 0)
+    assert_mean_and_variance(loop, range(80), 0)
 
 
 def test_the_commonest_network_there_is_runs_with_the_published_gains():

@@ -7,15 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from transport.laws.trace import MAX_BYTES, MAX_ENTRIES, read_ages
+from transport.laws import trace
+from transport.laws.trace import MAX_BYTES, read_ages
 
 
-def test_a_pipe_is_not_waited_for_and_a_trace_has_an_end(tmp_path: Path) -> None:
+def test_a_pipe_is_not_waited_for_and_a_trace_has_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trace, "MAX_ENTRIES", 1000)  # two million take seconds to read
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(ValueError, match=r"^file: .*pipe is no regular file"):
         read_ages(tmp_path / "pipe")
-    (tmp_path / "long").write_text("0\n" * (MAX_ENTRIES + 1))
-    with pytest.raises(ValueError, match=rf"^file: .*long has more than {MAX_ENTRIES} entries"):
+    (tmp_path / "long").write_text("0\n" * 1001)
+    with pytest.raises(ValueError, match=r"^file: .*long has more than 1000 entries"):
         read_ages(tmp_path / "long")
     (tmp_path / "large").write_text("0" * (MAX_BYTES + 1))
     with pytest.raises(ValueError, match=r"^file: .*large has more than"):

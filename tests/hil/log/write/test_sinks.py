@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.log.events import encode_event, plain
@@ -28,6 +28,7 @@ _values = st.recursive(
 )
 
 
+@settings(max_examples=30, deadline=None)
 @given(st.text(), st.text(), st.dictionaries(st.text(), _values))
 def test_every_event_becomes_strict_json(kind: str, message: str, data: dict[str, Any]) -> None:
     def refuse(name: str) -> None:
