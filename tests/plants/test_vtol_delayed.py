@@ -146,7 +146,7 @@ GAINS = {
 
 
 def test_the_published_gains_give_the_known_transient():
-    """The example of Chapter 3 without noise: sqrt(int z^2 dt) is 0.840 on the mean of many runs; four standard errors of 20 runs, sampled every 10 ms."""
+    """Chapter 3 without noise: sqrt(int z^2 dt) is 0.840 on the mean; four standard errors of 20 runs, sampled every 10 ms."""
     norms = []
     for seed in range(20):
         run = DelayedVTOL(noise_std=0.0, substep_s=0.002).start(np.random.default_rng(seed))

@@ -121,7 +121,7 @@ def ratio(seed, fault_is_known):
 
 
 def test_the_published_gains_have_the_known_ratio_if_the_fault_is_known():
-    """||y|| / ||w|| of Section 4.4 with (4.30): 0.130 (+- 0.007) over noise held for 1 ms to 1 s; ERRATA 11 for the detector only."""
+    """||y|| / ||w|| of Section 4.4 with (4.30): 0.130 (+- 0.007) over noise held for 1 ms to 1 s; see ERRATA 11."""
     assert np.mean([ratio(seed, True) for seed in range(10)]) == pytest.approx(0.134, abs=0.012)
 
 

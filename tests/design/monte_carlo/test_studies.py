@@ -93,7 +93,8 @@ def test_settling_time_is_the_last_exit_of_the_trajectory() -> None:
 def test_settling_times_of_the_example_are_the_known_ones(
     gain: ScheduledGain, duration_s: float, mean: float, sd: float
 ) -> None:
-    # Two independent samples of 10,000: z tests at 1e-4 each, widened by the rounding of the known numbers (published: 3.57 and 9.91 s, ERRATA 5 and 8).
+    # Two independent samples of 10,000: z tests at 1e-4 each, widened by the rounding of the known numbers. The text prints 3.57
+    # and 9.91 s (ERRATA 5 and 8).
     runs = 10_000
     found = settling_times(loop(gain), runs, duration_s=duration_s, seed=11)
     assert np.isfinite(found).all()
