@@ -21,7 +21,6 @@ import numpy as np
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError
 from design.lmi.decision import VerifyWith, decide
-from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose, verify
 from design.lmi.program import (
     Array,
     Inequality,

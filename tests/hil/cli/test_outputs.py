@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 import os
-import resource
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from hil.cli.outputs import check_output, write_output
 from hil.errors import HilError
+from tests.file_limit import files_up_to
 from tests.hil.cli.conftest import Hil
 
 
-@pytest.fixture
-def full() -> Iterator[None]:
-    """No file may grow beyond 4000 bytes, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-@pytest.mark.usefixtures("full")
 def test_what_does_not_fit_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     path.write_text("old")
-    with pytest.raises(HilError, match=r"page\.html: cannot be written: File too large"):
+    with files_up_to(4000), pytest.raises(HilError, match=r"page\.html: cannot be written: File too large"):
         write_output(path, "x" * 100_000)
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["page.html"]
 

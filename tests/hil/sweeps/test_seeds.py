@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.sweeps.seeds import columns_of, run_sweep, sweep
 from hil.sweeps.store import SweepStore
+from tests.file_limit import files_up_to
 from tests.waiting import until
 
 ONE_CORE = Workers()
@@ -82,14 +82,11 @@ def test_a_resumed_sweep_has_the_numbers_of_one_that_was_never_interrupted(
 
 
 def test_a_full_disk_is_said_and_costs_only_the_rows_that_did_not_fit(tmp_path: Path, experiment: Experiment) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
-        try:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-            with pytest.raises(HilError, match="s: cannot be written: File too large"):
-                run_sweep(experiment, range(20), workers=ONE_CORE, store=store)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with (
+        SweepStore(tmp_path / "s", experiment, COLUMNS) as store, files_up_to(1000),
+        pytest.raises(HilError, match="s: cannot be written: File too large"),
+    ):  # fmt: skip
+        run_sweep(experiment, range(20), workers=ONE_CORE, store=store)
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
         assert 0 < len(store.rows) < 20
 

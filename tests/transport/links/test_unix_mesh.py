@@ -6,7 +6,6 @@ import fcntl
 import os
 import resource
 import select
-import signal
 import socket
 import tempfile
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from tests.file_limit import files_up_to
 from transport import TransportError
 from transport.links.unix_mesh import HEAD, POLLS, Mesh
 
@@ -158,19 +158,8 @@ def test_a_mark_that_was_cut_costs_no_life(directory: Path) -> None:
             assert newcomer.receive(1) == HEAD.pack(2.0, 0) + b"frame"
 
 
-@pytest.fixture
-def no_room() -> Iterator[None]:
-    """No file may grow, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-@pytest.mark.usefixtures("no_room")
 def test_a_full_disk_is_told_by_an_error(directory: Path) -> None:
-    with pytest.raises(TransportError, match="joined: File too large"):
+    with files_up_to(0), pytest.raises(TransportError, match="joined: File too large"):
         Mesh(directory)
     assert not list(directory.glob("*.sock"))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import resource
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from hil.errors import HilError
 from hil.log.read.mcap_walk import MAGIC, walk
 from hil.log.read.recover import recover
 from hil.log.read.run import Run, read_run
+from tests.file_limit import files_up_to
 from tests.hil.log.recording import assert_same_arrays, provenance, record_chunks
 
 
@@ -210,23 +210,14 @@ def test_recovery_never_overwrites(log: bytes, tmp_path: Path) -> None:
 
 def test_recovery_onto_a_full_disk_leaves_nothing_behind(log: bytes, tmp_path: Path) -> None:
     source = written(tmp_path / "a.mcap", log[:-100])
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (len(log) // 2, hard))
-    try:
-        with pytest.raises(HilError, match=r"b\.mcap: cannot be written: File too large"):
-            recover(source, tmp_path / "b.mcap")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with files_up_to(len(log) // 2), pytest.raises(HilError, match=r"b\.mcap: cannot be written: File too large"):
+        recover(source, tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
 
 
 def test_a_log_that_filled_the_disk_keeps_what_the_sink_had_counted(tmp_path: Path) -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, hard))
-    try:
+    with files_up_to(40_000):
         sink = record_chunks(tmp_path / "a.mcap", 60)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert sink.error is not None
     record_chunks(tmp_path / "full.mcap", 60)
     report = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
@@ -241,6 +232,7 @@ def test_a_log_that_filled_the_disk_keeps_what_the_sink_had_counted(tmp_path: Pa
 _SESSION = """
 import sys, time
 from hil.log.write.mcap_sink import McapSink
+from tests.file_limit import files_up_to
 from tests.hil.log.recording import TABLE, provenance
 sink = McapSink(sys.argv[1], TABLE, provenance(), now=time.monotonic)
 put, pack = sink.channel("/reference"), TABLE["/reference"].schema.pack

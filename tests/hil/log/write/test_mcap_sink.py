@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +22,7 @@ from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import commit
 from hil.log.write.sinks import MemorySink, TeeSink
 from hil.runtime.virtual import run_virtual
+from tests.file_limit import files_up_to
 from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
 
 
@@ -158,32 +157,22 @@ def test_a_full_device_is_refused_at_open() -> None:
     assert os.path.exists("/dev/full")
 
 
-@pytest.fixture
-def disk_of_60_kb() -> Iterator[None]:
-    """A limit on file sizes: writing beyond it fails in the middle, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-@pytest.mark.usefixtures("disk_of_60_kb")
 def test_a_disk_that_fills_up_stops_the_log_and_not_the_session(tmp_path: Path) -> None:
     now = 0.0
     sink = McapSink(tmp_path / "run.mcap", TABLE, provenance(), now=lambda: now)
     total = 0
-    for k in range(100):
-        now = k * 0.06
-        total += record(sink, 20, start=20 * k)
-    sink.close()
+    with files_up_to(60_000):  # writing beyond it fails in the middle
+        for k in range(100):
+            now = k * 0.06
+            total += record(sink, 20, start=20 * k)
+        sink.close()
     assert sink.error is not None and "run.mcap: File too large" in sink.error
     assert 0 < sink.messages < total
     assert sink.messages + sink.dropped == total
 
 
-@pytest.mark.usefixtures("disk_of_60_kb")
 def test_no_file_is_left_when_the_first_bytes_do_not_fit(tmp_path: Path) -> None:
-    with pytest.raises(HilError, match="cannot be written: File too large"):
+    with files_up_to(60_000), pytest.raises(HilError, match="cannot be written: File too large"):
         McapSink(tmp_path / "run.mcap", TABLE, provenance(experiment_text="x" * 70_000))
     assert not list(tmp_path.iterdir())
 
