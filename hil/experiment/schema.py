@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -16,10 +17,17 @@ from hil.experiment.tables import HIDDEN, UNITS, Direction, Experiment, Seconds
 PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
 
 
-def experiment_schema() -> dict[str, Any]:
-    """Return the schema as a JSON-able dict (draft 2020-12)."""
-    kinds = {group: registry.names(group) for group in ("hil.plants", "hil.controllers", "hil.laws")}
-    classes = {(group, name): registry.load(group, name) for group in kinds for name in kinds[group]}  # type: ignore[arg-type]
+def experiment_schema(plugins: Mapping[str, Mapping[str, type]] | None = None) -> dict[str, Any]:
+    """Return the schema as a JSON-able dict (draft 2020-12).
+
+    Args:
+        plugins: group ("hil.plants", "hil.controllers", "hil.laws") to name to class; what is installed by default.
+    """
+    if plugins is None:
+        groups: tuple[registry.Group, ...] = ("hil.plants", "hil.controllers", "hil.laws")
+        plugins = {group: {name: registry.load(group, name) for name in registry.names(group)} for group in groups}
+    kinds = {group: list(named) for group, named in plugins.items()}
+    classes = {(group, name): cls for group, named in plugins.items() for name, cls in named.items()}
     _, definitions = msgspec.json.schema_components(
         [Experiment, *classes.values()], schema_hook=_hook, ref_template="#/$defs/{name}"
     )
