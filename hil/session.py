@@ -223,6 +223,8 @@ def _summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
     keep: dict[str, Sequence[str] | None] = dict.fromkeys((MEASUREMENT, REFERENCE, APPLIED, TIMING))
     for side, law in (("sc", loop.sc_law), ("ca", loop.ca_law)):
         keep[f"/network/{side}"] = ("mode", "reason") if law.family == "age" else None
+    if loop.experiment.nodes:
+        keep["/network/sc"] = None  # the load of each node is summed up from it
     keep |= dict.fromkeys({topic for measure in measures_of(loop.experiment) for topic in measure.topics} - {EVENTS_TOPIC})
     return None if any(table[topic].schema.raw for topic in keep) else keep
 

@@ -72,6 +72,8 @@ class DCMotor:
 
     angle' = speed,  speed' = -pole speed + gain (driver(u) + w - load - friction(speed)),  y = encoder(angle).
 
+    With a tachometer the speed is a second output, y = (encoder(angle), speed); the angle alone follows the reference.
+
     Every imperfection is off by default; each is given in volts at the input, to be compared with the control signal.
 
     Args:
@@ -84,6 +86,7 @@ class DCMotor:
         load: load torque in volts.
         encoder: angle of one count.
         disturbance_through_driver: whether w is added to the command (and saturates with it) or behind the driver.
+        tachometer: whether the speed is measured too.
 
     Raises:
         ValueError: where a parameter is out of range.
@@ -105,16 +108,22 @@ class DCMotor:
     load: LoadTorque = field(default_factory=LoadTorque)
     encoder: Encoder = field(default_factory=Encoder)
     disturbance_through_driver: bool = False
+    tachometer: bool = False
 
     inputs: ClassVar[tuple[Signal, ...]] = (Signal("voltage", "V"),)
-    outputs: ClassVar[tuple[Signal, ...]] = (Signal("angle", "rad"),)
     states: ClassVar[tuple[Signal, ...]] = (Signal("angle", "rad"), Signal("speed", "rad/s"))
+    tracked: ClassVar[tuple[str, ...]] = ("angle",)
 
     def __post_init__(self) -> None:
         require_positive("gain", self.gain)
         require_not_negative("pole", self.pole)
         require_finite("initial_angle_rad", self.initial_angle_rad)
         require_finite("initial_speed_rad_s", self.initial_speed_rad_s)
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """The angle, and with a tachometer the speed."""
+        return self.states if self.tachometer else self.states[:1]
 
     @classmethod
     def experimental(cls) -> DCMotor:
@@ -135,7 +144,8 @@ class DCMotor:
         """Return the linear model that a designer sees: state (angle, speed), without the imperfections."""
         # DEVIATION: the printed discrete A of sec. 7.4.2 is no zero-order hold of the printed transfer function at any
         # period; the published gains and norms belong to this model (tests/plants/test_dc_motor.py).
-        return StateSpace(A=[[0.0, 1.0], [0.0, -self.pole]], B=[[0.0], [self.gain]], C=[[1.0, 0.0]])
+        measured = [[1.0, 0.0], [0.0, 1.0]][: len(self.outputs)]
+        return StateSpace(A=[[0.0, 1.0], [0.0, -self.pole]], B=[[0.0], [self.gain]], C=measured)
 
     def beyond_model(self) -> tuple[str, ...]:
         """Return what acts on this motor and is not in `model`; a load is, as it only moves the point of rest."""
@@ -148,8 +158,10 @@ class DCMotor:
         """Return the motor at time 0. It draws nothing from ``rng``."""
         return DCMotorRun(self)
 
-    def start_many(self, runs: int) -> MotorRuns:
-        """Return so many motors at time 0."""
+    def start_many(self, runs: int) -> MotorRuns | None:
+        """Return so many motors at time 0; None with a tachometer."""
+        if self.tachometer:
+            return None
         axes: Axes = (
             RubbingAxes(self.gain, self.pole, self.friction)
             if self.friction.dry
@@ -210,7 +222,7 @@ class _DryAxis:
 class DCMotorRun:
     """The running motor. See `DCMotor` for the equations."""
 
-    __slots__ = ("_angle", "_applied", "_drive", "_move", "_now_ns", "_pieces", "_read", "_speed", "_through")
+    __slots__ = ("_angle", "_applied", "_drive", "_move", "_now_ns", "_pieces", "_read", "_speed", "_tacho", "_through")
 
     def __init__(self, motor: DCMotor) -> None:
         damping = motor.pole + motor.gain * motor.friction.viscous_v_s_per_rad
@@ -224,6 +236,7 @@ class DCMotorRun:
         self._through = motor.disturbance_through_driver
         self._read = motor.encoder.read if motor.encoder.step_rad else None
         self._pieces = motor.load.pieces if motor.load.torque_v else None
+        self._tacho = motor.tachometer
         self._now_ns = 0
         self._angle, self._speed = float(motor.initial_angle_rad), float(motor.initial_speed_rad_s)
         self._applied = 0.0
@@ -255,8 +268,9 @@ class DCMotorRun:
         self._now_ns += dt_ns
 
     def measure(self) -> tuple[float, ...]:
-        """Return the angle in rad as the encoder gives it."""
-        return (self._angle if self._read is None else self._read(self._angle),)
+        """Return the angle in rad as the encoder gives it, and with a tachometer the speed in rad/s."""
+        angle = self._angle if self._read is None else self._read(self._angle)
+        return (angle, self._speed) if self._tacho else (angle,)
 
     @property
     def state(self) -> tuple[float, ...]:

@@ -12,12 +12,14 @@ from design.controllers.contract import (
     RunningController,
     Selection,
     SeveralSamples,
+    TellsAges,
+    ages_told,
     integrates,
     packet_samples,
     row_count,
     sojourns_told,
 )
-from design.controllers.gain_rows_many import feedforward
+from design.controllers.gain_rows_many import feedforward, held_exactly
 from design.controllers.historical import Historical
 from design.controllers.linear_law import LinearFeedback, LinearLaw, OutputFeedback
 from design.controllers.published_motor import PublishedH2, PublishedHinf
@@ -25,8 +27,9 @@ from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nes
 from design.controllers.sensor_nodes import FromSamples, HistoryGains, Known, Sample, SensorNodes, Turns
 
 __all__ = [
-    "Constant", "Controller", "CountsSojourns", "FromSamples", "GainIndex", "GainTable", "Gains", "Historical", "HistoryGains",
-    "IntegralAction", "Known", "LinearFeedback", "LinearLaw", "Local", "LoopModel", "ModeSchedule", "OutputFeedback",
-    "PublishedH2", "PublishedHinf", "Rows", "RunningController", "Sample", "Selection", "SendAll", "SensorNodes",
-    "SeveralSamples", "Turns", "feedforward", "integrates", "nested", "packet_samples", "row_count", "sojourns_told",
+    "Constant", "Controller", "CountsSojourns", "FromSamples", "GainIndex", "GainTable", "Gains", "Historical",
+    "HistoryGains", "IntegralAction", "Known", "LinearFeedback", "LinearLaw", "Local", "LoopModel", "ModeSchedule",
+    "OutputFeedback", "PublishedH2", "PublishedHinf", "Rows", "RunningController", "Sample", "Selection", "SendAll",
+    "SensorNodes", "SeveralSamples", "TellsAges", "Turns", "ages_told", "feedforward", "held_exactly", "integrates", "nested",
+    "packet_samples", "row_count", "sojourns_told",
 ]  # fmt: skip

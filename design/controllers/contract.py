@@ -98,7 +98,7 @@ class GainTable(Protocol):
 
     selection: Selection
 
-    def start(self, model: LoopModel) -> RunningController: ...
+    def start(self, model: LoopModel) -> RunningController | FromSamples: ...
 
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         """Return K[tau, row, m, p]."""
@@ -138,6 +138,19 @@ class CountsSojourns(Protocol):
 
     sojourns: int | Sequence[int]
     """How many lengths of stay it tells apart, in all or per delay 0, 1, ..."""
+
+
+@runtime_checkable
+class TellsAges(Protocol):
+    """A table of gains that tells the ages of several sensor nodes apart."""
+
+    ages: Sequence[int]
+    """How many ages 0, 1, ... of each node have gains of their own; empty: gains by the oldest age."""
+
+
+def ages_told(controller: object) -> tuple[int, ...]:
+    """Return how many ages of each node the controller tells apart, see `TellsAges`; none: an empty tuple."""
+    return tuple(controller.ages) if isinstance(controller, TellsAges) else ()
 
 
 def packet_samples(controller: object) -> int:

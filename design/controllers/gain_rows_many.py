@@ -15,17 +15,33 @@ Matrix = NDArray[np.float64]
 def feedforward(model: LoopModel) -> NDArray[np.float64]:
     r"""Return :math:`\Omega_{22}` (m x p), so that :math:`\tilde u^* = \Omega_{22} \bar r` (thesis (7.6)-(7.7)).
 
-    With p < m the minimum-norm solution :math:`N^T(NN^T)^{-1}` is taken, as printed.
+    With p < m the minimum-norm solution :math:`N^T(NN^T)^{-1}` is taken, as printed. With p > m the outputs cannot all be chosen:
+    it holds for the references that some input holds, see `held_exactly`.
 
     Raises:
-        ValueError: if N is rank deficient: no steady state tracks every reference.
+        ValueError: if p <= m and N is rank deficient: no steady state tracks every reference.
     """
     n, m = model.B.shape
     p = model.C.shape[0]
     N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((p, m))]])
-    if np.linalg.matrix_rank(N) < n + p:
+    if p <= m and np.linalg.matrix_rank(N) < n + p:
         raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
     return np.asarray(np.linalg.pinv(N)[n:, n:])
+
+
+def held_exactly(model: LoopModel, r: Sequence[float]) -> bool:
+    """Return whether some state and input hold the outputs at r.
+
+    Args:
+        model: the loop.
+        r: reference, (p,).
+
+    Reference: thesis (7.6).
+    """
+    n, m = model.B.shape
+    N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((len(r), m))]])
+    aim = np.concatenate([np.zeros(n), np.asarray(r, dtype=np.float64)])
+    return bool(np.abs(N @ (np.linalg.pinv(N) @ aim) - aim).max() <= 1e-9 * max(1.0, np.abs(aim).max()))
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:

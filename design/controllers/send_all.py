@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
+from math import prod
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from design.controllers.contract import Gains, LoopModel, Rows, RunningController, Selection, row_count
 from design.controllers.gain_rows_many import GainRowsOfMany, dot, feedforward, sojourn_ranges
+from design.controllers.node_gain_rows import NodeGainRows
+from design.controllers.sensor_nodes import FromSamples
 from design.errors import FieldError
 
 
@@ -89,6 +92,8 @@ class SendAll:
         sojourns: how many tables belong to every tau, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
             semi-Markov delays; by default one each, whatever it has lasted.
         samples: samples per packet: the gains have p columns for y(k - tau), then p for y(k - tau - 1), and so on.
+        ages: several sensor nodes: how many ages 0, 1, ... of each node have tables of their own, those of the last node first
+            (as digits count); by default a table belongs to the oldest of the nodes' ages.
     """
 
     kind: ClassVar[str] = "send-all"
@@ -98,10 +103,15 @@ class SendAll:
     integral: bool = False
     sojourns: tuple[int, ...] = ()
     samples: int = 1
+    ages: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.samples < 1:
             raise FieldError("samples", f"{self.samples}, expected at least 1")
+        if self.ages and (min(self.ages) < 1 or prod(self.ages) != len(self.gains)):
+            raise FieldError("ages", f"{list(self.ages)}, expected counts whose product is {len(self.gains)}, one per table")
+        if self.ages and self.sojourns:
+            raise FieldError("sojourns", "of one sensor node only; with ages the tables belong to the ages of several")
         try:
             shape = np.asarray(self.gains, dtype=float).shape
         except ValueError:
@@ -122,12 +132,19 @@ class SendAll:
                 f"shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "
                 f"for selection {self.selection!r} with d up to {model.d_max}",
             )
-        if len(self.sojourns or K) < model.tau_max + 1:
+        if self.ages:
+            count = 1 if model.sensors is None else len(model.sensors.names)
+            if len(self.ages) != count:
+                raise FieldError("ages", f"{list(self.ages)}, expected one number for each of {count} sensor nodes")
+        elif len(self.sojourns or K) < model.tau_max + 1:
             raise FieldError("gains", f"{len(self.sojourns or K)} tables, but tau reaches {model.tau_max}")
         return K
 
-    def start(self, model: LoopModel) -> RunningController:
-        return GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
+    def start(self, model: LoopModel) -> RunningController | FromSamples:
+        running = GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
+        if not self.ages or model.sensors is None:
+            return running
+        return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max))
 
     def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
         """Return so many of them, ready for slot 0."""

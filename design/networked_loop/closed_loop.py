@@ -14,6 +14,8 @@ is j ticks old. The information pattern is the row index:
     applied    j                        d when the row is applied
     both       d_k * rows + j           both of them
 
+Where several nodes measure, every output l is known as c_l x(k - tau_l) with an age of its own, and t_k says all ages.
+
 State: x, then the stored samples, (the integral), then the packet rows under way, newest first; for `applied` and
 `both` one register per row, as long as the row's delay. The loop is affine in the gains: A_i(K) = A_i0 + sum L K R.
 """
@@ -183,16 +185,20 @@ def loop_structure(
         tail = (length - 1) * m
         shift[first + m : first + m + tail, first : first + tail] = np.eye(tail)
 
-    def sample(age: int) -> Array:
-        """C x(k - age) as a function of the state."""
+    delayed = np.eye(p) if store == "output" else C_
+
+    def sample(ages: Index) -> Array:
+        """c_l x(k - age_l) of every output l as a function of the state."""
         reader = np.zeros((p, order))
-        if age == 0:
-            reader[:, :n] = C_
-        else:
-            at = n + (age - 1) * width
-            reader[:, at : at + width] = np.eye(p) if store == "output" else C_
+        for l, age in enumerate(ages.tolist()):
+            if age == 0:
+                reader[l, :n] = C_[l]
+            else:
+                at = n + (age - 1) * width
+                reader[l, at : at + width] = delayed[l]
         return reader
 
+    output_ages = sc_chain.output_ages(p)
     modes, transition = joint_modes(sc_chain, ca_chain, with_previous=selection == "previous")
     N = len(modes)
     base = np.repeat(shift[None], N, axis=0)
@@ -203,7 +209,7 @@ def loop_structure(
     into_plant[:n] = B_
     into_plant[last_input:] = np.eye(order - last_input, m)
     for i, (s, c, before) in enumerate(modes):
-        tau, d, label = int(sc_chain.delay[s]), int(ca_chain.delay[c]), int(ca_chain.label[c])
+        tau, d, label = output_ages[s], int(ca_chain.delay[c]), int(ca_chain.label[c])
         known = [sample(tau + lag) for lag in range(samples)]
         if integral > 0:
             reader = np.zeros((p, order))

@@ -3,6 +3,7 @@
 A unit impulse w(0) enters in a random direction, and then nothing: x(1) = B w(0). A controller that is linear in what
 it knows applies u = 0 until a sample of time 1 or later has come to it and its packet to the actuator; from then on
 nothing is unknown, and no controller does better than the linear-quadratic one with the whole state and free input.
+Where several nodes measure, the youngest sample of any of them counts as the sample of all.
 
     full information     the state is known at once
     delayed information  the state is known when the delays (tau, d) let it be known
@@ -80,6 +81,7 @@ def informed_probability(sc: DelayChain, ca: DelayChain, mode: int) -> list[floa
     """
     # weight of each (tau mode, d mode, tick at which the controller came to know, or 0)
     weights = {(mode // ca.modes, mode % ca.modes, 0): 1.0}
+    newest = sc.delay if sc.ages is None else np.min(sc.ages, axis=1)
     done, probabilities, k = 0.0, [], 0
     last = 1 + sc.max_delay + ca.max_delay
     while k < last:
@@ -87,7 +89,7 @@ def informed_probability(sc: DelayChain, ca: DelayChain, mode: int) -> list[floa
         following: dict[tuple[int, int, int], float] = {}
         for (s, c, known), weight in weights.items():
             for s2 in np.flatnonzero(sc.matrix[s]):
-                at = known or (k if k - sc.delay[s2] >= 1 else 0)
+                at = known or (k if k - newest[s2] >= 1 else 0)
                 for c2 in np.flatnonzero(ca.matrix[c]):
                     share = weight * sc.matrix[s, s2] * ca.matrix[c, c2]
                     if at and k - ca.delay[c2] >= at:

@@ -24,7 +24,7 @@ from design.errors import FieldError
 from design.jump_linear.second_moment import congruence_matrices, forward, to_matrix, to_vector
 from design.networked_loop.closed_loop import LoopStructure, loop_structure
 from design.networked_loop.loop_shapes import check_gains
-from design.networked_loop.steady_state import steady_state
+from design.networked_loop.steady_state import check_held, steady_state
 from design.processes.delay_chain import Array, DelayChain, as_chain
 
 
@@ -95,6 +95,8 @@ def predict_tracking(
     aim = r if target is None else _signal(target, p, "target", len(r))
     w = _signal(np.zeros((len(r), m)) if disturbance is None else disturbance, m, "disturbance", len(r))
     star = steady_state(A, B, C) if r.any() else None
+    if star is not None:
+        check_held(A, B, C, star, r)
     walk = _Recursion(structure, K, sc, period_s, np.asarray(C, dtype=np.float64), sums_from)
 
     def ideal(value: Array) -> Array:

@@ -59,6 +59,8 @@ class DelayChain:
         labels: (N,) gain index of each mode; default: the delays. Modes of one label must have one delay.
         between: lower and upper bound, (N, N) each, of every transition probability, where a mode stands for many whose
             probabilities differ (a tail that is cut); default: the probabilities are exact.
+        ages: (N, p) age in samples of every output's newest sample in each mode, where several nodes measure, and the delay is
+            the largest of them; default: all outputs are as old as the delay. See `design.processes.product_chain`.
 
     Raises:
         FieldError: names the field at fault.
@@ -71,6 +73,7 @@ class DelayChain:
     delays: npt.ArrayLike | None = None
     labels: npt.ArrayLike | None = None
     between: tuple[npt.ArrayLike, npt.ArrayLike] | None = None
+    ages: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
         matrix = check_transition(self.transition, "transition")
@@ -90,6 +93,13 @@ class DelayChain:
             if not ((low >= 0.0) & (low <= matrix) & (matrix <= high) & (high <= 1.0)).all():
                 raise FieldError("between", "expected 0 <= lower <= transition <= upper <= 1 in every entry")
             object.__setattr__(self, "between", (low, high))
+        if self.ages is not None:
+            ages = np.asarray(self.ages)
+            if ages.ndim != 2 or len(ages) != modes or not np.issubdtype(ages.dtype, np.integer) or not ages.size:
+                raise FieldError("ages", f"shape {ages.shape}, expected integers for {modes} modes and every output")
+            if (ages < 0).any() or not np.array_equal(ages.max(axis=1), delays):
+                raise FieldError("ages", "expected ages >= 0, the largest of every mode its delay")
+            object.__setattr__(self, "ages", ages.astype(np.int64))
         object.__setattr__(self, "transition", matrix)
         object.__setattr__(self, "delays", delays.astype(np.int64))
         object.__setattr__(self, "labels", labels.astype(np.int64))
@@ -119,6 +129,19 @@ class DelayChain:
         """Largest delay in samples."""
         return int(self.delay.max())
 
+    def output_ages(self, outputs: int) -> Index:
+        """(N, outputs) age in samples of every output's newest sample in each mode.
+
+        Raises:
+            FieldError: the chain is of another number of outputs.
+        """
+        if self.ages is None:
+            return np.repeat(self.delay[:, None], outputs, axis=1)
+        ages = np.asarray(self.ages)
+        if ages.shape[1] != outputs:
+            raise FieldError("ages", f"{ages.shape[1]} outputs, but the plant has {outputs}")
+        return ages
+
     @property
     def label_delay(self) -> Index:
         """(L,) delay of each label, -1 for a label that no mode carries."""
@@ -136,7 +159,9 @@ class DelayChain:
 
     @property
     def is_plain(self) -> bool:
-        """Whether every mode has a delay of its own."""
+        """Whether every mode has a delay of its own, or ages of its own."""
+        if self.ages is not None:
+            return bool(len(np.unique(np.asarray(self.ages), axis=0)) == self.modes)
         return bool(np.unique(self.delay).size == self.modes)
 
     @property

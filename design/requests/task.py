@@ -24,6 +24,7 @@ class DesignTask:
     Args:
         model: the nominal plant at the sample period, and the largest delays.
         sc, ca: the delay chains of both directions; None where a law has none.
+        sc_nodes: several sensor nodes: the delay chain of each; empty where a law has none, or for one node.
         jump_system: the modes of a plant that jumps, None of one that does not.
         jump_process: how its modes change.
         delayed_plant: the plant of Chapter 5, None of one that does not measure its state.
@@ -33,6 +34,7 @@ class DesignTask:
 
     model: LoopModel
     sc: DelayChain | None = None
+    sc_nodes: tuple[DelayChain, ...] = ()
     ca: DelayChain | None = None
     jump_system: JumpSystem | DelayedJumpSystem | None = None
     jump_process: SemiMarkov | FaultDetection | None = None

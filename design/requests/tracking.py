@@ -50,11 +50,13 @@ class Designed:
         hinf_bound: mixed only: bound of the H-infinity norm.
         gain_bound: bound on every entry of every gain.
         input_weight: R of z = [Q x; R u1], Q = C.
+        output_weights: weight of each output in Q x; by default 1.
         output: ``stacked`` or ``sum`` (as printed).
         integral: weight of the integrated error; above 0 the controller integrates (Remark 7.7).
         samples: samples per packet, 1 or 2: the newest, or also the one before.
         design_seed: seed of the multistart.
         sojourns: over semi-Markov delays: how many lengths of stay at the measured delay the gain tells apart, in slots; 1: none.
+        node_ages: several sensor nodes: the gain depends on the age of ``each`` node's newest sample, or on the ``oldest`` age.
         file: a design saved by ``hil design -o``; then nothing is solved. Relative to the experiment's file.
     """
 
@@ -68,9 +70,14 @@ class Designed:
     samples: Literal[1, 2] = 1
     design_seed: int = 0
     sojourns: int = 1
+    output_weights: tuple[float, ...] = ()
+    node_ages: Literal["each", "oldest"] = "each"
     file: str = ""
 
     def __post_init__(self) -> None:
+        for i, weight in enumerate(self.output_weights):
+            if not (np.isfinite(weight) and weight >= 0):
+                raise FieldError(f"output_weights[{i}]", f"{weight:g}, expected a finite number, at least 0")
         if self.sojourns < 1:
             raise FieldError("sojourns", f"{self.sojourns}, expected at least 1")
 
@@ -84,6 +91,11 @@ class Designed:
             FieldError: names the field.
         """
         model, sc, ca = task.model, task.sc, task.ca
+        p, nodes = model.C.shape[0], model.sensors
+        if self.output_weights and len(self.output_weights) != p:
+            raise FieldError("output_weights", f"{len(self.output_weights)} entries, but the plant has {p} outputs")
+        if self.integral and p > model.B.shape[1]:
+            raise FieldError("integral", f"{model.B.shape[1]} inputs cannot bring the mean errors of {p} outputs to zero")
         if self.file:
             from design.tracking.design_file import load_design
 
@@ -93,12 +105,22 @@ class Designed:
                 sojourns=read.sojourns, samples=read.samples,
             )  # fmt: skip
         if sc is None or ca is None:
-            raise FieldError("kind", "a design needs age laws with a chain on both links, not packet laws or traces")
+            said = "a design needs age laws with a chain on both links, not packet laws or traces"
+            raise FieldError("kind", said + (", and nodes that send in every slot" if nodes is not None else ""))
+        ages: tuple[int, ...] = ()
+        if nodes is not None and self.sojourns > 1:
+            raise FieldError("sojourns", "of one sensor node only; over several the gain depends on their ages")
+        if nodes is not None and self.node_ages == "each":
+            from design.processes.product_chain import product_chain
+
+            ages = tuple(chain.max_delay + 1 for chain in task.sc_nodes)
+            sc = product_chain(task.sc_nodes, nodes.outputs, ages)
         from design.tracking.cache import solve_cached
         from design.tracking.synthesis import TrackingProblem
 
+        Q = np.array(self.output_weights)[:, None] * model.C if self.output_weights else None
         problem = TrackingProblem(
-            A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, objective=self.objective, information=self.information,
+            A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, objective=self.objective, information=self.information, Q=Q,
             R=self.input_weight, output=self.output, hinf_bound=self.hinf_bound, gain_bound=self.gain_bound,
             integral=self.integral, samples=self.samples, seed=self.design_seed,
         )  # fmt: skip
@@ -107,4 +129,5 @@ class Designed:
         sojourns = sc.sojourns if self.sojourns > 1 else ()
         return SendAll(
             gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
+            ages=ages,
         )  # fmt: skip

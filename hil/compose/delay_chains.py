@@ -3,25 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, LoopModel, sojourns_told
+from design.controllers import GainTable, LoopModel, ages_told, sojourns_told
 from design.errors import FieldError
+from hil.compose.sensors import sensors_of, shared_media
 from hil.experiment import Experiment
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import SemiMarkovLaw
 
 
 def delay_chains(e: Experiment) -> tuple[Any | None, Any | None]:
-    """Return the delay chains of both directions, with the labels that the controller tells apart.
+    """Return the delay chains of both directions, with the labels that the controller tells apart; None where there is none.
 
     Raises:
         ValueError: the controller asks for more than it can measure over this law.
     """
-    return delay_chain(e.links.sc.law, sojourns_told(e.controller)), delay_chain(e.links.ca.law)
+    ca = delay_chain(e.links.ca.law)
+    if not e.nodes:
+        return delay_chain(e.links.sc.law, sojourns_told(e.controller)), ca
+    chains = node_chains(e)
+    if chains is None:
+        return None, ca
+    from design.processes.product_chain import product_chain
+
+    return product_chain(chains, [sensor.outputs or () for sensor in sensors_of(e, 1)], ages_told(e.controller)), ca
+
+
+def node_chains(e: Experiment) -> tuple[Any, ...] | None:
+    """Return the delay chain of each sensor node by its number.
+
+    None where a law has no chain, where nodes take turns or may keep silent, or where the chains together have more modes than
+    the theory computes with.
+    """
+    from design.processes.product_chain import MOST_MODES
+
+    sensors = sensors_of(e, 1)
+    if shared_media(e) or any(sensor.trigger.kind != "every-slot" or sensor.clock.every > 1 for sensor in sensors):
+        return None
+    chains = [delay_chain(sensor.law) for sensor in sensors]
+    known = tuple(chain for chain in chains if chain is not None)
+    return known if len(known) == len(chains) and prod(chain.modes for chain in known) <= MOST_MODES else None
 
 
 def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
@@ -65,8 +91,17 @@ def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
 
 def initial_laws(e: Experiment) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return the distributions of the modes of both delay chains in slot 0, None where a law has no chain."""
-    sc, ca = delay_states(e.links.sc.law), delay_states(e.links.ca.law)
-    return None if sc is None or ca is None else (sc.initial, ca.initial)
+    ca = delay_states(e.links.ca.law)
+    known = [states.initial for states in map(delay_states, _sensor_laws(e)) if states is not None]
+    if ca is None or len(known) < len(_sensor_laws(e)):
+        return None
+    from design.processes.product_chain import kron_of
+
+    return kron_of(known), ca.initial
+
+
+def _sensor_laws(e: Experiment) -> list[Any]:
+    return [sensor.law for sensor in sensors_of(e, 1)] if e.nodes else [e.links.sc.law]
 
 
 def gains_over(controller: GainTable, model: LoopModel, sc: Any, ca: Any) -> NDArray[np.float64]:

@@ -13,9 +13,12 @@ from threadpoolctl import threadpool_limits
 from design.controllers import (
     Controller,
     FromSamples,
+    GainTable,
     HistoryGains,
     LoopModel,
     RunningController,
+    held_exactly,
+    integrates,
     packet_samples,
     row_count,
 )
@@ -24,7 +27,7 @@ from design.requests.task import DesignTask
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify
 from hil.compose.certify import certify, digest_of
-from hil.compose.delay_chains import delay_chains
+from hil.compose.delay_chains import delay_chains, node_chains
 from hil.compose.historical_loop import delayed_plant_of, mask_faults
 from hil.compose.jump_plant import process_of, system_of
 from hil.compose.port import Port, port_of
@@ -169,6 +172,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         running = controller.start(model)
         sc, ca = delay_chains(experiment)
         samples = packet_samples(controller)
+        _check_references(experiment, controller, model)
         if not experiment.nodes and isinstance(running, FromSamples):
             raise FieldError("kind", "it takes samples of named sensor nodes: [nodes.NAME] outputs, buffer")
         if experiment.nodes and samples > 1:
@@ -253,9 +257,30 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
     delayed, initial = (delayed_plant_of(plant, model), None) if model.sensors is not None else (None, None)
     if delayed is not None:
         initial = np.array(plant.start(np.random.default_rng(0)).state)
+    nodes = (node_chains(e) or ()) if model.sensors is not None else ()
     return DesignTask(
-        model=model, sc=sc, ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial, **jumps
+        model=model, sc=sc, sc_nodes=nodes, ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial, **jumps
     )  # fmt: skip
+
+
+def _check_references(e: Experiment, controller: Controller, model: LoopModel) -> None:
+    """Refuse what a table of gains cannot follow: with more outputs than inputs a reference must be one that some input holds.
+
+    Raises:
+        ExperimentError: with every step that no input holds.
+    """
+    n_inputs, n_outputs = model.B.shape[1], model.C.shape[0]
+    if not isinstance(controller, GainTable) or n_outputs <= n_inputs:
+        return
+    faults = [
+        f"reference[{i}].value: no input holds the {n_outputs} outputs at {list(step.value)}"
+        for i, step in enumerate(e.reference)
+        if not held_exactly(model, step.value)
+    ]
+    if integrates(controller):
+        faults.append(f"controller.integral: {n_inputs} inputs cannot bring the mean errors of {n_outputs} outputs to zero")
+    if faults:
+        raise ExperimentError(e.name, faults)
 
 
 def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: Any, ca: Any) -> Verdict:

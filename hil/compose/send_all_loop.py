@@ -21,13 +21,16 @@ if TYPE_CHECKING:
 def certify_send_all(loop: LoopToCertify) -> Verdict | None:
     """Return the verdict on a table of gains, exact over the delay chains; None if the controller is no `GainTable`.
 
+    Over several sensor nodes the chain is that of all their ages, see `design.processes.product_chain`.
+
     Reference: thesis Theorem 7.1, (7.17).
     """
     controller = loop.controller
     if not isinstance(controller, GainTable):
         return None
-    if loop.model.sensors is not None:
-        return undecided(loop, "mean-square stability", "there is no certificate for a table of gains over several sensor nodes")
+    if loop.model.sensors is not None and loop.sc is None:
+        reason = "no certificate covers a table of gains over nodes that take turns, may be silent, or have no chain of ages"
+        return undecided(loop, "mean-square stability", reason)
     if loop.sc is None or loop.ca is None:
         return undecided(loop, "mean-square stability", "there is no certificate for this kind of network law")
     if isinstance(loop.plant, JumpPlant):

@@ -1,14 +1,19 @@
-"""Four sensor nodes in real time: the inputs are the virtual run's bit for bit, up to the first late packet."""
+"""Several sensor nodes in real time: the inputs are the virtual run's bit for bit, up to the first late packet."""
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hil.cli.guide import pages
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -24,23 +29,55 @@ def free_port() -> int:
         return int(s.getsockname()[1])
 
 
-@pytest.mark.parametrize("name", ["multisensor-published", "multisensor-lossy"])
+STATES = {
+    "multisensor-published": ("x1", "x2", "x3", "x4"), "multisensor-lossy": ("x1", "x2", "x3", "x4"),
+    "dc-motor-two-nodes": ("angle", "speed"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STATES)
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["can-hil", "zenoh", "local"])
-def test_four_nodes_in_real_time_are_the_virtual_ones(tmp_path: Path, which: int, name: str) -> None:
+def test_several_nodes_in_real_time_are_the_virtual_ones(tmp_path: Path, which: int, name: str) -> None:
     link = [f"can:hil:nodes{os.getpid()}", f"zenoh:tcp/127.0.0.1:{free_port()}", "local:"][which]
-    experiment = load_experiment(name, ["duration=2", "seed=5"])
+    early = ["reference.0.at=0.2"] if name == "dc-motor-two-nodes" else []
+    experiment = load_experiment(name, ["duration=2", "seed=5", *early])
     real = run_session(experiment, clock="real", link=link, path=tmp_path / "real.mcap")
     late = real.summary["timing"]["first_late_tick"]
     assert real.status == 0 or late is not None, real.summary
     virtual = simulate(compose(experiment), 5)
     end = 40 if late is None else late
-    for topic, fields in (("/plant/state", ("x1", "x2", "x3", "x4")), ("/actuator/applied", ("u1", "d", "row"))):
+    u = experiment.plant.inputs[0].name
+    for topic, fields in (("/plant/state", STATES[name]), ("/actuator/applied", (u, "d", "row"))):
         for field in fields:
             np.testing.assert_array_equal(real.run.arrays[topic][field][:end], virtual.arrays[topic][field][:end])
     np.testing.assert_array_equal(real.run.arrays["/network/sc"]["reason"], virtual.arrays["/network/sc"]["reason"])
-    assert real.run.arrays["/actuator/applied"]["u1"][:end].any() or end < 4
+    assert real.run.arrays["/actuator/applied"][u][:end].any() or end < 8
     if late is None:
         assert verify(real.run).difference is None
+
+
+def test_the_foreign_controller_of_the_guide_drives_two_nodes(tmp_path: Path) -> None:
+    """The program that `hil guide several-sensors` shows, in plain Python and python-can: it knows the frame layout alone."""
+    (program,) = re.findall(r"```python\n(.*?)```", pages()["several-sensors"].read_text(encoding="utf-8"), re.S)
+    assert "hil." not in program and "transport" not in program
+    (tmp_path / "controller.py").write_text(program, encoding="utf-8")
+    channel = f"two{os.getpid()}"
+    foreign = subprocess.Popen([sys.executable, str(tmp_path / "controller.py"), channel], stderr=subprocess.PIPE)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "hil", "run", "dc-motor-two-nodes", "--clock", "real", "--external", "--link",
+             f"can:hil:{channel}", "--duration", "4", "--set", "reference.0.at=0.2", "--set",
+             "controller={kind='local', gain=[[-0.05, -0.006]]}", "--set", "limits.watchdog_ticks=40", "--json"],
+            cwd=tmp_path, capture_output=True, text=True, timeout=200,
+        )  # fmt: skip
+    finally:
+        foreign.kill()
+        foreign.wait()
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["metrics"]["max_abs_u"] > 0.1 and not summary["problems"]
+    if summary["timing"]["valid"]:  # a machine that pauses the foreign program makes it another loop
+        assert abs(summary["metrics"]["steady_state_error"]) < 0.3
 
 
 def test_wire_version_1_cannot_carry_several_nodes(tmp_path: Path) -> None:

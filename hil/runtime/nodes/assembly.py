@@ -57,20 +57,25 @@ class Assembly:
 class OneSensorAdapter:
     """Serves a controller of one sensor from several nodes: the newest sample of every output, as old as the oldest of them.
 
+    Until every node has been heard it answers zeros, as before the first sample of one node. A node that may keep silent by its
+    trigger is not waited for: until then its outputs are 0.
+
     Args:
         running: the controller.
         sensors: the nodes, by number.
         outputs: number p of the plant's outputs.
+        nothing: rows of zeros.
     """
 
     memory = 0
 
-    def __init__(self, running: RunningController, sensors: Sequence[Sensor], outputs: int) -> None:
+    def __init__(self, running: RunningController, sensors: Sequence[Sensor], outputs: int, nothing: Rows) -> None:
         self.selection = running.selection
-        self._running, self._sensors, self._outputs = running, sensors, outputs
+        self._running, self._sensors, self._outputs, self._nothing = running, sensors, outputs, nothing
+        self._waited = {i for i, sensor in enumerate(sensors) if sensor.trigger.kind == "every-slot"}
 
     def rows(self, k: int, known: Known) -> Rows:
-        """Return the rows of the adapted controller; see `FromSamples.rows`. Outputs of which nothing is known yet are 0."""
+        """Return the rows of the adapted controller; see `FromSamples.rows`."""
         y, oldest, heard = [0.0] * self._outputs, k, set()
         for node, slot, values in known.samples:  # newest first
             if node not in heard:
@@ -78,9 +83,13 @@ class OneSensorAdapter:
                 oldest = min(oldest, slot)
                 for output, value in zip(self._sensors[node].outputs or (), values):
                     y[output] = value
+        if not self._waited <= heard:
+            return self._nothing
         return self._running.rows(k, k - oldest, tuple(y), known.reference)
 
 
-def from_samples(running: RunningController | FromSamples, sensors: Sequence[Sensor], outputs: int) -> FromSamples:
+def from_samples(
+    running: RunningController | FromSamples, sensors: Sequence[Sensor], outputs: int, nothing: Rows
+) -> FromSamples:
     """Return a controller that several nodes can serve: itself where it takes samples, else behind an adapter."""
-    return running if isinstance(running, FromSamples) else OneSensorAdapter(running, sensors, outputs)
+    return running if isinstance(running, FromSamples) else OneSensorAdapter(running, sensors, outputs, nothing)

@@ -88,8 +88,9 @@ class _Several:
     """Several sensor nodes: what each of them has sent, as far back as the control law looks."""
 
     def __init__(self, loop: Loop) -> None:
-        outputs = len(loop.experiment.plant.outputs)
-        self._controller = from_samples(loop.start_controller(), loop.sensors, outputs)
+        inputs, outputs = len(loop.experiment.plant.inputs), len(loop.experiment.plant.outputs)
+        nothing = ((0.0,) * inputs,) * loop.rows
+        self._controller = from_samples(loop.start_controller(), loop.sensors, outputs, nothing)
         self._assembly = Assembly(loop.sensors, self._controller.memory)
         self._reference = loop.reference()
         self._period_ns = loop.experiment.period_ns

@@ -6,7 +6,7 @@ import pytest
 from design.errors import DesignError, Infeasible, NotStable
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
-from design.networked_loop.steady_state import steady_state
+from design.networked_loop.steady_state import check_held, steady_state
 from design.processes.delay_chain import DelayChain
 from design.tracking.gain_parametrisation import COARSER, INFORMATION, embed, gain_parametrisation, selection_of
 from design.tracking.loop_objective import LoopObjective
@@ -216,8 +216,16 @@ def test_steady_state_that_cannot_be_held_is_refused_with_the_singular_value():
     with pytest.raises(DesignError, match="smallest singular value") as caught:
         steady_state(np.eye(2), [[1.0], [0.0]], [[0.0, 1.0]])
     assert caught.value.value < 1e-10
-    with pytest.raises(DesignError, match="2 outputs"):
-        steady_state(np.eye(2), [[1.0], [0.0]], np.eye(2))
+
+
+def test_more_outputs_than_inputs_are_held_where_some_input_holds_them():
+    A, B, _ = MOTOR
+    star = steady_state(A, B, np.eye(2))
+    check_held(A, B, np.eye(2), star, [[3.0, 0.0], [-1.0, 0.0]])
+    for reference in ([3.0, 1.0], [0.0, 1.0]):  # an angle that stays has no speed
+        with pytest.raises(DesignError, match="no input holds it") as caught:
+            check_held(A, B, np.eye(2), star, [reference])
+        assert caught.value.value > 0.1
 
 
 def test_closed_classes_of_a_chain():

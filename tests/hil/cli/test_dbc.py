@@ -13,6 +13,8 @@ from click.testing import CliRunner
 import hil
 from hil.cli import main
 from hil.cli.dbc import command
+from hil.experiment import load_experiment
+from hil.session import run_session
 from transport import SensorPacket, dbc_path, encode_sensor
 
 PROGRAM = """
@@ -76,3 +78,20 @@ def test_what_is_no_can_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
         with pytest.raises(SystemExit) as end:
             main(["dbc", "--decode", str(path)])
         assert end.value.code == 2 and str(path) in capsys.readouterr().err
+
+
+def test_frames_of_two_nodes_are_decoded_to_what_each_measured(tmp_path: Path) -> None:
+    controller = "controller={kind='local', gain=[[-0.05, -0.006]]}"
+    changes = [controller, "duration=1", "reference.0.at=0.1"]
+    session = run_session(load_experiment("dc-motor-two-nodes", changes), path=tmp_path / "run.mcap")
+    with pytest.raises(SystemExit):
+        main(["export", str(tmp_path / "run.mcap"), "-o", str(tmp_path / "run.log")])
+    done = CliRunner().invoke(command, ["--decode", str(tmp_path / "run.log")])
+    frames = [json.loads(line) for line in done.stdout.splitlines()]
+    sensor = [f for f in frames if f["Kind"] == "sensor" and not f["Empty"]]
+    assert {f["Node"] for f in sensor} == {0, 1} and all(f["Nodes"] == 2 and f["References"] == 2 for f in frames if "Nodes" in f)
+    y = session.run.arrays["/plant/measurement"]
+    for f in sensor:
+        k = f["SampleTime"] // 50_000_000
+        assert f["Y0"] == pytest.approx(y["angle" if f["Node"] == 0 else "speed"][k], rel=1e-6, abs=1e-9) and k <= f["Seq"]
+    assert len(sensor) > 15 and any(f["Y0"] for f in sensor)

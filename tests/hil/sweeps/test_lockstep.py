@@ -24,7 +24,7 @@ SERVED = {
     "dc-motor-smith", "dc-motor-smith-fast", "vtol-h2", "vtol-hinf", "vtol-ours-h2", "vtol-ours-hinf",
 }  # fmt: skip
 ALONE = {
-    "dc-motor-packets", "multisensor-event",
+    "dc-motor-packets", "dc-motor-two-nodes", "multisensor-event",
     "multisensor-lossy", "multisensor-newest", "multisensor-ours", "multisensor-published", "omni-1khz", "omni-identify",
     "omni-push", "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published", "vtol-delayed",
     "vtol-delayed-published", "vtol-fault", "vtol-fault-partitioned", "vtol-fault-published",

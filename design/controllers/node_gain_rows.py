@@ -1,0 +1,51 @@
+"""*Send all, apply one* over several sensor nodes: the gain is chosen by the age of each node's newest sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from design.controllers.contract import LoopModel, Rows, RunningController
+from design.controllers.sensor_nodes import Known
+from design.errors import FieldError
+
+
+class NodeGainRows:
+    r"""u = u* + K[(\tau_1, \ldots, \tau_q), row] (y - r), y the newest sample of every output; see `FromSamples`.
+
+    Until every node has been heard it answers zeros, as a controller of one node does before its first sample. A node that may
+    keep silent by its trigger is not waited for: its outputs count as 0, its age as 0.
+
+    Args:
+        running: the rows of a table by its index; it is told the index where it expects tau.
+        model: the loop, with its sensor nodes.
+        ages: how many ages of each node have tables; an older sample has the gains of the oldest.
+        rows: rows of a packet.
+    """
+
+    memory = 0
+
+    def __init__(self, running: RunningController, model: LoopModel, ages: Sequence[int], rows: int) -> None:
+        nodes = model.sensors
+        if nodes is None:
+            raise FieldError("ages", "of several sensor nodes: [nodes.NAME] outputs")
+        self.selection = running.selection
+        self._rows, self._ages, self._outputs = running.rows, tuple(ages), nodes.outputs
+        self._waited = {i for i, name in enumerate(nodes.names) if name not in nodes.silent}
+        self._none: Rows = ((0.0,) * model.B.shape[1],) * rows
+        self._width = model.C.shape[0]
+
+    def rows(self, k: int, known: Known) -> Rows:
+        """Return the rows of slot k; see `FromSamples.rows`."""
+        y, age, heard = [0.0] * self._width, [0] * len(self._ages), set()
+        for node, slot, values in known.samples:  # newest first
+            if node not in heard:
+                heard.add(node)
+                age[node] = k - slot
+                for output, value in zip(self._outputs[node], values):
+                    y[output] = value
+        if not self._waited <= heard:
+            return self._none
+        index = 0
+        for own, count in zip(age, self._ages):
+            index = index * count + min(own, count - 1)
+        return self._rows(k, index, y, known.reference)
