@@ -3,10 +3,11 @@
     dx/dt = A_i x + B_i u,    u(t) = K(r, h) x((k - tau) T) computed in slot k, held over [(k + d) T, (k + d + 1) T)
 
 The mode i jumps at any instant; the controller sees it (Chapter 2), or a detected mode r with a clock of its own (Chapter 4), at
-the samples only, and counts the sojourn h from its first sight in whole periods. Four proofs:
+the samples only, and counts the sojourn h from its first sight in whole periods. Five proofs:
 
 - one process: ``sojourn_renewal``, the second moments from one seen change to the next, between two sides; certifies and refuses;
 - failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues;
+- random delays: ``sampled_random_delay``, the modes of the plant times those of the network; certifies and refuses;
 - a loop too large for either: ``sampled_growth``, a quadratic form that grows while the mode stays; refuses only;
 - a state delay inside the plant: ``sampled_delayed_state``, a Lyapunov function over the phase of a period; certifies only.
 
@@ -28,6 +29,7 @@ from design.semi_markov_loop.period_moments import TooLarge
 from design.semi_markov_loop.sampled_delayed_state import delayed_decrease
 from design.semi_markov_loop.sampled_detection import DetectionLoop, lyapunov_decrease, slowest_growth
 from design.semi_markov_loop.sampled_growth import growth_while_it_stays
+from design.semi_markov_loop.sampled_random_delay import random_delay_verdict
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded
 from design.verdict import State, Verdict
@@ -68,7 +70,7 @@ def sampled_verdict(
         raise FieldError("period_s", f"{period_s!r} is not a finite positive time")
     late = [_constant(name, delay) for name, delay in (("tau", tau), ("d", d))]
     if late[0] is None or late[1] is None:
-        return _undecided("the delay is random; the sampled jump loop is decided under constant delays only")
+        return random_delay_verdict(system, process, gain, period_s, *(_chain(delay) for delay in (tau, d)))
     try:
         if isinstance(system, DelayedJumpSystem):
             if system.ad.any():
@@ -90,6 +92,10 @@ def _constant(name: str, delay: int | DelayChain) -> int | None:
     if delay < 0:
         raise FieldError(name, f"{delay} periods, expected none or more")
     return int(delay)
+
+
+def _chain(delay: int | DelayChain) -> DelayChain:
+    return delay if isinstance(delay, DelayChain) else DelayChain(transition=[[1.0]], delays=[delay])
 
 
 def _undecided(reason: str) -> Verdict:

@@ -33,7 +33,7 @@ def _constant_process(rates):
     return SemiMarkov(rates=tuple(rows))
 
 
-def _exact_radius(system, rates, gains, T, delay):
+def exact_radius(system, rates, gains, T, delay):
     """Spectral radius per period of the moments of (x, v_-1, ..., v_-D), constant rates: nothing but a matrix exponential."""
     modes, n, m = system.modes, system.states, system.inputs
     size = n + m * (delay + 1)
@@ -72,7 +72,7 @@ def test_constant_rates_are_judged_as_the_exact_moments_judge_them():
         system, gain = _random_loop(rng, modes)
         rates, T = rng.exponential(2.0, (modes, modes)), float(rng.choice([0.02, 0.1, 0.4]))
         tau, d = (int(v) for v in rng.integers(0, 3, 2))
-        exact = _exact_radius(system, rates, gain, T, tau + d)
+        exact = exact_radius(system, rates, gain, T, tau + d)
         verdict = sampled_verdict(system, _constant_process(rates), constant_gain(gain), period_s=T, tau=tau, d=d)
         assert verdict.state == ("certified" if exact < 1 else "refused")
         states.append(verdict.state)
@@ -224,7 +224,7 @@ def test_failure_and_detection_at_constant_rates_are_never_judged_against_the_ex
             for i, k in pairs
         ]
         big = JumpSystem(a=system.a[[0, 0, 1, 1]], b=system.b[[0, 0, 1, 1]])
-        exact = _exact_radius(big, rates, gain[[0, 1, 0, 1]], T, tau)
+        exact = exact_radius(big, rates, gain[[0, 1, 0, 1]], T, tau)
         verdict = sampled_verdict(system, process, constant_gain(gain), period_s=T, tau=tau)
         assert verdict.state in ("undecided", "certified" if exact < 1 else "refused")
         states.append(verdict.state)

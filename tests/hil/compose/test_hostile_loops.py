@@ -8,7 +8,8 @@ certifier's state replaced by "certified" it finds dozens (`test_the_study_finds
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,7 +23,10 @@ from design.processes.delay_chain import DelayChain
 from design.requests.scheduled import scheduled_of
 from hil.compose.certifier import LoopToCertify
 from hil.compose.certify import certify
+from hil.compose.delay_chains import delay_chain
 from plants import JumpModel, JumpRates, Signal, StateSpace, TransitionRates
+from transport.laws.semi_markov import SemiMarkovAge
+from transport.laws.sojourn import Table
 
 Array = np.ndarray[Any, Any]
 EDGE = 1e-6
@@ -84,8 +88,8 @@ def chain(rng: np.random.Generator, modes: int) -> Array:
     return P / P.sum(axis=1, keepdims=True)
 
 
-def send_all_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
-    n, taus, ds = int(rng.integers(1, 5)), int(rng.integers(1, 4)), int(rng.integers(1, 3))
+def send_all_draw(rng: np.random.Generator, taus: int, ds: int) -> tuple[LoopToCertify, Array]:
+    n = int(rng.integers(1, 5))
     A = rng.normal(size=(n, n))
     A *= rng.uniform(0.8, 1.5) / max(abs(np.linalg.eigvals(A)))
     B, C = rng.normal(size=(n, 1)), np.eye(n)
@@ -98,7 +102,12 @@ def send_all_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
         plant=Flat(), controller=SendAll(gains=nested(K)), model=model, sc=DelayChain(transition=sc),
         ca=DelayChain(transition=ca), digest="study",
     )  # fmt: skip
-    # Whole packets in the state: [x(k), ..., x(k - taus + 1), packet(k - 1), ..., packet(k - ds + 1)], a packet has ds rows.
+    return loop, K
+
+
+def send_all_radius(A: Array, B: Array, K: Array, sc: Array, tau_of: list[int], ca: Array) -> float:
+    """Exact radius: whole packets in the state, [x(k), ..., x(k - taus + 1), packet(k - 1), ...]; a packet has ds rows."""
+    n, (taus, ds) = len(A), K.shape[:2]
     size = n * taus + ds * (ds - 1)
     moves = np.zeros((taus, ds, size, size))
     for tau in range(taus):
@@ -114,9 +123,33 @@ def send_all_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
             for g in range(ds - 1):
                 F[n * taus + ds * g : n * taus + ds * (g + 1)] = packets[g]
     joint = np.kron(sc, ca)
-    F = moves.reshape(-1, size, size)
+    F = moves[tau_of].reshape(-1, size, size)
     start = np.broadcast_to(np.eye(size), F.shape).copy()
-    return loop, radius(lambda M: np.einsum("ji,jab->iab", joint, F @ M @ F.transpose(0, 2, 1)), start)
+    return radius(lambda M: np.einsum("ji,jab->iab", joint, F @ M @ F.transpose(0, 2, 1)), start)
+
+
+def send_all_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+    taus, ds = int(rng.integers(1, 4)), int(rng.integers(1, 3))
+    loop, K = send_all_draw(rng, taus, ds)
+    assert loop.sc is not None and loop.ca is not None
+    return loop, send_all_radius(loop.model.A, loop.model.B, K, loop.sc.matrix, list(range(taus)), loop.ca.matrix)
+
+
+def sojourn_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+    """A semi-Markov network law; the reference counts the slots that a stay still has, where the door counts those it had."""
+    loop, K = send_all_draw(rng, 2, int(rng.integers(1, 3)))
+    longest = 5
+    lasts = rng.dirichlet(np.full(longest, 0.4), 2)
+    law = SemiMarkovAge(matrix=((0.0, 1.0), (1.0, 0.0)), sojourn=tuple(Table(probabilities=tuple(p / p.sum())) for p in lasts))
+    left = np.zeros((2 * longest, 2 * longest))
+    for mode, rest in product(range(2), range(longest)):
+        if rest:
+            left[mode * longest + rest, mode * longest + rest - 1] = 1.0
+        else:
+            left[mode * longest, (1 - mode) * longest : (2 - mode) * longest] = lasts[1 - mode]
+    assert loop.ca is not None
+    over = replace(loop, sc=delay_chain(law))
+    return over, send_all_radius(loop.model.A, loop.model.B, K, left, [0] * longest + [1] * longest, loop.ca.matrix)
 
 
 # Chapters 2 and 4: state feedback by mode over a plant that jumps
@@ -238,7 +271,150 @@ def fault_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
     return jump_loop(rng, system, process, K, T, late), exact
 
 
-CASES = {"send-all": (send_all_case, 110), "jump": (jump_case, 80), "uncertain": (uncertain_case, 50), "fault": (fault_case, 60)}
+# Random delays over a plant that jumps
+
+
+def random_delay_radius(A: Array, B: Array, K: Array, generator: Array, T: float, sc: Array, ca: Array) -> float:
+    """Exact radius per period: samples and what tau was in the state and the mode, no queue of inputs as the door has."""
+    modes, n, m = B.shape
+    taus, ds = len(sc), len(ca)
+    depth, size = taus + ds - 2, n + m
+    coupled, drift = np.kron(generator.T, np.eye(size * size)), np.kron(generator.T, np.eye(size))
+    for i in range(modes):
+        H, block, line = held(A[i], B[i]), slice(i * size**2, (i + 1) * size**2), slice(i * size, (i + 1) * size)
+        coupled[block, block] += np.kron(H, np.eye(size)) + np.kron(np.eye(size), H)
+        drift[line, line] += H
+    within = expm(coupled * T).reshape(modes, size, size, modes, size, size)[:, :n, :n]
+    first, stay = expm(drift * T).reshape(modes, size, modes, size)[:, :n], expm(generator.T * T)
+    labels = list(product(product(range(modes), repeat=depth + 1), product(range(taus), repeat=ds), range(ds)))
+    index = {label: k for k, label in enumerate(labels)}
+    whole = n * (depth + 1)
+
+    def move(M: Array) -> Array:
+        out = np.zeros_like(M)
+        for (seen, past, d), k in index.items():
+            age = d + past[d]
+            S = np.zeros((size + n * depth, whole))
+            S[:n, :n], S[size:, : n * depth] = np.eye(n), np.eye(n * depth)
+            S[n:size, n * age : n * (age + 1)] = K[seen[age]]
+            Z = S @ M[k] @ S.T
+            for end in range(modes):
+                after = np.empty((whole, whole))
+                after[:n, :n] = np.einsum("abcd,cd->ab", within[end, :, :, seen[0]], Z[:size, :size])
+                after[:n, n:] = first[end, :, seen[0]] @ Z[:size, size:]
+                after[n:, :n] = after[:n, n:].T
+                after[n:, n:] = stay[end, seen[0]] * Z[size:, size:]
+                for t, e in product(range(taus), range(ds)):
+                    to = index[((end, *seen)[: depth + 1], (t, *past)[:ds], e)]
+                    out[to] += sc[past[0], t] * ca[d, e] * after
+        return out
+
+    return radius(move, np.broadcast_to(np.eye(whole), (len(labels), whole, whole)).copy())
+
+
+def network_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+    n, (taus, ds) = int(rng.integers(1, 3)), ((2, 1), (1, 2), (2, 2), (3, 1))[int(rng.integers(0, 4))]
+    A, B, K = jump_matrices(rng, 2, n)
+    Q, T = rates_of(rng, 2), float(rng.choice([0.05, 0.2]))
+    sc, ca = chain(rng, taus), chain(rng, ds)
+    system = JumpModel(A=tuple(map(rows, A)), B=tuple(map(rows, B)))
+    loop = jump_loop(rng, system, JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(rows(Q),))), K, T, 0)
+    over = replace(loop, sc=DelayChain(transition=sc), ca=DelayChain(transition=ca))
+    return over, random_delay_radius(A, B, K, Q, T, sc, ca)
+
+
+# Gains that change with the time in the mode
+
+
+def sectioned_radius(A: Array, B: Array, K: Array, counts: list[int], generator: Array, T: float) -> float:
+    """Exact radius per period: K[i, b] from the count of samples counts[b] on; the count goes on where no change is seen."""
+    modes, n, m = B.shape
+    size, last = n + m, counts[-1]
+    coupled = np.kron(generator.T, np.eye(size * size))
+    for i in range(modes):
+        block, H = slice(i * size**2, (i + 1) * size**2), held(A[i], B[i])
+        coupled[block, block] += np.kron(H, np.eye(size)) + np.kron(np.eye(size), H)
+    within = expm(coupled * T).reshape(modes, size, size, modes, size, size)[:, :n, :n]
+
+    def move(M: Array) -> Array:
+        out, old = np.zeros_like(M), M.reshape(modes, last + 1, n, n)
+        new = out.reshape(old.shape)
+        for i, c in product(range(modes), range(last + 1)):
+            S = np.vstack([np.eye(n), K[i, np.searchsorted(counts, c, side="right") - 1]])
+            after = np.einsum("iabcd,cd->iab", within[:, :, :, i], S @ old[i, c] @ S.T)
+            for end in range(modes):
+                new[end, min(c + 1, last) if end == i else 0] += after[end]
+        return out
+
+    return radius(move, np.broadcast_to(np.eye(n), (modes * (last + 1), n, n)).copy())
+
+
+def sectioned_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+    modes, n = int(rng.integers(2, 4)), int(rng.integers(1, 4))
+    A, B, K = jump_matrices(rng, modes, n)
+    Q, T = rates_of(rng, modes), float(rng.choice([0.05, 0.2]))
+    counts = [0, *np.cumsum(rng.integers(1, 6, 2)).tolist()]
+    by_age = K[:, None] * rng.uniform(-0.4, 1.8, (modes, 3, 1, 1))
+    system = JumpModel(A=tuple(map(rows, A)), B=tuple(map(rows, B)))
+    loop = jump_loop(rng, system, JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(rows(Q),))), K, T, 0)
+    starts = np.tile([0.0, *((c - 0.5) * T for c in counts[1:])], (modes, 1))
+    controller = scheduled_of(ScheduledGain(gain=by_age, starts_s=starts))
+    return replace(loop, controller=controller), sectioned_radius(A, B, by_age, counts, Q, T)
+
+
+# Chapter 3: a delay inside the plant
+
+
+def delayed_radius(A: Array, Ad: Array, B: Array, K: Array, late: list[int], generator: Array, T: float, cut: int) -> float:
+    """Radius per period with a constant delay of late[i] T / cut in mode i and jumps at the ends of sub-steps."""
+    modes, n, m = B.shape
+    h, depth = T / cut, max(late) + 1
+    moves = []
+    for i in range(modes):  # x moves exactly; the delayed state is linear in time over the sub-step
+        chained = np.zeros((4 * n + m, 4 * n + m))
+        chained[:n] = np.hstack([A[i], B[i], Ad[i], np.zeros((n, 2 * n))])
+        chained[n + m : 2 * n + m, 2 * n + m : 3 * n + m] = np.eye(n) / h
+        step = expm(chained * h)[:n]
+        F = np.zeros((n * (depth + 1) + m, n * (depth + 1) + m))
+        F[:n, :n], F[:n, -m:] = step[:, :n], step[:, n : n + m]
+        z0, z1 = slice(n * late[i], n * (late[i] + 1)), slice(n * (late[i] - 1), n * late[i])
+        F[:n, z0] += step[:, n + m : 2 * n + m] - step[:, 2 * n + m : 3 * n + m]
+        F[:n, z1] += step[:, 2 * n + m : 3 * n + m]
+        F[n : n * (depth + 1), : n * depth] = np.eye(n * depth)
+        F[-m:, -m:] = np.eye(m)
+        moves.append(F)
+    F, chance = np.array(moves), expm(generator * h)
+    samples = np.broadcast_to(np.eye(F.shape[1]), F.shape).copy()
+    samples[:, -m:] = 0.0
+    samples[:, -m:, :n] = K
+
+    def move(M: Array) -> Array:
+        M = samples @ M @ samples.transpose(0, 2, 1)
+        for _ in range(cut):
+            M = np.einsum("ij,iab->jab", chance, F @ M @ F.transpose(0, 2, 1))
+        return M
+
+    return radius(move, np.broadcast_to(np.eye(F.shape[1]), F.shape).copy())
+
+
+def delayed_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+    n, cut = int(rng.integers(1, 3)), 4
+    A, B, K = jump_matrices(rng, 2, n)
+    Ad = rng.normal(scale=float(rng.choice([0.1, 0.5, 1.5])), size=A.shape)
+    Q, T = rates_of(rng, 2), float(rng.choice([0.02, 0.1]))
+    late = [int(v) for v in rng.integers(1, 9, 2)]
+    system = JumpModel(
+        A=tuple(map(rows, A)), B=tuple(map(rows, B)), Ad=tuple(map(rows, Ad)), max_delay_s=2 * T, delay_slopes=(0.3, 0.3),
+    )  # fmt: skip
+    loop = jump_loop(rng, system, JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(rows(Q),))), K, T, 0)
+    return loop, delayed_radius(A, Ad, B, K, late, Q, T, cut)
+
+
+CASES = {
+    "send-all": (send_all_case, 110), "jump": (jump_case, 80), "uncertain": (uncertain_case, 50), "fault": (fault_case, 60),
+    "sojourns": (sojourn_case, 40), "network": (network_case, 40), "sectioned": (sectioned_case, 40),
+    "delayed": (delayed_case, 40),
+}  # fmt: skip
 
 
 @pytest.mark.slow

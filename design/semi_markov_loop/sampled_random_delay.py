@@ -1,0 +1,244 @@
+"""A sampled jump loop over random delays: the plant's modes times the modes of both delay chains, a jump-linear system.
+
+    u_k = K(r_k-tau) x_k-tau computed in slot k,    v_k-d acts over [k T, (k + 1) T),    tau, d: modes of two Markov chains
+
+With xi = (x_k, ..., x_k-taumax, v_k-1, ..., v_k-dmax) and the label (mode of the plant, modes seen before, modes of both
+chains), the second moments of a period are R, positive: a sample (a congruence), the flow with its jumps (the exponential of
+the moment equation at constant rates), the next modes of the chains. Where a rate or a probability is known by its bounds
+only, R is taken with more jumps and less staying, or with less and more, which bounds the true map. With rho just above the
+radius of the larger R,
+
+    X = (rho I - R)^-1 I,    X > 0,    R X <= rho X,
+
+is checked by eigenvalues and proves that the radius is at most rho.
+
+Reference: thesis (2.1), (7.14); Collatz and Wielandt.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+from scipy.sparse.linalg import ArpackError, eigs
+
+from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import FieldError
+from design.processes.delay_chain import DelayChain
+from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop.growth import gain_mode
+from design.semi_markov_loop.period_moments import Box, TooLarge, congruence, isometry, smat, svec_size
+from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+from design.verdict import State, Verdict
+
+FloatArray = npt.NDArray[np.float64]
+LARGEST = 2000
+"""Most unknowns of R."""
+TOLERANCE = 1e-6
+"""How far from 1 a radius must lie to decide."""
+METHOD = "sampled jump loop: plant times network as a jump-linear system"
+ASSUMED = ("the rates are as given, within their own bounds", "the periods are exact", "no packet is later than its law says")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RandomDelayLoop:
+    """Matrices, rates and gain of every mode, and the delay chains.
+
+    Args:
+        system: certain matrices of every mode (of Chapter 4: of every pair of fault and detected mode).
+        boxes: per mode, bounds of the rates out of it at any age.
+        gains: K of every mode that is seen, shape (R, m, n).
+        seen: per mode, which of them the controller sees.
+        period_s: T (s).
+        tau, d: the chains of both delays.
+    """
+
+    system: JumpSystem
+    boxes: Sequence[Box]
+    gains: FloatArray
+    seen: Sequence[int]
+    period_s: float
+    tau: DelayChain
+    d: DelayChain
+
+    @property
+    def size(self) -> int:
+        """Length of xi."""
+        return self.system.states * (self.tau.max_delay + 1) + self.system.inputs * self.d.max_delay
+
+    @property
+    def labels(self) -> list[tuple[int, ...]]:
+        """(mode, seen in the taumax slots before, mode of the S-C chain, mode of the C-A chain)."""
+        before = [range(self.gains.shape[0])] * self.tau.max_delay
+        return list(itertools.product(range(self.system.modes), *before, range(self.tau.modes), range(self.d.modes)))
+
+    def sampled(self, label: tuple[int, ...]) -> FloatArray:
+        """The map from xi to (xi shifted by one period, v_k-d), x_k standing for x_k+1 until it has moved."""
+        n, m, size = self.system.states, self.system.inputs, self.size
+        late, late_d = self.tau.max_delay, self.d.max_delay
+        history = (self.seen[label[0]], *label[1 : 1 + late])
+        tau, d = int(self.tau.delay[label[-2]]), int(self.d.delay[label[-1]])
+        fresh = np.zeros((m, size))
+        fresh[:, n * tau : n * (tau + 1)] = self.gains[history[tau]]
+        queue = np.vstack([fresh, np.eye(size)[n * (late + 1) :]])  # v_k, v_k-1, ..., v_k-dmax
+        states = np.eye(size)[: n * (late + 1)]
+        shifted = np.vstack([states[:n], states[: n * late], queue[: m * late_d]])
+        return np.vstack([shifted, queue[m * d : m * (d + 1)]])
+
+
+def moment_matrix(loop: RandomDelayLoop, *, upper: bool) -> FloatArray:
+    """R of the module's docstring, shape (labels p, labels p).
+
+    Raises:
+        TooLarge: more than ``LARGEST`` unknowns.
+    """
+    labels, p = loop.labels, svec_size(loop.size)
+    if len(labels) * p > LARGEST:
+        raise TooLarge(
+            f"{len(labels)} modes of plant and network, {loop.size} states with delayed ones: "
+            f"{len(labels) * p} second moments, at most {LARGEST}"
+        )
+    flows, index = _flows(loop, upper), {label: k for k, label in enumerate(labels)}
+    chains = [chain.bounds[int(upper)] for chain in (loop.tau, loop.d)]
+    late, keep = loop.tau.max_delay, congruence(np.eye(loop.size, loop.size + loop.system.inputs))
+    out = np.zeros((len(labels), p, len(labels), p))
+    for label, at in index.items():
+        lift = congruence(loop.sampled(label))
+        history = (loop.seen[label[0]], *label[1 : 1 + late])[:late]
+        moved = [keep @ flows[end, :, label[0], :] @ lift for end in range(loop.system.modes)]
+        for (end, after), (sc, a), (ca, b) in itertools.product(
+            enumerate(moved), enumerate(chains[0][label[-2]]), enumerate(chains[1][label[-1]])
+        ):
+            if a * b > 0.0:
+                out[index[end, *history, sc, ca], :, at, :] += a * b * after
+    return out.reshape(len(labels) * p, -1)
+
+
+def _flows(loop: RandomDelayLoop, upper: bool) -> FloatArray:
+    # second moments of (xi, v) over one period, by the mode at its end and at its start
+    n, m, modes = loop.system.states, loop.system.inputs, loop.system.modes
+    size = loop.size + m
+    q, basis, one = svec_size(size), isometry(size), np.eye(size)
+    if modes * q > 1500:
+        raise TooLarge(f"{modes} modes of the plant and {size} states with delayed ones are too many")
+    whole = np.zeros((modes, q, modes, q))
+    for i, box in enumerate(loop.boxes):
+        generator = np.zeros((size, size))
+        generator[:n, :n], generator[:n, size - m :] = loop.system.a[i], loop.system.b[i]
+        moments = basis.T @ (np.kron(generator, one) + np.kron(one, generator)) @ basis
+        whole[i, :, i, :] += moments - box.leave(upper) * np.eye(q)
+        for j, rate in enumerate(box.jump(upper)):
+            if j != i:
+                whole[j, :, i, :] += rate * np.eye(q)
+    return np.asarray(expm(whole.reshape(modes * q, -1) * loop.period_s).reshape(modes, q, modes, q))
+
+
+def radius(matrix: FloatArray) -> float:
+    """The spectral radius of R."""
+    if matrix.shape[0] > 300:
+        try:
+            found = eigs(matrix, k=1, tol=1e-10, maxiter=3000, v0=np.ones(matrix.shape[0]), return_eigenvectors=False)
+            return float(np.abs(found[0]))
+        except ArpackError:
+            pass
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def proved_radius(matrix: FloatArray, labels: int, guess: float) -> float:
+    """An upper bound of the spectral radius of R below 1, checked by eigenvalues; ``inf`` where none is found."""
+    rho = min(1.001 * guess, 0.5 * (1.0 + guess))
+    if not rho < 1.0:
+        return math.inf
+    p = matrix.shape[0] // labels
+    n = round((math.sqrt(8 * p + 1) - 1) / 2)
+    unit = np.tile(isometry(n).T @ np.eye(n).ravel(), labels)
+    X = np.linalg.solve(rho * np.eye(matrix.shape[0]) - matrix, unit)
+    bound = 0.0
+    for own, after in zip(X.reshape(labels, p), (matrix @ X).reshape(labels, p)):
+        own_matrix, after_matrix = smat(np.asarray(own)), smat(np.asarray(after))
+        least = float(np.linalg.eigvalsh(own_matrix)[0])
+        if not least > 0.0:
+            return math.inf
+        root = np.linalg.inv(np.linalg.cholesky(own_matrix))
+        bound = max(bound, float(np.linalg.eigvalsh(root @ after_matrix @ root.T)[-1]))
+    return bound if bound < 1.0 else math.inf
+
+
+def random_delay_verdict(
+    system: JumpSystem | DelayedJumpSystem,
+    process: SemiMarkov | FaultDetection,
+    gain: ScheduledGain,
+    period_s: float,
+    tau: DelayChain,
+    d: DelayChain,
+) -> Verdict:
+    """Return whether the loop is mean-square stable over two delay chains; the digest is left empty.
+
+    Exact where the rates are constant; where they change with age it is decided if both sides agree, and undecided with both
+    numbers if not.
+    """
+    if isinstance(system, DelayedJumpSystem) and system.ad.any():
+        return _undecided("a delay inside the plant together with random delays of the network is not decided")
+    if isinstance(system, JumpSystem) and system.uncertainty is not None:
+        return _undecided("uncertain matrices together with random delays of the network are not decided")
+    if not np.array_equal(gain.gain, np.broadcast_to(gain.gain[:, :1], gain.gain.shape)):
+        return _undecided("a gain that depends on the sojourn time is not decided over random delays")
+    rows, seen, boxes = _modes(system.modes, process, gain)
+    if gain.gain.shape[2:] != (system.inputs, system.states) or max(seen) >= gain.modes:
+        raise FieldError("gain", f"shape {gain.gain.shape} does not fit the plant and its {max(seen) + 1} modes")
+    if not all(np.isfinite(box.high).all() for box in boxes):
+        return _undecided("a rate has no finite bound")
+    plant = JumpSystem(a=system.a[rows], b=system.b[rows])
+    loop = RandomDelayLoop(
+        system=plant, boxes=boxes, gains=gain.gain[:, 0], seen=seen, period_s=period_s, tau=tau, d=d
+    )  # fmt: skip
+    try:
+        larger, smaller = moment_matrix(loop, upper=True), moment_matrix(loop, upper=False)
+    except TooLarge as error:
+        return _undecided(f"random delays over a plant that jumps: {error}")
+    upper = proved_radius(larger, len(loop.labels), radius(larger))
+    lower = radius(smaller)
+    state: State = "undecided"
+    what = f"second moments are multiplied by at least {lower:.6g} per period, and no bound below 1 is proved"
+    if upper < 1.0 - TOLERANCE:
+        state, what = "certified", f"second moments are multiplied by at most {upper:.6g} per period"
+    elif lower > 1.0 + TOLERANCE:
+        state, what = "refused", f"second moments are multiplied by at least {lower:.6g} per period"
+    return Verdict(
+        kind="mean-square stability", state=state, number=upper if state == "certified" else lower, limit=1.0,
+        reason=f"{what} over {len(loop.labels)} modes of plant and network",
+        quantity="spectral radius of the second moments per period", assumptions=ASSUMED, method=METHOD,
+    )  # fmt: skip
+
+
+def _modes(
+    modes: int, process: SemiMarkov | FaultDetection, gain: ScheduledGain
+) -> tuple[list[int], list[int], list[Box]]:
+    # per mode of the product: the matrices, the gain that the controller picks, and the rates by the mode that they lead to
+    if isinstance(process, SemiMarkov):
+        if process.modes != modes:
+            raise FieldError("process", f"{process.modes} modes, the system has {modes}")
+        bounds = [process.bounds(i, 0.0, math.inf) for i in range(modes)]
+        return list(range(modes)), list(range(modes)), [Box(low=low, high=high) for low, high in bounds]
+    if process.failure.modes != modes:
+        raise FieldError("process", f"{process.failure.modes} failure modes, the system has {modes}")
+    pairs = list(itertools.product(range(modes), range(process.detection[0].modes)))
+    boxes = []
+    for i, k in pairs:
+        sides = np.zeros((2, modes, process.detection[0].modes))
+        for side, (eta, r) in zip(
+            sides, zip(process.failure.bounds(i, 0.0, math.inf), process.detection[i].bounds(k, 0.0, math.inf))
+        ):
+            side[:, k] += eta
+            side[i, :] += r
+        boxes.append(Box(low=sides[0].ravel(), high=sides[1].ravel()))
+    return [i for i, _ in pairs], [gain_mode(gain, process, i, k) for i, k in pairs], boxes
+
+
+def _undecided(reason: str) -> Verdict:
+    return Verdict(kind="mean-square stability", state="undecided", reason=reason, method=METHOD)
