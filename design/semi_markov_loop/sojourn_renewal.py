@@ -184,7 +184,7 @@ class _Sojourn:
         for count in range(last):
             self._at(count)
             stay, left = self._apply(young, old, moments)
-            hidden = left[self._mode]
+            hidden = left[self._mode].copy()
             left[self._mode] = 0.0
             total += left
             young, old, moments = young + 1, old + 1, stay

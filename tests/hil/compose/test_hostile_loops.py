@@ -444,6 +444,14 @@ def test_the_study_finds_a_door_that_believes_everything() -> None:
         assert sum(growth > 1.0 + EDGE for growth in grown) >= 2
 
 
+@pytest.mark.parametrize("seed", [19, 30])
+def test_moments_of_paths_that_come_back_unseen_count(seed: int) -> None:
+    """Two loops that were falsely certified: a mode was left and entered again between two samples, and its moments were lost."""
+    loop, growth = sectioned_case(np.random.default_rng([list(CASES).index("sectioned"), seed]))
+    assert growth > 1.01
+    assert certify(loop).state == "refused"
+
+
 def test_the_reference_agrees_with_a_literal_run_of_many_paths() -> None:
     """The reference itself, beside 4000 drawn paths of one scalar loop (its E x^2 per period, standard error below 1 %)."""
     A, B, K = np.array([[[0.5]], [[-1.0]]]), np.ones((2, 1, 1)), np.array([[[-1.5]], [[0.2]]])
