@@ -69,6 +69,8 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
         from hil.experiment import load_experiment
 
         experiment = load_experiment(name)
+        if experiment.nodes:  # the law of links.sc is not that of the nodes
+            raise HilError(f"{name}: several sensor nodes; gains for them are solved where it runs, by kind = 'designed'")
         plant = experiment.plant
         period = period_s if period_s is not None else float(experiment.period)
         try:

@@ -9,6 +9,7 @@ from scipy.stats import norm
 from design.controllers import SendAll
 from design.networked_loop.prediction import predict_tracking
 from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
+from hil.compose.design_problem import tracking_target
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -130,6 +131,11 @@ def test_gains_that_do_not_hold_the_loop_are_refused_by_the_same_chain() -> None
     fast = [[[[-1.0, -0.1]]]] * 4
     with pytest.raises(HilError, match="not mean-square stable over this network"):
         compose(load_experiment("dc-motor-two-nodes", [FIXED % fast]))
+
+
+def test_a_design_by_the_law_of_links_sc_alone_is_refused() -> None:
+    with pytest.raises(HilError, match="dc-motor-two-nodes: several sensor nodes; gains for them are solved where it runs"):
+        tracking_target("dc-motor-two-nodes")
 
 
 def test_gains_by_mode_have_no_certificate_over_several_nodes() -> None:

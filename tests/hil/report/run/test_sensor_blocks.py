@@ -9,6 +9,7 @@ from hil.experiment import load_experiment
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.report.html.figures import Figure, Table
+from hil.report.run.prediction import theory_section
 from hil.report.run.run_page import render_report
 from hil.report.run.sensor_blocks import newest_ages, sensor_blocks
 from hil.session import simulate
@@ -25,6 +26,25 @@ def test_who_spoke_and_how_old_each_newest_sample_is() -> None:
     assert [row[:4] for row in table.rows][2] == ["third", "x3", 5, 0]
     page = render_report(view, summarise(view))
     assert "Which node spoke" in page and "Network load" in page
+
+
+def test_two_nodes_of_a_motor_are_drawn_with_what_theory_says_of_them() -> None:
+    law = "controller={kind='local', gain=[[-0.05, -0.006]]}"
+    loop = compose(load_experiment("dc-motor-two-nodes", ["duration=1", "reference.0.at=0.1", law]))
+    view = view_of(simulate(loop, 0), loop.experiment)
+    spoke, ages, table = sensor_blocks(view, ())
+    assert isinstance(spoke, Figure) and isinstance(ages, Figure) and isinstance(table, Table)
+    assert set(spoke.series[0].y.tolist()) == {0.0, 1.0} and [series.label for series in ages.series] == ["angle", "speed"]
+    for series in ages.series:
+        assert set(series.y[np.isfinite(series.y)].tolist()) == {0.0, 1.0}
+    assert [row[:2] for row in table.rows] == [["angle", "angle"], ["speed", "speed"]]
+    section = theory_section(view)
+    assert section is not None
+    angle, speed = section.blocks[:2]
+    assert isinstance(angle, Figure) and isinstance(speed, Figure) and "speed" in speed.title
+    for figure in (angle, speed):
+        assert len(figure.bands) == 2 and np.isfinite(figure.bands[0].upper).all()
+        assert (figure.bands[0].upper - figure.bands[0].lower).max() > 0.0
 
 
 def test_a_run_of_one_node_has_no_such_section() -> None:
