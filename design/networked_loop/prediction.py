@@ -114,16 +114,15 @@ def predict_tracking(
         start[:n] += np.asarray(x0, dtype=np.float64)
     with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
         walk.begin(start, _initial_modes(structure, sc, ca, initial))
-        rows = []
+        mean, second, square, fourth = np.empty((len(r), p)), np.empty((len(r), p)), np.empty(len(r)), np.empty(len(r))
         for k in range(len(r)):
             if k and (r[k] != r[k - 1]).any():
                 walk.jump(ideal(r[k - 1]) - ideal(r[k]))
             walk.aim(r[k] - aim[k])
-            rows.append(walk.read())
+            mean[k], second[k], square[k], fourth[k] = walk.read()
             hold = np.zeros(m) if star is None else star.input @ r[k]
             walk.step(k, w[k], hold)
         sums = walk.sums()
-    mean, second, square, fourth = (np.array(column) for column in zip(*rows, strict=True))
     return Prediction(
         error_mean=mean,
         error_sd=np.sqrt(np.maximum(second - mean**2, 0.0)),

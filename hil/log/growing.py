@@ -18,7 +18,7 @@ import numpy as np
 Column: TypeAlias = np.ndarray[Any, np.dtype[Any]]
 T = TypeVar("T", bound=np.generic)
 
-IN_MEMORY: Final = 4 << 20
+IN_MEMORY: Final = 2 << 20
 """Bytes up to which an array stays in memory."""
 
 PENDING: Final = 1 << 19

@@ -19,6 +19,9 @@ from hil.measure.view import MEASUREMENT, RunView, matrix
 
 ROWS = "/controller/rows"
 
+MOST_ANSWERS = 200_000
+"""Answers that are computed again at most: the first ones of a longer run."""
+
 Array = npt.NDArray[np.float64]
 
 
@@ -83,11 +86,11 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
     touching = _touching(controller)
     if touching is None or isinstance(controller, FromSamples):
         return None
-    measured = view.run.arrays[MEASUREMENT]
+    measured = view.run.arrays[MEASUREMENT][: MOST_ANSWERS + loop.model.tau_max + loop.samples]
     outputs = list(view.signals.outputs)
     carried = matrix(measured, outputs).astype(np.float32).tolist()
     samples: dict[int, list[float]] = dict(zip(measured["tick"].tolist(), carried))
-    answers = view.run.arrays[ROWS]
+    answers = view.run.arrays[ROWS][:MOST_ANSWERS]
     first = next((n for n in answers.dtype.names or () if n.startswith("row0_")), None)
     reference = loop.reference()
     found: list[tuple[float, float, int, float, float]] = []

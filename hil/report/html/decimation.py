@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -9,6 +10,13 @@ import numpy.typing as npt
 
 Float: TypeAlias = npt.NDArray[np.float64]
 Index: TypeAlias = npt.NDArray[np.intp]
+Blocks: TypeAlias = Callable[[], Iterator[tuple[Float, Float]]]
+
+WHOLE = 25_000
+"""Curves of up to so many points are kept as they are (20 s at 1 kHz), so that zooming shows every sample."""
+
+BUCKETS = 4000
+"""Intervals of x that a longer curve is reduced to: several per pixel of a wide window, so that zooming still helps."""
 
 
 def bucket_extremes(x: Float, y: Float, buckets: int) -> Index:
@@ -35,9 +43,13 @@ def bucket_extremes(x: Float, y: Float, buckets: int) -> Index:
     span = x[-1] - x[0]
     if not span > 0.0 or not np.isfinite(span):
         return np.arange(n, dtype=np.intp)
-    bucket = np.minimum(((x - x[0]) * (buckets / span)).astype(np.intp), buckets - 1)
+    return _extremes(x, y, buckets, float(x[0]), float(span))
+
+
+def _extremes(x: Float, y: Float, buckets: int, begin: float, span: float) -> Index:
+    bucket = np.minimum(((x - begin) * (buckets / span)).astype(np.intp), buckets - 1)
     starts = np.flatnonzero(np.diff(bucket, prepend=-1))
-    ends = np.append(starts[1:], n) - 1
+    ends = np.append(starts[1:], x.size) - 1
     lowest = _argument_per_run(np.where(np.isnan(y), np.inf, y), starts, np.minimum)
     highest = _argument_per_run(np.where(np.isnan(y), -np.inf, y), starts, np.maximum)
     gap = np.isnan(y)
@@ -67,3 +79,62 @@ def step_ends(y: Float) -> Index:
     changed[1:] = ~same
     changed[-1] = True
     return np.flatnonzero(changed).astype(np.intp)
+
+
+def reduced(blocks: Blocks, *, step: bool, whole: int = WHOLE, buckets: int = BUCKETS) -> tuple[Float, Float, int]:
+    """Return what a page keeps of a curve that is read block by block, and how many samples it had.
+
+    The same points as `bucket_extremes` (and `step_ends` before it) would keep of the curve in one piece: of every block those
+    that may be kept are picked first, and what is picked is reduced once more.
+
+    Args:
+        blocks: gives x and y of one block after the other, from the begin each time it is called; x does not decrease.
+        step: the curve holds its value until the next x.
+        whole: a curve of up to so many points is kept as it is.
+        buckets: that a longer one is reduced to.
+    """
+    samples, first, last = 0, 0.0, 0.0
+    for x, _ in blocks():
+        if x.size:
+            first, last = float(x[0]) if not samples else first, float(x[-1])
+            samples += x.size
+    span, points = last - first, 0
+    kept: list[tuple[Float, Float]] = []
+    picked: list[tuple[Float, Float]] = []
+    for x, y in _ends(blocks(), samples) if step else blocks():
+        finite = np.where(np.isfinite(y), y, np.nan)
+        points += x.size
+        if points <= whole or not span > 0.0:
+            kept.append((x, finite))
+        if x.size and span > 0.0:
+            some = _extremes(x, finite, buckets, first, span)
+            gap = np.isnan(finite)
+            before = np.flatnonzero(gap[1:] & ~gap[:-1])  # without it a gap behind a gap would not begin
+            some = np.union1d(some, before)
+            picked.append((x[some], finite[some]))
+    if points <= whole or not span > 0.0:
+        return *_joined(kept), samples
+    x, y = _joined(picked)
+    last_cut = _extremes(x, y, buckets, first, span)
+    return x[last_cut], y[last_cut], samples
+
+
+def _ends(blocks: Iterator[tuple[Float, Float]], samples: int) -> Iterator[tuple[Float, Float]]:
+    """Give of every block the samples at which the held value changes, and the last one of all."""
+    before, seen = np.empty(0), 0
+    for x, y in blocks:
+        y = np.where(np.isfinite(y), y, np.nan)
+        both = np.concatenate((before, y))
+        changed = np.ones(both.size, dtype=bool)
+        changed[1:] = ~((both[1:] == both[:-1]) | (np.isnan(both[1:]) & np.isnan(both[:-1])))
+        own, seen = changed[before.size :], seen + x.size
+        if seen == samples and own.size:
+            own[-1] = True
+        yield x[own], y[own]
+        before = both[-1:]
+
+
+def _joined(parts: list[tuple[Float, Float]]) -> tuple[Float, Float]:
+    if not parts:
+        return np.empty(0), np.empty(0)
+    return np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts])

@@ -41,6 +41,7 @@ class Series:
         colour: index into the page's palette of eight (None: by position in the figure).
         faint: thin and pale, for the many runs behind a mean.
         halo: broad and pale, to lie beneath a curve that ought to coincide.
+        samples: how many it had before it was reduced (`hil.report.html.decimation.reduced`); None: it is whole.
     """
 
     label: str
@@ -50,6 +51,7 @@ class Series:
     colour: int | None = None
     faint: bool = False
     halo: bool = False
+    samples: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,17 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hil.report.html.decimation import bucket_extremes, step_ends
+from hil.report.html.decimation import BUCKETS, WHOLE, bucket_extremes, step_ends
 from hil.report.html.figures import Badge, Bars, Block, Cell, Figure, Histogram, Link, Matrix, Scene, Series, Table, Text, Tile
 from hil.report.html.numbers import text_of
 from hil.report.html.scene import draw_scene, scene_legend
 from hil.report.html.svg import draw_bars, draw_histogram
-
-WHOLE = 25_000
-"""Curves of up to so many points are kept as they are (20 s at 1 kHz), so that zooming shows every sample."""
-
-BUCKETS = 4000
-"""Intervals of x that a longer curve is reduced to: several per pixel of a wide window, so that zooming still helps."""
 
 SIGNS = {"good": "✓", "warning": "!", "bad": "✕", "neutral": "·"}
 
@@ -125,7 +119,7 @@ def _figure(figure: Figure, payload: Payload) -> str:
     for i, series in enumerate(figure.series):
         x, y = _arrays(series.label, series.x, series.y)
         keep = _kept(x, y, series)
-        whole, drawn = max(whole, x.size), max(drawn, keep.size if "step" not in series.style else 0)
+        whole, drawn = max(whole, series.samples or x.size), max(drawn, keep.size if "step" not in series.style else 0)
         curves.append(
             {
                 "label": series.label,
@@ -186,6 +180,8 @@ def _arrays(
 
 
 def _kept(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], series: Series) -> npt.NDArray[np.intp]:
+    if series.samples is not None:
+        return np.arange(x.size, dtype=np.intp)
     if "step" not in series.style:
         return _reduced(x, y)
     ends = step_ends(y)

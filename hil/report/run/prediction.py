@@ -21,6 +21,8 @@ from hil.sweeps.lockstep import in_lockstep, run_together
 RUNS = 100
 TICKS = 120_000  # of emulation that a page may cost: some 3 s
 FEWEST = 20
+MOST_SLOTS = 100_000
+"""Slots that are predicted at most: the first ones of a longer run."""
 
 
 def theory_section(view: RunView) -> Section | None:
@@ -39,8 +41,9 @@ def theory_section(view: RunView) -> Section | None:
     if not isinstance(loop.controller, GainTable) or None in chains:
         return None
     names = list(view.signals.outputs)
-    y, r = (matrix(view.run.arrays[topic], names) for topic in (MEASUREMENT, REFERENCE))
-    ticks = min(len(y), len(r))
+    slots = min(len(view.run.arrays[topic]) for topic in (MEASUREMENT, REFERENCE))
+    ticks = min(slots, MOST_SLOTS)
+    y, r = (matrix(view.run.arrays[topic][:ticks], names) for topic in (MEASUREMENT, REFERENCE))
     if ticks < 2:
         return None
     predicted = _predict(loop, loop.controller, chains, r[:ticks])
@@ -69,6 +72,7 @@ def theory_section(view: RunView) -> Section | None:
             )
         )
     squared = squared_unit(view.signals)
+    part = "" if ticks == slots else f" Both are of the first {ticks} slots of {slots}."
     sums: list[list[Any]] = []
     rows = zip(("whole run", "from 5 s on"), predicted.sum_mean, predicted.sum_sd, _starts(loop, ticks))
     for label, mean_sum, sd_sum, start in rows:
@@ -86,7 +90,7 @@ def theory_section(view: RunView) -> Section | None:
         blocks=tuple(blocks),
         intro=(
             "What the covariance recursion of the jump-linear loop says of the error, transients too, from the nominal linear "
-            "model, the gains and the chains. A run outside the band is either one of the few, or not of this model."
+            "model, the gains and the chains. A run outside the band is either one of the few, or not of this model." + part
         ),
     )
 

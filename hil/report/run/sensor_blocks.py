@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 
 from hil.compose.sensors import ordered_names
+from hil.log.growing import pieces
 from hil.measure.network_load import loads
 from hil.measure.view import RunView
 from hil.report.html.figures import Block, Cell, Figure, Marker, Series, Table
+from hil.report.run.curve import Records, curve, curve_of
 from transport.medium.draws import DELIVERED, DISORDERED, LOST
 
 
@@ -21,8 +25,9 @@ def newest_ages(draws: npt.NDArray[np.void], node: int, slots: int) -> npt.NDArr
         slots: length of the run.
     """
     newest = np.full(slots, -1, dtype=np.int64)
-    own = draws[(draws["node"] == node) & np.isin(draws["reason"], (DELIVERED, DISORDERED)) & (draws["tick"] < slots)]
-    np.maximum.at(newest, own["tick"], own["packet_tick"])
+    for piece in pieces(draws):
+        came = (piece["node"] == node) & np.isin(piece["reason"], (DELIVERED, DISORDERED)) & (piece["tick"] < slots)
+        np.maximum.at(newest, piece["tick"][came], piece["packet_tick"][came])
     newest = np.maximum.accumulate(newest) if slots else newest
     return np.where(newest >= 0, np.arange(slots) - newest, np.nan)
 
@@ -32,16 +37,16 @@ def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
     draws, e = view.run.arrays.get("/network/sc"), view.experiment
     if e is None or not e.nodes or draws is None or not len(draws):
         return []
-    names, slots = ordered_names(e), int(draws["tick"].max()) + 1
-    t = np.arange(slots) * view.period_s
+    names, slots = ordered_names(e), max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
+    t: npt.NDArray[np.float64] = np.arange(slots) * view.period_s
     spoke: list[Series] = []
     for reasons, label, colour in (((DELIVERED, DISORDERED), "heard", 0), ((LOST,), "lost", 4)):
-        own = draws[np.isin(draws["reason"], reasons)]
-        if len(own):
-            at, who = (own["tick"] - own["age"]) * view.period_s, own["node"].astype(np.float64)
-            spoke.append(Series(label=label, x=at, y=who, style="points", colour=colour))
+        chosen = partial(_with_reason, reasons)
+        if any(chosen(piece).any() for piece in pieces(draws)):
+            sent_s = partial(_sent_s, view.period_s)
+            spoke.append(curve(draws, "node", label=label, style="points", where=chosen, x=sent_s, colour=colour))
     ages = tuple(
-        Series(label=name, x=t, y=newest_ages(draws, i, slots), style="step", colour=i % 8) for i, name in enumerate(names)
+        curve_of(t, newest_ages(draws, i, slots), label=name, style="step", colour=i % 8) for i, name in enumerate(names)
     )
     numbered = ", ".join(f"{i}: {name}" for i, name in enumerate(names))
     rows: list[list[Cell]] = [
@@ -58,3 +63,11 @@ def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
             note="Sensor packets as sent, lost ones included, with their headers in wire version 2.",
         ),
     ]  # fmt: skip
+
+
+def _with_reason(reasons: tuple[int, ...], draws: Records) -> npt.NDArray[np.bool_]:
+    return np.isin(draws["reason"], reasons)
+
+
+def _sent_s(period_s: float, draws: Records) -> npt.NDArray[np.float64]:
+    return np.asarray((draws["tick"] - draws["age"]) * period_s, dtype=np.float64)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hil.log.growing import pieces, whole
 from hil.log.read.run import Run
 from hil.measure.network import expected_frequencies, expected_transitions, mode_sequence
 from hil.report.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
@@ -160,8 +161,12 @@ def _measured_ages(run: Run, network: Mapping[str, Any], side: str) -> Bars | No
     array, field = (run.arrays.get("/controller/rows"), "tau") if side == "sc" else (run.arrays.get("/actuator/applied"), "d")
     if array is None or not len(array):
         return None
-    heard = array["sample_ns"] >= 0 if side == "sc" else array["d"] >= 0
-    counts = np.bincount(array[field][heard])
+    heard = "sample_ns" if side == "sc" else "d"
+    counts = np.zeros(0, dtype=np.int64)
+    for piece in pieces(array):
+        more = np.bincount(piece[field][piece[heard] >= 0], minlength=len(counts))
+        more[: len(counts)] += counts
+        counts = more
     way, symbol = DIRECTIONS[side]
     return Bars(
         title=f"{_capital(way)}: age of what was used",
@@ -179,7 +184,7 @@ def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:
         return []
     blocks: list[Block] = []
     for field, title, colour in (("lateness_us", "Lateness", 0), ("round_trip_us", "Round trip", 2)):
-        histogram = _histogram(ticks[field], timing[field], title, colour)
+        histogram = _histogram(whole(ticks, field), timing[field], title, colour)
         if histogram is not None:
             blocks.append(histogram)
     columns = ["quantity", "p50", "p99", "p99.9", "max"]

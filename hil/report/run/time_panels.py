@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
+from hil.log.growing import pieces
 from hil.log.read.run import Run
-from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, signal_names
 from hil.report.html.figures import Band, Figure, LineStyle, Marker, Series, State
+from hil.report.run.curve import Records, curve
 
 MOST_MARKERS = 500
 DENSE = 1500
@@ -47,13 +50,13 @@ def output_panels(view: RunView, marks: tuple[Marker, ...], predicted: Mapping[s
     for name, unit in view.signals.outputs.items():
         theory = predicted.get(name, Prediction())
         style: LineStyle = "line" if name in tracked else "step"
-        series = [Series(label=_words(name), x=seconds(measurement), y=measurement[name], style=style, colour=0)]
+        series = [curve(measurement, name, label=_words(name), style=style, colour=0)]
         if state is not None and name in (state.dtype.names or ()) and not _equal(state, measurement, name):
             series = [
                 replace(series[0], label=f"{_words(name)}, measured", halo=True),
-                Series(label=f"{_words(name)}, true", x=seconds(state), y=state[name], style=style, colour=0),
+                curve(state, name, label=f"{_words(name)}, true", style=style, colour=0),
             ]
-        asked = Series(label="reference", x=seconds(reference), y=reference[name], style="dashed-step", colour=7)
+        asked = curve(reference, name, label="reference", style="dashed-step", colour=7)
         panels.append(
             Figure(
                 title=_title(name),
@@ -78,7 +81,7 @@ def state_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
             title=_title(name),
             y_label=_words(name),
             y_unit=view.unit("/plant/state", name),
-            series=(Series(label=_words(name), x=seconds(state), y=state[name], colour=2),),
+            series=(curve(state, name, label=_words(name), colour=2),),
             markers=marks,
             height_px=190,
         )
@@ -92,10 +95,10 @@ def input_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     applied = view.run.arrays[APPLIED]
     panels = []
     for name, unit in view.signals.inputs.items():
-        series = [Series(label=f"{_words(name)}, commanded", x=seconds(applied), y=applied[name], style="step", colour=3)]
+        series = [curve(applied, name, label=f"{_words(name)}, commanded", style="step", colour=3)]
         w = f"w_{name}"
-        if w in (applied.dtype.names or ()) and np.any(applied[w] != 0.0):
-            series.insert(0, Series(label="disturbance", x=seconds(applied), y=applied[w], style="step", colour=4))
+        if w in (applied.dtype.names or ()) and any((piece[w] != 0.0).any() for piece in pieces(applied)):
+            series.insert(0, curve(applied, w, label="disturbance", style="step", colour=4))
         panels.append(
             Figure(
                 title=f"Input: {_words(name)}",
@@ -120,20 +123,19 @@ def delay_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
         series = []
         draws = run.arrays.get(f"/network/{side}")
         if draws is not None and len(draws) and "node" not in (draws.dtype.names or ()):
-            own = draws[(draws["mode"] >= 0)]
-            age = np.where(own["age"] >= 0, own["age"], np.nan).astype(np.float64)
-            if not np.any(np.isfinite(age)):
+            if not any((piece["age"][piece["mode"] >= 0] >= 0).any() for piece in pieces(draws)):
                 pass
             elif _is_age_law(run, side):
                 label = "drawn by the law"
-                series.append(Series(label=label, x=seconds(own), y=age, style="step", colour=1, halo=True))
+                series.append(curve(draws, _drawn_age, label=label, where=_own, style="step", colour=1, halo=True))
             else:
-                series.append(Series(label="age at arrival, by packet", x=seconds(own), y=age, style="points", colour=1))
+                series.append(
+                    curve(draws, _drawn_age, label="age at arrival, by packet", where=_own, style="points", colour=1)
+                )
         if array is not None and len(array):
-            heard = array["sample_ns"] >= 0 if field == "tau" else array["d"] >= 0
-            age = np.where(heard, array[field], np.nan).astype(np.float64)
+            heard = "sample_ns" if field == "tau" else "d"
             where = "measured by the controller" if field == "tau" else "measured at the actuator"
-            series.append(Series(label=where, x=seconds(array), y=age, style="step", colour=0))
+            series.append(curve(array, partial(_age, field, heard), label=where, style="step", colour=0))
         if series:
             panels.append(
                 Figure(
@@ -161,23 +163,40 @@ def lateness_panel(view: RunView, marks: tuple[Marker, ...]) -> Figure | None:
         y_unit="µs",
         y_log=True,
         series=(
-            Series(label="lateness", x=seconds(timing), y=np.maximum(timing["lateness_us"], 0.1), colour=0),
-            Series(label="round trip", x=seconds(timing), y=np.maximum(timing["round_trip_us"], 0.1), colour=2),
+            curve(timing, partial(_at_least, "lateness_us"), label="lateness", colour=0),
+            curve(timing, partial(_at_least, "round_trip_us"), label="round trip", colour=2),
         ),
         markers=marks,
         height_px=220,
     )
 
 
+def _own(draws: Records) -> npt.NDArray[np.bool_]:
+    chosen: npt.NDArray[np.bool_] = draws["mode"] >= 0
+    return chosen
+
+
+def _drawn_age(draws: Records) -> npt.NDArray[np.float64]:
+    return np.where(draws["age"] >= 0, draws["age"], np.nan).astype(np.float64)
+
+
+def _age(field: str, heard: str, records: Records) -> npt.NDArray[np.float64]:
+    return np.where(records[heard] >= 0, records[field], np.nan).astype(np.float64)
+
+
+def _at_least(field: str, timing: Records) -> npt.NDArray[np.float64]:
+    return np.asarray(np.maximum(timing[field], 0.1), dtype=np.float64)
+
+
 def _is_age_law(run: Run, side: str) -> bool:
-    draws = run.arrays[f"/network/{side}"]
     codes = run.codes.get("reason", [])
-    return "sent" not in codes or not np.any(draws["reason"] == codes.index("sent"))
+    if "sent" not in codes:
+        return True
+    return not any((piece["reason"] == codes.index("sent")).any() for piece in pieces(run.arrays[f"/network/{side}"]))
 
 
-def _equal(a: npt.NDArray[np.void], b: npt.NDArray[np.void], name: str) -> bool:
-    n = min(len(a), len(b))
-    return bool(np.array_equal(a[name][:n], b[name][:n]))
+def _equal(a: Records, b: Records, name: str) -> bool:
+    return all(np.array_equal(one[: len(other)][name], other[: len(one)][name]) for one, other in zip(pieces(a), pieces(b)))
 
 
 def _title(name: str) -> str:

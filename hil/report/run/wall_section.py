@@ -14,10 +14,12 @@ import numpy.typing as npt
 from design.controllers.virtual_wall import RendersWall
 from design.controllers.wall import Wall
 from hil.compose.loop import Loop
+from hil.log.growing import whole
 from hil.log.records import PASSIVITY_TOPIC
-from hil.measure.avatar import AvatarPath, avatar_path, wall_loop_of
-from hil.measure.view import APPLIED, MEASUREMENT, RunView, seconds
+from hil.measure.avatar import MOST_ANSWERS, AvatarPath, avatar_path, wall_loop_of
+from hil.measure.view import APPLIED, MEASUREMENT, RunView
 from hil.report.html.figures import Block, Figure, Marker, Scene, Section, Series, Shape
+from hil.report.run.curve import curve
 from hil.report.run.time_panels import markers
 
 Array = npt.NDArray[np.float64]
@@ -48,12 +50,13 @@ def wall_section(view: RunView) -> Section | None:
     if path is not None and np.ptp(path.y_m) + np.ptp(path.z_m) > 0.0:
         shown = _shown(path, loop.controller.wall)
         blocks += [_map(path, loop.controller.wall, shown), _space(path, shown)]
+    part = "" if path is None or len(path.t_s) < MOST_ANSWERS else f" It is followed over the first {path.t_s[-1]:.6g} s."
     said = "computed again from the log" if path is None or path.same else (
         "computed again from the log, but its forces are not those that were logged: another program answered"
     )
     return Section(
         title="At the wall", blocks=tuple(blocks), columns=2,
-        intro=f"The avatar is where the wall believes the device to be, behind delay and coupler; it is {said}.",
+        intro=f"The avatar is where the wall believes the device to be, behind delay and coupler; it is {said}.{part}",
     )  # fmt: skip
 
 
@@ -61,29 +64,29 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
     run, marks = view.run, markers(view)
     measured, applied, state = run.arrays[MEASUREMENT], run.arrays[APPLIED], run.arrays.get("/plant/state")
     tip, force = view.signals.tracked[0], next(iter(view.signals.inputs))
-    depth = [Series(label="device", x=seconds(measured), y=1e3 * measured[tip], colour=0)]
+    depth = [curve(measured, lambda some: 1e3 * some[tip], label="device", colour=0)]
     if path is not None:
         depth.append(Series(label="avatar", x=path.t_s, y=1e3 * path.depth_m, colour=1))
     found = [
         Figure(title="Penetration", series=tuple(depth), y_label="depth", y_unit="mm", markers=marks),
         Figure(
             title="Force of the wall at the device",
-            series=(Series(label="force against the hand", x=seconds(applied), y=-applied[force], style="step", colour=3),),
+            series=(curve(applied, lambda some: -some[force], label="force against the hand", style="step", colour=3),),
             y_label="force", y_unit=view.signals.inputs[force], markers=marks,
         ),
     ]  # fmt: skip
     if state is not None and "given" in (state.dtype.names or ()):
-        energy = Series(label="energy given", x=seconds(state), y=1e3 * state["given"], colour=4)
+        energy = curve(state, lambda some: 1e3 * some["given"], label="energy given", colour=4)
         found.append(
             Figure(
                 title="Passivity observer", series=(energy,), y_label="energy given", y_unit="mJ", markers=marks,
-                y_range=None if np.nanmax(state["given"], initial=0.0) > 0.0 else (0.0, 1.0),
+                y_range=None if np.nanmax(whole(state, "given"), initial=0.0) > 0.0 else (0.0, 1.0),
                 note="What the motor gave beyond what damping takes: 0 behind a coupler that is safe.",
             )
         )  # fmt: skip
     damper = run.arrays.get(PASSIVITY_TOPIC)
     if damper is not None:
-        injected = Series(label="injected damping", x=seconds(damper), y=damper["damping"], style="step", colour=5)
+        injected = curve(damper, "damping", label="injected damping", style="step", colour=5)
         found.append(
             Figure(
                 title="Passivity controller at the rig", series=(injected,), y_label="damping", y_unit="N s/m", markers=marks,
