@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
+import tracemalloc
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -78,6 +79,36 @@ def bench_log(progress: Callable[[str], None] = lambda text: None, *, slots: int
             "ratio": round(ours / plain, 3),
             "without log us": round(none, 1),
             "same bytes": equal,
+        }
+    ]
+
+
+def bench_memory(
+    progress: Callable[[str], None] = lambda text: None, *, slots: tuple[int, int] = (4_000, 12_000)
+) -> list[Row]:
+    """Return how many bytes every further slot holds in memory while its log is written, ours and mcap's own writer.
+
+    Args:
+        progress: told what is being done.
+        slots: lengths of the two runs whose peaks are compared.
+    """
+    progress("memory of a log")
+    peaks: dict[str, list[int]] = {"ours": [], "plain": []}
+    with tempfile.TemporaryDirectory(prefix="hilrig-bench-") as folder:
+        for count in slots:
+            loop = compose(load_experiment("dc-motor-hinf", [f"duration={count * 0.05!r}"]), certify=False)
+            for name, found in peaks.items():
+                tracemalloc.start()
+                _virtual(loop, name, Path(folder) / name)
+                found.append(tracemalloc.get_traced_memory()[1])
+                tracemalloc.stop()
+    ours, plain = ((peaks[name][1] - peaks[name][0]) / (slots[1] - slots[0]) for name in ("ours", "plain"))
+    return [
+        {
+            "memory": "of a log while it is written",
+            "bytes per slot": round(ours, 2),
+            "mcap's writer": round(plain, 2),
+            "ratio": round(ours / plain, 3),
         }
     ]
 

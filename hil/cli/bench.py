@@ -176,14 +176,15 @@ def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
 @click.option("--json", "as_json", is_flag=True)
 def engines(as_json: bool) -> None:
     """A sweep beside run by run, a log beside mcap's own writer, designs over many modes: CPU time."""
-    from hil.bench.engines import bench_log, bench_modes, bench_sweep
+    from hil.bench.engines import bench_log, bench_memory, bench_modes, bench_sweep
 
-    sweeps, logs, modes = bench_sweep(_status), bench_log(_status), bench_modes(_status)
+    sweeps, logs, memory, modes = bench_sweep(_status), bench_log(_status), bench_memory(_status), bench_modes(_status)
     if as_json:
-        print(json.dumps({"sweep": sweeps, "log": logs, "modes": modes}, indent=2))
+        print(json.dumps({"sweep": sweeps, "log": logs, "memory": memory, "modes": modes}, indent=2))
         return
     _table("a sweep in lockstep, beside run by run", sweeps)
     _table("one slot in virtual time, with a log, beside mcap's own writer", logs)
+    _table("memory that every further slot holds, beside mcap's own writer", memory)
     _table("an H2 design over many modes (applied, one start)", modes)
 
 
@@ -197,7 +198,7 @@ def everything(duration: float, as_json: bool) -> None:
 
     from hil.bench.auth import bench_auth
     from hil.bench.design import bench_design, bench_scheduled
-    from hil.bench.engines import bench_log, bench_modes, bench_sweep
+    from hil.bench.engines import bench_log, bench_memory, bench_modes, bench_sweep
     from hil.bench.links import bench_links
     from hil.bench.montecarlo import bench_montecarlo
     from hil.bench.timing import bench_timing
@@ -208,6 +209,7 @@ def everything(duration: float, as_json: bool) -> None:
         "date": date.today().isoformat(),
         "sweep": bench_sweep(_status),
         "log": bench_log(_status),
+        "memory": bench_memory(_status),
         "modes": bench_modes(_status),
         "design": bench_design(_status),
         "scheduled": bench_scheduled(progress=_status),

@@ -38,7 +38,7 @@ def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
     if e is None or not e.nodes or draws is None or not len(draws):
         return []
     names, slots = ordered_names(e), max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
-    t: npt.NDArray[np.float64] = np.arange(slots) * view.period_s
+    t = np.asarray(np.arange(slots) * view.period_s, dtype=np.float64)
     spoke: list[Series] = []
     for reasons, label, colour in (((DELIVERED, DISORDERED), "heard", 0), ((LOST,), "lost", 4)):
         chosen = partial(_with_reason, reasons)

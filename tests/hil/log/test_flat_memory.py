@@ -1,0 +1,58 @@
+"""Memory that does not grow with the run: what Python holds per slot, while a log is written and while it is read."""
+
+import tracemalloc
+from pathlib import Path
+
+import pytest
+
+from hil.log import growing
+from hil.log.read.run import read_run
+from hil.log.write.mcap_sink import McapSink
+from tests.hil.log.recording import PERIOD_NS, TABLE, provenance
+
+FEW, MANY = 2_000, 8_000
+BYTES_PER_SLOT = 6.0
+"""A state kept as a number has 8; a chunk's place in the summary costs 1 to 2 per slot while it is below `IN_MEMORY`."""
+
+
+@pytest.fixture(autouse=True)
+def short_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(growing, "IN_MEMORY", 1 << 12)
+    monkeypatch.setattr(growing, "PENDING", 1 << 12)
+
+
+def write(path: Path, slots: int) -> float:
+    """Write so many slots; return how many bytes every slot of the last part took."""
+    with McapSink(path, TABLE, provenance(), keep={"/plant/state": None}) as sink:
+        state, frame = sink.record("/plant/state"), sink.record("/link/sensor")
+        assert state is not None and frame is not None
+        held = []
+        for k in range(slots):
+            state(k * PERIOD_NS, 0.1 * k, 1.0, k)
+            frame(k * PERIOD_NS, k, 0, bytes(40))
+            sink.commit()
+            if k in (FEW - 1, MANY - 1) and tracemalloc.is_tracing():
+                held.append(tracemalloc.get_traced_memory()[0])
+        arrays = sink.kept.arrays()
+    return (held[-1] - held[0]) / (MANY - FEW) if held else float(len(arrays))
+
+
+def test_writing_holds_no_more_for_a_longer_run(tmp_path: Path) -> None:
+    tracemalloc.start()
+    try:
+        assert write(tmp_path / "run.mcap", MANY) < BYTES_PER_SLOT
+    finally:
+        tracemalloc.stop()
+
+
+def test_reading_holds_no_more_for_a_longer_log(tmp_path: Path) -> None:
+    held = []
+    for slots in (FEW, MANY):
+        write(tmp_path / f"{slots}.mcap", slots)
+        tracemalloc.start()
+        run = read_run(tmp_path / f"{slots}.mcap")
+        frames = sum(len(piece) for piece in run.pieces("/link/sensor", 512))
+        held.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+        assert frames == len(run.numbers("/plant/state")) == slots
+    assert (held[1] - held[0]) / (MANY - FEW) < BYTES_PER_SLOT
