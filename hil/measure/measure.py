@@ -104,16 +104,17 @@ def quantities_of(measures: Sequence[Measure], signals: Signals) -> tuple[Quanti
 
 
 def measured(view: RunView, measures: Sequence[Measure]) -> dict[str, Any]:
-    """Return the numbers of a run by name; for more than one tracked output also `outputs`, the same per output."""
+    """Return the numbers of a run by name; `outputs` has those of single outputs, where more than one is tracked."""
     found: dict[str, Any] = {}
     for measure in measures:
         found |= measure.of(view)
     names = view.signals.tracked
-    if len(names) > 1:
+    single = [measure for measure in measures if any(q.per_output for q in measure.quantities(view.signals))]
+    if len(names) > 1 and single:
         found["outputs"] = {name: {} for name in names}
         for name in names:
             alone = view.only(name)
-            for measure in measures:
+            for measure in single:
                 keep = {q.name for q in measure.quantities(alone.signals) if q.per_output}
                 found["outputs"][name] |= {key: value for key, value in measure.of(alone).items() if key in keep}
     return found

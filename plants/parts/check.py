@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plants.errors import PlantError
 from plants.parts.exponential import Rows
 from plants.parts.jump import JumpModel
 from plants.parts.linear import Signal
-from plants.parts.protocols import BeyondModel, JumpPlant, Plant
+from plants.parts.protocols import BeyondModel, HasCost, HasStateDelays, JumpPlant, Plant
 
 _SEED = 20240229
 
@@ -88,7 +89,25 @@ def _further(plant: Plant, name: str) -> list[str]:
         )
         what = f"it has {', '.join(beyond)}, so a claim on its model is undecided for it" if beyond else "now it has nothing"
         said.append(f"{name} is BeyondModel: it says what it has that its model lacks; {what}")
+    if isinstance(plant, HasStateDelays):
+        delayed = np.asarray(plant.state_delays(), dtype=float)
+        n = len(plant.states)
+        _demand(delayed.shape == (len(delayed), n, n), f"{name}.state_delays(): shape {delayed.shape}, expected (tau, {n}, {n})")
+        _demand(bool(np.isfinite(delayed).all()), f"{name}.state_delays(): not finite")
+        said.append(f"{name} is HasStateDelays: gains over historical data can be solved for its {len(delayed)} delayed states")
+    if isinstance(plant, HasCost):
+        sizes = (len(plant.states), len(plant.inputs))
+        for what, weight, size in zip(("Xi", "Xi_u"), plant.cost_weights(), sizes):
+            _check_weight(np.asarray(weight, dtype=float), size, f"{name}.cost_weights(): {what}")
+        said.append(f"{name} is HasCost: designs over historical data and the measure cost weigh by its own weights")
     return said
+
+
+def _check_weight(weight: NDArray[np.float64], size: int, where: str) -> None:
+    _demand(weight.shape == (size, size), f"{where} of shape {weight.shape}, expected ({size}, {size})")
+    _demand(bool(np.isfinite(weight).all()) and bool((weight == weight.T).all()), f"{where} is not finite and symmetric")
+    least = float(np.linalg.eigvalsh(weight)[0])
+    _demand(least >= -1e-12 * float(np.abs(weight).max()), f"{where} has the eigenvalue {least:.3g}, expected at least 0")
 
 
 def _check_jumps(system: JumpModel, name: str, *, inputs: int, outputs: int) -> None:

@@ -80,6 +80,30 @@ def test_bad_input_is_one_message_status_2_and_nothing_written(
     assert [*tmp_path.iterdir()] == []
 
 
+LARGE = [[[[200.0 * (l == i) for l in range(4)]]] for i in range(4)]
+GAINS = "controller={kind='historical', uses='current-packet', gains=%s}"
+
+
+@pytest.mark.parametrize(
+    ("sets", "says"),
+    [
+        (["nodes.second.buffer=2"], "controller.gains[0][5][0][1]: -0.0201, expected 0: in this phase"),
+        (["nodes.second.buffer=7"], "nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),
+        (["nodes.second.id=0"], "nodes.second.id: 0 is the identifier of node 'first' already"),
+        ([GAINS % [[[[1.0] * 3]]]], "controller.gains: 1 x 3 matrices, but the plant has 1 inputs and 4 outputs"),
+        ([GAINS % LARGE, *(f"nodes.{n}.buffer=1" for n in ("first", "second", "third", "fourth"))], "refused: E|X|^2 of the stacked"),
+        (["media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], matrix=[[1.0]]}"], "media.bus.matrix: 1 rows"),
+    ],
+)
+def test_bad_gains_and_nodes_are_refused_by_their_entry_and_nothing_is_written(
+    cli: Hil, tmp_path: Path, sets: list[str], says: str
+) -> None:
+    status, out, err = cli("run", "multisensor-published", *[word for each in sets for word in ("--set", each)])
+    assert (status, out) == (2, "")
+    assert says in err and "Traceback" not in err
+    assert [*tmp_path.iterdir()] == []
+
+
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_virtual_run_that_is_interrupted_closes_its_log(tmp_path: Path, number: int, status: int) -> None:
     log = tmp_path / "long.mcap"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import plants
-from plants import DCMotor, DelayedVTOL, FaultyVTOL, Omni, PlantError, SwitchedExample, check_plant
+from plants import DCMotor, DelayedStates, DelayedVTOL, FaultyVTOL, Omni, PlantError, SwitchedExample, check_plant
 from plants.parts.linear import LinearRun, Signal
 
 OURS = {
@@ -23,6 +23,7 @@ OURS = {
     "smjls-sampled": SwitchedExample(uncertainty="sampled"),
     "vtol-delayed": DelayedVTOL(),
     "vtol-fault": FaultyVTOL(),
+    "delayed-states": DelayedStates(),
 }
 
 
@@ -74,9 +75,28 @@ class Wide(Integrator):
     inputs = (Signal("a", "V"), Signal("b", "V"))
 
 
+class Delayed(Integrator):
+    def state_delays(self):
+        return np.zeros((2, 1, 2))
+
+
+class Costly(Integrator):
+    def cost_weights(self):
+        return np.array([[-1.0]]), np.eye(1)
+
+
+def test_what_a_plant_with_delayed_states_and_a_cost_earns_is_said():
+    said = check_plant(DelayedStates())
+    assert any("is HasStateDelays" in line and "its 5 delayed states" in line for line in said)
+    assert any("is HasCost" in line for line in said)
+    assert not any("HasCost" in line or "HasStateDelays" in line for line in check_plant(DCMotor()))
+
+
 @pytest.mark.parametrize(
     ("plant", "message"),
     [
+        (Delayed(), r"Delayed.state_delays\(\): shape \(2, 1, 2\), expected \(tau, 1, 1\)"),
+        (Costly(), r"Costly.cost_weights\(\): Xi has the eigenvalue -1"),
         (Unseeded(), "Unseeded.start: same seed, another state"),
         (Twins(), "Twins.states: a name comes twice"),
         (Wide(), "Wide.model: 1 inputs, expected 2"),

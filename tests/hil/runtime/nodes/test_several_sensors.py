@@ -205,6 +205,7 @@ def test_one_node_has_no_key_of_nodes_and_several_have_theirs() -> None:
     assert resolved["nodes"]["third"]["outputs"] == ["x3"] and resolved["media"]["bus"]["kind"] == "round-robin"
     run = simulate(several, 0)
     summary = summarise(view_of(run, several.experiment))
+    assert set(summary["metrics"]) == {"cost", "peak_input", "packets_per_s", "bits_per_s"}  # nothing per output, no empty table
     assert list(summary["network"]["nodes"]) == ["first", "second", "third", "fourth"]
     assert [node["packets"] for node in summary["network"]["nodes"].values()] == [5, 5, 5, 5]
 
