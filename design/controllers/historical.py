@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Rows, Selection
+from design.controllers.packet_window import PacketWindow, window_of
 from design.controllers.sensor_nodes import Known, SensorNodes, Turns, Uses
 from design.errors import FieldError
 
@@ -29,13 +30,14 @@ class Historical:
     Args:
         gains: nested tuple [phase][j][m][p]. Input unit per output unit.
         uses: ``history``: all that has come; a sample that is missing is held from the one before. ``current-packet``: the packet
-            of this slot only; without one the input is 0.
+            of this slot only; without one the input is 0. ``last-packets``: those of the last slots, as many as the number of
+            phases says, with gains of their own for every outcome; see `design.controllers.packet_window`.
     """
 
     kind: ClassVar[str] = "historical"
 
     gains: History
-    uses: Literal["history", "current-packet"] = "history"
+    uses: Uses = "history"
 
     def __post_init__(self) -> None:
         self.history()
@@ -74,6 +76,10 @@ class Historical:
             raise FieldError("gains", "over historical data they need sensor nodes: [nodes.NAME] outputs, buffer")
         if nodes.mixed:
             raise FieldError("gains", "over historical data need all nodes on one medium, or none on any")
+        if self.uses == "last-packets":
+            if nodes.turns is None or len(set(nodes.delays)) != 1 or None in nodes.delays:
+                raise FieldError("uses", "the last packets are defined where nodes take turns and all have one constant delay")
+            return HistoricalRun(K, nodes, self.uses, window_of(nodes.turns, len(K)))
         phases = phase_count(nodes.turns)
         if len(K) != phases:
             raise FieldError("gains", f"{len(K)} phases, but the schedule has {phases}")
@@ -102,7 +108,9 @@ def phase_at(turns: Turns | None, k: int) -> int:
 class HistoricalRun:
     """The controller while it runs, see `design.controllers.sensor_nodes.FromSamples`."""
 
-    def __init__(self, K: NDArray[np.float64], nodes: SensorNodes, uses: Uses) -> None:
+    def __init__(self, K: NDArray[np.float64], nodes: SensorNodes, uses: Uses, window: PacketWindow | None = None) -> None:
+        self._window = window
+        self._came: dict[int, int] = {}  # by slot of sending, of the window and slot 0
         self.selection: Selection = "constant"
         self.memory = K.shape[1] - 1
         self._inputs, self._uses, self._turns = K.shape[2], uses, nodes.turns
@@ -128,14 +136,25 @@ class HistoricalRun:
         return (tuple(u),)
 
     def _phase(self, k: int, at: dict[int, dict[int, tuple[float, ...]]]) -> int | None:
-        turns = self._turns
+        turns, sent = self._turns, k - self._delay
+        if self._window is not None:
+            return self._outcomes(self._window, sent, at)
         if self._uses == "history" or turns is None:
             return phase_at(turns, k)
-        sent = k - self._delay
         if turns.order:  # whose turn it was is known from the slot; whether it was heard, from the samples
             phase = phase_at(turns, sent)
             return phase if sent in at.get(turns.order[phase], ()) else None
         return next((node for node, samples in at.items() if sent in samples), None)
+
+    def _outcomes(self, window: PacketWindow, sent: int, at: dict[int, dict[int, tuple[float, ...]]]) -> int | None:
+        if sent < 0:
+            return None
+        node = next((node for node, samples in at.items() if sent in samples), None)  # nothing newer can have come
+        if node is not None:
+            self._came[sent] = node
+        for slot in [slot for slot in self._came if 0 < slot <= sent - window.length]:
+            del self._came[slot]
+        return window.phase(sent, self._came.get)
 
     @staticmethod
     def _held(samples: dict[int, tuple[float, ...]] | None, slot: int) -> tuple[float, ...] | None:

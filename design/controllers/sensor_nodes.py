@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Rows, RunningController, Selection
 
-Uses = Literal["history", "current-packet"]
+Uses = Literal["history", "current-packet", "last-packets"]
 
 
 class Sample(NamedTuple):

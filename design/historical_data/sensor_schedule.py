@@ -94,6 +94,13 @@ def with_lost_turns(array: npt.NDArray[np.generic], nodes: SensorNodes) -> npt.N
     return np.concatenate([array, np.zeros_like(array)]) if lossy(nodes.turns) else array
 
 
+def _stationary(turns: Turns | None) -> bool:
+    """Whether slot 0 is drawn as every other slot."""
+    if turns is None or not turns.transition:
+        return True
+    return bool(np.allclose(np.array(turns.initial) @ np.array(turns.transition), turns.initial, atol=1e-12))
+
+
 def undecided_because(nodes: SensorNodes, uses: Uses) -> str:
     """Return what about the nodes the theory does not know, empty if nothing; a trigger is the caller's to look at."""
     if nodes.mixed:
@@ -102,6 +109,8 @@ def undecided_because(nodes: SensorNodes, uses: Uses) -> str:
         return nodes.unforeseen
     if None in nodes.delays:
         return "the theory knows constant delays of sensor packets only"
+    if any(nodes.delays) and not _stationary(nodes.turns):
+        return "the theory knows late packets of random turns where slot 0 is drawn from the chain's stationary distribution"
     if uses == "history" and lossy(nodes.turns):
-        return "the theory knows lost packets for the current packet only, not for a history with gaps"
+        return "the theory knows lost packets for the current packet and the last packets, not for a history with gaps"
     return ""

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from design.controllers.historical import Historical, History
+from design.controllers.packet_window import PacketWindow
+from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
 from design.errors import FieldError
 from design.requests.task import DesignTask
+
+if TYPE_CHECKING:
+    from design.historical_data.lifted_loop import DelayedPlant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,13 +24,16 @@ class HistoricalDesigned:
 
     Args:
         uses: ``history``: all that has come; ``current-packet``: the packet of this slot; ``newest``: its newest sample.
+            ``last-packets``: those of the last ``window`` slots, with gains of their own for every outcome.
+        window: ``last-packets``: slots.
         memory: age in slots of the oldest sample that is used; by default the oldest of the first full cycle, or of a packet.
         start: what the cost is the mean over: ``average``: x(0) ~ N(0, I) in any phase; ``given``: the plant's x(0), in
             the schedule's first phase.
         input_weight: a number on u'u in the cost of the design, on top of the plant's own weights.
     """
 
-    uses: Literal["history", "current-packet", "newest"] = "history"
+    uses: Literal["history", "current-packet", "newest", "last-packets"] = "history"
+    window: int = 2
     memory: int | None = None
     start: Literal["average", "given"] = "average"
     input_weight: float = 0.0
@@ -33,6 +41,8 @@ class HistoricalDesigned:
     def __post_init__(self) -> None:
         if self.memory is not None and not 0 <= self.memory <= 100:
             raise FieldError("memory", f"{self.memory}, expected 0 to 100 slots")
+        if not 1 <= self.window <= 10:
+            raise FieldError("window", f"{self.window}, expected 1 to 10 slots")
         if not (np.isfinite(self.input_weight) and self.input_weight >= 0):
             raise FieldError("input_weight", f"{self.input_weight}, expected a finite number, at least 0")
 
@@ -57,6 +67,11 @@ class HistoricalDesigned:
             raise FieldError("kind", "needs sensor nodes: [nodes.NAME] outputs, buffer")
         if plant is None or task.initial_state is None:
             raise FieldError("kind", "needs a plant in slots whose state is measured, with a cost (state_delays, cost_weights)")
+        m = plant.B.shape[1]
+        weight = self.input_weight * np.eye(m) + (0.0 if plant.input_weight is None else plant.input_weight)
+        problem = DelayedPlant(A=plant.A, delayed=plant.delayed, B=plant.B, weight=plant.weight, input_weight=weight)
+        if self.uses == "last-packets":
+            return self._of_last_packets(problem, nodes, task.initial_state)
         uses: Literal["history", "current-packet"] = "history" if self.uses == "history" else "current-packet"
         if self.uses == "history" and nodes.turns is not None and nodes.turns.transition:
             raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
@@ -76,9 +91,6 @@ class HistoricalDesigned:
         if self.uses == "newest":
             mask &= (np.arange(memory + 1) == late)[None, :, None]
         phases = len(mask)
-        m = plant.B.shape[1]
-        weight = self.input_weight * np.eye(m) + (0.0 if plant.input_weight is None else plant.input_weight)
-        problem = DelayedPlant(A=plant.A, delayed=plant.delayed, B=plant.B, weight=plant.weight, input_weight=weight)
         at = phases_at_start(nodes, uses)
         full: npt.NDArray[np.bool_] = with_lost_turns(mask, nodes).astype(bool)
         if self.start == "given":
@@ -90,6 +102,30 @@ class HistoricalDesigned:
                 start = Start(moment=start.moment, phases=np.kron([1.0 - share, share], np.full(phases, 1.0 / phases)))
         K = synthesise(problem, full, start, transition=phase_chain(nodes))[:phases]
         return historical_of(K, uses)
+
+    def _of_last_packets(self, plant: DelayedPlant, nodes: SensorNodes, x0: npt.NDArray[np.float64]) -> Historical:
+        from design.historical_data.guaranteed_cost import Start, synthesise
+        from design.historical_data.packet_windows import window_chain, window_mask, window_start, window_undecided
+        from design.historical_data.sensor_schedule import undecided_because
+
+        if nodes.turns is None:
+            raise FieldError("uses", "the last packets are defined where nodes take turns")
+        window = PacketWindow(turns=nodes.turns, length=self.window)
+        unknown = undecided_because(nodes, "last-packets") or window_undecided(nodes, window)
+        if unknown:
+            raise FieldError("kind", unknown)
+        memory = self.window + max(nodes.buffers) - 2 if self.memory is None else self.memory
+        given = self.start == "given" or not nodes.turns.order
+        begins = [window] if given else [PacketWindow(turns=t, length=self.window) for t in _every_phase(nodes.turns)]
+        phases = np.mean([window_start(begin) for begin in begins], axis=0)
+        moment = np.outer(x0, x0) if self.start == "given" else np.eye(len(plant.A))
+        mask, start = window_mask(nodes, window, memory), Start(moment=moment, phases=phases)
+        K = synthesise(plant, mask, start, transition=window_chain(window))
+        return historical_of(K, "last-packets")
+
+
+def _every_phase(turns: Turns) -> list[Turns]:
+    return [replace(turns, phase=phase) for phase in range(len(turns.order))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +147,7 @@ class PublishedHistorical:
         return historical_of(newest_gains(), "current-packet")
 
 
-def historical_of(K: npt.NDArray[np.float64], uses: Literal["history", "current-packet"]) -> Historical:
+def historical_of(K: npt.NDArray[np.float64], uses: Uses) -> Historical:
     """Return the controller that runs an array K[phase, j, m, p]."""
     gains: History = tuple(tuple(tuple(tuple(map(float, row)) for row in rows) for rows in phase) for phase in K.tolist())
     return Historical(gains=gains, uses=uses)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from design.controllers import HistoryGains, LoopModel, SensorNodes
+from design.controllers.packet_window import window_of
 from design.verdict import Kind, Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
 from hil.experiment.protocols import HasCost, HasStateDelays, JumpPlant, Plant
@@ -38,13 +39,17 @@ def mask_faults(controller: HistoryGains, nodes: SensorNodes) -> list[str]:
 
     Reference: thesis (5.8).
     """
+    from design.historical_data.packet_windows import window_mask
     from design.historical_data.sensor_schedule import mask_of
 
     if None in nodes.delays:
         return []
     K = controller.history()
     try:
-        mask = mask_of(nodes, K.shape[1] - 1, controller.uses)
+        if controller.uses == "last-packets" and nodes.turns is not None:
+            mask = window_mask(nodes, window_of(nodes.turns, len(K)), K.shape[1] - 1)
+        else:
+            mask = mask_of(nodes, K.shape[1] - 1, controller.uses)
     except ValueError as error:
         return [str(error)]
     owner = {output: name for name, own in zip(nodes.names, nodes.outputs) for output in own}
@@ -66,12 +71,17 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     if not isinstance(controller, HistoryGains) or nodes is None:
         return None
     from design.historical_data.guaranteed_cost import Start, certify_cost
+    from design.historical_data.packet_windows import window_chain, window_start, window_undecided
     from design.historical_data.sensor_schedule import phase_chain, phases_at_start, undecided_because, with_lost_turns
 
     plant = delayed_plant_of(loop.plant, loop.model)
     if plant is None:
         return undecided(loop, KIND, "the theory knows a plant that does not jump and whose state is measured")
     unknown = undecided_because(nodes, controller.uses)
+    window = None
+    if controller.uses == "last-packets" and nodes.turns is not None:
+        window = window_of(nodes.turns, len(controller.history()))
+        unknown = unknown or window_undecided(nodes, window)
     if nodes.silent:
         unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"
     if unknown:
@@ -81,9 +91,12 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     x0 = np.array(loop.plant.start(np.random.default_rng(0)).state)
     if x0.shape != (len(plant.A),):
         return undecided(loop, KIND, "the plant has states that it does not measure")
-    K = with_lost_turns(controller.history(), nodes).astype(np.float64)
-    start = Start(moment=np.outer(x0, x0), phases=phases_at_start(nodes, controller.uses))
-    verdict = certify_cost(plant, K, start, phase_chain(nodes))
+    K = controller.history()
+    if window is None:
+        K = with_lost_turns(K, nodes).astype(np.float64)
+    chain = phase_chain(nodes) if window is None else window_chain(window)
+    phases = phases_at_start(nodes, controller.uses) if window is None else window_start(window)
+    verdict = certify_cost(plant, K, Start(moment=np.outer(x0, x0), phases=phases), chain)
     lossless = nodes.turns is None or not nodes.turns.loss
     assumptions = tuple(
         said if lossless or said != "no packet is lost" else "packets are lost on the medium as it states, and nowhere else"

@@ -91,7 +91,7 @@ GAINS = "controller={kind='historical', uses='current-packet', gains=%s}"
         (["nodes.second.buffer=7"], "nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),
         (["nodes.second.id=0"], "nodes.second.id: 0 is the identifier of node 'first' already"),
         ([GAINS % [[[[1.0] * 3]]]], "controller.gains: 1 x 3 matrices, but the plant has 1 inputs and 4 outputs"),
-        ([GAINS % LARGE, *(f"nodes.{n}.buffer=1" for n in ("first", "second", "third", "fourth"))], "refused: E|X|^2 of the stacked"),
+        ([GAINS % LARGE, *(f"nodes.{n}.buffer=1" for n in ("first", "second", "third", "fourth"))], "refused: E|X|^2 of"),
         (["media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], matrix=[[1.0]]}"], "media.bus.matrix: 1 rows"),
     ],
 )

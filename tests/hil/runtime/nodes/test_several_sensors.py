@@ -169,6 +169,10 @@ FAULTS: list[tuple[str, list[str], str]] = [
     ("published", ['links.sc.law.age=1'], "expected 0: in this phase the sample of 0 slots ago"),
     ("lossy", ['controller.uses="history"'], "controller.uses: over random turns only the current packet"),
     ("lossy", ["media.bus.probabilities=[0.5, 0.6, 0.0, 0.0]"], "media.bus.probabilities: expected probabilities that sum to 1"),
+    ("lossy", ["links.sc.law.age=1", "media.bus.matrix=[[0,1,0,0], [0,0,1,0], [0,0,0,1], [1,0,0,0]]",
+               "media.bus.probabilities=[1,0,0,0]"], "where slot 0 is drawn from the chain's stationary distribution"),
+    ("lossy", ["controller.uses='last-packets'", "controller.window=0"], "controller.window: 0, expected 1 to 10 slots"),
+    ("published", ["controller={kind='historical-designed', uses='last-packets'}"], "controller.uses: the last packets differ"),
     ("lossy", ["media.bus.matrix=[[1.0, 0.0, 0.0, 0.0]]"], "media.bus.matrix: 1 rows for 4 nodes"),
 ]  # fmt: skip
 
