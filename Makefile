@@ -28,7 +28,7 @@ test: $(INSTALLED) ## lint, types, import rules, tests and doctests; what keeps 
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n auto -m "not realtime" $(PYTEST_ARGS)
+	$(BIN)/pytest -n auto --dist worksteal -m "not realtime" $(PYTEST_ARGS)
 	$(BIN)/pytest -n 0 -m realtime $(PYTEST_ARGS)
 
 mutations: $(INSTALLED) ## put every known fault in and see its tests fail (minutes)

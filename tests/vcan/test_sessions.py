@@ -6,6 +6,7 @@ In virtual time nothing is late, so every session can be held to the one-process
 from __future__ import annotations
 
 import subprocess
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,12 +20,14 @@ from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.replay import verify
 from hil.session import Session, run_session, simulate
+from transport.links.can_link import identifiers
 
 pytestmark = pytest.mark.vcan
 
 FRAMES = pytest.mark.parametrize("uri", ["can:socketcan:vcan0", "can:socketcan:vcan0?fd=0"], ids=["fd", "classic"])
 CHANGES = ["duration=6", "reference.0.at=0.5", "seed=11"]
-TICKS = 120
+TICKS, PERIOD_S = 120, 0.05
+FROM_THE_RIG = {identifiers(fd=fd)[0] for fd in (True, False)}  # of its first frame, which holds the slot in bytes 4 to 7
 
 
 def session(uri: str, folder: Path) -> Session:
@@ -78,18 +81,45 @@ def test_session_in_real_time_equals_the_one_process_run_up_to_the_first_late_ti
     assert done.summary["log"]["dropped"] == 0
 
 
+@contextmanager
+def down_after(slot: int, seconds: float) -> Iterator[None]:
+    """Take vcan0 down half a period after the rig's frame of a slot, for so long: the slots that are lost are always the same."""
+    watching, ended = threading.Event(), threading.Event()
+
+    def watch() -> None:
+        with can.Bus("vcan0", interface="socketcan", fd=True) as bus:
+            watching.set()
+            while not ended.is_set():
+                frame = bus.recv(0.2)
+                if frame is None or frame.arbitration_id not in FROM_THE_RIG:
+                    continue
+                if int.from_bytes(frame.data[4:8], "little") == slot:
+                    break
+        for wait_s, state in ((0.5 * PERIOD_S, "down"), (seconds, "up")):
+            ended.wait(wait_s)
+            subprocess.run(["ip", "link", "set", "vcan0", state], check=True)
+
+    beside = threading.Thread(target=watch)
+    beside.start()
+    try:
+        assert watching.wait(60)
+        yield
+    finally:
+        ended.set()
+        beside.join(30)
+    assert not beside.is_alive()
+
+
 @FRAMES
 @pytest.mark.usefixtures("virtual_time")
 def test_link_down_for_two_ticks_costs_packets_and_nothing_else(uri: str, tmp_path: Path) -> None:
-    with alongside("sleep 3; ip link set vcan0 down; sleep 0.1; ip link set vcan0 up"):
+    with down_after(slot=40, seconds=2 * PERIOD_S):
         done = session(uri, tmp_path)
     assert done.status == 0, done.summary
-    first = done.summary["timing"]["first_late_tick"]
-    assert 40 < first < 70
-    assert np.count_nonzero(done.run.arrays["/timing/tick"]["late"]) == 2
-    assert_equals_the_virtual_run(done.run, first)
-    # Which two slots are lost depends on how long the processes took to start; the loop is back in the 2 % band of 3 rad.
-    assert abs(done.summary["metrics"]["steady_state_error"]) < 0.06
+    assert done.summary["timing"]["first_late_tick"] == 41
+    assert np.flatnonzero(done.run.arrays["/timing/tick"]["late"]).tolist() == [41, 42]
+    assert_equals_the_virtual_run(done.run, 41)
+    assert abs(done.summary["metrics"]["steady_state_error"]) < 0.01
 
 
 @pytest.mark.usefixtures("virtual_time")
