@@ -39,13 +39,13 @@ def links() -> list[str]:
 
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["can-hil", "zenoh", "local"])
 def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Path, which: int) -> None:
-    changes = ["duration=3", "reference.0.at=0.5", "seed=11"]
+    changes = ["duration=1.5", "reference.0.at=0.25", "seed=11"]
     experiment = load_experiment("dc-motor-hinf", changes)
     real = run_session(experiment, clock="real", link=links()[which], path=tmp_path / "real.mcap")
     late = real.summary["timing"]["first_late_tick"]
     assert real.status == 0 or late is not None, real.summary  # a machine that stalls for long may trip the watchdog
     virtual = simulate(compose(experiment), 11)
-    end = 60 if late is None else late
+    end = 30 if late is None else late
     for side in ("/network/sc", "/network/ca"):
         a, b = real.run.arrays[side], virtual.arrays[side]
         a, b = a[a["mode"] >= 0], b[b["mode"] >= 0]
@@ -61,7 +61,7 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
 
 @pytest.mark.parametrize("which", [0, 1], ids=["can-hil", "zenoh"])
 def test_the_haptic_rig_at_1_khz_is_the_virtual_one_up_to_the_first_late_packet(tmp_path: Path, which: int) -> None:
-    experiment = load_experiment("omni-1khz", ["duration=3"])
+    experiment = load_experiment("omni-1khz", ["duration=1.5"])
     real = run_session(experiment, clock="real", link=links()[which], path=tmp_path / "real.mcap")
     late = real.summary["timing"]["first_late_tick"]
     assert real.status == 0 or late is not None, real.summary
@@ -75,7 +75,7 @@ def test_the_haptic_rig_at_1_khz_is_the_virtual_one_up_to_the_first_late_packet(
         for name in fields:
             np.testing.assert_array_equal(real.run.arrays[topic][name][:end], virtual.arrays[topic][name][:end])
     if late is None:
-        assert real.summary["ticks"] == 3000 and verify(real.run).difference is None
+        assert real.summary["ticks"] == 1500 and verify(real.run).difference is None
 
 
 class Running:

@@ -8,11 +8,13 @@ import re
 import socket
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from design.controllers.historical import Historical
 from hil.cli.guide import pages
 from hil.compose.loop import compose
 from hil.errors import HilError
@@ -35,17 +37,26 @@ STATES = {
 }  # fmt: skip
 
 
+@cache
+def designed(name: str) -> tuple[str, ...]:
+    """The gains of an experiment with a design of its own, designed once for all links, as a change of the experiment."""
+    gains = compose(load_experiment(name), certify=False).controller
+    assert isinstance(gains, Historical)
+    return (f"controller={{kind='historical', uses='{gains.uses}', gains={json.dumps(gains.gains)}}}",)
+
+
 @pytest.mark.parametrize("name", STATES)
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["can-hil", "zenoh", "local"])
 def test_several_nodes_in_real_time_are_the_virtual_ones(tmp_path: Path, which: int, name: str) -> None:
     link = [f"can:hil:nodes{os.getpid()}", f"zenoh:tcp/127.0.0.1:{free_port()}", "local:"][which]
     early = ["reference.0.at=0.2"] if name == "dc-motor-two-nodes" else []
-    experiment = load_experiment(name, ["duration=2", "seed=5", *early])
+    gains = designed(name) if name == "multisensor-lossy" else ()
+    experiment = load_experiment(name, ["duration=1", "seed=5", *early, *gains])
     real = run_session(experiment, clock="real", link=link, path=tmp_path / "real.mcap")
     late = real.summary["timing"]["first_late_tick"]
     assert real.status == 0 or late is not None, real.summary
     virtual = simulate(compose(experiment), 5)
-    end = 40 if late is None else late
+    end = 20 if late is None else late
     u = experiment.plant.inputs[0].name
     for topic, fields in (("/plant/state", STATES[name]), ("/actuator/applied", (u, "d", "row"))):
         for field in fields:
