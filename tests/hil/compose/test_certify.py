@@ -98,6 +98,10 @@ def test_gains_that_are_solved_for_the_changed_plant_are_certified_only_as_they_
     for seed in range(5):
         run = simulate(loop, seed)
         assert not [event for event in run.events if event["kind"] == "safety"], seed
+        measured = run.arrays["/plant/measurement"]
+        tenth = len(measured) // 10
+        size = sum(measured[name] ** 2 for name in loop.experiment.plant.tracked)
+        assert size[-tenth:].mean() < 0.2 * size[:tenth].mean(), seed
 
 
 def test_delays_that_the_sampled_theory_knows_are_judged_and_others_are_undecided() -> None:

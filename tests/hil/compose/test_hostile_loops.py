@@ -1,5 +1,7 @@
 """No false ``certified``: random loops of every kind, each judged beside exact second moments that share no code with the door.
 
+Covered: tables of gains over Markov and semi-Markov networks, gains by mode, by sojourn time and by the detected mode, uncertain
+plants, random delays over plants that jump, delays inside the plant.
 Gains are made for one plant and network and run over another, so that about half of the loops are not stable. A false
 certificate is one over a loop whose second moments grow by more than `EDGE` per period. The study has power: with the
 certifier's state replaced by "certified" it finds dozens (`test_the_study_finds_a_door_that_believes_everything`).
