@@ -12,6 +12,7 @@ from typing import Any
 from hil.errors import ExperimentError, HilError
 from hil.experiment import plugins as registry
 from hil.experiment.check import Checker
+from hil.experiment.old_names import new_path, with_new_names
 from hil.experiment.tables import Experiment, Seconds
 from hil.experiment.toml_text import DEEPEST, parse_toml
 from hil.regular_file import read_regular
@@ -73,7 +74,7 @@ def parse_experiment(
 ) -> Experiment:
     """Check the text of an experiment; see :func:`load_experiment`."""
     try:
-        raw = parse_toml(text)
+        raw = with_new_names(parse_toml(text))
     except ValueError as e:
         raise HilError(f"{source}: not valid TOML: {e}") from e
     for change in sets:
@@ -91,7 +92,7 @@ def parse_experiment(
 def experiment_from_resolved(resolved: typing.Mapping[str, Any], text: str, source: str) -> Experiment:
     """Check the resolved form that a log carries, so that what ran can run again."""
     checker = Checker()
-    experiment = checker.experiment(_without_none(resolved), text)
+    experiment = checker.experiment(with_new_names(_without_none(resolved)), text)
     if checker.faults or experiment is None:
         raise ExperimentError(f"{source}: resolved experiment", checker.faults)
     return experiment
@@ -118,7 +119,7 @@ def _without_none(value: Any) -> Any:
 
 def _apply(raw: dict[str, Any], change: str) -> None:
     path, eq, value = change.partition("=")
-    keys = path.strip().split(".")
+    keys = new_path(path.strip().split("."))
     if not eq or not all(keys):
         raise HilError(f"--set {change!r}: expected path=value, such as plant.gain=170")
     if len(keys) > DEEPEST:

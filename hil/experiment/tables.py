@@ -170,14 +170,14 @@ class Limits(Table, frozen=True, kw_only=True):
     """What the rig allows, whatever the controller does; a violation latches the safe state (zero input).
 
     Args:
-        watchdog_ticks: so many slots in a row without a usable command trip the watchdog.
+        watchdog_slots: so many slots in a row without a usable command trip the watchdog.
         input: largest absolute command per input, in the input's unit.
         state: largest absolute value of named states, in the state's unit.
         after_trip: how long the rig goes on in the safe state before the run ends.
         passivity: damping, or a trip, on the energy that the motor gives; off without the table.
     """
 
-    watchdog_ticks: int = 3
+    watchdog_slots: int = 3
     input: tuple[float, ...] | None = None
     state: dict[str, float] = msgspec.field(default_factory=dict)
     after_trip: Seconds = typing.cast(Seconds, 1.0)  # a plain float, for the JSON Schema
@@ -185,8 +185,8 @@ class Limits(Table, frozen=True, kw_only=True):
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
-        if values.get("watchdog_ticks", 1) < 1:
-            yield f"watchdog_ticks: {values['watchdog_ticks']} is below 1"
+        if values.get("watchdog_slots", 1) < 1:
+            yield f"watchdog_slots: {values['watchdog_slots']} is below 1"
         for i, bound in enumerate(values.get("input") or ()):
             if bound <= 0:
                 yield f"input[{i}]: {bound:g} is not positive"

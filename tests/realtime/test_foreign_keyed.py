@@ -28,7 +28,7 @@ def drive(tmp_path: Path, channel: str) -> dict[str, Any]:
     done = subprocess.run(
         [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--external", "--link",
          f"can:hil:{channel}?auth={tmp_path}/keys/frames.key", "--duration", "3", "--set", "reference.0.at=0.2",
-         "--set", "limits.watchdog_ticks=40", "--json"],  # it has no priority: a busy machine may pause it for long
+         "--set", "limits.watchdog_slots=40", "--json"],  # it has no priority: a busy machine may pause it for long
         cwd=tmp_path, capture_output=True, text=True, timeout=200,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

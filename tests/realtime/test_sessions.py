@@ -254,7 +254,7 @@ def test_foreign_controller_drives_the_rig(tmp_path: Path, program: str, options
         done = subprocess.run(
             [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--external", "--link",
              f"can:hil:{channel}{options}", "--duration", "3", "--set", "reference.0.at=0.2",
-             "--set", "limits.watchdog_ticks=40", "--json"],  # it has no priority: a busy machine may pause it for long
+             "--set", "limits.watchdog_slots=40", "--json"],  # it has no priority: a busy machine may pause it for long
             cwd=tmp_path, capture_output=True, text=True, timeout=200,
         )  # fmt: skip
     finally:

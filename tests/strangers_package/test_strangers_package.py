@@ -141,7 +141,7 @@ def test_the_loop_of_its_law_and_controller_is_certified_runs_and_is_refused_whe
 @pytest.mark.realtime
 def test_it_runs_in_real_time_over_its_own_link(site: Path) -> None:
     done = python(site, "-m", "hil", "run", "two-samples.toml", "--clock", "real", "--duration", "1", "--json",
-                  "--set", "limits.watchdog_ticks=1000")  # fmt: skip
+                  "--set", "limits.watchdog_slots=1000")  # fmt: skip
     assert done.returncode == 0, done.stderr
     timing = json.loads(done.stdout)["timing"]
     assert timing["late"] < 20 and timing["round_trip_us"]["p50"] > 0  # some slot was answered, however busy the machine

@@ -60,7 +60,7 @@ class Rig:
         self._uplink = uplink_of(loop, seed, float(e.period), deadline_s)
         self._downlink: Medium = IndependentChannels([impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)])
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
-        safety = Safety(e.limits.input, limits, e.limits.watchdog_ticks)
+        safety = Safety(e.limits.input, limits, e.limits.watchdog_slots)
         self._port = loop.port.output if loop.port is not None and e.limits.passivity is not None else None
         self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop))
         self._journal = Journal(sink, channels, loop.rows * inputs)

@@ -14,18 +14,18 @@ class Safety:
     Args:
         input_limits: sequence of float or None, length m. Largest absolute command per input.
         state_limits: (index, name, bound) each. Largest absolute value of plant states.
-        watchdog_ticks: slots in a row without a usable command that trip the watchdog.
+        watchdog_slots: slots in a row without a usable command that trip the watchdog.
     """
 
     def __init__(
         self,
         input_limits: Sequence[float] | None,
         state_limits: Sequence[tuple[int, str, float]],
-        watchdog_ticks: int,
+        watchdog_slots: int,
     ) -> None:
         self._inputs = input_limits
         self._states = state_limits
-        self._watchdog_ticks = watchdog_ticks
+        self._watchdog_slots = watchdog_slots
         self._missing = 0
         self.tripped: str | None = None
 
@@ -54,7 +54,7 @@ class Safety:
     def starved(self) -> str | None:
         """No usable command in this slot; return the reason when this trips the watchdog."""
         self._missing += 1
-        if self.tripped is None and self._missing >= self._watchdog_ticks:
+        if self.tripped is None and self._missing >= self._watchdog_slots:
             return self.trip(f"watchdog: {self._missing} slots in a row without a usable command")
         return None
 

@@ -260,7 +260,7 @@ def test_a_trip_zeroes_an_input_that_was_not_zero_and_the_run_ends_exactly_after
 def test_the_watchdog_begins_to_count_when_a_packet_could_have_come(loop: Loop) -> None:
     """The first packet may take d_max slots; of the slots after these the watchdog lets three pass."""
     got = statuses(loop, drive(loop, lambda k: None, 100))
-    assert got.index(SAFE) == loop.model.d_max + loop.experiment.limits.watchdog_ticks
+    assert got.index(SAFE) == loop.model.d_max + loop.experiment.limits.watchdog_slots
 
 
 @pytest.mark.parametrize(("selection", "row"), [("generated", 1), ("previous", 1), ("both", 2)])
