@@ -78,7 +78,7 @@ def test_the_foreign_controller_of_the_guide_drives_two_nodes(tmp_path: Path) ->
         done = subprocess.run(
             [sys.executable, "-m", "hil", "run", "dc-motor-two-nodes", "--clock", "real", "--external", "--link",
              f"can:hil:{channel}", "--duration", "4", "--set", "reference.0.at=0.2", "--set",
-             "controller={kind='local', gain=[[-0.05, -0.006]]}", "--set", "limits.watchdog_ticks=40", "--json"],
+             "controller={kind='local', gain=[[-0.05, -0.006]]}", "--set", "limits.watchdog_slots=40", "--json"],
             cwd=tmp_path, capture_output=True, text=True, timeout=200,
         )  # fmt: skip
     finally:
