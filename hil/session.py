@@ -20,6 +20,7 @@ from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import Run, read_run
 from hil.log.records import EVENTS_TOPIC
 from hil.log.write.mcap_sink import McapSink
+from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, Put, Sink, Taps, TeeSink
 from hil.measure.measure import measures_of, quantities_of
@@ -146,6 +147,7 @@ def run_session(
     path: Path,
     external: bool = False,
     taps: Mapping[str, Put] | None = None,
+    index: Index = "full",
 ) -> Session:
     """Run an experiment, log it, and sum it up.
 
@@ -156,6 +158,7 @@ def run_session(
         path: the log to write.
         external: somebody else's controller answers on the link.
         taps: topic to a function that gets its records as they come, for a live view.
+        index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
 
     Raises:
         HilError: if the experiment cannot be composed, the log cannot be written, or the session could not start.
@@ -184,7 +187,7 @@ def run_session(
     begun = monotonic_ns()
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
     keep = _summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
-    with McapSink(path, loop.channels(), provenance, now=now, keep=keep) as sink:
+    with McapSink(path, loop.channels(), provenance, now=now, index=index, keep=keep) as sink:
         outcome: dict[str, Any] = {}
         if clock == "virtual":
             outcome = _run_in_virtual_time(loop, TeeSink(sink, Taps(taps)) if taps else sink)

@@ -64,6 +64,8 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
 @click.option("--force", is_flag=True, help="Overwrite an existing log.")
 @click.option("--log-mode", "log_mode", metavar="OCTAL", default="600", show_default=True, help="Who may read the log.")
+@click.option("--index", type=click.Choice(["full", "chunk"]), default="full", show_default=True,
+              help="Index of the log; chunk: half the size, but Foxglove and Lichtblick refuse it.")  # fmt: skip
 @click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link within 120 s.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
@@ -78,6 +80,7 @@ def command(
     output: Path | None,
     force: bool,
     log_mode: str,
+    index: str,
     external: bool,
     require_valid_timing: bool,
     as_json: bool,
@@ -114,13 +117,13 @@ def command(
     try:
         path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force, mode)
         if as_json or quiet or sys.stderr is None or not sys.stderr.isatty():
-            session = run_session(checked, clock=clock, link=uri, path=path, external=external)  # type: ignore[arg-type]
+            session = run_session(checked, clock=clock, link=uri, path=path, external=external, index=index)  # type: ignore[arg-type]
         else:
             from hil.cli.live_view import LiveView
 
             with LiveView(checked, clock, link=uri) as view:
                 session = run_session(
-                    checked, clock=clock, link=uri, path=path, external=external, taps=view.taps  # type: ignore[arg-type]
+                    checked, clock=clock, link=uri, path=path, external=external, taps=view.taps, index=index,  # type: ignore[arg-type]
                 )
     except HilError:
         with suppress(OSError):

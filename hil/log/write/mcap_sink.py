@@ -13,7 +13,7 @@ from hil.errors import HilError
 from hil.log.events import encode_event, to_json
 from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write.kept import Keep, Kept
-from hil.log.write.mcap_writer import McapWriter
+from hil.log.write.mcap_writer import Index, McapWriter
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import Put, Record
 
@@ -33,6 +33,7 @@ class McapSink:
         channels: the session's table (``records.channels``).
         provenance: what stands before the first record.
         now: monotonic seconds of a clock, in real time only.
+        index: how much of an index the file has, see `McapWriter`.
         keep: what is also kept as columns, see `Growing`: topic to the fields of its records, None for all of them.
 
     Attributes:
@@ -49,6 +50,7 @@ class McapSink:
         provenance: Provenance,
         *,
         now: Callable[[], float] | None = None,
+        index: Index = "full",
         keep: Keep | None = None,
     ) -> None:
         self.path = Path(path)
@@ -66,7 +68,7 @@ class McapSink:
             self._disk = _Disk(self.path)
         except OSError as error:
             raise HilError(f"log {self.path}: cannot be created: {error.strerror or error}") from error
-        self._writer = McapWriter(self._disk, profile="ros2", library=LIBRARY, chunk_ended=self.kept.take)
+        self._writer = McapWriter(self._disk, profile="ros2", library=LIBRARY, index=index, chunk_ended=self.kept.take)
         try:
             self._open(channels, provenance)
         except OSError as error:

@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,9 @@ from mcap.records import (
 )
 
 from hil.log.growing import Growing
+
+Index = Literal["full", "chunk"]
+"""How much of an index a log has."""
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 COMPRESSION: Final = "zstd"
@@ -71,6 +74,7 @@ class McapWriter:
     Args:
         stream: takes the bytes; only `flush` and `finish` let it go to the disk.
         profile, library: what the header says.
+        index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
         chunk_ended: told every chunk that is written: the messages' heads (`HEAD_FIELDS`), the chunk's bytes, and where in them
             every message begins.
 
@@ -81,8 +85,15 @@ class McapWriter:
     """
 
     def __init__(
-        self, stream: Stream, *, profile: str, library: str, chunk_ended: ChunkEnded = lambda heads, data, offsets: None
+        self,
+        stream: Stream,
+        *,
+        profile: str,
+        library: str,
+        index: Index = "full",
+        chunk_ended: ChunkEnded = lambda heads, data, offsets: None,
     ) -> None:
+        self._index = index
         self._chunk_ended = chunk_ended
         self._stream = stream
         self._data_crc = 0
@@ -245,10 +256,12 @@ class McapWriter:
         ids, firsts = np.unique(channels, return_index=True)
         for channel in ids[np.argsort(firsts)].tolist():
             own = entries[channels == channel]
+            self._counts[channel] = self._counts.get(channel, 0) + len(own)
+            if self._index == "chunk":
+                continue
             offsets[channel] = begin
             found += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + own.nbytes, channel, own.nbytes), own.tobytes()]
             begin += _INDEX_HEAD.size + own.nbytes
-            self._counts[channel] = self._counts.get(channel, 0) + len(own)
         return b"".join(found), offsets
 
     def finish(self) -> None:

@@ -209,3 +209,22 @@ def test_what_is_kept_is_what_the_file_says(tmp_path: Path) -> None:
     assert [json.loads(payload) for payload in sink.kept.events] == run.events
     with pytest.raises(ValueError, match="/link/sensor"):
         McapSink(tmp_path / "none.mcap", TABLE, provenance(), keep={"/link/sensor": None})
+
+
+def test_a_log_without_message_index_is_half_as_long_and_mcaps_reader_finds_every_message(tmp_path: Path) -> None:
+    found = {}
+    for index in ("full", "chunk"):
+        path = tmp_path / f"{index}.mcap"
+        with McapSink(path, TABLE, provenance(), index=index) as sink:
+            for start in range(0, 2000, 100):
+                record(sink, 100, start=start)
+                sink.commit()
+        with open(path, "rb") as file:
+            reader = make_reader(file)
+            statistics = reader.get_summary().statistics
+            messages = [(channel.topic, m.log_time, m.data) for _, channel, m in reader.iter_messages(log_time_order=False)]
+            states = [m.log_time for _, _, m in reader.iter_messages(topics=["/plant/state"])]
+        found[index] = statistics.channel_message_counts, messages, states, read_run(path).arrays["/plant/state"].tolist()
+        assert statistics.message_count == len(messages)
+    assert found["full"] == found["chunk"]
+    assert os.path.getsize(tmp_path / "chunk.mcap") < 0.75 * os.path.getsize(tmp_path / "full.mcap")
