@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from design.controllers import Controller, LoopModel
 from design.verdict import Verdict, digest
 from hil.compose.certifier import Certifier, LoopToCertify, limited_to_undamped, undecided
+from hil.compose.following_loop import certify_model_following
 from hil.compose.historical_loop import certify_historical
 from hil.compose.jump_loop import certify_jump_loop
 from hil.compose.linear_law_loop import certify_linear_law
@@ -24,7 +25,7 @@ from hil.errors import ForeignVerdict
 from hil.experiment import Experiment
 
 CERTIFIERS: tuple[Certifier, ...] = (
-    certify_send_all, certify_jump_loop, certify_wall_loop, certify_historical, certify_linear_law,
+    certify_send_all, certify_jump_loop, certify_wall_loop, certify_model_following, certify_historical, certify_linear_law,
 )  # fmt: skip
 """Asked in this order; the first that knows the kind of loop answers."""
 
