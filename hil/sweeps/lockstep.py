@@ -57,11 +57,11 @@ def in_lockstep(loop: Loop) -> bool:
     e, laws = loop.experiment, (loop.sc_law, loop.ca_law)
     return (
         not e.nodes  # several sensor nodes take turns, one run after the other
-        and e.limits.passivity is None
         and all(law.family == "age" for law in laws)
         and isinstance(loop.controller, ControllerOfMany)
         and isinstance(e.plant, PlantOfMany)
         and e.plant.start_many(1) is not None
+        and e.limits.passivity is None
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.cli import main
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
@@ -120,3 +121,27 @@ def test_materials_may_follow_the_published_chain() -> None:
 def test_dry_friction_leaves_the_claim_undecided() -> None:
     with pytest.raises(ExperimentError, match="dry friction"):
         compose(load_experiment("omni-push", ["plant.coulomb_n=0.05"]))
+
+
+GAP = "controller.wall.pattern={width_m=0.04, height_m=0.04, patches=[{y_m=0, z_m=0, width_m=0.04, height_m=0.02, material=0}]}"
+
+
+@pytest.mark.parametrize(
+    ("sets", "number"),
+    [
+        (["controller.coupler.delays=[2]"], "spectral radius 1.0683"),  # certified for two samples, run over six
+        (["plant.hand.damping_n_s_per_m=-1"], "-1.0"),
+        (["controller.coupler.stiffness_n_per_m=12", "controller.coupler.delays=[6]"], "= 11.34"),
+        (["plant.inertia=-0.7943"], "-0.7943"),
+        ([GAP], "0.0008 m^2"),
+    ],
+    ids=["coupler for other delays", "hand damping below zero", "stiffness above the ceiling", "negative mass", "gap"],
+)
+def test_bad_input_ends_with_status_2_and_the_number_and_writes_nothing(
+    sets: list[str], number: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["run", "omni-push", *[word for change in sets for word in ("--set", change)]])
+    assert end.value.code == 2 and number in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -114,8 +114,7 @@ class McapSink:
         schema = self._channels[topic].schema
         if not schema.raw:
             return self._writer.records_of(self._ids[topic], CDR_HEADER, schema.codes)
-        add, pack = self._writer.messages_of(self._ids[topic]), schema.pack
-        return lambda t_ns, *values: add(t_ns, pack(*values))
+        return self._writer.frames_of(self._ids[topic], CDR_HEADER, f"{schema.codes}{-schema.dtype.itemsize % 4}x")
 
     @property
     def dropped(self) -> int:

@@ -193,6 +193,30 @@ class McapWriter:
 
         return add
 
+    def frames_of(self, channel_id: int, before: bytes, codes: str) -> Callable[..., None]:
+        """Return the function that adds a message of numbers and bytes: time in ns, the numbers, the bytes.
+
+        Args:
+            channel_id: the channel.
+            before: bytes of the payload before the numbers.
+            codes: the numbers and the padding behind them, as `struct` writes them; the length of the bytes follows as a u32.
+        """
+        layout = struct.Struct(f"<BQHIQQ{len(before)}s{codes}I")
+        append, pack, size, opcode = self._parts.append, layout.pack, layout.size, int(Opcode.MESSAGE)
+
+        def add(t_ns: int, *values: Any) -> None:
+            if self.closed:
+                self.refused += 1
+                return
+            if t_ns < 0:
+                t_ns = 0
+            *numbers, data = values
+            length = len(data)
+            append(pack(opcode, size - 9 + length, channel_id, 0, t_ns, t_ns, before, *numbers, length) + data)
+            self.open_bytes += size + length
+
+        return add
+
     def add_framed(self, channel_id: int, message: bytes) -> None:
         """Add a message as it stood in another file, head included, to the open chunk.
 

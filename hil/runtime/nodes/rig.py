@@ -24,7 +24,7 @@ from hil.runtime.nodes.uplink import clock_of, fresh, uplink_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
 from transport.medium.independent import impair
-from transport.medium.medium import Delivery, IndependentChannels, Medium
+from transport.medium.medium import Delivery
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 
 
@@ -58,7 +58,7 @@ class Rig:
         self._samples = [sensor.buffer for sensor in loop.sensors]
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.sensors)
         self._uplink = uplink_of(loop, seed, float(e.period), deadline_s)
-        self._downlink: Medium = IndependentChannels([impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)])
+        self._downlink = impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)  # to the one actuator
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
         safety = Safety(e.limits.input, limits, e.limits.watchdog_slots)
         self._port = loop.port.output if loop.port is not None and e.limits.passivity is not None else None
@@ -148,8 +148,8 @@ class Rig:
         k = self.k
         packet = self.answers.close()
         if packet is not None and self.answers.usable(packet):
-            self._downlink.offer(0, k, packet)
-        draws, arrivals = self._downlink.collect(k)[0]
+            self._downlink.offer(k, packet)
+        draws, arrivals = self._downlink.collect(k)
         applied = self.actuator.apply(k, arrivals)
         self._note_trip(t_ns, applied.tripped)
         self._w = self._disturbance(k)
