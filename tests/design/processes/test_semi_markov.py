@@ -115,10 +115,10 @@ def test_detection_under_both_reset_rules_has_the_right_hazard() -> None:
         process = FaultDetection(
             failure=failure, detection=(detection, detection), failure_restarts_detection_clock=restarts
         )
-        _, r = sample_fault_detection(process, 0, 0, 2000.0, np.random.default_rng(4))
+        _, r = sample_fault_detection(process, 0, 0, 600.0, np.random.default_rng(4))
         jumps.append(int(np.count_nonzero(np.diff(r.modes))))
     # own clock: mean sojourn 1 + 1/5 s; restarted: waits for a gap > 1 s of a Poisson process, (e^2 - 1)/2 s
-    assert jumps[0] == pytest.approx(2000 / 1.2, abs=4 * math.sqrt(2000 / 1.2) * 0.2)
+    assert jumps[0] == pytest.approx(600 / 1.2, abs=4 * math.sqrt(600 / 1.2) * 0.2)
     assert jumps[1] < 0.35 * jumps[0]
 
 

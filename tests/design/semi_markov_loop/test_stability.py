@@ -129,7 +129,7 @@ def test_published_gains_pass_the_printed_test_and_only_pwl_certifies_them() -> 
 def test_pwl_decay_approaches_the_exact_one_from_below() -> None:
     exact = second_moment_decay(chapter2_system("none"), chapter2_gain(), PROCESS)
     rates = []
-    for parts in (1, 2, 4):
+    for parts in (1, 4):
         certificate = largest_decay(chapter2_system("none"), chapter2_gain(), PROCESS, parts=parts, tolerance=1e-2)
         rates.append(certificate.decay_rate or 0.0)
     assert rates == sorted(rates) and 1.6 < rates[-1] < exact

@@ -170,14 +170,14 @@ def test_markov_transitions_have_the_shares_of_the_matrix(matrix: tuple[tuple[fl
 def test_markov_starts_in_its_initial_law() -> None:
     def first(initial: Any) -> np.ndarray:
         law = MarkovAge(matrix=LAMBDA, initial=initial)
-        return np.bincount([law.start(np.random.default_rng(s)).draw()[0] for s in range(5000)], minlength=3) / 5000
+        return np.bincount([law.start(np.random.default_rng(s)).draw()[0] for s in range(2000)], minlength=3) / 2000
 
     for initial, expected in [
         ("stationary", MarkovAge(matrix=LAMBDA).stationary()),
         ("uniform", np.full(3, 1 / 3)),
         ((0.0, 0.25, 0.75), np.array([0, 0.25, 0.75])),
     ]:
-        assert np.abs(first(initial) - expected).max() <= FIVE_SIGMA * 0.5 / np.sqrt(5000)
+        assert np.abs(first(initial) - expected).max() <= FIVE_SIGMA * 0.5 / np.sqrt(2000)
 
 
 def test_modes_may_share_an_age() -> None:
@@ -266,7 +266,7 @@ def test_semi_markov_spends_its_stationary_shares() -> None:
 
 
 def test_semi_markov_is_stationary_from_its_first_slot() -> None:
-    early = np.array([draws(BURSTY, 6, s)[:, 0] for s in range(6000)])
+    early = np.array([draws(BURSTY, 6, s)[:, 0] for s in range(2000)])
     for k in range(6):
         shares = np.bincount(early[:, k], minlength=3) / len(early)
         assert np.abs(shares - BURSTY.stationary()).max() <= FIVE_SIGMA * 0.5 / np.sqrt(len(early))
