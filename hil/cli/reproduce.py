@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import sys
 import textwrap
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -12,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from hil.reproduce import Reproduction, Step
+    from hil.reproduce import Kept, Reproduction, Step
 
 ALL = "all"
+STATE = "reproduce.state"
 COLOURS = ("green", "yellow", "red", "blue")
 
 
@@ -27,10 +31,13 @@ COLOURS = ("green", "yellow", "red", "blue")
 def command(chapter: str, as_json: bool, output: Path | None) -> None:
     """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch5, ch6, ch7), or all: every number, and with -o every figure.
 
-    A verdict follows from the numbers of its row by the rule that stands with it.
+    A verdict follows from the numbers of its row by the rule that stands with it. With -o what is finished is kept in a file
+    beside the page (reproduce.state in the folder of all, PAGE.state for one) until everything is: after Ctrl-C the same
+    command goes on from there.
     """
     from hil.cli.outputs import write_output
     from hil.reproduce import chapters, reproduce
+    from hil.reproduce.kept import KeptStages
     from hil.reproduce.pages import chapter_page, index_page
 
     if chapter not in (*chapters(), ALL):
@@ -38,17 +45,25 @@ def command(chapter: str, as_json: bool, output: Path | None) -> None:
     names = chapters() if chapter == ALL else (chapter,)
     pages = _pages(chapter, names, output)  # now, and not after the work
     results = {}
-    for name in names:
-        with _Progress(name) as progress:
-            results[name] = reproduce(name, progress)
-        if output is not None:
-            write_output(pages[name], chapter_page(results[name]))
-            click.echo(f"figures: {pages[name]}", err=True)
-        if not as_json:
-            _show(results[name])
-    if chapter == ALL and output is not None:
-        write_output(pages[ALL], index_page(results))
-        click.echo(f"index: {pages[ALL]}", err=True)
+    with ExitStack() as stack:
+        state = None if output is None else output / STATE if chapter == ALL else output.with_name(output.name + ".state")
+        kept = None if state is None else stack.enter_context(KeptStages(state))
+        if kept is not None and kept.stages:
+            click.echo(f"goes on: {len(kept.stages)} stages are in {state}", err=True)
+        progress = stack.enter_context(_Progress(names, kept))
+        for name in names:
+            progress.begin(name)
+            results[name] = reproduce(name, progress, kept)
+            if output is not None:
+                write_output(pages[name], chapter_page(results[name]))
+                click.echo(f"figures: {pages[name]}", err=True)
+            if not as_json:
+                _show(results[name])
+        if chapter == ALL and output is not None:
+            write_output(pages[ALL], index_page(results))
+            click.echo(f"index: {pages[ALL]}", err=True)
+        if kept is not None:
+            kept.done()
     if as_json:
         found: dict[str, Any] = {name: result.to_json() for name, result in results.items()}
         print(json.dumps(found if chapter == ALL else found[chapter], indent=2))
@@ -88,18 +103,30 @@ def _show(result: Reproduction) -> None:
 
 
 class _Progress:
-    """Stages and the steps inside them: a bar on a terminal, a line per new word elsewhere; on standard error."""
+    """Stages, the steps inside them, and the time that is left: a bar on a terminal, a line per new word elsewhere.
 
-    def __init__(self, chapter: str) -> None:
+    The rest is told from the nominal lengths of the stages and from how long those that were computed here have taken.
+    """
+
+    def __init__(self, names: Sequence[str], kept: Kept | None) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+        from hil.reproduce import seconds_left
+
         console = Console(stderr=True)
         self._terminal = console.is_terminal
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+        words, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
+        columns = (words, BarColumn(), TimeElapsedColumn(), left)
         self._bar = Progress(*columns, console=console, disable=not self._terminal, transient=True)
-        self._chapter, self._task = chapter, self._bar.add_task(chapter, total=None)
-        self._last = ""
+        self._left = {name: seconds_left(name, kept) for name in names}
+        self._chapter, self._task = "", self._bar.add_task("", total=max(sum(self._left.values()), 1e-9), left="")
+        self._last, self._before, self._begun = "", 0.0, time.perf_counter()
+
+    def begin(self, chapter: str) -> None:
+        """Say which chapter comes."""
+        self._before += self._left.pop(self._chapter, 0.0)
+        self._chapter = chapter
 
     def __enter__(self) -> _Progress:
         self._bar.start()
@@ -112,8 +139,28 @@ class _Progress:
 
     def __call__(self, step: Step) -> None:
         words = f"{self._chapter} {step.number}/{step.stages} {step.stage}" + (f": {step.text}" if step.text else "")
-        part = step.done / step.total if step.total else 0.0
-        self._bar.update(self._task, description=words, completed=step.number - 1 + part, total=step.stages)
+        done = self._before + step.seconds
+        left = step.left + sum(seconds for name, seconds in self._left.items() if name != self._chapter)
+        told = remaining(time.perf_counter() - self._begun, done, left)
+        self._bar.update(self._task, description=words, completed=done, left=told)
         if not self._terminal and words != self._last:
-            print(words, file=sys.stderr, flush=True)
+            print(words + (f" ({told})" if told else ""), file=sys.stderr, flush=True)
         self._last = words
+
+
+def remaining(spent_s: float, done_s: float, left_s: float) -> str:
+    """How long it still takes, in words.
+
+    Args:
+        spent_s: time that has gone by.
+        done_s: nominal length of what was done in it.
+        left_s: nominal length of the rest.
+
+    >>> remaining(20.0, 10.0, 60.0), remaining(0.1, 0.0, 100.0)
+    ('about 2 min left', 'about 100 s left')
+    """
+    if left_s <= 0.0:
+        return ""
+    pace = spent_s / done_s if done_s >= 1.0 else 1.0
+    seconds = left_s * pace
+    return f"about {seconds:.0f} s left" if seconds < 120.0 - 0.5 else f"about {seconds / 60.0:.0f} min left"

@@ -9,12 +9,12 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from hil.reproduce.chapter import Chapter, Part, Plot, Progress, Reproduction, Stage, Step, Tell, compute
+from hil.reproduce.chapter import Chapter, Kept, Part, Plot, Progress, Reproduction, Stage, Step, Tell, compute
 from hil.reproduce.judgement import VERDICTS, Check, Row, Verdict
 
 __all__ = [
-    "VERDICTS", "Chapter", "Check", "Part", "Plot", "Progress", "Reproduction", "Row", "Stage", "Step", "Tell", "Verdict",
-    "chapters", "reproduce",
+    "VERDICTS", "Chapter", "Check", "Kept", "Part", "Plot", "Progress", "Reproduction", "Row", "Stage", "Step", "Tell", "Verdict",
+    "chapters", "reproduce", "seconds_left",
 ]  # fmt: skip
 
 
@@ -24,10 +24,19 @@ def chapters() -> tuple[str, ...]:
     return tuple(sorted(f"ch{room.removeprefix('chapter')}" for room in rooms if room.startswith("chapter")))
 
 
-def reproduce(chapter: str, progress: Progress = lambda step: None) -> Reproduction:
-    """Compute a chapter. Raises KeyError if it is not one of ``chapters()``."""
+def reproduce(chapter: str, progress: Progress = lambda step: None, kept: Kept | None = None) -> Reproduction:
+    """Compute a chapter, but for the stages that were kept. Raises KeyError if it is not one of ``chapters()``."""
+    return compute(_asked(chapter), progress, chapter, kept)
+
+
+def seconds_left(chapter: str, kept: Kept | None = None) -> float:
+    """How long a chapter takes on two quiet cores, nominally, without the stages that were kept; s."""
+    return sum(s.seconds for s in _asked(chapter).stages if kept is None or kept.get(chapter, s.title) is None)
+
+
+def _asked(chapter: str) -> Chapter:
     if chapter not in chapters():
         raise KeyError(chapter)
     room = importlib.import_module(f"hil.reproduce.chapter{chapter.removeprefix('ch')}.numbers")
     asked: Chapter = room.CHAPTER
-    return compute(asked, progress)
+    return asked

@@ -46,10 +46,12 @@ class Stage:
     Args:
         title: what it computes, in a few words.
         compute: takes a `Tell`, returns what it found.
+        seconds: how long it takes on two quiet cores, by which the remaining time is told; no promise.
     """
 
     title: str
     compute: Callable[[Tell], Part]
+    seconds: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +73,8 @@ class Step:
         text: what the stage said last, empty when it begins.
         done: steps of the stage that are done.
         total: steps of the stage; 0 where they are not counted.
+        seconds: nominal length of what has been computed of the chapter, s; what was kept from before does not count.
+        left: nominal length of the rest, s.
     """
 
     stage: str
@@ -79,6 +83,20 @@ class Step:
     text: str = ""
     done: int = 0
     total: int = 0
+    seconds: float = 0.0
+    left: float = 0.0
+
+
+class Kept(Protocol):
+    """Stages that were done before."""
+
+    def get(self, chapter: str, stage: str, /) -> Part | None:
+        """What a stage found, if it was done."""
+        ...
+
+    def put(self, chapter: str, stage: str, part: Part, /) -> None:
+        """Keep what a stage found."""
+        ...
 
 
 Progress = Callable[[Step], None]
@@ -102,17 +120,38 @@ class Reproduction:
         return {"title": self.title, "rows": [row.to_json() for row in self.rows], "counts": self.counts}
 
 
-def compute(chapter: Chapter, progress: Progress) -> Reproduction:
-    """Run every stage in order."""
-    rows: list[Row] = []
-    figures: list[Plot] = []
-    for number, stage in enumerate(chapter.stages, start=1):
+def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Kept | None = None) -> Reproduction:
+    """Run every stage in order, but those that were kept.
 
-        def tell(text: str, done: int = 0, total: int = 0, /, number: int = number, stage: Stage = stage) -> None:
-            progress(Step(stage=stage.title, number=number, stages=len(chapter.stages), text=text, done=done, total=total))
+    Args:
+        chapter: what to compute.
+        progress: told how far it is.
+        name: of the chapter, under which its stages are kept.
+        kept: what was done before, and where the rest is put as it is done.
+    """
+    parts = {s.title: kept.get(name, s.title) if kept else None for s in chapter.stages}
+    seconds, left = 0.0, sum(s.seconds for s in chapter.stages if parts[s.title] is None)
+    for number, stage in enumerate(chapter.stages, start=1):
+        if parts[stage.title] is not None:
+            continue
+
+        def tell(
+            text: str, done: int = 0, total: int = 0, /, number: int = number, stage: Stage = stage, seconds: float = seconds,
+            left: float = left,
+        ) -> None:  # fmt: skip
+            part = stage.seconds * min(done / total, 1.0) if total else 0.0
+            progress(
+                Step(
+                    stage=stage.title, number=number, stages=len(chapter.stages), text=text, done=done, total=total,
+                    seconds=seconds + part, left=left - part,
+                )
+            )  # fmt: skip
 
         tell("")
-        part = stage.compute(tell)
-        rows += part.rows
-        figures += part.figures
-    return Reproduction(title=chapter.title, rows=tuple(rows), figures=tuple(figures))
+        found = parts[stage.title] = stage.compute(tell)
+        if kept:
+            kept.put(name, stage.title, found)
+        seconds, left = seconds + stage.seconds, left - stage.seconds
+    every = [part for part in parts.values() if part is not None]
+    rows = tuple(each for part in every for each in part.rows)
+    return Reproduction(title=chapter.title, rows=rows, figures=tuple(plot for part in every for plot in part.figures))

@@ -20,9 +20,9 @@ HOW = (
 def chapter_page(result: Reproduction) -> str:
     """One self-contained HTML page: the table, then every figure."""
     cells = [
-        (r.item, r.printed, r.computed, Badge(label=r.verdict, state=STATES[r.verdict]), r.rule, r.basis) for r in result.rows
+        (r.item, Badge(label=r.verdict, state=STATES[r.verdict]), r.printed, r.computed, r.rule, r.basis) for r in result.rows
     ]
-    columns = ("item", "printed", "computed", "verdict", "rule", "assumption or witness")
+    columns = ("item", "verdict", "printed", "computed", "rule", "assumption or witness")  # a phone shows two
     sections = [Section(title="Numbers", blocks=(Text(text=HOW), Table(columns=columns, rows=cells)))]
     for plot in result.figures:
         columns_wide = min(2, len(plot.panels))

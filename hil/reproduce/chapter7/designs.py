@@ -8,14 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from design.jump_linear.bounded_real import hinf_norm
-from design.jump_linear.h2 import h2_norm
-from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import Design, TrackingProblem, solve
 from hil.report.html.figures import BarGroup, Bars, Figure, Series
 from hil.reproduce.chapter import Part, Plot, Tell
 from hil.reproduce.chapter7.all_cores import on_all_cores
-from hil.reproduce.chapter7.models import H2, HINF, NETWORK, PRINTED_MOTOR, VTOL_H2, VTOL_HINF, Array, Plant, motor, vtol
+from hil.reproduce.chapter7.models import (
+    H2,
+    HINF,
+    NETWORK,
+    PRINTED_MOTOR,
+    VTOL_H2,
+    VTOL_HINF,
+    Array,
+    Plant,
+    motor,
+    norms_of,
+    vtol,
+)
 from hil.reproduce.judgement import Row, above, below, near, row
 
 PLANTS: dict[str, Callable[[], Plant]] = {"motor": motor, "vtol": vtol}
@@ -33,12 +42,6 @@ BOUNDS = (1.0, 2.0, 4.5, 7.0, 40.0)
 def best(plant: Plant, **options: Any) -> Design:
     """Our design for a plant of Section 7.4 over its network."""
     return solve(TrackingProblem(A=plant.A, B=plant.B, C=plant.C, sc=NETWORK[0], ca=NETWORK[1], **options))
-
-
-def norms_of(plant: Plant, gains: Array, output: str = "sum") -> tuple[float, float]:
-    """H2 and H-infinity norm of the loop with the printed selection rule."""
-    system = loop_structure(*plant, *NETWORK, "generated", output=output).system(gains)  # type: ignore[arg-type]
-    return h2_norm(system), hinf_norm(system)
 
 
 def designs(tell: Tell) -> Part:

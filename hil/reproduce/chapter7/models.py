@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from design.jump_linear.bounded_real import hinf_norm
 from design.jump_linear.h2 import h2_norm
 from design.jump_linear.mjls import MJLS
 from design.monte_carlo.markov_batch import simulate_mjls
@@ -54,6 +55,12 @@ def vtol() -> Plant:
 def everywhere(gain: Array) -> Array:
     """One gain (m, p) for every tau, in the shape [tau][row][m][p]."""
     return np.broadcast_to(gain, (3, 1, *gain.shape)).copy()
+
+
+def norms_of(plant: Plant, gains: Array, output: str = "sum") -> tuple[float, float]:
+    """H2 and H-infinity norm of the loop with the printed selection rule."""
+    system = loop_structure(*plant, *NETWORK, "generated", output=output).system(gains)  # type: ignore[arg-type]
+    return h2_norm(system), hinf_norm(system)
 
 
 def model_rows() -> list[Row]:

@@ -15,7 +15,7 @@ from hil.reproduce import Reproduction, Step
 from hil.reproduce.judgement import below, row
 
 
-def quick(chapter: str, progress) -> Reproduction:
+def quick(chapter: str, progress, kept=None) -> Reproduction:
     """A chapter of one row: what the command does with it is under test, not what it computes."""
     progress(Step(stage="first", number=1, stages=2))
     progress(Step(stage="first", number=1, stages=2, text="half", done=1, total=2))
