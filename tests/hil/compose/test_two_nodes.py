@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from design.controllers import SendAll
+from design.controllers import FromSamples, Known, Sample, SendAll
 from design.networked_loop.prediction import predict_tracking
 from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
 from hil.compose.design_problem import tracking_target
@@ -74,6 +74,14 @@ def test_the_input_is_the_gain_of_both_ages_times_what_both_nodes_said() -> None
         error = known - np.array([r["angle"][k], r["speed"][k]])
         assert said == pytest.approx(float(gains[2 * ages[0] + ages[1]][0, 0] @ error), rel=1e-5, abs=1e-6)
     assert used == {(0, 0), (0, 1), (1, 0), (1, 1)}
+
+
+def test_until_both_nodes_have_been_heard_the_rows_are_zero() -> None:
+    running = compose(load_experiment("dc-motor-two-nodes", [FIXED % GAINS])).start_controller()
+    assert isinstance(running, FromSamples)
+    angle, speed = Sample(0, 2, (1.0,)), Sample(1, 1, (5.0,))
+    assert running.rows(2, Known((speed,), (0.0, 0.0))) == ((0.0,),)
+    assert running.rows(2, Known((angle, speed), (0.0, 0.0))) == ((pytest.approx(-0.05 - 5 * 0.006),),)
 
 
 def test_a_run_has_a_summary_per_node_and_replays(tmp_path) -> None:  # type: ignore[no-untyped-def]
