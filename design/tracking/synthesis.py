@@ -134,13 +134,13 @@ def _multistart(
     space = objective.space
     count = problem.starts or DEFAULT_STARTS[str(problem.objective)]
     rng = np.random.default_rng(problem.seed)
-    tell = progress or (lambda stage, start, starts, value: None)
+    report = progress or (lambda stage, start, starts, value: None)
     try:
         first = stabilising(objective, space.coordinates(np.zeros(space.shape)))
     except NotStable as error:
         raise _with_class(problem, objective, error) from None
     centre = _descend(objective.h2, first)
-    tell("h2", 1, count, centre.value)
+    report("h2", 1, count, centre.value)
     results: list[Descent] = []
     for start in range(count):
         v = centre.x if start == 0 else _other_start(problem, objective, start, centre.x, rng)
@@ -154,7 +154,7 @@ def _multistart(
         else:
             result = _mixed(problem, objective, v)
         results.append(result)
-        tell(str(problem.objective), start + 1, count, min(r.value for r in results))
+        report(str(problem.objective), start + 1, count, min(r.value for r in results))
     best = min(results, key=lambda r: r.value)
     if not np.isfinite(best.value):
         radius = objective.radius(centre.x)

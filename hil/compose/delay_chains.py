@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,13 @@ from design.errors import FieldError
 from hil.compose.sensors import sensors_of, shared_media
 from hil.experiment import Experiment
 from transport.laws.delay_states import delay_states
-from transport.laws.protocols import SemiMarkovLaw
+from transport.laws.protocols import NetworkLaw, SemiMarkovLaw
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
 
 
-def delay_chains(e: Experiment) -> tuple[Any | None, Any | None]:
+def delay_chains(e: Experiment) -> tuple[DelayChain | None, DelayChain | None]:
     """Return the delay chains of both directions, with the labels that the controller tells apart; None where there is none.
 
     Raises:
@@ -34,7 +37,7 @@ def delay_chains(e: Experiment) -> tuple[Any | None, Any | None]:
     return product_chain(chains, [sensor.outputs or () for sensor in sensors_of(e, 1)], ages_told(e.controller)), ca
 
 
-def node_chains(e: Experiment) -> tuple[Any, ...] | None:
+def node_chains(e: Experiment) -> tuple[DelayChain, ...] | None:
     """Return the delay chain of each sensor node by its number.
 
     None where a law has no chain, where nodes take turns or may keep silent, or where the chains together have more modes than
@@ -50,7 +53,7 @@ def node_chains(e: Experiment) -> tuple[Any, ...] | None:
     return known if len(known) == len(chains) and prod(chain.modes for chain in known) <= MOST_MODES else None
 
 
-def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
+def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayChain | None:
     """Return the chain of the delay that the receiver measures under a network law, None where the law states no chain.
 
     A receiver keeps the newest packet: where the law's age may grow by more than one per slot it measures another delay.
@@ -65,7 +68,8 @@ def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
     from design.processes.delay_chain import DelayChain
 
     most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
-    if most > 1 and not isinstance(law, SemiMarkovLaw):
+    stays = law if isinstance(law, SemiMarkovLaw) else None
+    if most > 1 and stays is None:
         raise FieldError(
             "sojourns", "for a semi-Markov law only; over any other the delay says what its length of stay could"
         )
@@ -73,10 +77,10 @@ def delay_chain(law: Any, sojourns: int | Sequence[int] = ()) -> Any | None:
     if states is None:
         return None
     between = None if np.array_equal(states.low, states.high) else (states.low, states.high)
-    if most == 1:
+    if most == 1 or stays is None:
         return DelayChain(transition=states.matrix, delays=states.ages, between=between)
-    if len(set(law.mode_ages)) < len(law.mode_ages):
-        raise FieldError("sojourns", f"modes share a delay (ages {list(law.mode_ages)}), whose length of stay is not theirs")
+    if len(set(stays.mode_ages)) < len(stays.mode_ages):
+        raise FieldError("sojourns", f"modes share a delay (ages {list(stays.mode_ages)}), whose length of stay is not theirs")
     if states.has_gaps:
         raise FieldError("sojourns", "this delay may grow by more than one per slot, and the receiver measures another stay")
     delays, slots = states.ages, states.slots
@@ -100,11 +104,11 @@ def initial_laws(e: Experiment) -> tuple[NDArray[np.float64], NDArray[np.float64
     return kron_of(known), ca.initial
 
 
-def _sensor_laws(e: Experiment) -> list[Any]:
+def _sensor_laws(e: Experiment) -> list[NetworkLaw]:
     return [sensor.law for sensor in sensors_of(e, 1)] if e.nodes else [e.links.sc.law]
 
 
-def gains_over(controller: GainTable, model: LoopModel, sc: Any, ca: Any) -> NDArray[np.float64]:
+def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
     """Return K[tau, row, m, p] for the delays that two chains reach; a table may cover more (``max_age``)."""
     K = controller.table(model)[: int(sc.label.max()) + 1]
     return K[:, : ca.max_delay + 1] if controller.selection in ("generated", "applied", "previous") else K

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -40,6 +40,9 @@ from hil.log.records import Channel, channels
 from plants.errors import PlantError
 from transport.laws.protocols import NetworkLaw, load_files, prepare, slots_served
 from transport.packets import MAX_OUTPUTS
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,7 +286,7 @@ def _check_references(e: Experiment, controller: Controller, model: LoopModel) -
         raise ExperimentError(e.name, faults)
 
 
-def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: Any, ca: Any) -> Verdict:
+def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: DelayChain | None, ca: DelayChain | None) -> Verdict:
     """Return the verdict on the loop that will run, or refuse the run."""
     own = digest_of(e, controller, model)
     damped = e.limits.passivity is not None

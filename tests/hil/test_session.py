@@ -156,10 +156,10 @@ def test_rig_and_controller_processes_import_nothing_heavy(tmp_path: Path) -> No
     code = (
         "import sys, pickle; import hil.runtime.real.rig_process, hil.runtime.real.controller_process;"
         "from hil.experiment import load_experiment; from hil.compose.loop import compose;"
-        "heavy = {'control', 'cvxpy', 'matplotlib', 'scipy.signal', 'scipy.stats'} & set(sys.modules);"
+        "heavy = {'control', 'cvxpy', 'cantools', 'matplotlib', 'scipy.signal', 'scipy.stats'} & set(sys.modules);"
         "assert not heavy, heavy;"
         "loop = compose(load_experiment('dc-motor-hinf')); loop.start_controller();"
-        "heavy = {'control', 'cvxpy', 'matplotlib', 'scipy.signal'} & set(sys.modules); assert not heavy, heavy"
+        "heavy = {'control', 'cvxpy', 'cantools', 'matplotlib', 'scipy.signal'} & set(sys.modules); assert not heavy, heavy"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

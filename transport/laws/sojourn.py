@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from msgspec import Struct
@@ -21,14 +20,6 @@ from transport.laws.stochastic_matrix import checked_row
 
 LONGEST = 100_000
 TAIL = 1e-12
-
-
-class SampledSojourn(Sojourn, Protocol):
-    """A sojourn law that can be drawn from."""
-
-    def sampler(self) -> Callable[[float], int]:
-        """Return the map from a uniform number of [0, 1) to a sojourn time."""
-        ...
 
 
 class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="geometric"):
