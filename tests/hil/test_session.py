@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil import replay, replay_compare
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -91,6 +92,20 @@ def test_a_gap_in_the_log_is_a_difference(tmp_path: Path) -> None:
     run.arrays["/actuator/applied"] = run.arrays["/actuator/applied"][:0]
     with pytest.raises(HilError, match="no slots"):
         verify(run)
+
+
+def test_differences_are_found_in_whatever_batch_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (replay, replay_compare):
+        monkeypatch.setattr(module, "BATCH", 16)
+    run_session(load_experiment("dc-motor-hinf", ["duration=1.5"]), path=tmp_path / "a.mcap")
+    run = read_run(tmp_path / "a.mcap")
+    assert verify(run).difference is None and verify(run).answers == 30
+    state = run.arrays["/plant/state"]
+    for at in (15, 16, 29):
+        run.arrays["/plant/state"] = np.delete(state, at)
+        assert verify(run).difference == f"/plant/state: a record of slot {at} is missing"
+        run.arrays["/plant/state"] = np.insert(state, at, state[at])
+        assert "that should not be" in (verify(run).difference or "")
 
 
 def test_what_if_refuses_a_controller_that_takes_other_packets(tmp_path: Path) -> None:

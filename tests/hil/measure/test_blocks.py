@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
+from hil.log.growing import ROWS
+from hil.log.read.run import Run
+from hil.log.records import Field, Schema
 from hil.measure import followed, pairwise_sum, tracking
 from hil.measure.step_response import target_of
+from hil.measure.view import APPLIED, DISTURBANCE, MEASUREMENT, REFERENCE, REFERENCE_STEP, view_of
+
+TOPICS = (MEASUREMENT, REFERENCE, APPLIED)
 
 BLOCK = 256  # the smallest that keeps numpy's halving: it adds up to 128 entries in eight lanes
 
@@ -42,3 +48,23 @@ def test_errors_in_blocks_are_those_of_whole_arrays(outputs: int, change: int | 
         outside = np.flatnonzero(~np.all(np.abs(error[change:]) <= 0.02 * 3.0, axis=1))
         assert found["settling_time_s"] == t[change:][outside[-1] + 1] - t[change]
         assert found["overshoot"] == max(float(np.max(error[change:] / 3.0)), 0.0)
+
+
+def test_steps_and_disturbances_are_marked_once_wherever_a_piece_ends() -> None:
+    n = 2 * ROWS + 5
+    ticks, changes, pulse = np.arange(n), [1, ROWS, 2 * ROWS + 1], range(ROWS - 2, ROWS + 3)
+    reference = np.zeros(n, [("t_ns", "<i8"), ("angle", "<f8"), ("tick", "<i8")])
+    reference["t_ns"], reference["tick"] = ticks * 10**6, ticks
+    for at in changes:
+        reference["angle"][at:] += 1.0
+    applied = np.zeros(n, [("t_ns", "<i8"), ("volt", "<f8"), ("w_volt", "<f8"), ("tick", "<i8")])
+    applied["t_ns"], applied["tick"] = ticks * 10**6, ticks
+    applied["w_volt"][list(pulse)] = 0.5
+    view = view_of(Run(
+        arrays={MEASUREMENT: reference, REFERENCE: reference, APPLIED: applied},
+        schemas={topic: Schema(name="hil/msg/Any", fields=(Field(type="float64", name="angle"),)) for topic in TOPICS},
+        resolved={"period": 1e-3},
+    ))  # fmt: skip
+    found = [(mark.label, round(mark.t_s * 1e3)) for mark in view.marks]
+    assert found == [*((REFERENCE_STEP, at) for at in changes), (DISTURBANCE, pulse[0])]
+    assert view.followed().changes(9) == changes
