@@ -61,4 +61,4 @@ def check_held(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, star: Stead
     x, u = r @ star.state.T, r @ star.input.T
     off = max(float(np.abs(x @ A_.T + u @ B_.T - x).max()), float(np.abs(x @ C_.T - r).max()))
     if off > 1e-8 * max(1.0, float(np.abs(r).max()), float(np.abs(x).max())):
-        raise DesignError(f"reference: no input holds it, the outputs stay {off:.3g} away", value=off)
+        raise DesignError(f"reference: no input holds it, the steady state misses it by {off:.3g}", value=off)

@@ -30,7 +30,7 @@ def contact(running, device):
 
 
 def test_without_a_hand_it_is_nearly_the_wall_itself(running):
-    """Findings B3: second-moment radius 0.719, 1 N sinks in by 1.16 to 1.22 mm; 58.8 mm pass before any answer can come."""
+    """Second-moment radius 0.719, 1 N sinks in by 1.16 to 1.22 mm; 58.8 mm pass before any answer can come."""
     A = contact(running, DEVICE)
     b = np.zeros((A.shape[1], 1))
     b[:2, 0] = DEVICE.discretise(PERIOD_S)[1]
@@ -46,7 +46,7 @@ def test_without_a_hand_it_is_nearly_the_wall_itself(running):
 
 
 def test_nearly_every_other_passive_hand_makes_it_unstable(running):
-    """Findings B3: 149 of 150 hands; the stiffest coupler is stable for all of them, by theorem."""
+    """Nearly all of 60 sampled hands; the stiffest coupler is stable for all of them, by theorem."""
     rng, unstable = np.random.default_rng(0), 0
     for m, b, k in rng.uniform(0.0, [2.0, 30.0, 800.0], (60, 3)).tolist():
         hand = HeldDevice(

@@ -225,7 +225,7 @@ def test_more_outputs_than_inputs_are_held_where_some_input_holds_them():
     for reference in ([3.0, 1.0], [0.0, 1.0]):  # an angle that stays has no speed
         with pytest.raises(DesignError, match="no input holds it") as caught:
             check_held(A, B, np.eye(2), star, [reference])
-        assert caught.value.value > 0.1
+        assert caught.value.value > 0.04  # one slot at speed 1 moves the angle by 0.05; least squares shares the error out
 
 
 def test_closed_classes_of_a_chain():
