@@ -37,7 +37,7 @@ def test_6_12_finds_no_wall_more_transparent_than_a_safe_one():
 
 
 def test_6_17_certifies_a_ten_thousandth_of_the_true_norm():
-    """Findings B4: the norm under Lambda is 845.1 N/m; as printed nothing drives the weight, and any level is certified."""
+    """The norm under Lambda is 845.1 N/m; as printed nothing drives the weight, and any level is certified."""
     said = printed_attenuation(MATERIALS, LAMBDA, WAVE, cutoff_hz=0.3, gamma=0.06)
     assert said.holds and said.sound is False and said.condition == "(6.17)"
     meant = hinf_norm(distortion(MATERIALS, LAMBDA, WAVE, period_s=PERIOD_S, delay=DELAY, cutoff_hz=0.3))
