@@ -283,11 +283,11 @@ def _scale_row(scales: dict[tuple[str, int], float]) -> Row:
 CHAPTER = Chapter(
     title="Chapter 2: semi-Markov jump linear systems",
     stages=(
-        Stage("feasibility claims", _feasibility),
-        Stage("theorems", _theorems),
-        Stage("exact second moments", _moments),
-        Stage("rates and partition", _rates),
-        Stage("settling times", settling),
-        Stage("certified scales", _scales),
+        Stage("feasibility claims", _feasibility, 5),
+        Stage("theorems", _theorems, 0.5),
+        Stage("exact second moments", _moments, 0.5),
+        Stage("rates and partition", _rates, 0.1),
+        Stage("settling times", settling, 20),
+        Stage("certified scales", _scales, 17),
     ),
 )

@@ -223,8 +223,8 @@ def _levels_plot(published: JumpCertificate, ours: dict[float, JumpCertificate])
 CHAPTER = Chapter(
     title="Chapter 3: H-infinity control under time-varying delays",
     stages=(
-        Stage("printed conditions", _conditions),
-        Stage("sound levels", _sound),
-        Stage("simulations", _simulations),
+        Stage("printed conditions", _conditions, 5),
+        Stage("sound levels", _sound, 13),
+        Stage("simulations", _simulations, 40),
     ),
 )

@@ -81,10 +81,10 @@ def _text_rule(tell: Tell) -> Part:
 CHAPTER = Chapter(
     title="Chapter 4: fault-tolerant control by semi-Markov models",
     stages=(
-        Stage("lifetimes", _lifetimes),
-        Stage("conditions", _conditions),
-        Stage("simulations", _simulations),
-        Stage("gains that see r only", _text_rule),
+        Stage("lifetimes", _lifetimes, 0.1),
+        Stage("conditions", _conditions, 4),
+        Stage("simulations", _simulations, 4),
+        Stage("gains that see r only", _text_rule, 0.3),
     ),
 )
 

@@ -188,7 +188,7 @@ def _settled(x: Array) -> float:
 CHAPTER = Chapter(
     title="Chapter 5: guaranteed cost control from historical data",
     stages=(
-        Stage("printed gains", _gains), Stage("Theorem 5.1", _theorem), Stage("history", _ours), Stage("further", _further),
-        Stage("runs", _runs),
+        Stage("printed gains", _gains, 0.1), Stage("Theorem 5.1", _theorem, 0.3), Stage("history", _ours, 0.5),
+        Stage("further", _further, 8), Stage("runs", _runs, 0.3),
     ),
 )

@@ -216,7 +216,7 @@ CHAPTER = Chapter(
     stages=(
         Stage("identification", _identification),
         Stage("equations", _equations),
-        Stage("mixed wall", _mixed_wall),
+        Stage("mixed wall", _mixed_wall, 2),
         Stage("passivity", _passivity),
         Stage("transparency", _transparency),
         Stage("push", _push),
