@@ -9,7 +9,7 @@ RUN := runs/make-run
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench clean
+.PHONY: help run test test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
