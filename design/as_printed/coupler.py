@@ -94,9 +94,9 @@ def energy_of_a_press(switching: str, depth_m: float = 0.1) -> float:
     wall = Wall(materials=(soft, hard), switching="plain" if switching == "plain" else "energy")
     contact, total = Contact(wall, PERIOD_S), 0.0
     way = np.linspace(0.0, depth_m, 400).tolist()
-    for material, places in ((0, way), (1, way[::-1])):
+    for material, positions in ((0, way), (1, way[::-1])):
         contact.change(material)
-        for place in places:
+        for position in positions:
             before = contact.avatar_m
-            total += contact.press(place, 0.0) * (contact.avatar_m - before)
+            total += contact.press(position, 0.0) * (contact.avatar_m - before)
     return total

@@ -145,8 +145,8 @@ def contact_matrices(running: LinearInContact, device: HeldDevice, *, period_s: 
     out = np.zeros((materials, n, n))
     for i in range(materials):
         for column, unit in enumerate(np.eye(n)):
-            place = unit[0] if sc == 0 else unit[1 + sc]
-            force, state = running.linear(unit[own:], float(place), i)
+            position = unit[0] if sc == 0 else unit[1 + sc]
+            force, state = running.linear(unit[own:], float(position), i)
             felt = force if ca == 0 else unit[1 + sc + ca]
             after = np.concatenate([
                 A2 @ unit[:2] + B2 * felt, unit[:1][:sc], unit[2 : 1 + sc] if sc else [], [force][:ca],

@@ -38,8 +38,8 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
     modes = prod(chain.modes for chain in chains)
     if modes > MOST_MODES:
         raise FieldError("transition", f"the delays of {len(chains)} nodes have {modes} modes together, at most {MOST_MODES}")
-    place = np.indices([chain.modes for chain in chains]).reshape(len(chains), -1)
-    own = np.array([chain.delay[at] for chain, at in zip(chains, place)])  # (nodes, modes)
+    mode_of = np.indices([chain.modes for chain in chains]).reshape(len(chains), -1)
+    own = np.array([chain.delay[at] for chain, at in zip(chains, mode_of)])  # (nodes, modes)
     ages = np.zeros((modes, len(every)), dtype=np.int64)
     for node, measured in enumerate(outputs):
         ages[:, list(measured)] = own[node][:, None]

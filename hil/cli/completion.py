@@ -96,7 +96,7 @@ def script(shell: str) -> str:
     return text
 
 
-def place(shell: str) -> Path:
+def completion_path(shell: str) -> Path:
     """Return where a shell looks for a user's completion of ``hil``.
 
     Args:
@@ -120,18 +120,18 @@ def command() -> None:
 @command.command()
 @click.argument("shell", type=click.Choice(SHELLS), required=False)
 def show(shell: str | None) -> None:
-    """Print the script for SHELL, by default for the one that runs."""
+    """Print the script for SHELL, by default the running one."""
     print(script(shell or running_shell()))
 
 
 @command.command()
 @click.argument("shell", type=click.Choice(SHELLS), required=False)
 def install(shell: str | None) -> None:
-    """Write the script where SHELL looks for it, by default the one that runs; nothing outside your home is touched."""
+    """Write the script to the folder of SHELL, by default the running one; hil changes nothing outside your home."""
     from hil.cli.outputs import write_output
 
     chosen = shell or running_shell()
-    path = place(chosen)
+    path = completion_path(chosen)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as e:

@@ -34,7 +34,7 @@ class GainsOrWall(click.Command):
 
 
 @click.command(cls=GainsOrWall)
-@click.argument("place", metavar="PLANT|EXPERIMENT|wall")
+@click.argument("subject", metavar="PLANT|EXPERIMENT|wall")
 @click.option("--objective", type=click.Choice(["h2", "hinf", "mixed"]), default="h2", show_default=True)
 @click.option(
     "--information",
@@ -66,7 +66,7 @@ class GainsOrWall(click.Command):
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
-    place: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
+    subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
     seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, path: Path | None, force: bool,
     as_json: bool,
@@ -91,7 +91,7 @@ def command(
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
-    target = tracking_target(place, period, sojourns)
+    target = tracking_target(subject, period, sojourns)
     if local is not None:
         _local(target, local, input_weight, noise, as_json)
         return
@@ -136,7 +136,7 @@ def _local(target: TrackingTarget, method: str, input_weight: float | None, nois
     from hil.cli.design_local import design_local, show_local
 
     context = click.get_current_context()
-    common = {"place", "period", "input_weight", "local", "noise", "as_json"}
+    common = {"subject", "period", "input_weight", "local", "noise", "as_json"}
     given = [p for p in context.command.params if p.name and context.get_parameter_source(p.name) is ParameterSource.COMMANDLINE]
     others = [p.opts[-1] for p in given if p.name not in common]
     if others:

@@ -9,12 +9,26 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from hil.reproduce.chapter import Chapter, Kept, Part, Plot, Progress, Reproduction, Stage, Step, Tell, compute
+from hil.reproduce.chapter import Chapter, Kept, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
 from hil.reproduce.judgement import VERDICTS, Check, Row, Verdict
 
 __all__ = [
-    "VERDICTS", "Chapter", "Check", "Kept", "Part", "Plot", "Progress", "Reproduction", "Row", "Stage", "Step", "Tell", "Verdict",
-    "chapters", "reproduce", "seconds_left",
+    "VERDICTS",
+    "Chapter",
+    "Check",
+    "Kept",
+    "Part",
+    "Plot",
+    "Progress",
+    "ReportProgress",
+    "Reproduction",
+    "Row",
+    "Stage",
+    "Step",
+    "Verdict",
+    "chapters",
+    "reproduce",
+    "seconds_left",
 ]  # fmt: skip
 
 

@@ -31,11 +31,11 @@ class Part:
     figures: tuple[Plot, ...] = ()
 
 
-class Tell(Protocol):
-    """How a stage says how far it is: in words, and where it knows it as ``done`` of ``total`` steps."""
+class ReportProgress(Protocol):
+    """A stage reports its progress: in words, and, where it counts its steps, as ``done`` of ``total``."""
 
     def __call__(self, text: str, done: int = 0, total: int = 0, /) -> None:
-        """Say it; costs nothing."""
+        """Report it; costs nothing."""
         ...
 
 
@@ -45,12 +45,12 @@ class Stage:
 
     Args:
         title: what it computes, in a few words.
-        compute: takes a `Tell`, returns what it found.
+        compute: takes a `ReportProgress`, returns rows and figures.
         seconds: how long it takes on two quiet cores, by which the remaining time is told; no promise.
     """
 
     title: str
-    compute: Callable[[Tell], Part]
+    compute: Callable[[ReportProgress], Part]
     seconds: float = 1.0
 
 
@@ -135,7 +135,7 @@ def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Kept | N
         if parts[stage.title] is not None:
             continue
 
-        def tell(
+        def report_progress(
             text: str, done: int = 0, total: int = 0, /, number: int = number, stage: Stage = stage, seconds: float = seconds,
             left: float = left,
         ) -> None:  # fmt: skip
@@ -147,8 +147,8 @@ def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Kept | N
                 )
             )  # fmt: skip
 
-        tell("")
-        found = parts[stage.title] = stage.compute(tell)
+        report_progress("")
+        found = parts[stage.title] = stage.compute(report_progress)
         if kept:
             kept.put(name, stage.title, found)
         seconds, left = seconds + stage.seconds, left - stage.seconds

@@ -68,10 +68,10 @@ def delayed_runs(
 
     def delayed(k: int, t: float, now: FloatArray, mode: npt.NDArray[np.intp]) -> FloatArray:
         tau = 0.5 * tau_max * (np.sin(2.0 * slopes[mode] * t / tau_max) + 1.0)
-        place = np.maximum((t - tau) / step_s, 0.0)
-        low = np.minimum(place.astype(np.intp), k)
+        position = np.maximum((t - tau) / step_s, 0.0)
+        low = np.minimum(position.astype(np.intp), k)
         high = np.minimum(low + 1, k)
-        part = np.minimum(place - low, 1.0)[:, None]
+        part = np.minimum(position - low, 1.0)[:, None]
         later = np.where((low < k)[:, None], x[high, every], now)
         span = np.where(low < k, 1.0, max((t - k * step_s) / step_s, 1e-12))[:, None]
         return np.asarray(x[low, every] + np.minimum(part / span, 1.0) * (later - x[low, every]))

@@ -33,7 +33,7 @@ from design.semi_markov_loop.robust_feedback import (
 from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
 from design.semi_markov_loop.stability import analyse, largest_decay
 from design.semi_markov_loop.system import JumpSystem
-from hil.reproduce.chapter import Chapter, Part, Stage, Tell
+from hil.reproduce.chapter import Chapter, Part, ReportProgress, Stage
 from hil.reproduce.chapter2.figures import certified_scales
 from hil.reproduce.chapter2.settling import settling, weibull_process
 from hil.reproduce.judgement import Row, above, below, near, row, says
@@ -67,7 +67,7 @@ def _word(found: LmiSolution) -> str:
     return "feasible" if found.holds else "refused" if found.refused else "undecided"
 
 
-def _feasibility(tell: Tell) -> Part:
+def _feasibility(report_progress: ReportProgress) -> Part:
     """What Section 2.5 says of the conditions for the example."""
     process, printed = chapter2_process(), chapter2_system("printed")
     single = robust_feedback(printed, process, gain_bound=30.0, sections=1, method="pwc")
@@ -151,7 +151,7 @@ def _computation_time() -> Row:
     )  # fmt: skip
 
 
-def _theorems(tell: Tell) -> Part:
+def _theorems(report_progress: ReportProgress) -> Part:
     """Systems that the printed conditions accept and that diverge."""
     step = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 200.0))
     process = SemiMarkov(rates=((None, step), (step, None)))
@@ -201,7 +201,7 @@ def _autonomous(*modes: list[list[float]]) -> JumpSystem:
     return JumpSystem(a=a, b=np.zeros((*a.shape[:2], 1)))
 
 
-def _moments(tell: Tell) -> Part:
+def _moments(report_progress: ReportProgress) -> Part:
     """Exact second moments of the example under both controllers."""
     process, nominal = chapter2_process(), chapter2_system("none")
     corner = chapter2_system("vertices").at_vertex(1)
@@ -222,7 +222,7 @@ def _moments(tell: Tell) -> Part:
     return Part(rows=tuple(rows))
 
 
-def _rates(tell: Tell) -> Part:
+def _rates(report_progress: ReportProgress) -> Part:
     """The Weibull law, its rate and the section boundary."""
     h, twice = np.array([0.1, 4.6]), weibull_process()
     plain = float(np.exp(-0.5 * h[0] ** 2) - np.exp(-0.5 * h[1] ** 2))
@@ -249,12 +249,12 @@ def _rates(tell: Tell) -> Part:
     return Part(rows=rows)
 
 
-def _scales(tell: Tell) -> Part:
+def _scales(report_progress: ReportProgress) -> Part:
     """What every method certifies, by the number of sections."""
     scales: dict[tuple[str, int], float] = {}
     for method in FORMS:
         for sections in SECTIONS:
-            tell(f"{method}, {sections} sections", len(scales), len(FORMS) * len(SECTIONS))
+            report_progress(f"{method}, {sections} sections", len(scales), len(FORMS) * len(SECTIONS))
             request: Synthesis = PrintedRequest(process=chapter2_process(), gain_bound=100.0, sections=sections)
             if method != "printed":
                 request = FeedbackRequest(process=chapter2_process(), gain_bound=100.0, sections=sections, method=method)

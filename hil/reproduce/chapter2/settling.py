@@ -19,7 +19,7 @@ from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.studies import settling_times
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov
-from hil.reproduce.chapter import Part, Tell
+from hil.reproduce.chapter import Part, ReportProgress
 from hil.reproduce.chapter2.figures import Settling, convergence, monte_carlo_average, one_run
 from hil.reproduce.judgement import TAIL, Row, above, rank, row, standard_errors, within_error
 
@@ -47,7 +47,7 @@ def loop_of(gain: ScheduledGain, mode: int = 0, process: SemiMarkov | None = Non
     )  # fmt: skip
 
 
-def settling(tell: Tell) -> Part:
+def settling(report_progress: ReportProgress) -> Part:
     """Every number and figure of the Monte Carlo study of Section 2.5."""
     ours, other = chapter2_gain(), chapter2_reference_gain()
     asked = {
@@ -60,9 +60,9 @@ def settling(tell: Tell) -> Part:
     }
     times: dict[str, FloatArray] = {}
     for name, (loop, duration_s) in asked.items():
-        tell(f"{RUNS} runs, {name}", len(times), len(asked) + 1)
+        report_progress(f"{RUNS} runs, {name}", len(times), len(asked) + 1)
         times[name] = settling_times(loop, RUNS, duration_s=duration_s, seed=SEED)
-    tell("figures", len(asked), len(asked) + 1)
+    report_progress("figures", len(asked), len(asked) + 1)
     settled = Settling(published=times["(2.27)"], reference=times["[1, 2]"], published_from_mode_2=times["(2.27) from mode 2"])
     figures = (
         one_run(loop_of(ours), loop_of(other)),

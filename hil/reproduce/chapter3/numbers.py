@@ -14,7 +14,7 @@ from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
 from design.semi_markov_loop.system import DelayedJumpSystem
 from hil.report.html.figures import BarGroup, Bars, Figure, Series
-from hil.reproduce.chapter import Chapter, Part, Plot, Stage, Tell
+from hil.reproduce.chapter import Chapter, Part, Plot, ReportProgress, Stage
 from hil.reproduce.judgement import Check, Row, above, below, rank, row, says
 from hil.reproduce.noisy_runs import FloatArray, NoisyRuns, delayed_runs
 
@@ -33,18 +33,18 @@ RUNS, MORE = 200, 1200
 RAMP = "rates linear over 0, 1.8, 3.6 s (only their bounds are printed)"
 
 
-def _conditions(tell: Tell) -> Part:
+def _conditions(report_progress: ReportProgress) -> Part:
     """The printed conditions for the printed gains, and what they miss."""
     return Part(rows=(*_printed(), _counterexample()))
 
 
-def _sound(tell: Tell) -> Part:
+def _sound(report_progress: ReportProgress) -> Part:
     """Certified levels, of the printed gains and of ours."""
     ours = {}
     for n, bound in enumerate(BOUNDS):
-        tell(f"synthesis, gain norm <= {bound:g}", n, len(BOUNDS) + 1)
+        report_progress(f"synthesis, gain norm <= {bound:g}", n, len(BOUNDS) + 1)
         ours[bound] = _ours(bound)
-    tell("levels of the printed gains", len(BOUNDS), len(BOUNDS) + 1)
+    report_progress("levels of the printed gains", len(BOUNDS), len(BOUNDS) + 1)
     published = analyse_delayed(chapter3_system(), chapter3_gain(), chapter3_process())
     figures = (_trajectories(chapter3_gain(), ours[5.0].gain), _levels_plot(published, ours))
     return Part(rows=tuple(_levels(published, ours)), figures=figures)
@@ -147,17 +147,17 @@ def _runs(gain: ScheduledGain, runs: int, duration_s: float, noise_s: float, **m
     )  # fmt: skip
 
 
-def _simulations(tell: Tell) -> Part:
+def _simulations(report_progress: ReportProgress) -> Part:
     """The norm ratio and the vertical velocity, which depend on what the text does not print."""
     gain = chapter3_gain()
     ratios = {}
     for n, (t, ts) in enumerate(CASES):
-        tell(f"{RUNS} runs of {t:g} s, noise held {ts:g} s", n, len(CASES) + 3)
+        report_progress(f"{RUNS} runs of {t:g} s, noise held {ts:g} s", n, len(CASES) + 3)
         ratios[t, ts] = _runs(gain, RUNS, t, ts).ratio
         if _ranked(ratios[t, ts]).undecided:
-            tell(f"{MORE} further runs of {t:g} s, noise held {ts:g} s", n, len(CASES) + 3)
+            report_progress(f"{MORE} further runs of {t:g} s, noise held {ts:g} s", n, len(CASES) + 3)
             ratios[t, ts] = np.concatenate([_runs(gain, MORE // 3, t, ts, seed=seed).ratio for seed in (1, 2, 3)])
-    tell("runs without noise, and from rest", len(CASES), len(CASES) + 3)
+    report_progress("runs without noise, and from rest", len(CASES), len(CASES) + 3)
     quiet = _runs(gain, 50, 20.0, 1.0, noise=False).size
     rest = _runs(gain, 50, 10.0, 0.01, start=(0.0, 0.0, 0.0, 0.0)).ratio
     rows = [
@@ -179,7 +179,7 @@ def _simulations(tell: Tell) -> Part:
         )
     )  # fmt: skip
     for n, held in enumerate((0.01, 0.1)):
-        tell(f"vertical velocity, noise held {held:g} s", len(CASES) + 1 + n, len(CASES) + 3)
+        report_progress(f"vertical velocity, noise held {held:g} s", len(CASES) + 1 + n, len(CASES) + 3)
         many = _runs(gain, 20, 10.0, held)
         late = many.x[:, many.time_s > 5.0, 1]
         rms, peak = float(np.sqrt((late * late).mean())), float(np.abs(late).max(axis=1).mean())

@@ -26,7 +26,7 @@ from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import analyse_fault_tolerant
 from design.semi_markov_loop.growth import mean_square_abscissa
 from design.semi_markov_loop.system import JumpSystem
-from hil.reproduce.chapter import Chapter, Part, Stage, Tell
+from hil.reproduce.chapter import Chapter, Part, ReportProgress, Stage
 from hil.reproduce.chapter4.figures import Ensemble, averages, detection_fault, lifetimes, ratios, single_runs, text_rule
 from hil.reproduce.judgement import Row, above, below, near, rank, row, says
 from hil.reproduce.noisy_runs import NoisyRuns, fault_runs
@@ -38,19 +38,19 @@ ETA, DETECTION = ((0.0, CHAPTER4_FAILURE_BOUNDARY_S),) * 2, ((0.0, CHAPTER4_DETE
 ASSUMED = "eta's rates linear over 0, 1, 2 s, r's over 0, 0.3, 0.6 s (no times are printed); a jump of eta leaves r's clock alone"
 
 
-def _conditions(tell: Tell) -> Part:
+def _conditions(report_progress: ReportProgress) -> Part:
     """Printed and sound conditions for the printed gains."""
     rows = [*_printed()]
-    tell("gains that see the detection only")
+    report_progress("gains that see the detection only")
     return Part(rows=(*rows, *_seen(_ours()), _pairs(), _midpoints(), _norms()))
 
 
-def _lifetimes(tell: Tell) -> Part:
+def _lifetimes(report_progress: ReportProgress) -> Part:
     """Figures 4.1 to 4.3."""
     return Part(figures=(lifetimes(), detection_fault(_process())))
 
 
-def _simulations(tell: Tell) -> Part:
+def _simulations(report_progress: ReportProgress) -> Part:
     """Runs of both controllers and of ours, with the same faults and noise."""
     gains = {
         "(4.30), fault known": known_fault(chapter4_gain()[:, :, None]),
@@ -61,13 +61,13 @@ def _simulations(tell: Tell) -> Part:
         gains["ours, sees r, |K| <= 2"] = ours
     runs = {}
     for n, (name, gain) in enumerate(gains.items()):
-        tell(f"{RUNS} runs, {name}", n, len(gains))
+        report_progress(f"{RUNS} runs, {name}", n, len(gains))
         runs[name] = _simulate(gain)
     ensembles = {name: Ensemble(time_s=r.time_s, x=r.x, ratio=r.ratio) for name, r in runs.items()}
     return Part(rows=tuple(_simulated(runs)), figures=(single_runs(ensembles), averages(ensembles), ratios(ensembles)))
 
 
-def _text_rule(tell: Tell) -> Part:
+def _text_rule(report_progress: ReportProgress) -> Part:
     """The printed gains as the text prescribes their use: the controller sees the detection only."""
     diverging = _simulate(chapter4_seen_gain(partitioned=False), runs=20)
     calm = _simulate(chapter4_seen_gain(partitioned=True), runs=20)

@@ -17,7 +17,7 @@ from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.matched_peak import PeakMatch, largest_input, match_peak
 from design.historical_data.measurement_noise import stationary_cost
 from design.historical_data.orders import OrderCost, orders_by_cost
-from hil.reproduce.chapter import Tell
+from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.judgement import Row, above, below, near, row
 from plants.delayed_states import DelayedStates
 
@@ -30,24 +30,24 @@ def variant_plant(plant: DelayedPlant) -> DelayedPlant:
     return DelayedPlant(A=plant.A - 0.5 * np.diag([0, 0, 1, 0]), delayed=plant.delayed / 4, B=plant.B, weight=plant.weight)
 
 
-def further_rows(plant: DelayedPlant, tell: Tell) -> list[Row]:
+def further_rows(plant: DelayedPlant, report_progress: ReportProgress) -> list[Row]:
     """Return all rows of this stage."""
     x0, info = np.array(DelayedStates().initial_state), round_robin(4, buffer=3)
     mask = info.mask()
     rows = [delay_row(round_robin(4, buffer=3, memory=6).mask(), round_robin(4, buffer=3, memory=6, delay=1).mask())]
-    tell("input weight")
+    report_progress("input weight")
     for name, gains in (("(5.16)", historical_gains()), ("(5.17)", newest_gains())):
         peak = largest_input(plant, gains, x0, 0)
         printed = Printed(name, cost(close(plant, gains), start_at(x0, 4, 0)), peak)
         rows.append(peak_row(printed, match_peak(plant, mask, x0, 0, peak)))
-    tell("order of the sensors")
+    report_progress("order of the sensors")
     orders = orders_by_cost(plant, info, average_start(4, 4))
     rows.append(order_row(orders))
     best = next(each.gains for each in orders if each.order == info.order)
     rows.append(noise_row(*(stationary_cost(plant, gains, 0.1) for gains in (historical_gains(), newest_gains(), best))))
-    tell("any order of the sensors")
+    report_progress("any order of the sensors")
     rows.append(any_order_row(plant, historical_gains(), x0))
-    tell("Theorem 5.1 on another plant")
+    report_progress("Theorem 5.1 on another plant")
     variant = variant_plant(plant)
     rows.append(tangent_row(variant, tangent_scheme(variant, mask, x0), x0))
     return rows

@@ -14,7 +14,7 @@ from design.historical_data.lifted_loop import DelayedPlant, close
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.report.html.figures import Figure, Series
-from hil.reproduce.chapter import Chapter, Part, Plot, Stage, Tell
+from hil.reproduce.chapter import Chapter, Part, Plot, ReportProgress, Stage
 from hil.reproduce.chapter5.further import further_rows
 from hil.reproduce.judgement import Row, above, below, near, row, says
 from hil.session import simulate
@@ -37,23 +37,23 @@ def costs(plant: DelayedPlant, gains: Array) -> list[float]:
     return [cost(loop, start_at(x0, 4, phase)) for phase in range(4)]
 
 
-def _gains(tell: Tell) -> Part:
+def _gains(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(cost_rows(published_plant(), historical_gains(), newest_gains())))
 
 
-def _theorem(tell: Tell) -> Part:
+def _theorem(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(theorem_rows(published_plant())))
 
 
-def _ours(tell: Tell) -> Part:
+def _ours(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(history_rows(published_plant())))
 
 
-def _further(tell: Tell) -> Part:
-    return Part(rows=tuple(further_rows(published_plant(), tell)))
+def _further(report_progress: ReportProgress) -> Part:
+    return Part(rows=tuple(further_rows(published_plant(), report_progress)))
 
 
-def _runs(tell: Tell) -> Part:
+def _runs(report_progress: ReportProgress) -> Part:
     return figures()
 
 

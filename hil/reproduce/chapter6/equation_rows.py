@@ -119,11 +119,11 @@ def _closed_loop(device: HeldDevice) -> Row:
 def _force_error(i: int) -> float:
     wall = Wall(material=i)
     contact, before, worst = Contact(wall, PERIOD_S, i), 0.0, 0.0
-    for place in (1e-3, 1e-3, 2e-3):
-        force = contact.press(place, 0.0)
-        speed = (place - before) / PERIOD_S
-        worst = max(worst, abs(force - MATERIALS[i].stiffness_n_per_m * place - MATERIALS[i].damping_n_s_per_m * speed))
-        before = place
+    for position_m in (1e-3, 1e-3, 2e-3):
+        force = contact.press(position_m, 0.0)
+        speed = (position_m - before) / PERIOD_S
+        worst = max(worst, abs(force - MATERIALS[i].stiffness_n_per_m * position_m - MATERIALS[i].damping_n_s_per_m * speed))
+        before = position_m
     return worst
 
 

@@ -22,7 +22,7 @@ from design.passivity.loop import HapticLoop, push_response
 from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion, distortion_bound
 from hil.report.html.figures import Figure, Series
-from hil.reproduce.chapter import Chapter, Part, Plot, Stage, Tell
+from hil.reproduce.chapter import Chapter, Part, Plot, ReportProgress, Stage
 from hil.reproduce.chapter6.equation_rows import equation_rows
 from hil.reproduce.chapter6.rig_rows import identification_rows, slide_part
 from hil.reproduce.chapter6.wall_rows import wall_rows
@@ -38,31 +38,31 @@ def published_device() -> HeldDevice:
     return HeldDevice(mass_kg=omni.inertia, damping_n_s_per_m=omni.damping)
 
 
-def _identification(tell: Tell) -> Part:
+def _identification(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(identification_rows()))
 
 
-def _equations(tell: Tell) -> Part:
+def _equations(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(equation_rows(published_device())))
 
 
-def _slide(tell: Tell) -> Part:
+def _slide(report_progress: ReportProgress) -> Part:
     return slide_part()
 
 
-def _mixed_wall(tell: Tell) -> Part:
+def _mixed_wall(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(wall_rows()))
 
 
-def _passivity(tell: Tell) -> Part:
+def _passivity(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(passivity_rows(published_device())))
 
 
-def _transparency(tell: Tell) -> Part:
+def _transparency(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(transparency_rows(published_device())))
 
 
-def _push(tell: Tell) -> Part:
+def _push(report_progress: ReportProgress) -> Part:
     device = published_device()
     safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=device.damping_n_s_per_m).coupler
     return Part(rows=tuple(push_rows(device, safe)), figures=(push_plot(device, safe),))

@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from hil.reproduce.chapter import Tell
+from hil.reproduce.chapter import ReportProgress
 
 T = TypeVar("T")
 
 
-def on_all_cores(work: Callable[..., T], asked: Sequence[Sequence[Any]], tell: Tell, names: Sequence[str]) -> list[T]:
-    """``work(*arguments)`` for all of them, in their order; told as each ends, whichever it is. Give the longest first."""
+def on_all_cores(
+    work: Callable[..., T], asked: Sequence[Sequence[Any]], report_progress: ReportProgress, names: Sequence[str]
+) -> list[T]:
+    """``work(*arguments)`` for all of them, in their order; progress is reported as each ends. Give the longest first."""
     from joblib import Parallel, delayed
 
     run = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", batch_size=1, return_as="generator_unordered")
     found: dict[int, T] = {}
-    tell(f"{len(asked)} pieces", 0, len(asked))
+    report_progress(f"{len(asked)} pieces", 0, len(asked))
     for at, result in run(delayed(_numbered)(at, work, *arguments) for at, arguments in enumerate(asked)):
         found[at] = result
-        tell(names[at], len(found), len(asked))
+        report_progress(names[at], len(found), len(asked))
     return [found[at] for at in range(len(asked))]
 
 

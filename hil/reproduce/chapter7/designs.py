@@ -10,7 +10,7 @@ import numpy as np
 
 from design.tracking.synthesis import Design, TrackingProblem, solve
 from hil.report.html.figures import BarGroup, Bars, Figure, Series
-from hil.reproduce.chapter import Part, Plot, Tell
+from hil.reproduce.chapter import Part, Plot, ReportProgress
 from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.models import (
     H2,
@@ -44,12 +44,12 @@ def best(plant: Plant, **options: Any) -> Design:
     return solve(TrackingProblem(A=plant.A, B=plant.B, C=plant.C, sc=NETWORK[0], ca=NETWORK[1], **options))
 
 
-def designs(tell: Tell) -> Part:
+def designs(report_progress: ReportProgress) -> Part:
     """Published minima and gains of both plants against the best that we find."""
     asked = [(*key, output) for key in PROBLEMS for output in ("sum", "stacked")]
     found: dict[tuple[str, str, str], Design] = {}
     spent = dict.fromkeys(PLANTS, 0.0)
-    solved = on_all_cores(_design_of, asked, tell, [f"{NAME[n]}, {NAMES[o]}, z {z}" for n, o, z in asked])
+    solved = on_all_cores(_design_of, asked, report_progress, [f"{NAME[n]}, {NAMES[o]}, z {z}" for n, o, z in asked])
     for key, (design, seconds) in zip(asked, solved, strict=True):
         found[key] = design
         spent[key[0]] += seconds
@@ -155,11 +155,11 @@ def _off(design: Design, gains: Array, tau: int, d: int) -> float:
     return float(np.abs(design.gains[tau, d] - gains[tau, d]).max())
 
 
-def information(tell: Tell) -> Part:
+def information(report_progress: ReportProgress) -> Part:
     """What each piece of information is worth, on both plants, and the printed rule against [53]."""
     series = [(name, objective) for name in PLANTS for objective in ("h2", "hinf")]
     asked = [(name, {"objective": objective, "information": i, "starts": 1}) for name, objective in series for i in INFORMATION]
-    norms = iter(_norms(asked, tell))
+    norms = iter(_norms(asked, report_progress))
     values = {key: [next(norms) for _ in INFORMATION] for key in series}
     groups = tuple(
         BarGroup(label=f"{NAME[name]} {objective}", values=[v / found[0] for v in found])
@@ -188,16 +188,16 @@ def information(tell: Tell) -> Part:
     return Part(rows=tuple(rows), figures=(Plot(title="What the actuator knows", panels=(bars,)),))
 
 
-def _norms(asked: Sequence[tuple[str, dict[str, Any]]], tell: Tell) -> list[float]:
+def _norms(asked: Sequence[tuple[str, dict[str, Any]]], report_progress: ReportProgress) -> list[float]:
     """The norm that each problem asks for, in order."""
-    return on_all_cores(_norm_of, asked, tell, [f"{NAME[name]}, {options['objective']}" for name, options in asked])
+    return on_all_cores(_norm_of, asked, report_progress, [f"{NAME[name]}, {options['objective']}" for name, options in asked])
 
 
 def _norm_of(name: str, options: dict[str, Any]) -> float:
     return _norm(best(PLANTS[name](), **options), options["objective"])
 
 
-def gain_bounds(tell: Tell) -> Part:
+def gain_bounds(report_progress: ReportProgress) -> Part:
     """H-infinity norm of the VTOL against the bound on its gains, for both readings of z."""
     outputs = ("stacked", "sum")
     options = {"objective": "hinf", "information": "generated"}
@@ -206,7 +206,7 @@ def gain_bounds(tell: Tell) -> Part:
         for output in reversed(outputs)  # the longest first
         for bound in reversed(BOUNDS)
     ]
-    norms = np.array(_norms(asked, tell)).reshape(len(outputs), len(BOUNDS))[::-1, ::-1]
+    norms = np.array(_norms(asked, report_progress)).reshape(len(outputs), len(BOUNDS))[::-1, ::-1]
     curves = tuple(
         Series(label=f"z {output}", x=np.array(BOUNDS), y=np.minimum.accumulate(np.nan_to_num(found, nan=np.inf)))
         for output, found in zip(outputs, norms, strict=True)

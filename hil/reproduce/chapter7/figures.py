@@ -11,7 +11,7 @@ from hil.experiment import load_experiment
 from hil.measure.many import ManyView
 from hil.measure.tracking_many import tracking_of_many
 from hil.report.html.figures import Band, Figure, Marker, Series
-from hil.reproduce.chapter import Part, Plot, Tell
+from hil.reproduce.chapter import Part, Plot, ReportProgress
 from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.friction import Imperfections, loop_of
 from hil.reproduce.chapter7.many_runs import numbers_of
@@ -40,12 +40,12 @@ def angle(loop: Loop, seed: int) -> tuple[Array, Array]:
     return measured["tick"] * loop.model.period_s, np.asarray(measured["angle"], dtype=np.float64)
 
 
-def motor_plots(motor: Imperfections, tell: Tell) -> list[Plot]:
+def motor_plots(motor: Imperfections, report_progress: ReportProgress) -> list[Plot]:
     """Figures 7.6 to 7.8: simulation, fitted motor, and what the recursion predicts."""
     plots = []
     figures = {"7.6": ("hinf", "H-infinity"), "7.7": ("h2", "H2"), "7.8": ("local", "local")}
     for number, (kind, name) in figures.items():
-        tell(f"figure {number}")
+        report_progress(f"figure {number}")
         t, simulated = angle(ideal(kind), SEED)
         t_lab, lab = angle(loop_of(kind, motor), SEED)
         t_fast, fast = angle(ideal(kind, "period=25 ms"), SEED)
@@ -75,12 +75,12 @@ def motor_plots(motor: Imperfections, tell: Tell) -> list[Plot]:
     return plots
 
 
-def smith(tell: Tell) -> Part:
+def smith(report_progress: ReportProgress) -> Part:
     """Figure 7.4, and how the verdict on the Smith predictor depends on its gain."""
     loops = {"H-infinity (7.36)": ideal("hinf"), "H2 (7.37)": ideal("h2")}
     for gain in SMITH_GAINS:
         loops[f"Smith, {gain:g}"] = ideal("smith", f"controller.gain=[[{gain!r}]]")
-    marks = _all_marks(loops, tell)
+    marks = _all_marks(loops, report_progress)
     shown = ("H-infinity (7.36)", "H2 (7.37)", "Smith, -0.03", "Smith, -0.16")
     series = tuple(
         Series(label=name, x=t, y=y, style="dashed" if name.startswith("Smith") else "line")
@@ -124,9 +124,9 @@ def _surely(a: Array, b: Array, column: int) -> float:
     return float(less.mean() + 4.0 * less.std() / len(less) ** 0.5)
 
 
-def _all_marks(loops: dict[str, Loop], tell: Tell) -> dict[str, Array]:
+def _all_marks(loops: dict[str, Loop], report_progress: ReportProgress) -> dict[str, Array]:
     """Marks of every loop, (runs, 3) each: sum of squares, overshoot, and the largest error from the disturbance on, rad."""
-    found = on_all_cores(_marks_of, [(loop,) for loop in loops.values()], tell, list(loops))
+    found = on_all_cores(_marks_of, [(loop,) for loop in loops.values()], report_progress, list(loops))
     return dict(zip(loops, found, strict=True))
 
 
@@ -140,12 +140,12 @@ def _marks(view: ManyView) -> tuple[Array, Array, Array]:
     return found["sse"], found["overshoot"], peak
 
 
-def vtol_plots(tell: Tell) -> Part:
+def vtol_plots(report_progress: ReportProgress) -> Part:
     """Figures 7.2 and 7.3: one run of the published controller, the predicted band, and the local gain that diverges."""
     plots = []
     plant = vtol()
     for number, kind, gains in (("7.2", "vtol-h2", VTOL_H2), ("7.3", "vtol-hinf", VTOL_HINF)):
-        tell(f"figure {number}")
+        report_progress(f"figure {number}")
         loop = compose(load_experiment(kind), certify=False)
         run = simulate(loop, SEED, TOPICS)
         measured = run.arrays["/plant/measurement"]

@@ -22,7 +22,7 @@ from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.measure.many import ManyView
 from hil.measure.tracking_many import tracking_of_many
-from hil.reproduce.chapter import Tell
+from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.chapter7.many_runs import numbers_of
 from hil.reproduce.judgement import Row, rank, row
 
@@ -116,7 +116,7 @@ def misfit(found: dict[str, Array]) -> float:
 
 
 def fit(
-    tell: Tell, *, candidates: int = CANDIDATES, seeds: Sequence[int] = range(FIT_SEEDS), jobs: int = -1
+    report_progress: ReportProgress, *, candidates: int = CANDIDATES, seeds: Sequence[int] = range(FIT_SEEDS), jobs: int = -1
 ) -> tuple[Imperfections, float]:
     """The imperfections that bring the experiment column closest, and their misfit.
 
@@ -133,7 +133,7 @@ def fit(
         found = misfit(errors_of_all(motor, seeds, jobs))
         done += 1
         best = min(best, (found, motor), key=lambda pair: pair[0])
-        tell(f"{done} candidates of {len(seeds)} runs, misfit {best[0]:.2f}", done, candidates)
+        report_progress(f"{done} candidates of {len(seeds)} runs, misfit {best[0]:.2f}", done, candidates)
         return found
 
     start = np.log([v - 1.0 if k == "static_ratio" else v for k, v in START.items()])
@@ -149,9 +149,11 @@ def imperfections(logs: Array, names: Sequence[str]) -> Imperfections:
     return Imperfections(**sizes)
 
 
-def experiment_rows(motor: Imperfections, value: float, tell: Tell, *, seeds: int = CHECK_SEEDS) -> list[Row]:
+def experiment_rows(
+    motor: Imperfections, value: float, report_progress: ReportProgress, *, seeds: int = CHECK_SEEDS
+) -> list[Row]:
     """The experiment column and Remark 7.7 with the fitted motor, on seeds that the fit has not seen."""
-    tell(f"experiment column with the fitted motor, {seeds} runs")
+    report_progress(f"experiment column with the fitted motor, {seeds} runs")
     found = errors_of_all(motor, range(FIRST_CHECK, FIRST_CHECK + seeds))
     rows = []
     for name, printed in EXPERIMENT.items():

@@ -9,7 +9,7 @@ from design.jump_linear.h2 import h2_norm
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem, solve
-from hil.reproduce.chapter import Part, Tell
+from hil.reproduce.chapter import Part, ReportProgress
 from hil.reproduce.chapter7.models import (
     H2,
     HINF,
@@ -29,16 +29,16 @@ from hil.reproduce.judgement import Row, above, below, near, row
 ALONE = np.eye(1)
 
 
-def local_designs(tell: Tell) -> Part:
+def local_designs(report_progress: ReportProgress) -> Part:
     """Gains designed without the network, printed and computed, and the stability of both kinds over it."""
     gains = everywhere(np.array([[LOCAL]]))
     over, fast = (certify_loop(*motor(T), *NETWORK, gains, "constant").mean_square_radius for T in (0.05, 0.025))
     vertical = certify_loop(*vtol(), *NETWORK, everywhere(VTOL_LOCAL), "constant").mean_square_radius
     radii = [certify_loop(*motor(), *NETWORK, K, "generated").mean_square_radius for K in (HINF, H2)]
-    tell("motor, local H-infinity gain", 1, 3)
+    report_progress("motor, local H-infinity gain", 1, 3)
     A, B, C = motor()
     local = solve(TrackingProblem(A=A, B=B, C=C, sc=ALONE, ca=ALONE, objective="hinf", output="sum"))
-    tell("VTOL, local gains", 2, 3)
+    report_progress("VTOL, local gains", 2, 3)
     rows = (
         row(
             "motor: (7.36) and (7.37) stabilise at T = 0.05 s", "stochastically stable",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.reproduce.chapter import Chapter, Part, Stage, Tell
+from hil.reproduce.chapter import Chapter, Part, ReportProgress, Stage
 from hil.reproduce.chapter7.designs import designs, gain_bounds, information
 from hil.reproduce.chapter7.figures import motor_plots, smith, vtol_plots
 from hil.reproduce.chapter7.friction import experiment_rows, fit
@@ -11,16 +11,16 @@ from hil.reproduce.chapter7.models import model_rows, theorem_rows
 from hil.reproduce.chapter7.tables import motor_table, vtol_table
 
 
-def _models(tell: Tell) -> Part:
+def _models(report_progress: ReportProgress) -> Part:
     """The printed models, and statements of Section 7.3."""
     return Part(rows=(*model_rows(), *theorem_rows()))
 
 
-def _experiment(tell: Tell) -> Part:
+def _experiment(report_progress: ReportProgress) -> Part:
     """The experiment column of Table 7.2 with a fitted motor, and Figures 7.6 to 7.8."""
-    motor, misfit = fit(tell)
-    rows = experiment_rows(motor, misfit, tell)
-    return Part(rows=tuple(rows), figures=tuple(motor_plots(motor, tell)))
+    motor, misfit = fit(report_progress)
+    rows = experiment_rows(motor, misfit, report_progress)
+    return Part(rows=tuple(rows), figures=tuple(motor_plots(motor, report_progress)))
 
 
 CHAPTER = Chapter(

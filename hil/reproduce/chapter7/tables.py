@@ -10,7 +10,7 @@ import numpy as np
 
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.prediction import Prediction, predict_tracking
-from hil.reproduce.chapter import Part, Tell
+from hil.reproduce.chapter import Part, ReportProgress
 from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.emulated import errors, sums_of_squares
 from hil.reproduce.chapter7.models import (
@@ -59,11 +59,11 @@ def motor_prediction(gains: Array, selection: str, period_s: float) -> Predictio
     )  # fmt: skip
 
 
-def motor_table(tell: Tell) -> Part:
+def motor_table(report_progress: ReportProgress) -> Part:
     """Both simulation columns of Table 7.2, at the stated period and at half of it."""
     asked = [(name, printed, period_s) for name, printed in TABLE_7_2.items() for period_s in PERIODS_S]
     asked.reverse()  # the longest first
-    rows = on_all_cores(motor_row, asked, tell, [f"{name}, T = {period_s} s" for name, _, period_s in asked])
+    rows = on_all_cores(motor_row, asked, report_progress, [f"{name}, T = {period_s} s" for name, _, period_s in asked])
     return Part(rows=tuple(reversed(rows)))
 
 
@@ -105,9 +105,9 @@ def _motor_row(name: str, printed: tuple[float, float], period_s: float, runs: i
     )  # fmt: skip
 
 
-def vtol_table(tell: Tell) -> Part:
+def vtol_table(report_progress: ReportProgress) -> Part:
     """Table 7.1: a unit step with an impulse of 1 on both inputs at step 300."""
-    work = on_all_cores(_vtol_row, [(name,) for name in TABLE_7_1], tell, list(TABLE_7_1))
+    work = on_all_cores(_vtol_row, [(name,) for name in TABLE_7_1], report_progress, list(TABLE_7_1))
     return Part(rows=tuple(work))
 
 

@@ -123,7 +123,7 @@ def test_lower_bounds_lie_below_every_design():
     assert design.gap < 0.053  # VTOL: at most 5.3 % from the best causal controller
 
 
-def test_norm_derivatives_in_every_gain_space_are_difference_quotients():
+def test_norm_derivatives_in_every_gain_parametrisation_are_difference_quotients():
     rng = np.random.default_rng(2)
     for information in INFORMATION:
         gains = solve(problem("motor", information=information, starts=1)).gains

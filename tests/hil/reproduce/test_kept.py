@@ -37,11 +37,11 @@ def a_part(number: float = 0.5) -> Part:
 
 def chapter(calls: list[str], stops_at: str = "") -> Chapter:
     def stage(title: str) -> Stage:
-        def work(tell) -> Part:
+        def work(report_progress) -> Part:
             calls.append(title)
             if title == stops_at:
                 raise KeyboardInterrupt
-            tell("half", 1, 2)
+            report_progress("half", 1, 2)
             return a_part()
 
         return Stage(title, work, 10.0)
