@@ -12,7 +12,7 @@ OURS: Final = ("design", "plants", "transport")
 ROOT: Final = Path(__file__).resolve().parents[1]
 """The folder that holds hil and its three packages: a checkout, or `site-packages`."""
 
-REMEDY: Final = "rename it, or start Python where it is not found first: another folder, or python -P"
+REMEDY: Final = "rename it, or start Python from another folder or with python -P"
 
 
 def shadows() -> dict[str, str]:
@@ -37,5 +37,5 @@ def require_own_packages() -> None:
     """
     found = shadows()
     if found:
-        lines = [f"{path or 'no module'} stands in the place of hilrig's package {name!r}" for name, path in found.items()]
+        lines = [f"{path or 'no module'} shadows hilrig's package {name!r}" for name, path in found.items()]
         raise HilError("\n".join([*lines, REMEDY]))

@@ -34,7 +34,7 @@ def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
     except (OSError, ValueError) as e:  # ValueError: a name with a zero byte
         raise HilError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from e
     if len(data) > most_bytes:
-        raise HilError(f"{path}: more than {most_bytes} bytes, which is the most {what} may have")
+        raise HilError(f"{path}: more than {most_bytes} bytes, the limit of {what}")
     return data
 
 

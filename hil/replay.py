@@ -208,7 +208,7 @@ def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[s
     applied = run.numbers("/actuator/applied")
     names = [f[2:] for f in applied.dtype.names or () if f.startswith("w_")]
     if not any((piece["status"] == OK).any() for piece in pieces(applied)):
-        raise HilError(f"{source}: no slot in which a command was applied: there is nothing to compare with")
+        raise HilError(f"{source}: the log has no slot with an applied command, so replay compares nothing")
     d_max, selection = other.model.d_max, other.start_controller().selection
     d = array("i", whole(applied, "d").astype(np.int32).tobytes())
     answers, recent = _answers(other, run), _Recent(d_max + REMEMBERED)

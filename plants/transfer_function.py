@@ -45,7 +45,7 @@ class TransferFunction:
         if not self.den[0]:
             raise FieldError("den", "begins with 0; expected the coefficient of the highest power of s")
         if not any(self.num):
-            raise FieldError("num", "is 0: nothing reaches the output")
+            raise FieldError("num", "is 0: the input does not reach the output")
         if len(np.trim_zeros(self.num, "f")) >= len(self.den):
             raise FieldError("num", "is not of a lower degree than den; a rig measures y(k) before u(k) exists")
         self._realised()  # what its names and numbers lack is told now

@@ -35,7 +35,7 @@ class PacketWindow:
         if self.length < 1:
             raise FieldError("window", f"{self.length} slots, expected at least 1")
         if self.phases > MOST_PHASES:
-            raise FieldError("window", f"{self.length} slots have {self.phases} outcomes, at most {MOST_PHASES} are told apart")
+            raise FieldError("window", f"{self.length} slots have {self.phases} outcomes, the limit is {MOST_PHASES}")
 
     @property
     def base(self) -> int:

@@ -69,13 +69,13 @@ def covariance(jacobian: Array) -> Array:
     """
     scale = np.linalg.norm(jacobian, axis=0)
     if not (np.isfinite(scale).all() and scale.min() > 0.0):
-        raise DesignError("excitation: the input does not move the axis; nothing can be told of gain and pole")
+        raise DesignError("excitation: the input does not move the axis; the record determines neither gain nor pole")
     r = np.linalg.qr(jacobian / scale, mode="r")
     values = np.linalg.svd(r, compute_uv=False)
     condition = math.inf if values[-1] == 0.0 else float(values[0] / values[-1])
     if not condition < WORST_CONDITION:
         raise DesignError(
-            f"excitation: gain and pole cannot be told apart (condition number {condition:.3g}, expected below "
+            f"excitation: the record does not separate gain from pole (condition number {condition:.3g}, expected below "
             f"{WORST_CONDITION:g}); move the axis at other frequencies too, a square wave for instance"
         )
     inverse = np.linalg.inv(r)

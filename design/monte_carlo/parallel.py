@@ -48,7 +48,7 @@ class Workers:
             raise FieldError(
                 "scheduler",
                 f"{self.scheduler!r} with backend {self.backend!r}; "
-                "dask needs the address of its scheduler and the others have none",
+                "dask needs the address of its scheduler, the other backends take none",
             )
 
 

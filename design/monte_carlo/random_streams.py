@@ -35,7 +35,7 @@ def uniforms(seed: int, first: int, runs: int, *, blocks: int, purpose: int, pag
     if seed < 0:
         raise FieldError("seed", f"{seed} is negative")
     if first < 0 or runs < 0:
-        raise FieldError("runs", f"{runs} from number {first}, expected none of them negative")
+        raise FieldError("runs", f"{runs} from number {first}, expected numbers >= 0")
     key = np.random.SeedSequence(seed).generate_state(2, np.uint64)
     counter = np.array([first * blocks, page, purpose, 0], dtype=np.uint64)
     raw = np.random.Philox(key=key, counter=counter).random_raw(4 * blocks * runs)

@@ -31,7 +31,7 @@ class StiffnessCell:
         delay: largest total delay nd in samples.
         hand_damping_n_s_per_m: least damping b_h of any hand.
         certified_n_per_m: 1/C(1) of a coupler that is safe for every passive hand and wall at every delay from 0 to nd.
-        ceiling_n_per_m: 2 (b + b_h)/((nd + 1) T), which nothing exceeds that is safe for every passive hand.
+        ceiling_n_per_m: 2 (b + b_h)/((nd + 1) T), the limit for every passive hand.
         colgate_n_per_m: largest K of b + b_h > K T/2 without coupler and delay; None with a delay, of which it knows nothing.
         gil_hulin_n_per_m: (b + b_h)/(T/2 + nd T), the linear boundary of stability without a coupler.
         exact_n_per_m: stiffness at which the wall without a coupler loses stability on the device without a hand.

@@ -26,7 +26,7 @@ def _sections(sections: int) -> None:
 def _end(process: SemiMarkov, mode: int, end_s: float | None) -> float:
     end = process.settled(mode) if end_s is None else end_s
     if not math.isfinite(end) or end < 0 or (end == 0 and end_s is not None):
-        raise FieldError("end_s", f"the rates out of mode {mode} never settle, say where to end (got {end!r})")
+        raise FieldError("end_s", f"the rates out of mode {mode} have no limit, give end (got {end!r})")
     return end
 
 

@@ -113,7 +113,7 @@ class RobustScheduled:
         if not (math.isfinite(self.decay) and self.decay >= 0):
             raise FieldError("decay", f"{self.decay!r}, expected a finite number, at least 0")
         if self.sections < 0:
-            raise FieldError("sections", f"{self.sections}, expected at least 1, or 0 for what the method takes")
+            raise FieldError("sections", f"{self.sections}, expected at least 1, or 0 for the default of the method")
         if self.sections and self.starts_s:
             raise FieldError("sections", "give either their number or their starts_s")
 

@@ -270,7 +270,7 @@ def delayed_hinf(
     gain = _gains(result, starts, gain_bound)
     certificate = analyse_delayed(system, gain, process, nodes=starts)
     if not certificate.certified or (gamma is not None and (certificate.gamma or math.inf) > gamma):
-        raise Infeasible(f"{what}: gains found, but not confirmed from themselves: {certificate.reason}", value=certificate.gamma)
+        raise Infeasible(f"{what}: gains found, but their own check failed: {certificate.reason}", value=certificate.gamma)
     return certificate
 
 

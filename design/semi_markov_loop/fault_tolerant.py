@@ -217,7 +217,7 @@ def fault_tolerant_feedback(
     detections = process.detection[0].modes
     parts = sections if sections is not None else ((0.0,),) * detections
     if measured == () and max(len(row) for row in parts) > 1:
-        raise FieldError("sections", "a controller that sees nothing has no clock to schedule by")
+        raise FieldError("sections", "a controller without detection has no clock for its schedule")
     eta = eta_nodes if eta_nodes is not None else ((0.0,),) * system.modes
     build = partial(_start_program, system, process, measured, parts, gain_bound, performance)
     what = f"fault-tolerant feedback with gain norm <= {gain_bound:g}, measured {measured}"
@@ -232,7 +232,7 @@ def fault_tolerant_feedback(
     gain = _start_gain(found, modes, rows, measured, gain_bound)
     best = analyse_fault_tolerant(system, gain, process, eta_nodes=eta, performance=performance)
     if not best.certified:
-        raise Infeasible(f"{what}: gains found, but not confirmed from themselves: {best.reason}")
+        raise Infeasible(f"{what}: gains found, but their own check failed: {best.reason}")
     if performance is not None:
         return best
     for _ in range(rounds):

@@ -147,7 +147,7 @@ def _far_enough(process: SemiMarkov, mode: int, start: float, growth: float) -> 
     """Where to end the integral over a sojourn whose rates never settle. Raises DesignError where that cannot be said."""
     limit = process.limit(mode)
     if math.isnan(limit):
-        raise DesignError(f"rates[{mode}]: never settle and do not say where they tend to (limit)")
+        raise DesignError(f"rates[{mode}]: do not settle and state no limit")
     if math.isfinite(limit) and abs(growth - limit) <= 1e-9 * max(1.0, limit):
         raise DesignError(f"rates[{mode}]: tend to {limit:g}/s, at which second moments grow just as fast; not decided")
     fastest = growth if growth < limit else 0.0  # beyond the limit no end is far enough: exists() says so

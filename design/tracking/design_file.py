@@ -100,7 +100,7 @@ def load_design(path: Path) -> DesignFile:
     except (TypeError, ValueError):
         raise FieldError("design", f"{path}: gains: expected a regular nested list [tau][row][m][p]") from None
     except OverflowError:
-        raise FieldError("design", f"{path}: gains: a number is beyond what a double holds") from None
+        raise FieldError("design", f"{path}: gains: a number exceeds the range of a double") from None
     if gains.ndim != 4 or not (np.abs(gains) <= LARGEST).all():
         raise FieldError(
             "design", f"{path}: gains: shape {gains.shape}, expected finite numbers of at most {LARGEST:g} [tau][row][m][p]"

@@ -135,7 +135,7 @@ def main(args: list[str] | None = None) -> Any:
         print(f"hil: {e.filename or 'output'}: cannot be written: {e.strerror}", file=sys.stderr)
         sys.exit(2)
     except MemoryError:
-        print("hil: this needs more memory than there is; nothing is wrong with what was asked or read", file=sys.stderr)
+        print("hil: the machine has too little memory for this; the command and its files are correct", file=sys.stderr)
         sys.exit(1)
     except Exception as e:
         if not isinstance(e, HilError) and not any(c.__name__ in ROOTS for c in type(e).__mro__):

@@ -47,13 +47,13 @@ def _table(title: str, rows: list[dict[str, Any]]) -> None:
 @click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Sessions that share these.")
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
 @click.option("--experiment", "experiments", multiple=True, metavar="NAME|FILE",
-              help="What runs; several are measured in turns [dc-motor-1khz].")  # fmt: skip
+              help="Experiment; several are measured in turns [dc-motor-1khz].")  # fmt: skip
 @click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change it, e.g. timing.affinity=pinned.")
 @click.option("--json", "as_json", is_flag=True)
 def timing(
     duration: float, turns: int, links: tuple[str, ...], experiments: tuple[str, ...], sets: tuple[str, ...], as_json: bool
 ) -> None:
-    """The rig, at 1 kHz if nothing else is said, beside cyclictest at the same priority."""
+    """Run the rig (by default at 1 kHz) beside cyclictest at the same priority."""
     from hil.bench.timing import EXPERIMENT, LINKS, bench_timing
 
     _check("--duration", duration, *SECONDS)
@@ -161,7 +161,7 @@ def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
         print(json.dumps(row, indent=2))
         return
     _table("memory while it runs, slope with its 95 % confidence interval", row["memory"])
-    ratio = f"{row['log_ratio']:.3f} of what its second tenth foretells"
+    ratio = f"{row['log_ratio']:.3f} of the prediction from its second tenth"
     print(f"exit status {row['status']}, {row['ticks']} slots, {row['dropped']} records dropped")
     print(f"log {row['log_bytes'] / 1e6:.1f} MB, {ratio}")
     beside = row["cyclictest_missed_share"]

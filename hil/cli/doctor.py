@@ -93,7 +93,7 @@ def _packages() -> Check:
     ]
     shadowed = shadows()
     if shadowed:
-        told = [f"{path or 'no module'} stands in the place of our {name}" for name, path in shadowed.items()]
+        told = [f"{path or 'no module'} shadows our {name}" for name, path in shadowed.items()]
         return "package ownership", False, "; ".join(told), REMEDY
     if foreign:
         return "package ownership", False, "; ".join(foreign), "install hilrig in a virtual environment of its own"
@@ -118,7 +118,7 @@ def _tool(program: str, package: str, why: str) -> Check:
 @click.option("--link", metavar="URI", help="Say who could command a rig on this link.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list.")
 def command(link: str | None, as_json: bool) -> None:
-    """Check CAN, zenoh, scheduler, clock and packages. What is missing limits some runs and hinders none in virtual time."""
+    """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
     import json
 
     checks = [_who(link), _packages(), _hil_can(), _vcan(), _zenoh(), _scheduler(), _idle(), _clock(), _cpus(),

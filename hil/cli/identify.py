@@ -22,14 +22,14 @@ def command() -> None:
 
 @command.command()
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--plant", "kind", type=click.Choice(["omni", "dc-motor"]), help="Which axis [as the log says].")
+@click.option("--plant", "kind", type=click.Choice(["omni", "dc-motor"]), help="Axis [the plant of the log].")
 @click.option("--input", "u_name", metavar="NAME", help="Signal that drives the axis [the plant's].")
 @click.option("--output", "y_name", metavar="NAME", help="Signal that is measured [the plant's].")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: str | None, as_json: bool) -> None:
     """Estimate inertia and damping (omni), or gain and pole (dc-motor), from one or more LOGs: .mcap, or .csv with times.
 
-    All LOGs are fitted as one axis. Exit status 1 where what the fit leaves is no noise: its intervals are then too narrow.
+    All LOGs are fitted as one axis. Exit status 1 if the residuals are not noise: the intervals are then too narrow.
     """
     from design.errors import DesignError
     from design.identification.output_error import identify_axis

@@ -39,7 +39,7 @@ def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy:
     if found and fresh:
         raise HilError(f"{path}: exists already; {remedy}")
     if not target.parent.is_dir():
-        raise HilError(f"{path}: cannot be written: there is no folder {target.parent if found else path.parent}")
+        raise HilError(f"{path}: cannot be written: no folder {target.parent if found else path.parent}")
     try:
         if target.exists():
             with open(target, "r+b") as file:  # nothing is written, but it could be

@@ -13,7 +13,7 @@ import click
 def command(file: Path, output: Path | None) -> None:
     """Rebuild an indexed log from FILE, whose session was killed or whose disk was full.
 
-    FILE itself is never changed, and no file is ever overwritten.
+    The command changes no existing file.
     """
     from hil.cli.terminal import visible
     from hil.log.read.recover import recover

@@ -31,7 +31,7 @@ COLOURS = ("green", "yellow", "red", "blue")
 def command(chapter: str, as_json: bool, output: Path | None) -> None:
     """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch5, ch6, ch7), or all: every number, and with -o every figure.
 
-    A verdict follows from the numbers of its row by the rule that stands with it. With -o what is finished is kept in a file
+    The rule beside each row decides its verdict from its numbers. With -o what is finished is kept in a file
     beside the page (reproduce.state in the folder of all, PAGE.state for one) until everything is: after Ctrl-C the same
     command goes on from there.
     """

@@ -85,7 +85,7 @@ def command(
         raise HilError(f"--first-seed: {first_seed}, and the last seed is beyond 2^63 - 1")
     check_jobs(jobs)
     if (scheduler is None) == (backend == "dask"):
-        raise HilError("--scheduler: --backend dask needs the address of its scheduler, and nothing else does")
+        raise HilError("--scheduler: --backend dask needs the address of its scheduler; no other backend takes one")
     if grids or ranges or points is not None:
         if until is not None:
             raise HilError("--until: not with --grid or --range, where every point has the same runs")

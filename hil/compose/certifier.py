@@ -67,7 +67,7 @@ def limited_to_undamped(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     if not loop.damped or verdict.state == "undecided" or (verdict.kind == "passivity" and verdict.certified):
         return verdict
     reason = (
-        f"{verdict.state} without the passivity controller at the rig; not decided with what it adds to the command "
+        f"{verdict.state} without the passivity controller at the rig; undecided with the force that this controller adds "
         f"({verdict.reason})"
     )
     return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})

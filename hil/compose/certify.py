@@ -58,4 +58,4 @@ def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
             return limited_to_undamped(loop, verdict)
-    return undecided(loop, "mean-square stability", "there is no certificate for this kind of controller")
+    return undecided(loop, "mean-square stability", "no certificate covers this kind of controller")

@@ -71,7 +71,7 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayCha
     stays = law if isinstance(law, SemiMarkovLaw) else None
     if most > 1 and stays is None:
         raise FieldError(
-            "sojourns", "for a semi-Markov law only; over any other the delay says what its length of stay could"
+            "sojourns", "only a semi-Markov law takes it; over any other law the sojourn time adds no information"
         )
     states = delay_states(law)
     if states is None:

@@ -60,7 +60,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
     of_experiment = name not in names("hil.plants")
     if not of_experiment:
         if sojourns > 1:
-            raise HilError(f"--sojourns: over the Markov network of {name} the length of a stay says nothing; name an experiment")
+            raise HilError(f"--sojourns: the sojourn time over the Markov network of {name} adds nothing; name an experiment")
         plant = load("hil.plants", name)()
         period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
@@ -70,7 +70,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
 
         experiment = load_experiment(name)
         if experiment.nodes:  # the law of links.sc is not that of the nodes
-            raise HilError(f"{name}: several sensor nodes; gains for them are solved where it runs, by kind = 'designed'")
+            raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
         plant = experiment.plant
         period = period_s if period_s is not None else float(experiment.period)
         try:
@@ -78,7 +78,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
         except ValueError as error:
             raise HilError(f"{name}: {error}") from None
         if sc_found is None or ca_found is None:
-            raise HilError(f"{name}: its network laws are no finite chains of delays, so there is nothing to design for")
+            raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
         sc, ca = sc_found, ca_found
         name = experiment.kinds.get("plant", name)
     if not (np.isfinite(period) and period > 0):

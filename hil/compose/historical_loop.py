@@ -87,7 +87,7 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     if unknown:
         return undecided(loop, KIND, unknown)
     if loop.ca is None or loop.ca.max_delay:
-        return undecided(loop, KIND, "the theory knows an actuator that gets its command in the slot itself, none that waits")
+        return undecided(loop, KIND, "the theory covers an actuator that receives its command in the same slot, not later")
     x0 = np.array(loop.plant.start(np.random.default_rng(0)).state)
     if x0.shape != (len(plant.A),):
         return undecided(loop, KIND, "the plant has states that it does not measure")

@@ -36,11 +36,11 @@ def certify_jump_loop(loop: LoopToCertify) -> Verdict | None:
     if not isinstance(controller, ModeSchedule):
         return None
     if not isinstance(plant, JumpPlant):
-        return undecided(loop, KIND, "there is no certificate for gains by mode over a plant that does not jump")
+        return undecided(loop, KIND, "no certificate covers gains by mode over a plant that does not jump")
     if loop.model.sensors is not None and len(loop.model.sensors.names) > 1:
-        return undecided(loop, KIND, "there is no certificate for gains by mode over several sensor nodes")
+        return undecided(loop, KIND, "no certificate covers gains by mode over several sensor nodes")
     if loop.sc is None or loop.ca is None:
-        return undecided(loop, KIND, "there is no certificate for this kind of network law")
+        return undecided(loop, KIND, "no certificate covers this kind of network law")
     from design.semi_markov_loop.sampled import sampled_verdict
 
     try:

@@ -28,7 +28,7 @@ def system_of(plant: JumpModel) -> JumpSystem | DelayedJumpSystem:
     e = np.array(plant.E, dtype=float) if plant.E else None
     if plant.Ad:
         if plant.changes:
-            raise ValueError("changes: uncertain matrices and a delay inside at once, for which there is no theory")
+            raise ValueError("changes: no theory covers uncertain matrices together with an internal delay")
         return DelayedJumpSystem(
             a=a, ad=np.array(plant.Ad, dtype=float), b=b, delay_max_s=plant.max_delay_s,
             delay_slopes=np.array(plant.delay_slopes, dtype=float),

@@ -22,7 +22,7 @@ def certify_linear_law(loop: LoopToCertify) -> Verdict | None:
     controller = loop.controller
     if not isinstance(controller, LinearFeedback):
         return None
-    missing = "there is no certificate for"
+    missing = "no certificate covers"
     if loop.model.sensors is not None:
         return undecided(loop, "mean-square stability", f"{missing} a linear controller over several sensor nodes")
     if loop.sc is None or loop.ca is None:

@@ -73,7 +73,7 @@ def interval(plant: Plant, said: str) -> Interval:
     nominal = known[name]
     half = abs(nominal) * number / 100.0 if match[2] else number
     if half == 0.0:
-        raise HilError(f"--uncertainty: {name}: is 0, and so is any share of it; say a width, as in {name}=0.1")
+        raise HilError(f"--uncertainty: {name}: is 0, so every percentage of it is 0; give a width, as in {name}=0.1")
     return Interval(name, nominal, nominal - half, nominal + half)
 
 

@@ -32,9 +32,9 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
         reason = "no certificate covers a table of gains over nodes that take turns, may be silent, or have no chain of ages"
         return undecided(loop, "mean-square stability", reason)
     if loop.sc is None or loop.ca is None:
-        return undecided(loop, "mean-square stability", "there is no certificate for this kind of network law")
+        return undecided(loop, "mean-square stability", "no certificate covers this kind of network law")
     if isinstance(loop.plant, JumpPlant):
-        return undecided(loop, "mean-square stability", "there is no certificate for a table of gains over a plant that jumps")
+        return undecided(loop, "mean-square stability", "no certificate covers a table of gains over a plant that jumps")
     gains = gains_over(controller, loop.model, loop.sc, loop.ca)
     verdict = judge_gains(
         loop.model, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),

@@ -67,7 +67,7 @@ def ordered_names(e: Experiment) -> list[str]:
 def node_faults(e: Experiment) -> list[str]:
     """Return what is wrong with nodes and media, each with its path."""
     if not e.nodes:
-        return [f"media.{name}: there are no nodes to share it ([nodes.NAME])" for name in e.media]
+        return [f"media.{name}: no node shares it; add [nodes.NAME]" for name in e.media]
     faults, outputs = [], [s.name for s in e.plant.outputs]
     owner: dict[str, str] = {}
     taken: dict[int, str] = {}
@@ -94,7 +94,7 @@ def node_faults(e: Experiment) -> list[str]:
         served = None if node.law is None else slots_served(node.law)
         if served is not None and served < e.ticks:
             faults.append(f"nodes.{name}.law: the recording serves {served} slots, the run has {e.ticks}; it can repeat")
-    faults += [f"nodes: nobody measures the output {name!r}" for name in outputs if name not in owner]
+    faults += [f"nodes: no node measures the output {name!r}" for name in outputs if name not in owner]
     on: dict[str, str] = {}
     for name, medium in e.media.items():
         for i, node_name in enumerate(medium.nodes):

@@ -19,7 +19,7 @@ def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
     if not isinstance(controller, RendersWall):
         return None
     if loop.model.sensors is not None and len(loop.model.sensors.names) > 1:
-        return undecided(loop, "passivity", "there is no certificate for a wall over several sensor nodes")
+        return undecided(loop, "passivity", "no certificate covers a wall over several sensor nodes")
     port = port_of(plant)
     if port is None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")

@@ -30,7 +30,7 @@ class TriggerTable(Table, frozen=True, kw_only=True):
         if threshold < 0:
             yield f"threshold: {threshold:g} is negative"
         if kind == "every-slot" and threshold:
-            yield "threshold: a node that sends in every slot has none"
+            yield "threshold: a node that sends in every slot takes no threshold"
         if kind != "every-slot" and "threshold" not in values:
             yield f"threshold: missing; a trigger of kind {kind!r} needs one"
 
@@ -59,7 +59,7 @@ class ClockTable(Table, frozen=True, kw_only=True):
         if not 0 <= phase < every:
             yield f"phase: {phase}, expected 0 to every - 1 = {every - 1}"
         if phase and values.get("random_phase"):
-            yield "phase: it is drawn (random_phase), so that none is given"
+            yield "phase: random_phase draws it; remove one of the two"
         if not 0 <= jitter < every:
             yield f"jitter: {jitter} slots, expected 0 to every - 1 = {every - 1}"
 
@@ -135,7 +135,7 @@ class Medium(Table, frozen=True, kw_only=True):
         elif kind != "can-arbitration" and values.get("frames", 1) != 1:
             yield "frames: for a can-arbitration medium only"
         if kind == "independent" and values.get("loss"):
-            yield "loss: an independent medium loses nothing; the law of the node does"
+            yield "loss: an independent medium takes no loss; set it in the law of the node"
         if kind != "round-robin" and values.get("phase"):
             yield "phase: for a round-robin medium only"
         elif not 0 <= values.get("phase", 0) < max(len(nodes), 1):

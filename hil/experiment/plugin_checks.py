@@ -154,7 +154,7 @@ def check_law(law: NetworkLaw, slots: int = 400) -> list[str]:
     states = delay_states(law)
     if states is not None:
         p_value = law_p_value(law, modes)
-        assert not p_value < DIFFERS, f"the modes drawn do not follow the chain that it states: p = {p_value:.2g}"
+        assert not p_value < DIFFERS, f"the drawn modes do not follow the stated chain: p = {p_value:.2g}"
         if states.has_gaps:
             said.append(f"{name}: the age may grow by more than one per slot; what runs is min(age, last + 1), certified so")
     return said

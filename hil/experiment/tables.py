@@ -129,7 +129,7 @@ class Links(Table, frozen=True, kw_only=True):
         uri = values.get("uri", "memory:")
         for table in ("tls", "login"):
             if values.get(table) is not None and not uri.startswith("zenoh:"):
-                yield f"{table}: the link {uri!r:.60} is not zenoh's and has no use for it"
+                yield f"{table}: the link {uri!r:.60} does not take it; only a zenoh link does"
         try:
             find_link(secured_uri(uri, ".", values.get("auth"), None, None))
         except TransportError as error:
@@ -159,7 +159,7 @@ class Passivity(Table, frozen=True, kw_only=True):
         if damping < 0:
             yield f"damping_n_s_per_m: {damping:g} is negative"
         elif damping == 0 and trip is None:
-            yield "damping_n_s_per_m: it neither damps nor trips; give a damping, or trip_j"
+            yield "damping_n_s_per_m: the passivity controller neither damps nor trips; give a damping, or trip_j"
         if values.get("energy_j", 0.0) < 0:
             yield f"energy_j: {values['energy_j']:g} is negative"
         if trip is not None and trip <= 0:

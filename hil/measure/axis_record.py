@@ -70,7 +70,7 @@ def read_axis_record(path: Path, kind: str | None, names: tuple[str | None, str 
     """
     if path.suffix.lower() == ".csv":
         if kind is None:
-            raise HilError(f"{path}: a table does not say of which plant it is; add --plant {' or '.join(AXES)}")
+            raise HilError(f"{path}: a table does not name its plant; add --plant {' or '.join(AXES)}")
         wanted = _names(kind, names)
         period_s, columns = read_signal_table(path, wanted)
         if not math.isfinite(columns[-1, 0]):

@@ -20,7 +20,7 @@ class Cost:
 
     title: ClassVar[str] = "Cost and network load"
     note: ClassVar[str] = (
-        "The weights are the plant's own; a plant that states none is weighed by the unit matrix. The load counts sensor packets "
+        "The weights are the plant's own; for a plant without weights they are the unit matrix. The load counts sensor packets "
         "as they were sent, lost ones included, with their headers."
     )
     topics: ClassVar[tuple[str, ...]] = (STATE, APPLIED, SENSOR, DRAWS)

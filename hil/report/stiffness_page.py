@@ -26,8 +26,8 @@ def stiffness_page(cells: Sequence[StiffnessCell], *, mass_kg: float, damping_n_
         "How stiff may a virtual wall be?",
         sections,
         kicker="hilrig · stiffness map",
-        subtitle="Safe for every passive hand and every passive wall, at every delay up to the one shown. Above the ceiling "
-        "there is no such rendering at all.",
+        subtitle="Safe for every passive hand and every passive wall, at every delay up to the one shown. No wall "
+        "above the ceiling is safe.",
         facts=(("device", f"{mass_kg:g} kg, {damping_n_s_per_m:g} N s/m at the tip"),),
     )
 

@@ -49,7 +49,7 @@ class Comparison:
             told = ", ".join(f"{each} in {count}" for each, count in stops.items())
             return f"{name} against {first}: undecided; safety stopped runs (of {self.runs}): {told}"
         if judged is None:
-            return f"{name} against {first}: undecided; no measure says what is better"
+            return f"{name} against {first}: undecided; no measure states which value is better"
         gap = relative(self.values[first][judged.name], self.values[name][judged.name])
         if gap is None:
             return f"{name} against {first}: undecided; {judged.name} is not a number above 0 in two runs of both"

@@ -115,7 +115,7 @@ def latin_hypercube(asked: Sequence[str], count: int, seed: int = 0) -> Points:
         if not (np.isfinite((low, high)).all() and low < high) or ends[0][2] not in ("", unit):
             raise HilError(f"--range {text!r:.60}: expected two finite numbers, the lower first, in one unit")
         if key.strip() in keys or not key.strip():
-            raise HilError(f"--range {text!r:.60}: no key, or one that is named twice")
+            raise HilError(f"--range {text!r:.60}: the key is missing or repeated")
         keys.append(key.strip())
         lows.append(low)
         highs.append(high)

@@ -88,7 +88,7 @@ def _further(plant: Plant, name: str) -> list[str]:
             f"{name}.beyond_model(): {beyond!r}, expected a tuple of noun phrases",
         )
         what = f"it has {', '.join(beyond)}, so a claim on its model is undecided for it" if beyond else "now it has nothing"
-        said.append(f"{name} is BeyondModel: it says what it has that its model lacks; {what}")
+        said.append(f"{name} is BeyondModel: it states the effects that its model lacks; {what}")
     if isinstance(plant, HasStateDelays):
         delayed = np.asarray(plant.state_delays(), dtype=float)
         n = len(plant.states)

@@ -25,7 +25,7 @@ def shadowing(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 def test_the_command_line_names_the_file_and_the_remedy(shadowing: Path) -> None:
     folder = shadowing.parent if shadowing.name == "plants.py" else shadowing.parent.parent
     done = python(folder, "-m", "hil", "run", "dc-motor-hinf")
-    assert done.returncode == 2 and f"{shadowing} stands in the place of" in done.stderr and "rename it" in done.stderr
+    assert done.returncode == 2 and f"{shadowing} shadows" in done.stderr and "rename it" in done.stderr
     assert not list(folder.rglob("*.mcap"))
 
 

@@ -281,7 +281,7 @@ def test_a_log_that_is_removed_while_it_is_written_is_said_and_summed_up(tmp_pat
     session.child("rig")
     session.log.unlink()
     status, summary = session.finish()
-    assert status == 1 and "was removed while the log was written" in summary["problems"]["log_lost"]
+    assert status == 1 and "was removed during the run" in summary["problems"]["log_lost"]
     assert summary["ticks"] == 60 and summary["log"]["messages"] > 300 and len(summary["log"]["sha256"]) == 64
 
 

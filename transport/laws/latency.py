@@ -124,7 +124,7 @@ class LatencyTrace:
 
     def _values(self) -> Iterator[float]:
         yield from cycle(self.values_s) if self.repeat else self.values_s
-        raise FieldError("latency.trace", f"has {len(self.values_s)} entries, and the run asks for more (past_end = 'refuse')")
+        raise FieldError("latency.trace", f"has {len(self.values_s)} entries, the run needs more (past_end = 'refuse')")
 
     def cdf(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the recorded share of latencies <= x among the packets that arrived, same shape; x in seconds."""
@@ -238,7 +238,7 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     if not isinstance(family, (stats.rv_continuous, stats.rv_discrete)):
         laws = [n for n, law in vars(stats).items() if isinstance(law, (stats.rv_continuous, stats.rv_discrete))]
         near = difflib.get_close_matches(str(name), laws, n=1)
-        raise FieldError(f"{path}.dist", f"{name!r} is no law of scipy.stats" + (f"; did you mean {near[0]!r}?" if near else ""))
+        raise FieldError(f"{path}.dist", f"scipy.stats has no law {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
     shapes = [shape.strip() for shape in (family.shapes or "").split(",") if shape.strip()]
     _known(spec, ["dist", *shapes, "loc", "scale"], path)
     arguments: dict[str, float] = {}

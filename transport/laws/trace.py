@@ -112,7 +112,7 @@ class TraceAge:
         yield from states
         while self.past_end == "repeat":
             yield from states
-        raise FieldError("ages", f"the trace has {len(states)} entries, and the run asks for more (past_end = 'refuse')")
+        raise FieldError("ages", f"the trace has {len(states)} entries, the run needs more (past_end = 'refuse')")
 
     def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.int32]:
         """Return the ages that many processes draw, (slots, runs): the trace, in every run."""

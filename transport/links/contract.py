@@ -50,7 +50,7 @@ def meet(rig: Link, controller: Link) -> None:
         controller.send(control(0))
         heard[0] |= rig.receive(0.02) is not None
         heard[1] |= controller.receive(0.02) is not None
-    assert all(heard), f"{rig.uri}: the ends do not hear each other within {_PATIENCE_S:g} s"
+    assert all(heard), f"{rig.uri}: the two ends do not receive each other's packets within {_PATIENCE_S:g} s"
     while rig.receive(0.05) or controller.receive(0.05):
         pass
 
@@ -115,7 +115,7 @@ def hostile_bytes_do_no_harm(rig: Link, controller: Link) -> None:
     end = monotonic() + _PATIENCE_S
     while (got := controller.receive(0.1)) != sensor(2) and monotonic() < end:
         pass
-    assert got == sensor(2), f"{rig.uri}: nothing came through after hostile bytes"
+    assert got == sensor(2), f"{rig.uri}: no packet arrived after hostile bytes"
 
 
 def a_closed_end_drops_and_counts(rig: Link, controller: Link) -> None:

@@ -64,7 +64,7 @@ def _split_raw(
     start, stop = payload_at + schema.data_offset, payload_at + 4 + schema.dtype.itemsize
     for index, record in enumerate(records):
         if len(record) < start or len(record) - start != _LENGTH.unpack_from(record, start - 4)[0]:
-            raise HilError(f"record {index} of {schema.name}: {len(record) - payload_at} bytes, not what it says")
+            raise HilError(f"record {index} of {schema.name}: {len(record) - payload_at} bytes, not as its length states")
     data = np.empty(len(records), object)
     data[:] = [record[start:] for record in records]
     return [record[:stop] for record in records], data

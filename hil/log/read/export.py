@@ -148,7 +148,7 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
 
     wanted = [topic for topic in FRAME_TOPICS if topic in topics]
     if not any(len(run.numbers(topic)) for topic in wanted):
-        raise HilError(f"{target}: no frames to write; a CAN log is made of the records of {' and '.join(FRAME_TOPICS)}")
+        raise HilError(f"{target}: no frames to write; a CAN log needs the records of {' and '.join(FRAME_TOPICS)}")
     if target.suffix == ".trc" and _framing(run.metadata.get("link", ""))[0]:
         raise HilError(f"{target}: python-can writes classic frames only as .trc, and this link has CAN FD; export .asc instead")
     with written_whole(target, replace=replace) as part, can.Logger(part) as writer:  # picks the writer by the ending

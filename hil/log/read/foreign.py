@@ -24,7 +24,7 @@ def check_topics(schemas: Mapping[str, Schema]) -> None:
     """
     for topic, channel in channels(states=(), inputs=(), outputs=(), n_rows=0).items():
         if topic not in schemas:
-            raise HilError(f"topic {topic}: missing; no log of hilrig is without it")
+            raise HilError(f"topic {topic}: missing; every log of hilrig has it")
         found = {f.name: f.type for f in schemas[topic].fields}
         for field in channel.schema.fields:
             if found.get(field.name) != field.type:

@@ -112,7 +112,7 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: in
                 raise TornFile(size, "the log was never closed")
         except (TornFile, DamagedRecord) as error:
             if whole:
-                raise HilError(f"{path}: {error}; what is whole can be saved: hil recover {path}") from error
+                raise HilError(f"{path}: {error}; save its intact records with: hil recover {path}") from error
         except HilError as error:
             raise HilError(f"{path}: {error}") from error
     try:
@@ -161,7 +161,7 @@ class _Reading:
             if channel.topic == EVENTS_TOPIC:
                 continue
             if channel.topic in found:
-                raise HilError(f"topic {channel.topic}: stands in the file twice")
+                raise HilError(f"topic {channel.topic}: occurs twice in the file")
             columns = self._columns.pop(number, None) or Columns(_schema(content, channel))
             found[channel.topic] = columns
             try:
@@ -184,7 +184,7 @@ def _schema(content: Content, channel: Channel) -> Schema:
 def _check_head(content: Content) -> None:
     head = content.metadata.get("hilrig")
     if head is None:
-        raise HilError("is an MCAP file but no log of hilrig: it has no metadata record 'hilrig'")
+        raise HilError("is an MCAP file, but not a log of hilrig: it has no metadata record 'hilrig'")
     if head.get("format") != FORMAT:
         raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {FORMAT!r}")
 

@@ -255,7 +255,7 @@ class _Disk:
     def gone(self) -> str | None:
         status = os.fstat(self._file.fileno())
         if status.st_nlink == 0:
-            return "was removed while the log was written: what was measured is lost with this session"
+            return "was removed during the run: the measurements of this session are lost"
         try:
             if not os.path.samestat(status, os.stat(self._path)):
                 return "was replaced by another file while the log was written; the log has another name now"

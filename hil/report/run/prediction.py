@@ -89,8 +89,8 @@ def theory_section(view: RunView) -> Section | None:
         title="Theory and emulation",
         blocks=tuple(blocks),
         intro=(
-            "What the covariance recursion of the jump-linear loop says of the error, transients too, from the nominal linear "
-            "model, the gains and the chains. A run outside the band is either one of the few, or not of this model." + part
+            "The covariance recursion of the jump-linear loop predicts the error, with transients, from the nominal linear "
+            "model, the gains and the chains. A run of this model seldom leaves the band." + part
         ),
     )
 

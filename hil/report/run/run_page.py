@@ -75,8 +75,8 @@ def run_sections(view: RunView, summary: Mapping[str, Any], predicted: Mapping[s
         Section(title="States and inputs", columns=2, blocks=inside if len(inside) > STACKED else ()),
         Section(
             title="Delays",
-            intro="What the emulated network drew lies broad beneath what the receiver measured from time stamps; "
-            "where they part, a packet was late, lost or not yet there.",
+            intro="The broad line is the delay that the emulated network drew, the thin line what the receiver measured "
+            "from time stamps. They differ where a packet was late, lost or still on its way.",
             blocks=(*delay_panels(view, marks), network_table(summary["network"], laws)),
         ),
         Section(title="Sensor nodes", blocks=tuple(sensor_blocks(view, marks))),
@@ -108,7 +108,7 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
         found.append(Badge(label="safety not tripped", state="good"))
     certificate = summary.get("certificate")
     if certificate is None:
-        found.append(Badge(label="no certificate", state="warning", detail="nobody asked for one"))
+        found.append(Badge(label="no certificate", state="warning", detail="the run asked for none"))
     else:
         state = str(certificate.get("state", "no verdict"))
         label, detail = f"{state}: {certificate.get('kind', 'certificate')}", str(certificate.get("reason", ""))

@@ -56,7 +56,7 @@ def wall_section(view: RunView) -> Section | None:
     )
     return Section(
         title="At the wall", blocks=tuple(blocks), columns=2,
-        intro=f"The avatar is where the wall believes the device to be, behind delay and coupler; it is {said}.{part}",
+        intro=f"The avatar is the position of the device as the wall computes it, behind delay and coupler; it is {said}.{part}",
     )  # fmt: skip
 
 
@@ -81,7 +81,7 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
             Figure(
                 title="Passivity observer", series=(energy,), y_label="energy given", y_unit="mJ", markers=marks,
                 y_range=None if np.nanmax(whole(state, "given"), initial=0.0) > 0.0 else (0.0, 1.0),
-                note="What the motor gave beyond what damping takes: 0 behind a coupler that is safe.",
+                note="Energy that the motor gave minus energy that the damping took: 0 behind a safe coupler.",
             )
         )  # fmt: skip
     damper = run.arrays.get(PASSIVITY_TOPIC)
@@ -91,7 +91,7 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
             Figure(
                 title="Passivity controller at the rig", series=(injected,), y_label="damping", y_unit="N s/m", markers=marks,
                 y_range=None if np.nanmax(damper["damping"], initial=0.0) > 0.0 else (0.0, 1.0),
-                note="What the rig added by itself, while more energy was given than is allowed.",
+                note="The force that the rig added while the motor had given more energy than allowed.",
             )
         )  # fmt: skip
     return found

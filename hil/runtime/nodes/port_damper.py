@@ -66,7 +66,7 @@ class PortDamper:
         self._speed = moved / self._period_s
         self.energy_j += moved * (force - self._credit * self._speed)
         if self._trip_j is not None and not self.energy_j <= self._trip_j:
-            return f"passivity: the motor has given {self.energy_j:.4g} J beyond what damping takes, limit {self._trip_j:g} J"
+            return f"passivity: the motor has given {self.energy_j:.4g} J more than the damping took, limit {self._trip_j:g} J"
         return None
 
     def damp(self, command: float) -> tuple[float, Injected]:

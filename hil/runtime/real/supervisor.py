@@ -119,5 +119,5 @@ def run_real(
             hint = "; one of wire version 1 needs ?version=1 behind the address" if external and wire_version(uri) == 2 else ""
             raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s{hint}")
         why = outcome.rig_silent or outcome.controller_lost or children[0].how()
-        raise HilError(f"{why} before the run began; its message, if any, stands above")
+        raise HilError(f"{why} before the run began; see its message above, if any")
     return outcome

@@ -159,7 +159,7 @@ def test_quadratic_constraint_with_a_cross_term_is_met() -> None:
         (lambda: fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=1.0, measured=("x",)), r"measured: \('x',\)"),
         (
             lambda: fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=1.0, measured=(), sections=DETECTION),
-            "sections: a controller that sees nothing",
+            "sections: a controller without detection",
         ),
         (
             lambda: analyse_fault_tolerant(SYSTEM, constant_gain(np.zeros((3, 2, 4))), PROCESS),

@@ -60,7 +60,7 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--period", "-0.1"), "--period: -0.1"),
         (("vtol", "--period", "1"), "smallest radius reached"),
         (("dc-motor", "--sojourns", "2"), "Markov network of dc-motor"),
-        (("dc-motor-hinf", "--sojourns", "2"), "sojourns: for a semi-Markov law only"),
+        (("dc-motor-hinf", "--sojourns", "2"), "sojourns: only a semi-Markov law takes it"),
         (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),
         (("no-such-thing",), "no-such-thing"),
         (("dc-motor", "--uncertainty", "mass=5%"), "--uncertainty: mass: .*gain.*pole"),
@@ -71,7 +71,7 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--local", "lqg", "-o", "x.json"), "--file: not with --local"),
         (("dc-motor", "--local", "lqg", "--noise", "0"), "--noise: 0, expected"),
         (("dc-motor", "--noise", "1"), "--noise: belongs to --local"),
-        (("dc-motor", "-o", "/no/such/directory/x.json"), "there is no folder"),
+        (("dc-motor", "-o", "/no/such/directory/x.json"), "cannot be written: no folder"),
     ],
 )
 def test_bad_requests_are_refused_with_the_number_that_decides(arguments, message):

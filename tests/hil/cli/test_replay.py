@@ -40,7 +40,7 @@ def test_frames_go_onto_a_bus(cli: Hil, hil_log: Path) -> None:
         (["--speed", "2"], "no meaning without --onto"),
         (["--set", "gain=1"], "no meaning without --controller"),
         (["-o", "x.csv"], "no meaning without --controller"),
-        (["--controller", "h2", "-o", "nowhere/x.csv"], "there is no folder nowhere"),
+        (["--controller", "h2", "-o", "nowhere/x.csv"], "no folder nowhere"),
         (["--controller", "h2", "-o", "."], "is a folder"),
     ],
 )

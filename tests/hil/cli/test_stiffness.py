@@ -116,7 +116,7 @@ def test_a_wall_that_cannot_be_is_refused_and_nothing_is_written(
         (("--period", "0"), "0, expected a number above 0"),
         (("--delay", "41"), "--delay: 41"),
         (("--lever", "-0.1"), "--lever: -0.1"),
-        (("-o", "/no/such/folder/x.html"), "there is no folder"),
+        (("-o", "/no/such/folder/x.html"), "cannot be written: no folder"),
     ],
 )
 def test_a_map_that_cannot_be_is_refused(arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -117,7 +117,7 @@ def test_a_bus_that_cannot_be_foreseen_is_undecided_and_its_runs_differ_by_their
         (["nodes.first.clock.every=0"], "nodes.first.clock.every: 0 slots, expected 1 to 1000000"),
         (["nodes.first.clock={every=4, phase=4}"], "nodes.first.clock.phase: 4, expected 0 to every - 1 = 3"),
         (["nodes.first.clock={every=4, jitter=4}"], "nodes.first.clock.jitter: 4 slots, expected 0 to every - 1 = 3"),
-        (["nodes.first.clock={every=4, phase=1, random_phase=true}"], "nodes.first.clock.phase: it is drawn"),
+        (["nodes.first.clock={every=4, phase=1, random_phase=true}"], "nodes.first.clock.phase: random_phase draws it"),
         (["media.bus.frames=2"], "media.bus.frames: for a can-arbitration medium only"),
         (["media.bus.kind='can-arbitration'", "media.bus.phase=0", "media.bus.frames=0"], "media.bus.frames: 0 in a slot"),
         (["media.bus.kind='can-arbitration'"], "media.bus.phase: for a round-robin medium only"),

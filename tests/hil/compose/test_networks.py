@@ -192,7 +192,7 @@ def test_a_law_that_does_not_draw_what_it_states_fails_its_check():
         def transition_matrix(self):
             return np.array([[0.3, 0.7], [0.3, 0.7]])
 
-    with pytest.raises(AssertionError, match="do not follow the chain"):
+    with pytest.raises(AssertionError, match="do not follow the stated chain"):
         check_law(Liar())
 
 

@@ -97,7 +97,7 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path) -> None:  # type: ig
     [
         (['reference=[{at="1 s", value=[3.0, 1.0]}]'], "reference[0].value: no input holds the 2 outputs at [3.0, 1.0]"),
         (['nodes.speed.outputs=["angle"]'], "nodes.speed.outputs[0]: 'angle' is measured by node 'angle' already"),
-        (['nodes.speed.outputs=["angle"]'], "nodes: nobody measures the output 'speed'"),
+        (['nodes.speed.outputs=["angle"]'], "nodes: no node measures the output 'speed'"),
         (['nodes.speed.outputs=["torque"]'], "nodes.speed.outputs[0]: the plant has no output 'torque'"),
         (["nodes.speed.id=0", "nodes.angle.id=0"], "nodes.speed.id: 0 is the identifier of node 'angle' already"),
         (["plant.tachometer=false"], "the plant has no output 'speed'"),
@@ -142,7 +142,7 @@ def test_gains_that_do_not_hold_the_loop_are_refused_by_the_same_chain() -> None
 
 
 def test_a_design_by_the_law_of_links_sc_alone_is_refused() -> None:
-    with pytest.raises(HilError, match="dc-motor-two-nodes: several sensor nodes; gains for them are solved where it runs"):
+    with pytest.raises(HilError, match="dc-motor-two-nodes: several sensor nodes; hil run solves their gains"):
         tracking_target("dc-motor-two-nodes")
 
 

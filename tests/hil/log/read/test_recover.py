@@ -186,7 +186,7 @@ def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (b"\x06\x00\x00\x00hilrig", b"\x06\x00\x00\x00hilrix", "no log of hilrig"),
+        (b"\x06\x00\x00\x00hilrig", b"\x06\x00\x00\x00hilrix", "not a log of hilrig"),
         (b"format\x01\x00\x00\x001", b"format\x01\x00\x00\x009", r"log format '9' is unknown, this version reads '1'"),
     ],
 )

@@ -130,7 +130,7 @@ def test_what_is_not_certified_without_it_is_undecided_with_it() -> None:
     ("passivity", "message"),
     [
         ("damping_n_s_per_m = -1", r"limits\.passivity\.damping_n_s_per_m: -1 is negative"),
-        ("energy_j = 0.1", r"limits\.passivity\.damping_n_s_per_m: it neither damps nor trips"),
+        ("energy_j = 0.1", r"limits\.passivity\.damping_n_s_per_m: the passivity controller neither damps nor trips"),
         ("damping_n_s_per_m = 3, energy_j = -0.1", r"limits\.passivity\.energy_j: -0\.1 is negative"),
         ("trip_j = 0.0", r"limits\.passivity\.trip_j: 0 is not positive"),
         ("damper = 3", r"limits\.passivity\.damper: unknown field"),

@@ -146,7 +146,7 @@ def test_ten_thousand_runs_agree_with_mean_and_variance_of_the_state(lossy: Loop
 FAULTS: list[tuple[str, list[str], str]] = [
     ("published", ['nodes.second.outputs=["x9"]'], "nodes.second.outputs[0]: the plant has no output 'x9'"),
     ("published", ['nodes.second.outputs=["x1"]'], "nodes.second.outputs[0]: 'x1' is measured by node 'first' already"),
-    ("published", ['nodes.second.outputs=["x1"]'], "nodes: nobody measures the output 'x2'"),
+    ("published", ['nodes.second.outputs=["x1"]'], "nodes: no node measures the output 'x2'"),
     ("published", ["nodes.second.id=0"], "nodes.second.id: 0 is the identifier of node 'first' already"),
     ("published", ["nodes.second.id=7"], "nodes.second.id: 7, expected 0 to 3"),
     ("published", ["nodes.second.outputs=[]"], "nodes.second.outputs: empty"),
