@@ -14,7 +14,16 @@ from plants.parts.check import check_plant
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import DiscreteStateSpace, LinearRun, Signal, StateSpace
-from plants.parts.protocols import BeyondModel, HasCost, HasStateDelays, JumpPlant, Plant, PlantRun
+from plants.parts.protocols import (
+    BeyondModel,
+    HasCost,
+    HasSensorNoise,
+    HasStateDelays,
+    HasStateHistory,
+    JumpPlant,
+    Plant,
+    PlantRun,
+)
 from plants.parts.semi_markov import JumpProcess, TransitionRates
 from plants.parts.sensors import Encoder
 from plants.python_control import from_control, to_control
@@ -40,7 +49,9 @@ __all__ = [
     "FaultyVTOLRun",
     "Friction",
     "HasCost",
+    "HasSensorNoise",
     "HasStateDelays",
+    "HasStateHistory",
     "JumpModel",
     "JumpPlant",
     "JumpProcess",

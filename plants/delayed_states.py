@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from plants.errors import FieldError
 from plants.parts.exponential import Rows
 from plants.parts.linear import DiscreteStateSpace, Signal
-from plants.parts.validation import require_vector, require_whole_nanoseconds
+from plants.parts.noisy import NoisyRun
+from plants.parts.validation import require_not_negative, require_vector, require_whole_nanoseconds
 
 A_5_4: Final[Rows] = (
     (0.8, 0.1, -0.016, -0.5),
@@ -61,7 +62,7 @@ WEIGHT_5_4: Final[Rows] = ((0.1, 0.0, 0.0, 0.0), (0.0, 0.1, 0.0, 0.0), (0.0, 0.0
 class DelayedStates:
     """The plant x(k+1) = A x(k) + A_1 x(k-1) + ... + A_tau x(k-tau) + B (u(k) + w(k)), every state measured.
 
-    Before slot 0 the state was zero. The thesis states no period; slots last ``period_s``.
+    The thesis states no period; slots last ``period_s``. What was before slot 0 acts on the plant, and no sensor has seen it.
 
     Args:
         A: n rows of n entries.
@@ -71,9 +72,11 @@ class DelayedStates:
         period_s: length of a slot, s; the experiment's period must be the same.
         weight: Xi of the cost, sum of x' Xi x + u' Xi_u u, n rows of n entries; the unit matrix if left out for another A.
         input_weight: Xi_u, m rows of m entries; zero if left out.
+        initial_history: x(-1), x(-2), ..., at most tau rows of n entries; what is left out was zero.
+        noise_sd: standard deviation of white noise on every measured state, n entries, at least 0; none if left out.
 
     Raises:
-        ValueError: a shape that does not fit, or an entry that is not finite.
+        ValueError: a shape that does not fit, or an entry that is not finite, or negative noise.
 
     Reference: thesis (5.1), (5.3), (5.18), Section 5.4.
     """
@@ -85,6 +88,8 @@ class DelayedStates:
     period_s: float = 0.05
     weight: Rows = WEIGHT_5_4
     input_weight: Rows = ()
+    initial_history: Rows = ()
+    noise_sd: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.A)
@@ -95,6 +100,15 @@ class DelayedStates:
         if self.input_weight:
             _square("input_weight", self.input_weight, model.B.shape[1])
         require_vector("initial_state", self.initial_state, n)
+        if len(self.initial_history) > len(self.delayed):
+            most = len(self.delayed)
+            raise FieldError("initial_history", f"{len(self.initial_history)} rows, expected at most {most}, one a delay")
+        for h, row in enumerate(self.initial_history):
+            require_vector(f"initial_history[{h}]", row, n)
+        if self.noise_sd:
+            require_vector("noise_sd", self.noise_sd, n)
+            for i, deviation in enumerate(self.noise_sd):
+                require_not_negative(f"noise_sd[{i}]", deviation)
         require_whole_nanoseconds("period_s", self.period_s)
 
     @property
@@ -126,9 +140,20 @@ class DelayedStates:
         m = len(self.inputs)
         return np.array(self.weight), np.array(self.input_weight) if self.input_weight else np.zeros((m, m))
 
-    def start(self, rng: np.random.Generator) -> DelayedStatesRun:
-        """Return the plant at slot 0; it draws nothing from ``rng``."""
-        return DelayedStatesRun(self)
+    def state_history(self) -> NDArray[np.float64]:
+        """Return x(-1), ..., x(-tau), (tau, n)."""
+        history = np.zeros((len(self.delayed), len(self.A)))
+        history[: len(self.initial_history)] = np.array(self.initial_history).reshape(-1, len(self.A))
+        return history
+
+    def sensor_noise(self) -> NDArray[np.float64]:
+        """Return the standard deviation of the noise on every output, (n,)."""
+        return np.array(self.noise_sd) if self.noise_sd else np.zeros(len(self.A))
+
+    def start(self, rng: np.random.Generator) -> DelayedStatesRun | NoisyRun:
+        """Return the plant at slot 0; without noise it draws nothing from ``rng``."""
+        run = DelayedStatesRun(self)
+        return NoisyRun(run, self.noise_sd, rng) if any(self.noise_sd) else run
 
 
 def _square(path: str, rows: Rows, n: int) -> None:
@@ -147,7 +172,7 @@ class DelayedStatesRun:
         ]  # one row per state over x(k), x(k-1), ...
         self._input = plant.B
         self._n = len(plant.A)
-        self._past = [*map(float, plant.initial_state), *[0.0] * (self._n * len(plant.delayed))]
+        self._past = [*map(float, plant.initial_state), *plant.state_history().ravel().tolist()]
         self._period_ns, self._passed_ns = round(plant.period_s * 1e9), 0
         self._applied = (0.0,) * len(plant.inputs)
 

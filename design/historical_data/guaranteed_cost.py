@@ -24,6 +24,7 @@ from scipy.optimize import minimize
 from design.errors import Infeasible, NotStable
 from design.historical_data.information import Information, Mask
 from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, close
+from design.historical_data.measurement_noise import cost_from, stationary_cost
 from design.verdict import Verdict
 
 STARTS = (0.0, 1.0)
@@ -70,7 +71,15 @@ def cost(loop: LiftedLoop, start: Start) -> float:
     return float(np.einsum("iab,iab->", loop.cost_to_go(), start.lifted(loop.L.shape[-1])))
 
 
-def certify_cost(plant: DelayedPlant, gains: Array, start: Start, transition: Array | None = None) -> Verdict:
+def certify_cost(
+    plant: DelayedPlant,
+    gains: Array,
+    start: Start,
+    transition: Array | None = None,
+    *,
+    history: Array | None = None,
+    deviation: Array | None = None,
+) -> Verdict:
     """Return the verdict on scheduled gains: the growth of E|X|^2 per slot, and the cost.
 
     Args:
@@ -78,8 +87,12 @@ def certify_cost(plant: DelayedPlant, gains: Array, start: Start, transition: Ar
         gains: (phases, memory + 1, p, n).
         start: where the run begins.
         transition: chain of the phases; default the cycle.
+        history: x(0), x(-1), ... of the run, (h, n): the cost is then from there, whatever the start's moment; default zero.
+        deviation: standard deviation of the noise on every state, (n,); default none. The cost is without it, and its own
+            long-run cost per slot is beside.
     """
     loop = close(plant, gains, transition)
+    past, noisy = history is not None and bool(np.any(history[1:])), deviation is not None and bool(np.any(deviation))
     radius = loop.radius()
     margin = 64 * loop.L.shape[-1] * float(np.finfo(float).eps)
     stable = radius < 1.0 - margin
@@ -92,13 +105,18 @@ def certify_cost(plant: DelayedPlant, gains: Array, start: Start, transition: Ar
         else:
             details["cost"] = float(np.einsum("iab,iab->", S, start.lifted(loop.L.shape[-1])))
             details["residual"] = _residual(loop, S)
+            if past and history is not None:
+                details["cost"] = cost_from(plant, gains, history, start.phases, transition)
+            if noisy and deviation is not None:
+                details["noise_cost_per_slot"] = stationary_cost(plant, gains, deviation, transition, start.phases)
     return Verdict(
         kind="guaranteed cost",
         state="certified" if stable else "refused" if radius > 1.0 + margin else "undecided",
         reason=f"E|X|^2 of the stacked state {'falls' if stable else 'does not fall'}: factor {radius:.6g} per slot",
         number=radius, quantity="growth of E|X|^2 per slot", limit=1.0,
         assumptions=(
-            "the history before slot 0 is zero",
+            "the history before slot 0 is the plant's, unheard" if past else "the history before slot 0 is zero",
+            *(["sensor noise is white, drawn anew for every sample; the cost is without it"] if noisy else []),
             "the phases follow the cycle" if transition is None else "the phases follow the chain", "no packet is lost",
         ),
         method="Lyapunov equation on the stacked state, exact", details=details,

@@ -1,58 +1,121 @@
-r"""What sensor noise costs in the long run: the stationary mean of x' Xi x under scheduled gains.
+r"""What the controller has heard is not what the plant was: sensor noise, and a history that no sensor has seen.
 
-Every sample carries one draw v_l(k), which a buffer sends again with the sample. With V(k) = (v(k), ..., v(k - tau)) the pair
-(X, V) is a linear system driven by v, and its covariance follows the cycle:
+Every sample carries one draw v_l(k), which a buffer sends again with the sample; before slot 0 nothing was heard. With
+Y(k) = (y(k), ..., y(k - tau)), y(k) = x(k) + v(k) from slot 0 on and 0 before, the pair (X, Y) is jump-linear:
 
-.. math:: X(k+1) = L_i X(k) + \tilde B K_i V(k), \qquad P_{i+1} = F_i P_i F_i^T + W
+.. math:: X(k+1) = \tilde A X(k) + \tilde B K_i Y(k), \qquad P_j(k+1) = \sum_i p_{ij} F_i P_i(k) F_i^T + \pi_j(k+1) W
 """
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from design.errors import NotStable
-from design.historical_data.lifted_loop import Array, DelayedPlant, close
+from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, close, cycle
+from design.jump_linear.second_moment import forward
 
-CYCLES = 20_000
+SLOTS = 20_000
 TOLERANCE = 1e-12
 
 
-def stationary_cost(plant: DelayedPlant, gains: Array, deviation: float) -> float:
-    """Return E x' Xi x + u' Xi_u u per slot, mean over the phases of a cycle, once the start is forgotten.
+def close_heard(plant: DelayedPlant, gains: Array, transition: Array | None = None) -> LiftedLoop:
+    """Return the loop on (X, Y), with u = K Y.
 
     Args:
         plant: the plant and its weights.
         gains: (phases, memory + 1, p, n).
-        deviation: standard deviation of the noise on every sample, in the states' unit; independent over states and slots.
+        transition: chain of the phases; default the cycle.
+    """
+    phases, columns, p, n = gains.shape
+    A, B, weight, input_weight = plant.matrices(max(columns - 1, plant.memory))
+    size, heard = len(A), columns * n
+    K = gains.transpose(0, 2, 1, 3).reshape(phases, p, heard)
+    F, Q = np.zeros((phases, size + heard, size + heard)), np.zeros((phases, size + heard, size + heard))
+    F[:, :size, :size], F[:, :size, size:] = A, B @ K
+    F[:, size : size + n] = F[:, :n]
+    F[:, size + n :, size:-n] = np.eye(heard - n)
+    Q[:, :size, :size], Q[:, size:, size:] = weight, K.transpose(0, 2, 1) @ input_weight @ K
+    return LiftedLoop(L=F, Q=Q, transition=cycle(phases) if transition is None else np.asarray(transition, dtype=float))
+
+
+def cost_from(plant: DelayedPlant, gains: Array, history: npt.ArrayLike, phases: Array, transition: Array | None = None) -> float:
+    """Return J without noise, from a known x(0) and a history that acts on the plant and has not been heard.
+
+    Args:
+        plant: the plant and its weights.
+        gains: (phases, memory + 1, p, n).
+        history: x(0), x(-1), ..., at most as many as the plant has delayed states and one, (h, n).
+        phases: probability of each phase in slot 0.
+        transition: chain of the phases; default the cycle.
+
+    Raises:
+        NotStable: J is infinite.
+    """
+    loop, known = close_heard(plant, gains, transition), np.asarray(history, dtype=float)
+    size, n = loop.L.shape[-1] - gains.shape[1] * gains.shape[3], known.shape[1]
+    start = np.zeros(loop.L.shape[-1])
+    start[: known.size], start[size : size + n] = known.ravel(), known[0]
+    return float(np.einsum("i,a,iab,b->", phases, start, loop.cost_to_go(), start))
+
+
+def noise_costs(
+    plant: DelayedPlant, gains: Array, deviation: npt.ArrayLike, phases: Array, slots: int, transition: Array | None = None
+) -> Array:
+    """Return what the noise adds to E x(k)' Xi x(k) + u(k)' Xi_u u(k) in each slot of a run, (slots,).
+
+    Args:
+        plant: the plant and its weights.
+        gains: (phases, memory + 1, p, n).
+        deviation: standard deviation of the noise, one number or one for each state, in its unit; independent over slots.
+        phases: probability of each phase in slot 0.
+        slots: how many, slot 0 included.
+        transition: chain of the phases; default the cycle.
+    """
+    loop, fresh = close_heard(plant, gains, transition), _fresh(plant, gains, deviation)
+    share, found = np.asarray(phases, dtype=float), np.empty(slots)
+    P = share[:, None, None] * fresh
+    for k in range(slots):
+        found[k] = np.einsum("iab,iab->", loop.Q, P)
+        share = share @ loop.transition
+        P = forward(loop.L, loop.transition, P) + share[:, None, None] * fresh
+    return found
+
+
+def stationary_cost(
+    plant: DelayedPlant, gains: Array, deviation: npt.ArrayLike, transition: Array | None = None, phases: Array | None = None
+) -> float:
+    """Return E x' Xi x + u' Xi_u u per slot, in the mean over time, once the start is forgotten.
+
+    Args:
+        plant: the plant and its weights.
+        gains: (phases, memory + 1, p, n).
+        deviation: standard deviation of the noise, one number or one for each state, in its unit; independent over slots.
+        transition: chain of the phases; default the cycle.
+        phases: probability of each phase in slot 0, for a chain that does not forget it; default uniform.
 
     Raises:
         NotStable: the covariance grows without end.
     """
-    phases, columns, p, n = gains.shape
-    loop = close(plant, gains)
-    if loop.radius() >= 1.0:
+    if close(plant, gains, transition).radius() >= 1.0:
         raise NotStable("the noise has no stationary covariance: the loop is not stable")
-    size, noise = loop.L.shape[-1], columns * n
-    B, input_weight = plant.matrices(max(columns - 1, plant.memory))[1], plant.input_weight
-    K = gains.transpose(0, 2, 1, 3).reshape(phases, p, noise)
-    F = np.zeros((phases, size + noise, size + noise))
-    F[:, :size, :size], F[:, :size, size:] = loop.L, B @ K
-    F[:, size + n :, size:-n or None] = np.eye(noise - n)
-    fresh = np.zeros((size + noise, size + noise))
-    fresh[size : size + n, size : size + n] = deviation**2 * np.eye(n)
-    heard = np.zeros((phases, p, size + noise))  # u = K (X + V)
-    heard[:, :, :noise], heard[:, :, size:] = K, K
-    weight = np.zeros_like(fresh)
-    weight[:n, :n] = plant.weight
-    R = np.zeros((p, p)) if input_weight is None else input_weight
-    price = weight + heard.transpose(0, 2, 1) @ R @ heard
-    P, before = fresh, np.inf
-    for _ in range(CYCLES):
-        total = 0.0
-        for i in range(phases):
-            total += float(np.einsum("ab,ab->", price[i], P)) / phases
-            P = F[i] @ P @ F[i].T + fresh
-        if abs(total - before) <= TOLERANCE * max(total, before if np.isfinite(before) else 0.0):
+    loop, fresh, count = close_heard(plant, gains, transition), _fresh(plant, gains, deviation), len(gains)
+    start = np.full(count, 1.0 / count) if phases is None else np.asarray(phases, dtype=float)
+    share = start @ np.linalg.matrix_power(0.5 * (np.eye(count) + loop.transition), 2**20)  # a lazy chain has the same mean
+    added = (share / share.sum())[:, None, None] * fresh
+    P, before = added, -np.inf
+    for k in range(SLOTS):
+        total = float(np.einsum("iab,iab->", loop.Q, P))
+        if total - before <= TOLERANCE * total and k > gains.shape[1] + plant.memory:
             return total
-        before = total
+        P, before = forward(loop.L, loop.transition, P) + added, total
     raise NotStable("the covariance of the noise has not settled")
+
+
+def _fresh(plant: DelayedPlant, gains: Array, deviation: npt.ArrayLike) -> Array:
+    """Covariance that a slot's draw adds to (X, Y)."""
+    _, columns, _, n = gains.shape
+    size = n * (max(columns - 1, plant.memory) + 1)
+    fresh = np.zeros((size + columns * n, size + columns * n))
+    fresh[size : size + n, size : size + n] = np.diag(np.broadcast_to(np.asarray(deviation, dtype=float) ** 2, (n,)))
+    return fresh

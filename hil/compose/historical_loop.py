@@ -11,7 +11,7 @@ from design.controllers import HistoryGains, LoopModel, SensorNodes
 from design.controllers.packet_window import window_of
 from design.verdict import Kind, Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
-from hil.experiment.protocols import HasCost, HasStateDelays, JumpPlant, Plant
+from hil.experiment.protocols import HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.historical_data.lifted_loop import DelayedPlant
@@ -96,7 +96,10 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
         K = with_lost_turns(K, nodes).astype(np.float64)
     chain = phase_chain(nodes) if window is None else window_chain(window)
     phases = phases_at_start(nodes, controller.uses) if window is None else window_start(window)
-    verdict = certify_cost(plant, K, Start(moment=np.outer(x0, x0), phases=phases), chain)
+    past = loop.plant.state_history() if isinstance(loop.plant, HasStateHistory) else np.zeros((0, len(x0)))
+    noise = loop.plant.sensor_noise() if isinstance(loop.plant, HasSensorNoise) else None
+    start, history = Start(moment=np.outer(x0, x0), phases=phases), np.vstack([x0, past])
+    verdict = certify_cost(plant, K, start, chain, history=history, deviation=noise)
     lossless = nodes.turns is None or not nodes.turns.loss
     assumptions = tuple(
         said if lossless or said != "no packet is lost" else "packets are lost on the medium as it states, and nowhere else"

@@ -8,13 +8,23 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from design.controllers import LoopModel, RunningController
-from plants.parts.protocols import BeyondModel, HasCost, HasStateDelays, JumpPlant, Plant, PlantRun
+from plants.parts.protocols import (
+    BeyondModel,
+    HasCost,
+    HasSensorNoise,
+    HasStateDelays,
+    HasStateHistory,
+    JumpPlant,
+    Plant,
+    PlantRun,
+)
 
 if TYPE_CHECKING:
     from design.requests.task import DesignTask
 
 __all__ = [
-    "BeyondModel", "Designer", "HasCost", "HasStateDelays", "JumpPlant", "NamedController", "NamesField", "Plant", "PlantRun",
+    "BeyondModel", "Designer", "HasCost", "HasSensorNoise", "HasStateDelays", "HasStateHistory", "JumpPlant",
+    "NamedController", "NamesField", "Plant", "PlantRun",
 ]  # fmt: skip
 
 

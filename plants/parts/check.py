@@ -11,7 +11,7 @@ from plants.errors import PlantError
 from plants.parts.exponential import Rows
 from plants.parts.jump import JumpModel
 from plants.parts.linear import Signal
-from plants.parts.protocols import BeyondModel, HasCost, HasStateDelays, JumpPlant, Plant
+from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 _SEED = 20240229
 
@@ -100,6 +100,16 @@ def _further(plant: Plant, name: str) -> list[str]:
         for what, weight, size in zip(("Xi", "Xi_u"), plant.cost_weights(), sizes):
             _check_weight(np.asarray(weight, dtype=float), size, f"{name}.cost_weights(): {what}")
         said.append(f"{name} is HasCost: designs over historical data and the measure cost weigh by its own weights")
+    if isinstance(plant, HasStateHistory):
+        history, n = np.asarray(plant.state_history(), dtype=float), len(plant.states)
+        fits = history.ndim == 2 and history.shape[1] == n and bool(np.isfinite(history).all())
+        _demand(fits, f"{name}.state_history(): shape {history.shape}, expected (h, {n}), finite")
+        said.append(f"{name} is HasStateHistory: the cost in a certificate counts what was before slot 0")
+    if isinstance(plant, HasSensorNoise):
+        deviations, p = np.asarray(plant.sensor_noise(), dtype=float), len(plant.outputs)
+        fits = deviations.shape == (p,) and bool((np.isfinite(deviations) & (deviations >= 0)).all())
+        _demand(fits, f"{name}.sensor_noise(): {deviations.tolist()}, expected {p} finite numbers, at least 0")
+        said.append(f"{name} is HasSensorNoise: the certificate of gains over historical data says what it costs")
     return said
 
 

@@ -6,24 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from plants.parts.linear import LinearRun
+from plants.parts.protocols import PlantRun
 
 
 class NoisyRun:
-    """A linear plant that measures y = C x + e, e normal and independent from sample to sample.
+    """A plant that measures y = C x + e, e normal and independent from sample to sample.
 
     The noise is drawn as time passes, so that two measurements at one instant agree.
 
     Args:
         run: the plant.
-        noise_sd: standard deviation of every entry of e, in the unit of the output.
+        noise_sd: standard deviation of every entry of e, or one for each, in the unit of the output.
         rng: source of the noise.
     """
 
     __slots__ = ("_noise", "_noise_sd", "_rng", "_run")
 
-    def __init__(self, run: LinearRun, noise_sd: float, rng: np.random.Generator) -> None:
-        self._run, self._noise_sd, self._rng = run, noise_sd, rng
+    def __init__(self, run: PlantRun, noise_sd: float | Sequence[float], rng: np.random.Generator) -> None:
+        self._run, self._noise_sd, self._rng = run, np.asarray(noise_sd, dtype=float), rng
         self._noise = self._draw()
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:

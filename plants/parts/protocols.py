@@ -90,3 +90,21 @@ class HasCost(Protocol):
     def cost_weights(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return Xi, (n, n), and Xi_u, (m, m)."""
         ...
+
+
+@runtime_checkable
+class HasStateHistory(Protocol):
+    """A plant with delayed states that says what they were before slot 0; of one that does not, they were zero."""
+
+    def state_history(self) -> NDArray[np.float64]:
+        """Return x(-1), ..., x(-h), (h, n)."""
+        ...
+
+
+@runtime_checkable
+class HasSensorNoise(Protocol):
+    """A plant that says how noisy its sensors are: white noise, new with every sample, independent from output to output."""
+
+    def sensor_noise(self) -> NDArray[np.float64]:
+        """Return the standard deviations, (p,)."""
+        ...
