@@ -162,6 +162,8 @@ def synthesise(
     A, B, weight, input_weight = plant.matrices(max(columns - 1, plant.memory))
     W = start.lifted(A.shape[0])
 
+    last: dict[str, Array] = {}  # of the gains that were tried before
+
     def gains_of(v: Array) -> Array:
         K = np.zeros(free.shape)
         K[free] = v
@@ -175,10 +177,11 @@ def synthesise(
             L=scale * (A + B @ flat), Q=weight + flat.transpose(0, 2, 1) @ input_weight @ flat, transition=base.transition
         )
         try:
-            S, G = loop.cost_to_go(), loop.gramian(W)
+            S, G = loop.cost_to_go(last.get("S")), loop.gramian(W, last.get("G"))
         except NotStable:
             return np.inf, np.zeros_like(v)
-        later = np.einsum("ij,jab->iab", base.transition, S)
+        last.update(S=S, G=G)
+        later = np.tensordot(base.transition, S, axes=1)
         gradient = 2.0 * (scale * B.T @ later @ loop.L + input_weight @ flat) @ G
         shaped = gradient[:, :, : n * columns].reshape(phases, p, columns, n).transpose(0, 2, 1, 3)
         return float(np.einsum("iab,iab->", S, W)), shaped[free]

@@ -13,10 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError, NotStable
+from design.jump_linear.second_moment import forward, mean_square_radius
 
 Array = npt.NDArray[np.float64]
 SWEEPS = 20_000
 TOLERANCE = 1e-13
+LOOKS = 4  # sweeps from one look at what they change to the next
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,8 +92,6 @@ class LiftedLoop:
         """Return the growth of E|X|^2 per slot: below 1 the loop is (mean-square) stable, and only then."""
         if self.cyclic:
             return float(np.abs(np.linalg.eigvals(self._monodromy())).max() ** (2.0 / len(self.L)))
-        from design.jump_linear.second_moment import mean_square_radius
-
         return mean_square_radius(self.L, self.transition)
 
     def _monodromy(self) -> Array:
@@ -100,14 +100,17 @@ class LiftedLoop:
             product = matrix @ product
         return product
 
-    def cost_to_go(self) -> Array:
+    def cost_to_go(self, guess: Array | None = None) -> Array:
         """Return S with E sum of X'Q X from a slot of phase i on = X' S_i X: S_i = Q_i + L_i' E_i(S) L_i.
+
+        Args:
+            guess: (phases, N, N), positive semidefinite and near the answer: over a random chain it is found sooner.
 
         Raises:
             NotStable: the sum has no end.
         """
         if not self.cyclic:
-            return self._fixed_point(lambda S: self.Q + _quadratic(self.L, np.einsum("ij,jab->iab", self.transition, S)))
+            return self._fixed_point(lambda S: self.Q + _quadratic(self.L, np.tensordot(self.transition, S, axes=1)), guess)
         phases, S = len(self.L), np.zeros_like(self.Q)
         product, total = np.eye(self.L.shape[-1]), np.zeros_like(self.Q[0])
         for i in range(phases):
@@ -118,16 +121,18 @@ class LiftedLoop:
             S[i] = self.Q[i] + self.L[i].T @ S[(i + 1) % phases] @ self.L[i]
         return S
 
-    def gramian(self, start: Array) -> Array:
-        """Return G_i, the sum over all slots of phase i of E X X'; ``start``: (phases, N, N), E X(0)X(0)' in each phase.
+    def gramian(self, start: Array, guess: Array | None = None) -> Array:
+        """Return G_i, the sum over all slots of phase i of E X X'.
+
+        Args:
+            start: (phases, N, N), E X(0)X(0)' in each phase.
+            guess: (phases, N, N), positive semidefinite and near the answer: over a random chain it is found sooner.
 
         Raises:
             NotStable: the sum has no end.
         """
         if not self.cyclic:
-            return self._fixed_point(
-                lambda G: start + np.einsum("ij,iab->jab", self.transition, self.L @ G @ self.L.transpose(0, 2, 1))
-            )
+            return self._fixed_point(lambda G: start + forward(self.L, self.transition, G), guess)
         phases, G = len(self.L), np.zeros_like(start)
         product, total = np.eye(self.L.shape[-1]), np.zeros_like(start[0])
         for step in range(phases):  # what starts in phase -step comes to phase 0 after `step` slots
@@ -139,15 +144,19 @@ class LiftedLoop:
             G[i] = start[i] + self.L[i - 1] @ G[i - 1] @ self.L[i - 1].T
         return G
 
-    def _fixed_point(self, step: Callable[[Array], Array]) -> Array:
-        value = np.zeros_like(self.Q)
-        for _ in range(SWEEPS):
-            new = step(value)
-            if not np.isfinite(new).all():
-                break
-            if np.abs(new - value).max() <= TOLERANCE * np.abs(new).max():
-                return new
-            value = new
+    def _fixed_point(self, step: Callable[[Array], Array], guess: Array | None) -> Array:
+        value = np.zeros_like(self.Q) if guess is None else guess
+        with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers is not stable
+            for _ in range(SWEEPS // LOOKS):
+                for _ in range(LOOKS - 1):
+                    value = step(value)
+                new = step(value)
+                largest = np.abs(new).max()
+                if not np.isfinite(largest):
+                    break
+                if np.abs(new - value).max() <= TOLERANCE * largest:
+                    return new
+                value = new
         raise NotStable("the cost has no finite sum: the loop is not mean-square stable")
 
 
