@@ -29,6 +29,7 @@ from transport.wire.fields import (
     SELECTIONS,
     TAU_LIMIT,
     ControlPacket,
+    Reader,
     SensorPacket,
     frame_length,
 )
@@ -42,19 +43,13 @@ __all__ = [
 VERSIONS: Final = {1: version1, 2: version2}
 """Versions of the wire format that are spoken."""
 
-_SIZE: Final[dict[int, Callable[[bytes], int | None]]] = {
-    kind: size for v in (version1, version2) for kind, size in ((v.SENSOR, v.sensor_size), (v.CONTROL, v.control_size))
+_READERS: Final[dict[int, Callable[[bytes], Reader[SensorPacket] | Reader[ControlPacket] | None]]] = {
+    version1.SENSOR: version1.sensor_reader,
+    version1.CONTROL: version1.control_reader,
+    version2.SENSOR: version2.sensor_reader,
+    version2.CONTROL: version2.control_reader,
 }
-_READ: Final[dict[int, Callable[[bytes], SensorPacket | ControlPacket | None]]] = {
-    version1.SENSOR: version1.read_sensor,
-    version1.CONTROL: version1.read_control,
-    version2.SENSOR: version2.read_sensor,
-    version2.CONTROL: version2.read_control,
-}
-
-
-def _sealed(body: bytes) -> bytes:
-    return crc_hqx(body, CRC_START).to_bytes(2, "little") + body
+"""What finds, by byte 2 of a packet, its length and what reads it; None if more bytes are needed to tell."""
 
 
 def encode_sensor(packet: SensorPacket) -> bytes:
@@ -72,7 +67,8 @@ def encode_sensor(packet: SensorPacket) -> bytes:
     >>> encode_sensor(SensorPacket(seq=7, flags=0, sample_ns=350_000_000, y=(3.0,))).hex(" ", 4)
     '0b5e1101 07000000 8093dc14 00000000 00004040'
     """
-    return _sealed(version2.write_sensor(packet) if packet.version == 2 else version1.write_sensor(packet))
+    body = version2.write_sensor(packet) if packet.version == 2 else version1.write_sensor(packet)
+    return crc_hqx(body, CRC_START).to_bytes(2, "little") + body
 
 
 def encode_control(packet: ControlPacket) -> bytes:
@@ -103,7 +99,8 @@ def encode_control(packet: ControlPacket) -> bytes:
     if not -1 <= tau <= TAU_LIMIT:
         tau = -1 if tau < 0 else TAU_LIMIT
     write = version2.write_control if packet.version == 2 else version1.write_control
-    return _sealed(write(packet, tau, inputs, values))
+    body = write(packet, tau, inputs, values)
+    return crc_hqx(body, CRC_START).to_bytes(2, "little") + body
 
 
 def packet_size(data: bytes) -> int | None:
@@ -117,8 +114,9 @@ def packet_size(data: bytes) -> int | None:
     """
     if len(data) < 4:
         return None
-    size = _SIZE.get(data[2])
-    return 0 if size is None else size(data)
+    reader_of = _READERS.get(data[2])
+    found = (0, None) if reader_of is None else reader_of(data)
+    return None if found is None else found[0]
 
 
 def decode(data: bytes) -> SensorPacket | ControlPacket | None:
@@ -134,14 +132,15 @@ def decode(data: bytes) -> SensorPacket | ControlPacket | None:
     True
     """
     length = len(data)
-    size_of = _SIZE.get(data[2]) if length >= 4 else None
-    size = None if size_of is None else size_of(data)
-    if not size or length < size:
+    reader_of = _READERS.get(data[2]) if length >= 4 else None
+    found = None if reader_of is None else reader_of(data)
+    if found is None:
         return None
+    size, read = found
     if length != size:
-        if length - size > 7 or any(data[size:]):
+        if not size or not 0 < length - size <= 7 or any(data[size:]):
             return None
         data = data[:size]
     if crc_hqx(data[2:], CRC_START) != data[0] | data[1] << 8:
         return None
-    return _READ[data[2]](data)
+    return read(data)

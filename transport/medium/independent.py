@@ -31,6 +31,7 @@ from transport.medium.draws import (
 __all__ = ["REASONS", "AgeImpairment", "Draw", "Impairment", "PacketImpairment", "impair"]
 
 Arrivals = list[tuple[int, object]]
+_new = tuple.__new__  # a Draw without its Python constructor
 
 
 class Impairment(Protocol):
@@ -60,15 +61,6 @@ class Impairment(Protocol):
         ...
 
 
-@dataclass(slots=True)
-class _Held:
-    """A packet that the receiver may still use."""
-
-    tick: int
-    packet: object
-    used: bool = False
-
-
 class AgeImpairment:
     """Apply an age law: exactly one packet in every slot, the one of slot k - age.
 
@@ -81,21 +73,23 @@ class AgeImpairment:
         self._period_s = period_s
         self._max_age = max_age
         self._gaps = gaps
-        self._held: deque[_Held] = deque()
+        self._held: deque[tuple[int, object]] = deque()  # what the receiver may still use
+        self._unused: set[int] = set()  # slots of those that it has not used yet
         self._newest = -1
         self._next = 0
 
     @property
     def pending(self) -> int:
         """Number of offered packets that may still arrive for the first time."""
-        return sum(not held.used for held in self._held)
+        return len(self._unused)
 
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
         held = self._held
-        if k < self._next or (held and k <= held[-1].tick):
-            _check_offer(k, self._next, held[-1].tick if held else -1)
-        held.append(_Held(k, packet))
+        if k < self._next or (held and k <= held[-1][0]):
+            _check_offer(k, self._next, held[-1][0] if held else -1)
+        held.append((k, packet))
+        self._unused.add(k)
 
     def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
         """Return the decisions of slot k and its one arrival (none before the first), see `Impairment.collect`."""
@@ -116,44 +110,44 @@ class AgeImpairment:
             return []
         # Ages grow by at most one, so k - age never falls and older packets are done with; a law with gaps may come
         # back to them.
+        held, unused = self._held, self._unused
         if self._gaps:
             self._forget(k, k - self._max_age, draws)
-            held = self._newest_until(target)
+            found = self._newest_until(target)
         else:
-            kept = self._held
-            if len(kept) > 1 and kept[1].tick <= target:
-                if kept[0].used:  # the usual case: one packet is done with in every slot
-                    kept.popleft()
-                if len(kept) > 1 and kept[1].tick <= target:
+            if len(held) > 1 and held[1][0] <= target:
+                if held[0][0] not in unused:  # the usual case: one packet is done with in every slot
+                    held.popleft()
+                if len(held) > 1 and held[1][0] <= target:
                     self._forget(k, target, draws)
-            held = kept[0] if kept and kept[0].tick <= target else None
-        if held is None or held.tick != target:
+            found = held[0] if held and held[0][0] <= target else None
+        if found is None or found[0] != target:
             draws.append(Draw(k, target, mode, age, nan, ABSENT))
-            if held is None:
+            if found is None:
                 return []
             mode = NO_MODE
-        if held.used:
-            reason = REPEATED
-        else:
-            reason = DELIVERED if held.tick > self._newest else DISORDERED
-            held.used = True
-        tick = held.tick
+        tick = found[0]
+        reason = REPEATED
+        if tick in unused:
+            reason = DELIVERED if tick > self._newest else DISORDERED
+            unused.remove(tick)
         if tick > self._newest:
             self._newest = tick
         age = k - tick
-        draws.append(Draw(k, tick, mode, age, age * self._period_s, reason))
-        return [(tick, held.packet)]
+        draws.append(_new(Draw, (k, tick, mode, age, age * self._period_s, reason)))
+        return [found]
 
     def _forget(self, k: int, floor: int, draws: list[Draw]) -> None:
-        held = self._held
-        while len(held) > 1 and held[1].tick <= floor:
-            old = held.popleft()
-            if not old.used:
-                draws.append(Draw(k, old.tick, NO_MODE, k - old.tick, nan, SUPERSEDED))
+        held, unused = self._held, self._unused
+        while len(held) > 1 and held[1][0] <= floor:
+            tick, _ = held.popleft()
+            if tick in unused:
+                unused.remove(tick)
+                draws.append(Draw(k, tick, NO_MODE, k - tick, nan, SUPERSEDED))
 
-    def _newest_until(self, target: int) -> _Held | None:
+    def _newest_until(self, target: int) -> tuple[int, object] | None:
         for held in reversed(self._held):
-            if held.tick <= target:
+            if held[0] <= target:
                 return held
         return None
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from math import copysign, inf
 from struct import Struct
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 MORE: Final = 1
 """Sensor flag: further frames of the same slot follow."""
@@ -85,6 +86,11 @@ class ControlPacket(NamedTuple):
     freshness: int = 0
     tag: bytes = b""
     version: int = 1
+
+
+Packet = TypeVar("Packet", SensorPacket, ControlPacket)
+Reader: TypeAlias = tuple[int, Callable[[bytes], Packet | None]]
+"""Length of a packet, and what reads its bytes."""
 
 
 class Layout(NamedTuple):

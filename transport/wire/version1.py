@@ -25,7 +25,7 @@ from struct import Struct
 from typing import Final
 
 from transport.errors import FieldError
-from transport.wire.fields import MAX_OUTPUTS, SELECTIONS, ControlPacket, Layout, SensorPacket, frame_length, single
+from transport.wire.fields import MAX_OUTPUTS, SELECTIONS, ControlPacket, Layout, Reader, SensorPacket, frame_length, single
 
 SENSOR: Final = 0x11
 CONTROL: Final = 0x12
@@ -73,18 +73,17 @@ def write_control(packet: ControlPacket, tau: int, inputs: int, values: tuple[fl
         return write(*head, *map(single, values))
 
 
-def sensor_size(data: bytes) -> int:
-    """Length of the sensor packet that begins with these bytes, at least 4."""
-    return _sensor_layout(data[3] & 0x3F).size
+def sensor_reader(data: bytes) -> Reader[SensorPacket]:
+    """Length and reader of the sensor packet that begins with these bytes, at least 4."""
+    return _sensor_layout(data[3] & 0x3F).size, _read_sensor
 
 
-def control_size(data: bytes) -> int | None:
-    """Length of the control packet that begins with these bytes; None if more are needed to tell."""
-    return frame_length(28 + 4 * data[26] * data[27]) if len(data) >= 28 else None
+def control_reader(data: bytes) -> Reader[ControlPacket] | None:
+    """Length and reader of the control packet that begins with these bytes; None if more are needed to tell."""
+    return (frame_length(28 + 4 * data[26] * data[27]), _read_control) if len(data) >= 28 else None
 
 
-def read_sensor(data: bytes) -> SensorPacket | None:
-    """The sensor packet in bytes of the right length and CRC."""
+def _read_sensor(data: bytes) -> SensorPacket | None:
     shape = data[3]
     count = shape & 0x3F
     if (count == 0) != (shape >> 7):
@@ -93,8 +92,7 @@ def read_sensor(data: bytes) -> SensorPacket | None:
     return SensorPacket(fields[0], shape >> 6, fields[1], fields[2:])
 
 
-def read_control(data: bytes) -> ControlPacket | None:
-    """The control packet in bytes of the right length and CRC."""
+def _read_control(data: bytes) -> ControlPacket | None:
     selection, count, inputs = data[3], data[26], data[27]
     if selection >= len(SELECTIONS) or (count == 0) != (inputs == 0):
         return None

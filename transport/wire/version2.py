@@ -29,12 +29,13 @@ An EMPTY packet has no sample, and its outputs and samples are 0; it carries the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from struct import Struct
 from typing import Final
 
 from transport.errors import FieldError
-from transport.wire.fields import MAX_OUTPUTS, SELECTIONS, ControlPacket, Layout, SensorPacket, frame_length, single
+from transport.wire.fields import MAX_OUTPUTS, SELECTIONS, ControlPacket, Layout, Reader, SensorPacket, frame_length, single
 
 SENSOR: Final = 0x21
 CONTROL: Final = 0x22
@@ -45,7 +46,7 @@ MAX_VALUES: Final = 1000
 MAX_REFERENCES: Final = 127
 TAG_BYTES: Final = 8
 _TAGGED: Final = 0x80
-_TRAILER: Final = Struct("<I8s")
+_new: Final = tuple.__new__  # a packet of a named tuple, without its Python constructor
 
 
 @lru_cache(maxsize=1024)  # bounded: shapes may come from the wire
@@ -65,8 +66,11 @@ def _control_layout(values: int, tagged: bool) -> Layout:
 
 
 @lru_cache(maxsize=1024)
-def _sensor_shape(y: int, empty: bool, samples: int, references: int, node: int, nodes: int) -> tuple[int, int]:
-    """Outputs and samples of a packet; one that cannot be written is refused once and for all."""
+def _sensor_writer(
+    y: int, flags: int, samples: int, references: int, node: int, nodes: int, tagged: bool
+) -> tuple[Callable[..., bytes], int, int, int]:
+    """How a packet is packed, its bytes 3, 25 and 26; one that cannot be written is refused."""
+    empty = bool(flags & 2)
     samples = 0 if empty else samples
     outputs = y // samples if samples else 0
     if (not y) != empty or outputs * samples != y or outputs > MAX_OUTPUTS or not 0 <= samples <= 255:
@@ -79,7 +83,8 @@ def _sensor_shape(y: int, empty: bool, samples: int, references: int, node: int,
         raise FieldError("reference", f"{references} values beside {y}, expected up to {MAX_REFERENCES}, and {MAX_VALUES} in all")
     if not 0 <= node < nodes <= 255:
         raise FieldError("node", f"{node} of {nodes}, expected up to 255 nodes, numbered from 0")
-    return outputs, samples
+    pack = _sensor_layout(y + references, tagged).write.pack
+    return pack, flags << 6 | outputs, samples, references | _TAGGED if tagged else references
 
 
 def _trailer(freshness: int, tag: bytes) -> tuple[int, bytes]:
@@ -91,81 +96,93 @@ def _trailer(freshness: int, tag: bytes) -> tuple[int, bytes]:
 def write_sensor(packet: SensorPacket) -> bytes:
     """Bytes behind the CRC of a sensor packet of version 2."""
     seq, flags, sample_ns, y, node, samples, reference, nodes, nonce, freshness, tag, _ = packet
-    outputs, samples = _sensor_shape(len(y), bool(flags & 2), samples, len(reference), node, nodes)
-    references = len(reference)
-    values: tuple[float | bytes, ...] = y + reference
-    if tag:
-        values += _trailer(freshness, tag)
-        references |= _TAGGED
-    write = _sensor_layout(len(y) + len(reference), bool(tag)).write.pack
-    head = (SENSOR, (flags & 3) << 6 | outputs, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes)
+    trailer = _trailer(freshness, tag) if tag else ()
+    pack, shape, samples, references = _sensor_writer(len(y), flags & 3, samples, len(reference), node, nodes, bool(tag))
     try:
-        return write(*head, *values)
+        return pack(SENSOR, shape, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes, *y, *reference, *trailer)
     except OverflowError:
-        return write(*head, *map(single, y + reference), *values[len(y) + len(reference) :])
+        y, reference = tuple(map(single, y)), tuple(map(single, reference))
+        return pack(SENSOR, shape, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes, *y, *reference, *trailer)
 
 
 def write_control(packet: ControlPacket, tau: int, inputs: int, values: tuple[float, ...]) -> bytes:
     """Bytes behind the CRC of a control packet of version 2; tau, inputs and values as `transport.packets` checked them."""
     if len(values) > MAX_VALUES:
         raise FieldError("rows", f"{len(values)} values, expected up to {MAX_VALUES}")
-    tag = packet.tag
-    trailer = _trailer(packet.freshness, tag) if tag else ()
-    selection = _TAGGED | packet.selection if tag else packet.selection
-    head = (
-        CONTROL, selection, packet.seq & 0xFFFFFFFF, packet.nonce, packet.sample_ns, packet.control_ns, tau, len(packet.rows),
-        inputs,
-    )  # fmt: skip
-    write = _control_layout(len(values), bool(tag)).write.pack
+    seq, sample_ns, control_ns, _, selection, rows, nonce, freshness, tag, _ = packet
+    trailer = _trailer(freshness, tag) if tag else ()
+    shape = _TAGGED | selection if tag else selection
+    pack = _control_layout(len(values), bool(tag)).write.pack
+    head = (CONTROL, shape, seq & 0xFFFFFFFF, nonce, sample_ns, control_ns, tau, len(rows), inputs)
     try:
-        return write(*head, *values, *trailer)
+        return pack(*head, *values, *trailer)
     except OverflowError:
-        return write(*head, *map(single, values), *trailer)
+        return pack(*head, *map(single, values), *trailer)
 
 
-def sensor_size(data: bytes) -> int | None:
-    """Length of the sensor packet that begins with these bytes; 0 if it would be too long, None if more are needed to tell."""
-    if len(data) < 28:
-        return None
-    values = (data[3] & 0x3F) * data[25] + (data[26] & 0x7F)
-    return _sensor_layout(values, data[26] >= _TAGGED).size if values <= MAX_VALUES else 0
+@lru_cache(maxsize=1024)
+def _sensor_reader(shape: int, samples: int, references: int, nodes: int) -> Reader[SensorPacket]:
+    """Length and reader of the sensor packets with these bytes 3, 25, 26 and 27."""
+    outputs, tagged = shape & 0x3F, references >= _TAGGED
+    count, flags = outputs * samples, shape >> 6
+    values = count + (references & 0x7F)
+    if values > MAX_VALUES:
+        return 0, _nothing
+    layout = _sensor_layout(values, tagged)
+    if (count == 0) != (flags >> 1) or (outputs == 0) != (samples == 0):
+        return layout.size, _nothing
+    unpack, samples, after, end = layout.read.unpack, samples or 1, 4 + count, 4 + values
+
+    def read(data: bytes) -> SensorPacket | None:
+        fields = unpack(data)
+        seq, nonce, sample_ns, node = fields[:4]
+        if node >= nodes:
+            return None
+        freshness, tag = fields[end:] if tagged else (0, b"")
+        return _new(
+            SensorPacket,
+            (seq, flags, sample_ns, fields[4:after], node, samples, fields[after:end], nodes, nonce, freshness, tag, 2),
+        )
+
+    return layout.size, read
 
 
-def control_size(data: bytes) -> int | None:
-    """Length of the control packet that begins with these bytes; 0 if it would be too long, None if more are needed to tell."""
-    if len(data) < 36:
-        return None
-    values = data[34] * data[35]
-    return _control_layout(values, data[3] >= _TAGGED).size if values <= MAX_VALUES else 0
-
-
-def read_sensor(data: bytes) -> SensorPacket | None:
-    """The sensor packet in bytes of the right length and CRC."""
-    shape, samples, references, nodes = data[3], data[25], data[26] & 0x7F, data[27]
-    outputs, tagged = shape & 0x3F, data[26] >= _TAGGED
-    count = outputs * samples
-    if (count == 0) != (shape >> 7) or (outputs == 0) != (samples == 0):
-        return None
-    fields = _sensor_layout(count + references, tagged).read.unpack(data)
-    seq, nonce, sample_ns, node = fields[:4]
-    if node >= nodes:
-        return None
-    freshness, tag = fields[-2:] if tagged else (0, b"")
-    y, reference = fields[4 : 4 + count], fields[4 + count : 4 + count + references]
-    return SensorPacket(seq, shape >> 6, sample_ns, y, node, samples or 1, reference, nodes, nonce, freshness, tag, 2)
-
-
-def read_control(data: bytes) -> ControlPacket | None:
-    """The control packet in bytes of the right length and CRC."""
-    selection, tagged, count, inputs = data[3] & 0x7F, data[3] >= _TAGGED, data[34], data[35]
+@lru_cache(maxsize=1024)
+def _control_reader(shape: int, count: int, inputs: int) -> Reader[ControlPacket]:
+    """Length and reader of the control packets with these bytes 3, 34 and 35."""
+    selection, tagged, size = shape & 0x7F, shape >= _TAGGED, count * inputs
+    if size > MAX_VALUES:
+        return 0, _nothing
+    layout = _control_layout(size, tagged)
     if selection >= len(SELECTIONS) or (count == 0) != (inputs == 0):
-        return None
-    size = count * inputs
-    fields = _control_layout(size, tagged).read.unpack(data)
-    seq, nonce, sample_ns, control_ns, tau = fields[:5]
-    freshness, tag = fields[-2:] if tagged else (0, b"")
-    rows = tuple([fields[i : i + inputs] for i in range(5, 5 + size, inputs or 1)])
-    return ControlPacket(seq, sample_ns, control_ns, tau, selection, rows, nonce, freshness, tag, 2)
+        return layout.size, _nothing
+    unpack, end, starts = layout.read.unpack, 5 + size, range(5, 5 + size, inputs or 1)
+
+    def read(data: bytes) -> ControlPacket | None:
+        fields = unpack(data)
+        seq, nonce, sample_ns, control_ns, tau = fields[:5]
+        freshness, tag = fields[end:] if tagged else (0, b"")
+        rows = (fields[5:end],) if count == 1 else tuple([fields[i : i + inputs] for i in starts])
+        return _new(ControlPacket, (seq, sample_ns, control_ns, tau, selection, rows, nonce, freshness, tag, 2))
+
+    return layout.size, read
+
+
+def _nothing(data: bytes) -> None:
+    """Read a packet of a shape that no packet has."""
+
+
+def sensor_reader(data: bytes) -> Reader[SensorPacket] | None:
+    """Length and reader of the sensor packet that begins with these bytes; length 0 if too long, None if more are needed to tell.
+
+    The reader takes bytes of that length whose CRC is right.
+    """
+    return _sensor_reader(data[3], data[25], data[26], data[27]) if len(data) >= 28 else None
+
+
+def control_reader(data: bytes) -> Reader[ControlPacket] | None:
+    """Length and reader of the control packet that begins with these bytes, as in `sensor_reader`."""
+    return _control_reader(data[3], data[34], data[35]) if len(data) >= 36 else None
 
 
 def sensor_length(values: int) -> int:

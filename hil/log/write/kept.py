@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.log.growing import Growing
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Channel
-from hil.log.write.mcap_writer import MESSAGE_OVERHEAD, Heads
+from hil.log.write.mcap_writer import HEAD_FIELDS, MESSAGE_OVERHEAD, Heads
 
 StructuredArray: TypeAlias = np.ndarray[Any, np.dtype[np.void]]
 Keep: TypeAlias = Mapping[str, Sequence[str] | None]
@@ -42,6 +41,7 @@ class Kept:
         self._fields = {
             topic: list((self.schemas[topic].dtype.names or ()) if fields is None else fields) for topic, fields in keep.items()
         }
+        self._messages = {topic: self._message(topic) for topic in keep}
         self._columns = {topic: Growing(self._dtype(topic), folder) for topic in keep}
         self._ids: Mapping[str, int] = {}
         self.events: list[bytes] = []
@@ -50,26 +50,43 @@ class Kept:
         """Say under which number a topic stands in the file."""
         self._ids = ids
 
-    def take(self, heads: Heads, data: bytes, begins: npt.NDArray[np.int64]) -> None:
+    def take(self, heads: Heads, messages: list[bytes]) -> None:
         """Keep what is to be kept of one chunk; see `McapWriter`."""
         if not self._any:
             return
-        raw, channels = np.frombuffer(data, np.uint8), heads["channel"]
-        for topic, schema in self.schemas.items():
-            own = channels == self._ids[topic]
-            at = begins[own] + MESSAGE_OVERHEAD + len(CDR_HEADER)
-            records = raw[at[:, None] + np.arange(schema.dtype.itemsize)].view(schema.dtype)[:, 0]
-            part = np.empty(len(records), self._dtype(topic))
-            part[TIME_FIELD] = heads["log"][own]
-            for name in self._fields[topic]:
+        channels = heads["channel"]
+        for topic, message in self._messages.items():
+            own = np.flatnonzero(channels == self._ids[topic]).tolist()
+            records = np.frombuffer(b"".join([messages[i] for i in own]), message)
+            column = self._columns[topic]
+            part = np.empty(len(records), column.dtype)
+            for name in message.names or ():
                 part[name] = records[name]
-            self._columns[topic].extend(part)
-        for begin, length in zip(*(a[channels == self._ids[EVENTS_TOPIC]].tolist() for a in (begins, heads["length"]))):
-            self.events.append(data[begin + MESSAGE_OVERHEAD : begin + 9 + length])
+            column.extend(part)
+        for i in np.flatnonzero(channels == self._ids[EVENTS_TOPIC]).tolist():
+            self.events.append(messages[i][MESSAGE_OVERHEAD:])
+
+    def _numbers(self, topic: str) -> Mapping[str, Any]:
+        return self.schemas[topic].dtype.fields or {}
 
     def _dtype(self, topic: str) -> np.dtype[np.void]:
-        numbers: Mapping[str, Any] = self.schemas[topic].dtype.fields or {}
+        numbers = self._numbers(topic)
         return np.dtype([(TIME_FIELD, "<i8"), *((name, numbers[name][0]) for name in self._fields[topic])])
+
+    def _message(self, topic: str) -> np.dtype[np.void]:
+        """The fields that are kept, where they stand in a message: the time in its head, the numbers behind the CDR header."""
+        numbers, payload = self._numbers(topic), MESSAGE_OVERHEAD + len(CDR_HEADER)
+        heads: Mapping[str, Any] = HEAD_FIELDS.fields or {}
+        fields: dict[str, tuple[Any, int]] = {TIME_FIELD: ("<i8", heads["log"][1])}
+        fields |= {name: (numbers[name][0], payload + numbers[name][1]) for name in self._fields[topic]}
+        return np.dtype(
+            {
+                "names": list(fields),
+                "formats": [kind for kind, _ in fields.values()],
+                "offsets": [at for _, at in fields.values()],
+                "itemsize": payload + self.schemas[topic].dtype.itemsize,
+            }
+        )
 
     def arrays(self) -> dict[str, StructuredArray]:
         """Return what was kept, topic to records; the columns are empty afterwards."""

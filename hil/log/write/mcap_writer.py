@@ -12,6 +12,7 @@ import struct
 import zlib
 from collections.abc import Callable, Mapping
 from functools import partial
+from operator import itemgetter
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
@@ -51,11 +52,12 @@ MESSAGE_OVERHEAD: Final = _HEAD.size
 HEAD_FIELDS: Final = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 )
+_head_of: Final = itemgetter(slice(MESSAGE_OVERHEAD))
 _INDEX_ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
 Heads = np.ndarray[Any, np.dtype[np.void]]
-ChunkEnded = Callable[[Heads, bytes, npt.NDArray[np.int64]], None]
+ChunkEnded = Callable[[Heads, list[bytes]], None]
 
 
 class Stream(Protocol):
@@ -75,8 +77,7 @@ class McapWriter:
         stream: takes the bytes; only `flush` and `finish` let it go to the disk.
         profile, library: what the header says.
         index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
-        chunk_ended: told every chunk that is written: the messages' heads (`HEAD_FIELDS`), the chunk's bytes, and where in them
-            every message begins.
+        chunk_ended: told every chunk that is written: the messages' heads (`HEAD_FIELDS`), and the messages, heads included.
 
     Attributes:
         open_bytes: bytes of the messages in the open chunk.
@@ -91,11 +92,12 @@ class McapWriter:
         profile: str,
         library: str,
         index: Index = "full",
-        chunk_ended: ChunkEnded = lambda heads, data, offsets: None,
+        chunk_ended: ChunkEnded = lambda heads, messages: None,
     ) -> None:
         self._index = index
         self._chunk_ended = chunk_ended
         self._stream = stream
+        self._compress = zstandard.ZstdCompressor().compress
         self._data_crc = 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
@@ -240,15 +242,15 @@ class McapWriter:
     def _end_chunk(self) -> None:
         if not self._parts:
             return
-        opening = self._opening.end()  # type: ignore[no-untyped-call]
-        data = b"".join((opening, *self._parts))
-        sizes = np.fromiter(map(len, self._parts), np.int64, len(self._parts))
+        opening, messages = self._opening.end(), self._parts.copy()  # type: ignore[no-untyped-call]
+        self._parts.clear()  # the same list: `messages_of` and the others append to it
+        data = b"".join((opening, *messages))
+        sizes = np.fromiter(map(len, messages), np.int64, len(messages))
         begins = len(opening) + np.cumsum(sizes) - sizes
-        heads = np.frombuffer(data, np.uint8)[begins[:, None] + np.arange(MESSAGE_OVERHEAD)].view(HEAD_FIELDS)[:, 0]
-        self._parts.clear()
+        heads = np.frombuffer(b"".join(map(_head_of, messages)), HEAD_FIELDS)
         self.open_bytes = 0
         first, last = int(heads["log"].min()), int(heads["log"].max())
-        packed = zstandard.compress(data)
+        packed = self._compress(data)
         chunk = Chunk(
             compression=COMPRESSION, data=packed, message_start_time=first, message_end_time=last,
             uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data),
@@ -267,7 +269,7 @@ class McapWriter:
         self._chunk_indexes.extend(np.frombuffer(_bytes(index), np.uint8))
         self._start = first if self._start is None else min(self._start, first)
         self._end = max(self._end, last)
-        self._chunk_ended(heads, data, begins)
+        self._chunk_ended(heads, messages)
 
     def _indexes(self, heads: Heads, begins: npt.NDArray[np.int64]) -> tuple[bytes, dict[int, int]]:
         """Return the message indexes of a chunk, and where in the file that of every channel begins."""

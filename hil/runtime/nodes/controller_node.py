@@ -53,7 +53,7 @@ class ControlNode:
             return None
         rows = self._heard.rows(seq, tau)
         return encode_control(
-            ControlPacket(seq, sample_ns, t_ns, tau, self._selection, rows, packet.nonce, version=packet.version)
+            ControlPacket(seq, sample_ns, t_ns, tau, self._selection, rows, packet.nonce, 0, b"", packet.version)
         )
 
 

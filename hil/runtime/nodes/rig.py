@@ -96,7 +96,7 @@ class Rig:
         if nodes == 1 and len(self._sent[0][1]) == 1:  # the usual case, at once
             g, y = self._sent[0][1][0]
             sample_ns = g * self._period_ns
-            return [encode_sensor(SensorPacket(k, 0, sample_ns, y, 0, samples[0], reference, 1, nonce, version=version))]  # type: ignore[arg-type]
+            return [encode_sensor(SensorPacket(k, 0, sample_ns, y, 0, samples[0], reference, 1, nonce, 0, b"", version))]  # type: ignore[arg-type]
         arrivals = [(node, g, y) for node, (_, arrived) in enumerate(self._sent) for g, y in arrived]
         if not arrivals:
             nothing = SensorPacket(k, EMPTY, 0, (), reference=reference, nodes=nodes, nonce=nonce, version=version)
