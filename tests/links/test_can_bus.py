@@ -8,13 +8,14 @@ import pty
 import re
 import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from time import monotonic, time
+from time import monotonic, time, time_ns
 from typing import Any
 
 import can
@@ -22,6 +23,7 @@ import pytest
 
 from transport import SensorPacket, dbc_path, encode_sensor, open_link
 from transport.links.can_bus import HilBus
+from transport.links.mesh_peer import HEAD, Peer
 from transport.links.unix_mesh import QUEUE_LIMIT
 
 BIN = Path(sys.executable).parent
@@ -216,6 +218,20 @@ def test_a_notifier_thread_reads_while_newcomers_join_and_send() -> None:
             stack.enter_context(bus()).send(frame(number))
         assert [number_of(reader.get_message(5)) for _ in range(12)] == list(range(12))
         notifier.stop()
+
+
+def test_what_came_before_a_connection_was_let_in_is_older_than_what_came_after() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        for number in range(3):
+            theirs.send(HEAD.pack(0.0, 0) + bytes([number]))
+        peer, admitted = Peer(ours), time_ns()
+        theirs.send(HEAD.pack(0.0, 0) + bytes([3]))
+        arrivals = []
+        for number in range(4):
+            arrivals.append(peer.arrival_ns())
+            assert ours.recv(64)[-1] == number
+    assert 0 < arrivals[0] <= arrivals[1] <= arrivals[2] <= admitted <= arrivals[3]
 
 
 def test_a_newcomer_hears_everything_that_is_sent_once_it_has_joined() -> None:
