@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from hil.pytest_plugin import REQUIREMENTS, Requirement, has_vcan
 
@@ -33,8 +34,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the markers of our own tests, and what they require of the machine."""
+    """Register our markers and what they require of the machine; a property has 40 examples where slow tests do not run."""
     config.stash[REQUIREMENTS] |= NEEDS
+    settings.register_profile("short", max_examples=40)
+    if not config.getoption("--hil-slow"):
+        settings.load_profile("short")
     for name, need in NEEDS.items():
         config.addinivalue_line("markers", f"{name}: skipped, or failed with --hil-require={name}, where there is {need.remedy}")
     for name, what in LONG.items():

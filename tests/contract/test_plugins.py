@@ -38,7 +38,10 @@ def test_plant_keeps_its_contract(name: str) -> None:
     assert pickle.loads(pickle.dumps(plant)) == plant  # the rig is another process
 
 
-@pytest.mark.parametrize("name", sorted(shipped()))
+LONG = {"dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed", "vtol-delayed"}  # others have their controllers
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in LONG)) for n in sorted(shipped())])
 def test_shipped_controller_and_plant_keep_their_contracts(name: str) -> None:
     loop = compose(load_experiment(name), certify=False)
     check_plant(loop.experiment.plant)

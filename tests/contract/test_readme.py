@@ -118,6 +118,7 @@ def test_a_command_line_that_is_shown_is_one(name: str, words: list[str]) -> Non
     assert not {w for w in words if re.fullmatch(r"(dc-motor|vtol|smjls)[a-z0-9-]*", w)} - known, name
 
 
+@pytest.mark.slow
 def test_commands_on_a_log_run_one_after_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     face.run("dc-motor-hinf", duration=2, log="run.mcap")

@@ -51,6 +51,7 @@ def test_a_session_of_it_has_the_numbers_of_a_run_with_a_log() -> None:
     assert simulated_session(compose(hil.load_experiment("dc-motor-hinf", duration=3, **stopped)), 4).status == 3
 
 
+@pytest.mark.slow
 def test_the_assertion_on_a_law_errs_as_rarely_as_it_says() -> None:
     """100 seeds at alpha 5 %: the number of wrong failures lies in the binomial's range that is left with 1 in 10^6."""
     loop = compose(hil.load_experiment("dc-motor-hinf", duration=5))

@@ -50,6 +50,7 @@ def test_no_name_of_the_face_is_also_a_module_of_ours() -> None:
     assert not modules & set(hil.__all__), "importing such a module would put it in the name's place"
 
 
+@pytest.mark.slow
 def test_a_type_checker_knows_what_the_faces_return(tmp_path: Path) -> None:
     """The installed packages, as their py.typed lets it; from the cache of mypy where it has run here: a tenth of the time."""
     if (ROOT / ".mypy_cache").is_dir():

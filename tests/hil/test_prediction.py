@@ -47,7 +47,11 @@ def assert_in_bands(squares, predicted, ticks):
 
 
 # With two samples the error dies out so fast that later only runs too rare for eighty carry its moments.
-CASES = [("dc-motor-hinf", 160), ("dc-motor-ours-bursty", 160), ("dc-motor-ours-two-samples", 36)]
+CASES = [
+    ("dc-motor-hinf", 160),
+    pytest.param("dc-motor-ours-bursty", 160, marks=pytest.mark.slow),
+    ("dc-motor-ours-two-samples", 36),
+]
 
 
 @pytest.mark.parametrize("name, ticks", CASES)

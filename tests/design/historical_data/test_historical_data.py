@@ -148,6 +148,7 @@ def test_noise_of_the_sensors_costs_what_a_literal_simulation_says() -> None:
         stationary_cost(PLANT, 200 * newest_gains(), 0.1)
 
 
+@pytest.mark.slow
 def test_a_random_schedule_is_designed_for_and_simulated() -> None:
     """Mean of 4,000 literal runs within 4.4 standard errors (one time in 10^5 by chance); a cost 5 % off would be seen."""
     mask = np.zeros((4, 3, 4), dtype=bool)
@@ -184,6 +185,7 @@ def test_the_verdict_turns_with_the_gains() -> None:
         cost(close(PLANT, 200 * newest_gains()), AVERAGE)
 
 
+@pytest.mark.slow
 def test_gains_are_found_for_a_plant_that_is_not_stable_by_itself() -> None:
     plant = DelayedPlant(A=PLANT.A + 0.15 * np.eye(4), delayed=PLANT.delayed, B=5 * PLANT.B, weight=PLANT.weight)
     assert close(plant, 0 * newest_gains()).radius() > 1
@@ -194,6 +196,7 @@ def test_gains_are_found_for_a_plant_that_is_not_stable_by_itself() -> None:
         synthesise(deaf, round_robin(2, buffer=1).mask(), average_start(2, 2))
 
 
+@pytest.mark.slow
 def test_one_lyapunov_matrix_serves_every_order_of_the_sensors() -> None:
     X0 = np.zeros(24)
     X0[:4] = START
@@ -234,6 +237,7 @@ def test_the_corrected_functional_bounds_the_cost_and_the_printed_one_does_not()
     assert functional(P, Q, history) > J > printed_functional(P, Q, history)
 
 
+@pytest.mark.slow
 def test_the_tangent_scheme_falls_and_its_answer_meets_the_theorem() -> None:
     plant, x0 = VARIANT, np.array(START)
     proof = tangent_scheme(plant, round_robin(4, buffer=3).mask(), x0)

@@ -61,9 +61,9 @@ def test_energy_of_the_impulse_response_is_the_squared_h2_norm() -> None:
     total, variance = 0.0, 0.0
     for column in range(2):
         # x(1) = B_{theta_0} e, and z(0) = D_{theta_0} e: start one step later, in the mode that follows
-        after = simulate_mjls(PAIR, 20_000, 120, start=B[0, :, column], initial=alpha @ P, seed=column)
+        after = simulate_mjls(PAIR, 5_000, 120, start=B[0, :, column], initial=alpha @ P, seed=column)
         total += float(after.energy.mean() + D[0, 0, column] ** 2)
-        variance += float(after.energy.var()) / 20_000
+        variance += float(after.energy.var()) / 5_000
     assert abs(total - h2_norm(PAIR, alpha) ** 2) < 4.0 * np.sqrt(variance)  # 6e-5
 
 

@@ -63,7 +63,7 @@ def test_any_split_into_batches_gives_the_same_bits(alone: np.ndarray) -> None:
     assert np.unique(alone).size > 100  # the runs are not one run
 
 
-@pytest.mark.parametrize("backend", ["threading", "loky", "dask"])
+@pytest.mark.parametrize("backend", ["threading", "loky", pytest.param("dask", marks=pytest.mark.slow)])
 def test_every_backend_gives_the_same_bits(request: pytest.FixtureRequest, backend: str, alone: np.ndarray) -> None:
     workers = workers_of(request, backend)
     np.testing.assert_array_equal(settling_times(LOOP, RUNS, duration_s=3.0, seed=4, workers=workers), alone)
@@ -72,7 +72,7 @@ def test_every_backend_gives_the_same_bits(request: pytest.FixtureRequest, backe
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("backend", ["loky", "dask"])
+@pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=pytest.mark.slow)])
 def test_every_backend_gives_the_same_bits_in_discrete_time(request: pytest.FixtureRequest, backend: str) -> None:
     rng = np.random.default_rng(0)
     system = MJLS(A=rng.normal(size=(3, 6, 6)) / 4, B=np.eye(6), C=np.eye(6), transition=rng.dirichlet(np.ones(3), 3))
@@ -88,6 +88,7 @@ def process_of(_: int) -> int:
     return os.getpid()
 
 
+@pytest.mark.slow
 def test_the_cluster_really_is_two_other_processes(cluster: str) -> None:
     from distributed import Client
 

@@ -87,6 +87,7 @@ def test_settling_time_is_the_last_exit_of_the_trajectory() -> None:
         assert np.isinf(got).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gain", "duration_s", "mean", "sd"), [(chapter2_gain(), 20.0, 3.13, 0.98), (chapter2_reference_gain(), 40.0, 9.91, 2.23)]
 )
@@ -192,6 +193,7 @@ def test_detection_clock_restarts_as_it_was_told(restarts: bool) -> None:
     assert kept > 100
 
 
+@pytest.mark.slow
 def test_linear_gain_held_in_small_steps_converges() -> None:
     nodes = np.array([[0.0, 0.8326]] * 2)
     linear = ScheduledGain(gain=chapter2_gain().gain, starts_s=nodes, schedule="linear")

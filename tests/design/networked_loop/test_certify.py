@@ -76,12 +76,12 @@ def test_a_tail_that_is_long_enough_for_sure_is_refused():
 
 
 def test_the_bound_of_a_tail_covers_every_law_below_it():
-    # 200 laws of the tail's hazard, 30 slots long, within the bounds: none has a larger radius than the bound's
+    # 50 laws of the tail's hazard, 30 slots long, within the bounds: none has a larger radius than the bound's
     rng = np.random.default_rng(11)
     A, gains = 1.1, [[[[-1.0]]], [[[-0.2]]]]
     low, high = 0.3, 0.6
     found = certify_loop([[A]], [[1.0]], [[1.0]], cut((1 - high, 1 - low), (low, high), 0.45), [[1.0]], gains, "constant")
-    for _ in range(200):
+    for _ in range(50):
         hazards = rng.uniform(low, high, 30)
         matrix = np.zeros((31, 31))
         matrix[0, 1] = 1.0

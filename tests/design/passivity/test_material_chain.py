@@ -27,6 +27,7 @@ def test_the_law_holds_for_short_steps_only():
     assert long == pytest.approx(np.array([[0.470, 0.230, 0.300], [0.230, 0.470, 0.300], [0.150, 0.150, 0.700]]), abs=4e-3)
 
 
+@pytest.mark.slow
 def test_isotropic_placement_gives_the_law_within_its_confidence_interval():
     """Two-sided at 1e-3 over 9 entries, 400,000 independent moves of 0.02 w: an error of 2 % of a rate would be seen."""
     pattern, step, count = square_rows(1.0), 0.02, 400_000

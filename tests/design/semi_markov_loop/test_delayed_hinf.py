@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from design.controllers.scheduled_gain import constant_gain
 from design.errors import Infeasible
 from design.lmi.exact import prove
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
 from design.semi_markov_loop.sojourn_grid import cells
 from design.semi_markov_loop.system import DelayedJumpSystem
@@ -19,7 +22,8 @@ SYSTEM, PROCESS = chapter3_system(), chapter3_process()
 SECTIONS = ((0.0, 1.8),) * 3
 
 
-@pytest.mark.parametrize(("bound", "required"), [(5.0, 0.0200), pytest.param(1.5, 0.0680, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("bound", "required"), [(5.0, 0.0200), (1.5, 0.0680)])
 def test_required_level_is_certified_from_the_returned_gains(bound: float, required: float) -> None:
     certificate = delayed_hinf(SYSTEM, PROCESS, gain_bound=bound, sections=SECTIONS)
     assert certificate.certified and certificate.sound
@@ -28,15 +32,20 @@ def test_required_level_is_certified_from_the_returned_gains(bound: float, requi
     assert certificate.check() > 0 and prove(certificate).proved
 
 
+@cache
+def of_published_gains() -> JumpCertificate:
+    return analyse_delayed(SYSTEM, chapter3_gain(), PROCESS)
+
+
 def test_published_gains_have_a_level_half_of_the_claimed_one() -> None:
-    certificate = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS)
+    certificate = of_published_gains()
     assert certificate.gamma == pytest.approx(0.504, abs=2e-3) and certificate.check() > 0
     ramp = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS, method="pwl", nodes=((0.0, 1.8, 3.6),) * 3)
     assert ramp.gamma is not None and certificate.gamma is not None and ramp.gamma < certificate.gamma
 
 
 def test_certified_level_is_not_below_the_norm_of_any_frozen_mode() -> None:
-    certificate = analyse_delayed(SYSTEM, chapter3_gain(), PROCESS)
+    certificate = of_published_gains()
     worst = 0.0
     for i in range(3):
         for section in range(2):
@@ -69,6 +78,7 @@ def test_printed_condition_accepts_a_level_2000_times_below_the_norm() -> None:
     assert not analyse_delayed(system, gain, process, gamma=90.0).certified
 
 
+@pytest.mark.slow
 def test_published_gains_fit_093_in_one_reading_of_the_printed_condition_only() -> None:
     for m, smallest in ((0, 0.760), (1, 0.717)):
         literal = printed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="literal", gamma=0.93)
@@ -77,6 +87,7 @@ def test_published_gains_fit_093_in_one_reading_of_the_printed_condition_only() 
         assert consistent.gamma == pytest.approx(smallest, abs=2e-3) and not consistent.sound
 
 
+@pytest.mark.slow
 def test_printed_conditions_carry_their_flag_in_analysis_and_synthesis() -> None:
     analysed = printed_delayed(SYSTEM, PROCESS, SECTIONS, chapter3_gain(), gamma=0.93)
     assert analysed.certified and analysed.gamma == 0.93 and not analysed.sound

@@ -44,6 +44,7 @@ def test_required_level_is_certified_seeing_the_detection_only() -> None:
     assert certificate.check() > 0 and prove(certificate, bits=40).proved
 
 
+@pytest.mark.slow
 def test_one_blind_gain_is_about_as_good_and_a_known_fault_is_by_choice() -> None:
     blind = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, measured=())
     assert blind.gain is not None and blind.gain.modes == 1 and (blind.gamma or 1) < 0.0060
@@ -51,6 +52,7 @@ def test_one_blind_gain_is_about_as_good_and_a_known_fault_is_by_choice() -> Non
     assert known.gain is not None and known.gain.modes == 4 and (known.gamma or 1) < 0.0066
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restarts", [False, True])
 def test_two_clocks_with_sections_are_certified_under_both_reset_rules(restarts: bool) -> None:
     process = chapter4_process(failure_restarts_detection_clock=restarts)

@@ -53,6 +53,7 @@ def test_certified_uncertainty_scale_reaches_the_required_one(sections: int, req
     assert worst < 0.0
 
 
+@pytest.mark.slow
 def test_more_sections_help_and_never_hurt_and_pwl_beats_pwc() -> None:
     scales = {}
     for method, sections in (("pwc", 1), ("pwc", 2), ("pwl", 2), ("pwl", 4)):
@@ -92,6 +93,7 @@ def test_held_gains_are_certified_as_they_are_held() -> None:
     assert certificate.certified and certificate.check() > 0
 
 
+@pytest.mark.slow
 def test_decay_objective_finds_faster_gains_than_stability_alone() -> None:
     system = chapter2_system("printed")
     plain = robust_feedback(system, PROCESS, gain_bound=30.0, sections=2)

@@ -13,23 +13,35 @@ import pytest
 from hil.cli.completion import SHELLS, script
 from tests.hil.cli.conftest import Hil
 
+ASKED = """
+import os
+from hil.cli import main
+for words in {lines!r}:
+    os.environ.update(_HIL_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(words.count(" ")))
+    try:
+        main([])
+    except SystemExit as end:
+        assert not end.code, end.code
+    print("--", flush=True)
+"""
 
-def offered(*words: str) -> list[str]:
-    """Return what is offered for the last word, as bash asks for it."""
-    asked = {"_HIL_COMPLETE": "bash_complete", "COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+
+def offered(*lines: str) -> list[list[str]]:
+    """Return for each line what is offered for its last word, as bash asks for it; one process answers them all."""
     done = subprocess.run(
-        [sys.executable, "-c", "from hil.cli import main; main([])"], env=os.environ | asked,
-        capture_output=True, text=True, check=True, timeout=120,
-    )  # fmt: skip
-    return [line.partition(",")[2] for line in done.stdout.splitlines() if line]
+        [sys.executable, "-c", ASKED.format(lines=lines)], capture_output=True, text=True, check=True, timeout=120
+    )
+    return [[line.partition(",")[2] for line in part.splitlines() if line] for part in done.stdout.split("--\n")[:-1]]
 
 
 def test_commands_experiments_and_keys_are_offered() -> None:
-    assert {"replay", "report", "reproduce", "recover"} <= set(offered("hil", "re"))
-    assert {"dc-motor-hinf", "dc-motor-h2"} <= set(offered("hil", "run", "dc-motor-h"))
-    assert "plant.gain=" in offered("hil", "run", "dc-motor-hinf", "--set", "plant.")
-    assert "links.sc.law.matrix=" in offered("hil", "sweep", "dc-motor-hinf", "--set", "links.sc.law")
-    assert offered("hil", "run", "no-such", "--set", "plant.") == []
+    commands, experiments, keys, laws, nothing = offered(
+        "hil re", "hil run dc-motor-h", "hil run dc-motor-hinf --set plant.", "hil sweep dc-motor-hinf --set links.sc.law",
+        "hil run no-such --set plant.",
+    )  # fmt: skip
+    assert {"replay", "report", "reproduce", "recover"} <= set(commands)
+    assert {"dc-motor-hinf", "dc-motor-h2"} <= set(experiments)
+    assert "plant.gain=" in keys and "links.sc.law.matrix=" in laws and nothing == []
 
 
 @pytest.mark.parametrize("shell", SHELLS)

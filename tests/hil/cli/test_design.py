@@ -128,6 +128,7 @@ def test_command_line_turns_refusal_into_status_2_and_writes_nothing(tmp_path):
     assert done.returncode == 2 and done.stderr.startswith("hil: design: gain_bound") and not path.exists()
 
 
+@pytest.mark.slow
 def test_bench_meets_a_goal_and_prints_the_other_route_beside_it():
     (row,) = bench_design(goals=GOALS[1:2], programmes=3)
     assert row["norm"] <= row["goal"] and row["ccl_norm"] > row["norm"]

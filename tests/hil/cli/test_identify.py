@@ -18,7 +18,11 @@ def omni_log(cli: Hil, tmp_path: Path) -> Path:
     return tmp_path / "omni.mcap"
 
 
-@pytest.mark.parametrize("rate", [["--duration", "30"], ["--set", "period=0.001", "--duration", "11"]], ids=["20 Hz", "1 kHz"])
+@pytest.mark.parametrize(
+    "rate",
+    [["--duration", "30"], pytest.param(["--set", "period=0.001", "--duration", "11"], marks=pytest.mark.slow)],
+    ids=["20 Hz", "1 kHz"],
+)
 def test_the_logged_omni_is_found_within_1_percent(cli: Hil, rate: list[str]) -> None:
     assert cli("run", "omni-identify", *rate, "-o", "omni.mcap")[0] == 0
     status, out, _ = cli("identify", "plant", "omni.mcap", "--json")

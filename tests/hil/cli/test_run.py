@@ -127,6 +127,7 @@ def test_external_link_that_cannot_be_opened_leaves_no_log(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_runs_at_the_same_time_get_a_log_each(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--duration", "2", "--json"]
     runs = [subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) for _ in range(4)]

@@ -71,9 +71,11 @@ def test_friction_of_any_kind_leaves_the_linear_claim_undecided_and_a_load_does_
 
 
 FALSE_CERTIFICATES = [
-    ("vtol-fault", ("links.sc.law.age=60", "links.ca.law.age=60"), "refused"),
+    pytest.param("vtol-fault", ("links.sc.law.age=60", "links.ca.law.age=60"), "refused", marks=pytest.mark.slow),
     ("vtol-fault", ("plant.fault_effectiveness=-60", "plant.initial_fault=2"), "refused"),
-    ("smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0"), "refused"),
+    pytest.param(
+        "smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0"), "refused", marks=pytest.mark.slow
+    ),
 ]
 
 
@@ -89,10 +91,14 @@ def test_gains_of_one_plant_are_not_certified_over_another(name: str, sets: tupl
     assert any(event["kind"] == "safety" for event in simulate(loop, 0).events)  # and rightly so
 
 
-@pytest.mark.parametrize(("name", "sets", "state"), FALSE_CERTIFICATES[1:])
-def test_gains_that_are_solved_for_the_changed_plant_are_certified_only_as_they_hold_it(
-    name: str, sets: tuple[str, ...], state: str
-) -> None:
+@pytest.mark.parametrize(
+    ("name", "sets"),
+    [
+        pytest.param("vtol-fault", ("plant.fault_effectiveness=-60", "plant.initial_fault=2"), marks=pytest.mark.slow),
+        ("smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0")),
+    ],
+)
+def test_gains_that_are_solved_for_the_changed_plant_are_certified_only_as_they_hold_it(name: str, sets: tuple[str, ...]) -> None:
     loop = composed(name, *sets)
     assert loop.verdict is not None and loop.verdict.certified
     for seed in range(2):
@@ -104,19 +110,23 @@ def test_gains_that_are_solved_for_the_changed_plant_are_certified_only_as_they_
         assert size[-tenth:].mean() < 0.2 * size[:tenth].mean(), seed
 
 
-def test_delays_that_the_sampled_theory_knows_are_judged_and_others_are_undecided() -> None:
-    def state(*sets: str) -> str:
-        verdict = composed("vtol-fault", *sets).verdict
-        assert verdict is not None
-        assert "not decided at T = 0.001 s" in verdict.reason or verdict.state != "undecided"
-        return verdict.state
+@pytest.mark.parametrize(
+    ("sets", "state"),
+    [
+        (("links.sc.law.age=1", "links.ca.law.age=1"), "certified"),
+        (('links.sc.law={kind="iid", probabilities=[0.5, 0.5]}',), "undecided"),
+        # 164 states with delayed inputs
+        pytest.param(("links.sc.law.age=40", "links.ca.law.age=40"), "undecided", marks=pytest.mark.slow),
+        pytest.param(("links.sc.law.age=60", "links.ca.law.age=60"), "refused", marks=pytest.mark.slow),
+    ],
+)
+def test_delays_that_the_sampled_theory_knows_are_judged_and_others_are_undecided(sets: tuple[str, ...], state: str) -> None:
+    verdict = composed("vtol-fault", *sets).verdict
+    assert verdict is not None and verdict.state == state
+    assert "not decided at T = 0.001 s" in verdict.reason or state != "undecided"
 
-    assert state("links.sc.law.age=1", "links.ca.law.age=1") == "certified"
-    assert state('links.sc.law={kind="iid", probabilities=[0.5, 0.5]}') == "undecided"
-    assert state("links.sc.law.age=40", "links.ca.law.age=40") == "undecided"  # 164 states with delayed inputs
-    assert state("links.sc.law.age=60", "links.ca.law.age=60") == "refused"
 
-
+@pytest.mark.slow
 def test_robust_gains_are_solved_for_the_plant_that_runs_and_not_for_an_example() -> None:
     sound, broken = (
         composed("vtol-fault", f"plant.fault_effectiveness={share}").controller.schedule_of_modes()  # type: ignore[attr-defined]

@@ -26,6 +26,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_every_plot_of_a_report_is_written_as_svg_and_pdf(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_main("report", str(log), "-o", str(tmp_path / "page.html"), "--figures", str(tmp_path / "figures")) == 0
     names = sorted(path.name for path in (tmp_path / "figures").iterdir())

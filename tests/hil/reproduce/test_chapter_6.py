@@ -24,6 +24,7 @@ from hil.reproduce.pages import chapter_page
 DEVICE = HeldDevice(mass_kg=0.7943, damping_n_s_per_m=1.9857)
 
 
+@pytest.mark.slow
 def test_the_chapter_with_its_page():
     assert "ch6" in chapters()
     result = reproduce("ch6")

@@ -39,6 +39,7 @@ def test_printed_model_and_statements_are_told_apart():
     assert_every_number_decides(rows)
 
 
+@pytest.mark.slow
 def test_table_7_2_was_made_at_half_the_stated_period():
     """The local controller is judged by 20,000 runs at half the period: in the whole chapter, below."""
     rows = [motor_row(name, TABLE_7_2[name], period_s) for name in ("H-infinity", "H2") for period_s in PERIODS_S]
@@ -79,6 +80,7 @@ def test_the_networked_gains_of_the_vtol_bear_the_right_labels():
     assert_every_number_decides([found])
 
 
+@pytest.mark.slow
 def test_friction_brings_the_experiment_column_near():
     near = errors_of_all(LABORATORY, range(3), jobs=1)
     far = errors_of_all(Imperfections(**{**_fields(LABORATORY), "saturation_v": 0.3}), range(3), jobs=1)
@@ -95,6 +97,7 @@ def test_fitted_motor_is_the_plant_that_runs():
     assert plant.driver.saturation_v == 0.0576 and np.isclose(plant.friction.static_v, 2.5 * 0.0017)
 
 
+@pytest.mark.slow
 def test_experiment_rows_tell_the_parameters_and_the_rule():
     rows = experiment_rows(LABORATORY, 0.0, quietly, seeds=3)
     assert len(rows) == 5 and "saturation 0.0576 V" in rows[0].basis and "share of 3 runs" in rows[0].rule

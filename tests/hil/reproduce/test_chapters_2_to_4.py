@@ -22,6 +22,8 @@ def titles(result: Reproduction) -> str:
     return " ".join(panel.title for plot in result.figures for panel in plot.panels)
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_chapter_4_says_that_the_published_controller_diverges() -> None:
     steps: list[Step] = []
     result = reproduce("ch4", steps.append)

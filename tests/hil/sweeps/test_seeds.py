@@ -105,7 +105,10 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, experiment: Experiment, plain
         same(run_sweep(experiment, range(40), workers=ONE_CORE, store=store).values, plain)
 
 
-@pytest.mark.parametrize(("number", "status", "send"), [(signal.SIGINT, 130, os.killpg), (signal.SIGTERM, 143, os.kill)])
+@pytest.mark.parametrize(
+    ("number", "status", "send"),
+    [(signal.SIGINT, 130, os.killpg), pytest.param(signal.SIGTERM, 143, os.kill, marks=pytest.mark.slow)],
+)
 def test_a_signal_on_the_command_line_prints_and_exits_with_its_status(
     tmp_path: Path, number: int, status: int, send: Callable[[int, int], None]
 ) -> None:

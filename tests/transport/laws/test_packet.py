@@ -287,7 +287,7 @@ LAWS = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(law=LAWS, seed=st.integers(0, 2**32), present=st.lists(st.booleans(), max_size=80))
 def test_every_packet_is_accounted_for_and_none_comes_from_the_future(law: PacketLaw, seed: int, present: list[bool]) -> None:
     network, draws = start(law, seed), []

@@ -52,14 +52,14 @@ def packet_p_value(law: PacketLaw, draws: list[Draw]) -> float:
 
 @pytest.mark.parametrize("law", [LAMBDA, PI, BURSTY, IidAge(probabilities=(0.8, 0.2))], ids=["lambda", "pi", "bursty", "iid"])
 def test_p_values_are_uniform_under_the_law(law: Any) -> None:
-    p_values = [law_p_value(law, modes(law, 1000, seed)) for seed in range(400)]
+    p_values = [law_p_value(law, modes(law, 1000, seed)) for seed in range(200)]
     assert stats.kstest(p_values, "uniform").pvalue > 1e-4
     rejected = np.count_nonzero(np.array(p_values) < 0.05)
-    assert stats.binomtest(rejected, 400, 0.05).pvalue > 1e-4, "a level of 5 % rejects 5 % of the runs"
+    assert stats.binomtest(rejected, 200, 0.05).pvalue > 1e-4, "a level of 5 % rejects 5 % of the runs"
 
 
 def test_p_values_of_packet_laws_are_uniform_too() -> None:
-    p_values = [packet_p_value(GAMMA, records(GAMMA, 600, seed)) for seed in range(80)]
+    p_values = [packet_p_value(GAMMA, records(GAMMA, 400, seed)) for seed in range(40)]
     assert stats.kstest(p_values, "uniform").pvalue > 1e-4
 
 

@@ -103,7 +103,7 @@ def test_offering_out_of_order_and_collecting_twice_are_refused() -> None:
         impairment.offer(0, "c")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     law=st.sampled_from([LAMBDA, JUMPY, ConstantAge(age=3)]),
     seed=st.integers(0, 2**32),

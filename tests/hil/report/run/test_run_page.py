@@ -63,6 +63,7 @@ def test_user_text_cannot_become_markup() -> None:
     assert page.count("<script") == page.count("</script>") == 3
 
 
+@pytest.mark.slow
 def test_page_of_twenty_seconds_at_one_kilohertz_stays_below_three_megabytes() -> None:
     assert len(report(run_of("dc-motor-1khz", timed=True)).encode()) < 3_000_000
 
