@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from design.controllers import SensorNodes, Turns
 from hil.compose.bus_schedule import bus_cycle
 from hil.experiment import Experiment
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from transport.laws.delay_states import delay_states
-from transport.laws.protocols import BoundedAge, prepare, slots_served
+from transport.laws.protocols import BoundedAge, NetworkLaw, prepare, slots_served
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
 
 MOST_NODES = 255
@@ -34,7 +33,7 @@ class Sensor:
     outputs: tuple[int, ...] | None
     buffer: int
     trigger: TriggerTable
-    law: Any
+    law: NetworkLaw
     clock: ClockTable
 
     @property
@@ -172,7 +171,7 @@ def _turns(shared: Shared, sensors: Sequence[Sensor]) -> Turns | str:
     return Turns(transition=transition, initial=tuple(shares[place[a]] for a in every), loss=table.loss)
 
 
-def _constant_delay(law: Any) -> int | None:
+def _constant_delay(law: NetworkLaw) -> int | None:
     states = delay_states(law)
     if states is None:
         return None

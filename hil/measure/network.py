@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from hil.log.growing import pieces
 from transport.laws.modes import mode_shares, mode_transitions
+from transport.laws.protocols import NetworkLaw
 from transport.laws.statistics import law_p_value, mode_counts, transition_counts
 from transport.medium.draws import REASONS
 
@@ -24,7 +25,7 @@ def mode_sequence(draws: Draws) -> npt.NDArray[np.int64]:
 
 
 def network_metrics(
-    draws: Draws | None, law: Any | None, kind: str, *, late: int = 0, reasons: Sequence[str] = REASONS
+    draws: Draws | None, law: NetworkLaw | None, kind: str, *, late: int = 0, reasons: Sequence[str] = REASONS
 ) -> dict[str, Any]:
     """Return the network part of a summary, for one direction.
 
@@ -57,24 +58,24 @@ def network_metrics(
     return found
 
 
-def expected_transitions(law: Any | None) -> npt.NDArray[np.float64] | None:
+def expected_transitions(law: NetworkLaw | None) -> npt.NDArray[np.float64] | None:
     """Return the transition matrix that the law states for its modes, None where it is no Markov chain."""
     return _stated(law, mode_transitions)
 
 
-def expected_frequencies(law: Any | None) -> npt.NDArray[np.float64] | None:
+def expected_frequencies(law: NetworkLaw | None) -> npt.NDArray[np.float64] | None:
     """Return the stationary frequency of every mode that the law states, None where it states none."""
     return _stated(law, mode_shares)
 
 
-def _stated(law: Any | None, of: Callable[[object], npt.NDArray[np.float64] | None]) -> npt.NDArray[np.float64] | None:
+def _stated(law: NetworkLaw | None, of: Callable[[object], npt.NDArray[np.float64] | None]) -> npt.NDArray[np.float64] | None:
     try:
         return of(law)
     except ValueError:  # for instance a chain with several closed classes has no single stationary law
         return None
 
 
-def _p_value(law: Any | None, modes: npt.NDArray[np.int64], draws: Draws) -> float | None:
+def _p_value(law: NetworkLaw | None, modes: npt.NDArray[np.int64], draws: Draws) -> float | None:
     if law is None:
         return None
     try:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.runtime.streams import rng_for
 from hil.sweeps.many import AgesOfMany
-from transport.laws.protocols import GapLaw
+from transport.laws.protocols import AgeLaw, GapLaw
 
 Slots = NDArray[np.int32]
 
 
-def drawn_ages(law: Any, seeds: Sequence[int], stream: str, slots: int) -> Slots:
+def drawn_ages(law: AgeLaw, seeds: Sequence[int], stream: str, slots: int) -> Slots:
     """Return the ages that an age law draws in the runs of some seeds, (slots, runs)."""
     rngs: Iterable[np.random.Generator] = (rng_for(seed, stream) for seed in seeds)
     if isinstance(law, AgesOfMany):
@@ -27,11 +26,11 @@ def drawn_ages(law: Any, seeds: Sequence[int], stream: str, slots: int) -> Slots
     return drawn
 
 
-def lawful(law: Any, ages: Slots) -> NDArray[np.bool_]:
+def lawful(law: AgeLaw, ages: Slots) -> NDArray[np.bool_]:
     """Return which runs a law keeps its word in, (runs,): no age beyond its largest, and no gap unless it says so."""
-    good: NDArray[np.bool_] = ((ages >= 0) & (ages <= law.max_age)).all(axis=0)
+    good: NDArray[np.bool_] = np.asarray(((ages >= 0) & (ages <= law.max_age)).all(axis=0))
     if isinstance(law, GapLaw) and not law.allow_gaps:
-        good &= (ages[1:] <= ages[:-1] + 1).all(axis=0)
+        good &= np.asarray((ages[1:] <= ages[:-1] + 1).all(axis=0))
     return good
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from hil.measure.measure import measures_of
 from hil.measure.signals import signals_of
 from hil.sweeps.delays_of_many import applied_rows, drawn_ages, lawful, newest
 from hil.sweeps.many import ControllerOfMany, Matrix, PlantOfMany, RunningControllers, RunningPlants
+from transport.laws.protocols import AgeLaw
 
 LARGEST = 1e30
 """Beyond it a number is left to the plain engine: its square and its float32 are finite below."""
@@ -89,9 +91,10 @@ class _Slots:
         e, d_max = loop.experiment, loop.model.d_max
         self._loop, self._plants, self._controllers = loop, plants, controllers
         self._slots, self._runs, self._period_ns = e.ticks, len(seeds), e.period_ns
-        sc = drawn_ages(loop.sc_law, seeds, "link.sc", e.ticks)
-        ca = drawn_ages(loop.ca_law, seeds, "link.ca", e.ticks)
-        self._known = lawful(loop.sc_law, sc) & lawful(loop.ca_law, ca)
+        sc_law, ca_law = cast("tuple[AgeLaw, AgeLaw]", (loop.sc_law, loop.ca_law))  # `in_lockstep` asked their family
+        sc = drawn_ages(sc_law, seeds, "link.sc", e.ticks)
+        ca = drawn_ages(ca_law, seeds, "link.ca", e.ticks)
+        self._known = lawful(sc_law, sc) & lawful(ca_law, ca)
         self._sampled, self._held = newest(sc), newest(ca)
         self._rows = applied_rows(loop.selection, self._held, d_max)
         self._ring = d_max + 2

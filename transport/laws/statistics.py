@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.laws.latency import LatencyTrace, latency
-from transport.laws.protocols import ChannelLaw, MarkovModes, RecordedLaw, SemiMarkovLaw, slots_served
+from transport.laws.protocols import ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
 from transport.laws.sojourn import hazards
 from transport.medium.draws import COPIED, LOST, OVERFLOW, SENT, Draw
 
@@ -23,6 +23,7 @@ LATENCY_BINS = 10
 _BLOCK = 1 << 18  # transitions that are counted at once
 
 Modes = NDArray[np.int64]
+Records = Sequence[Draw] | NDArray[np.void]
 
 
 class Evidence(NamedTuple):
@@ -60,7 +61,7 @@ def transition_counts(modes: Modes, size: int | None = None) -> NDArray[np.int64
     return pairs.reshape(size, size)
 
 
-def law_p_value(law: Any, modes: Modes, draws: Any = None) -> float:
+def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None) -> float:
     """Return the p-value of a record under its law: uniform on [0, 1] if the law is right, up to the chi-square
     approximation.
 
@@ -89,12 +90,12 @@ def law_p_value(law: Any, modes: Modes, draws: Any = None) -> float:
     return float(gammaincc(freedom / 2.0, statistic / 2.0))
 
 
-def is_testable(law: Any) -> bool:
+def is_testable(law: NetworkLaw) -> bool:
     """Return whether a record that is long enough can be tested against the law."""
     return isinstance(law, RecordedLaw | SemiMarkovLaw | MarkovModes)
 
 
-def _evidence(law: Any, modes: Modes, draws: Any) -> Iterator[Evidence]:
+def _evidence(law: NetworkLaw, modes: Modes, draws: Records | None) -> Iterator[Evidence]:
     if isinstance(law, RecordedLaw):
         ages, served = law.recorded(), slots_served(law)
         enough = served is None or len(modes) <= served
@@ -178,7 +179,7 @@ def _hazard_evidence(left: NDArray[np.int64], at_risk: NDArray[np.int64], hazard
     yield Evidence(float(sum(more**2 / spread for more, spread in usable)), len(usable), possible, scarce=chance and not usable)
 
 
-def _packet_evidence(law: ChannelLaw, draws: Any) -> Iterator[Evidence]:
+def _packet_evidence(law: ChannelLaw, draws: Records) -> Iterator[Evidence]:
     table = _columns(draws)
     fate = (table["mode"] >= 0) & np.isin(table["reason"], (SENT, LOST))
     sent = fate & (table["reason"] == SENT)
@@ -206,14 +207,13 @@ def _packet_evidence(law: ChannelLaw, draws: Any) -> Iterator[Evidence]:
         yield _cells_evidence(np.bincount(np.searchsorted(edges, observed), minlength=len(edges) + 1), np.diff(reached))
 
 
-def _columns(draws: Any) -> dict[str, NDArray[Any]]:
+def _columns(draws: Records) -> dict[str, NDArray[Any]]:
     if isinstance(draws, np.ndarray):
         columns = {name: draws[name].astype(np.int64) for name in ("tick", "mode", "reason")}
         return columns | {"latency_s": draws["latency_s"].astype(np.float64)}
-    rows: Sequence[Draw] = draws
     return {
-        "tick": np.array([draw.tick for draw in rows], dtype=np.int64),
-        "mode": np.array([draw.mode for draw in rows], dtype=np.int64),
-        "latency_s": np.array([draw.latency_s for draw in rows], dtype=np.float64),
-        "reason": np.array([draw.reason for draw in rows], dtype=np.int64),
+        "tick": np.array([draw.tick for draw in draws], dtype=np.int64),
+        "mode": np.array([draw.mode for draw in draws], dtype=np.int64),
+        "latency_s": np.array([draw.latency_s for draw in draws], dtype=np.float64),
+        "reason": np.array([draw.reason for draw in draws], dtype=np.int64),
     }

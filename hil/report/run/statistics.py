@@ -51,7 +51,7 @@ def network_blocks(run: Run, network: Mapping[str, Any], laws: Mapping[str, Any 
 def verdict(found: Mapping[str, Any], law: Any | None) -> Badge:
     """Return whether a direction's record agrees with its law."""
     p = found["p_value"]
-    if p is None and is_testable(law):
+    if p is None and law is not None and is_testable(law):
         return Badge(label="no test", detail="too few slots")
     if p is None:
         return Badge(label="no test", detail=f"for a law of kind {found['law']}")
