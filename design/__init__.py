@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from design.errors import DesignError as DesignError
     from design.errors import Infeasible as Infeasible
     from design.errors import NotStable as NotStable
+    from design.identification.excitation import expected_errors as expected_errors
+    from design.identification.excitation import square_wave as square_wave
     from design.jump_linear.bounded_real import hinf_norm as hinf_norm
     from design.jump_linear.certificate import Certificate as Certificate
     from design.jump_linear.certificate import certify_system as certify_system
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
     from design.networked_loop.uncertainty import robust_norms as robust_norms
     from design.networked_loop.uncertainty import uncertainty_margin as uncertainty_margin
     from design.processes.delay_chain import DelayChain as DelayChain
+    from design.processes.lifetimes import BathtubRate as BathtubRate
+    from design.processes.rates import ScaledRate as ScaledRate
+    from design.processes.rates import UserRate as UserRate
     from design.processes.semi_markov import FaultDetection as FaultDetection
     from design.processes.semi_markov import SemiMarkov as SemiMarkov
     from design.semi_markov_loop.certificate import JumpCertificate as JumpCertificate
@@ -81,6 +86,11 @@ _EXPORTS = {
     "uncertainty_margin": "design.networked_loop.uncertainty",
     "SemiMarkov": "design.processes.semi_markov",
     "FaultDetection": "design.processes.semi_markov",
+    "BathtubRate": "design.processes.lifetimes",
+    "ScaledRate": "design.processes.rates",
+    "UserRate": "design.processes.rates",
+    "expected_errors": "design.identification.excitation",
+    "square_wave": "design.identification.excitation",
     "JumpSystem": "design.semi_markov_loop.system",
     "DelayedJumpSystem": "design.semi_markov_loop.system",
     "NormBounded": "design.semi_markov_loop.system",

@@ -9,7 +9,6 @@ Needs numpy only, so that the process that keeps time can load it. References: t
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -78,22 +77,6 @@ class ScheduledGain:
             return np.asarray(self.gain[mode, section])
         part = (h - starts[section]) / (starts[section + 1] - starts[section])
         return np.asarray((1.0 - part) * self.gain[mode, section] + part * self.gain[mode, section + 1])
-
-    def to_json(self) -> str:
-        """The gains as JSON text; floats keep every digit."""
-        arrays = {"gain": self.gain.tolist(), "starts_s": self.starts_s.tolist()}
-        return json.dumps({**arrays, "schedule": self.schedule, "measured": list(self.measured)})
-
-    @classmethod
-    def from_json(cls, text: str) -> ScheduledGain:
-        """The gains that ``to_json`` wrote. Raises ValueError on anything else."""
-        try:
-            data = json.loads(text)
-            gain, starts = np.array(data["gain"], dtype=float), np.array(data["starts_s"], dtype=float)
-            schedule, measured = data["schedule"], tuple(data["measured"])
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"scheduled gain: not what to_json writes ({error!r})") from None
-        return cls(gain=gain, starts_s=starts, schedule=schedule, measured=measured)
 
 
 def constant_gain(gain: npt.ArrayLike, measured: tuple[str, ...] = ("r",)) -> ScheduledGain:

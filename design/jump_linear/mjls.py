@@ -76,10 +76,6 @@ class MJLS:
         A, _, _, _, transition = self.matrices
         return mean_square_radius(A, transition)
 
-    def is_stable(self) -> bool:
-        """Mean-square stability, decided by the radius with a margin of 1e-9."""
-        return self.radius() < 1.0 - STABILITY_MARGIN
-
     def alpha(self, initial: npt.ArrayLike | None = None) -> Array:
         """Initial mode distribution: uniform unless given.
 

@@ -17,7 +17,6 @@ each single interval has its level (asymptotic in n_k; ``first_look`` keeps n_1 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
@@ -126,29 +125,3 @@ class StopRule:
         """The interval of a look, of level 1 - (1 - level) / (look (look + 1))."""
         level = 1.0 - (1.0 - self.level) / (look * (look + 1))
         return (mean_interval if self.statistic == "mean" else deviation_interval)(values, level)
-
-
-class Stopped(NamedTuple):
-    """Values of all runs, the interval at the last look (its level is the whole rule's), and whether it is narrow enough."""
-
-    values: FloatArray
-    interval: Interval
-    reached: bool
-
-
-def sample_until(draw: Callable[[int, int], npt.ArrayLike], rule: StopRule, max_runs: int) -> Stopped:
-    """Sample until the rule is met or ``max_runs`` are done.
-
-    Args:
-        draw: called with (first run, number of runs), returns their values, e.g. ``settling_times`` with ``first`` and ``runs``.
-
-    The runs are numbered, so the values are those of one call for all of them.
-    """
-    values, look = np.empty(0), 0
-    while True:
-        look += 1
-        wanted = min(rule.runs(look), max_runs)
-        values = np.concatenate([values, np.asarray(draw(values.size, wanted - values.size), dtype=float)])
-        found = rule.interval(values, look)
-        if found.half_width <= rule.half_width or wanted == max_runs:
-            return Stopped(values, found._replace(level=rule.level), found.half_width <= rule.half_width)
