@@ -30,6 +30,8 @@ class HistoricalDesigned:
         start: what the cost is the mean over: ``average``: x(0) ~ N(0, I) in any phase; ``given``: the plant's x(0), in
             the schedule's first phase.
         input_weight: a number on u'u in the cost of the design, on top of the plant's own weights.
+        peak_input: largest |u| of a run from the plant's x(0) with a zero history; the input weight is then the least that keeps
+            to it, in place of any other. Needs ``start = "given"`` and turns that follow a cycle without loss.
     """
 
     uses: Literal["history", "current-packet", "newest", "last-packets"] = "history"
@@ -37,6 +39,7 @@ class HistoricalDesigned:
     memory: int | None = None
     start: Literal["average", "given"] = "average"
     input_weight: float = 0.0
+    peak_input: float | None = None
 
     def __post_init__(self) -> None:
         if self.memory is not None and not 0 <= self.memory <= 100:
@@ -46,6 +49,14 @@ class HistoricalDesigned:
         if not (np.isfinite(self.input_weight) and self.input_weight >= 0):
             raise FieldError("input_weight", f"{self.input_weight}, expected a finite number, at least 0")
 
+        if self.peak_input is not None:
+            if not (np.isfinite(self.peak_input) and self.peak_input > 0):
+                raise FieldError("peak_input", f"{self.peak_input}, expected a finite number > 0")
+            if self.start != "given" or self.uses == "last-packets":
+                raise FieldError("peak_input", "is that of one run: start = 'given', and uses other than 'last-packets'")
+            if self.input_weight:
+                raise FieldError("peak_input", "sets the input weight itself: leave out input_weight")
+
     def solve(self, task: DesignTask) -> Historical:
         """Return the gains as the controller that runs.
 
@@ -54,6 +65,7 @@ class HistoricalDesigned:
         """
         from design.historical_data.guaranteed_cost import Start, average_start, synthesise
         from design.historical_data.lifted_loop import DelayedPlant
+        from design.historical_data.matched_peak import match_peak
         from design.historical_data.sensor_schedule import (
             mask_of,
             phase_chain,
@@ -100,7 +112,13 @@ class HistoricalDesigned:
             if nodes.turns is not None and nodes.turns.loss:
                 share = nodes.turns.loss
                 start = Start(moment=start.moment, phases=np.kron([1.0 - share, share], np.full(phases, 1.0 / phases)))
-        K = synthesise(problem, full, start, transition=phase_chain(nodes))[:phases]
+        chain = phase_chain(nodes)
+        if self.peak_input is not None:
+            if chain is not None:
+                raise FieldError("peak_input", "is matched where turns follow a cycle and no packet is lost")
+            matched = match_peak(problem, full, task.initial_state, int(at.argmax()), self.peak_input)
+            return historical_of(matched.gains, uses)
+        K = synthesise(problem, full, start, transition=chain)[:phases]
         return historical_of(K, uses)
 
     def _of_last_packets(self, plant: DelayedPlant, nodes: SensorNodes, x0: npt.NDArray[np.float64]) -> Historical:

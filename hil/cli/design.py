@@ -62,18 +62,20 @@ class GainsOrWall(click.Command):
 @click.option("--local", type=click.Choice(["lqr", "lqg", "hinf"]),
               help="Design for the plant without a network, by python-control, and judge it over the network.")
 @click.option("--noise", type=float, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
+@click.option("--orders", is_flag=True, help="Several sensor nodes: try every order of their turns.")
 @click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
-    seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, path: Path | None, force: bool,
-    as_json: bool,
+    seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, path: Path | None,
+    force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
-    ``hil design wall --help``: the coupler of a virtual wall.
+    ``hil design wall --help``: the coupler of a virtual wall. For an experiment with several sensor nodes: its gains over
+    historical data, what they cost, and what no controller can go below.
 
     Exit status 2 where no gains meet the request; the message has the number that decides it.
     """
@@ -82,11 +84,19 @@ def command(
     from design.errors import DesignError
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
+    from hil.cli.design_historical import command as historical
+    from hil.cli.design_historical import has_nodes
     from hil.cli.outputs import check_output, write_output
     from hil.compose.design_problem import problem_for, tracking_target, verdict_on
     from hil.compose.plant_uncertainty import interval, judge_uncertain
     from hil.log.write.provenance import package_versions
 
+    if has_nodes(subject):
+        _refuse_others({"subject", "orders", "as_json"}, "with several sensor nodes, whose gains [controller] asks for")
+        historical(subject, orders, as_json)
+        return
+    if orders:
+        raise HilError("--orders: belongs to an experiment with several sensor nodes")
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if path is not None:
@@ -145,6 +155,17 @@ def _local(target: TrackingTarget, method: str, input_weight: float | None, nois
         method=method, input_weight=0.01 if input_weight is None else input_weight, noise=0.01 if noise is None else noise  # type: ignore[arg-type]
     )  # fmt: skip
     show_local(design_local(target, request), as_json=as_json)
+
+
+def _refuse_others(common: set[str], where: str) -> None:
+    """Refuse an option that was given and means nothing here."""
+    from click.core import ParameterSource
+
+    context = click.get_current_context()
+    given = [p for p in context.command.params if p.name and context.get_parameter_source(p.name) is ParameterSource.COMMANDLINE]
+    others = [p.opts[-1] for p in given if p.name not in common]
+    if others:
+        raise HilError(f"{others[0]}: not {where}")
 
 
 class _Watch:

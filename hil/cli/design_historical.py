@@ -1,0 +1,52 @@
+"""``hil design EXPERIMENT`` for several sensor nodes: the gains, what they cost, and how far that is from the best possible."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from hil.errors import HilError
+
+
+def has_nodes(place: str) -> bool:
+    """Return whether a name is that of an experiment with several sensor nodes."""
+    from hil.experiment import load_experiment
+    from hil.experiment.plugins import names
+
+    return place not in names("hil.plants") and bool(load_experiment(place).nodes)
+
+
+def command(place: str, orders: bool, as_json: bool) -> None:
+    """Print what gains over historical data cost."""
+    from hil.compose.historical_bounds import judge_historical
+    from hil.compose.loop import compose
+    from hil.experiment import load_experiment
+
+    try:
+        found = judge_historical(compose(load_experiment(place)), orders=orders)
+    except ValueError as error:
+        raise HilError(f"{place}: {error}") from error
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    for line in lines(found):
+        print(line)
+
+
+def lines(found: dict[str, Any]) -> list[str]:
+    """Return a judgement as lines for people."""
+    said = [f"{found['experiment']}, uses {found['uses']}", f"cost from the plant's start   {found['cost']:.6g}"]
+    if found["mean_cost"] is None:
+        said.append("no bound: it is known for turns in a fixed order without loss, one buffer and one delay for all nodes")
+    else:
+        said += [
+            f"mean cost, x(0) ~ N(0, I)     {found['mean_cost']:.6g}",
+            f"bound, any causal controller  {found['bound_causal']:.6g} (ours is {100 * found['gap']:.2f} % above)",
+            f"bound, full state             {found['bound_full_state']:.6g}",
+        ]
+    said += [f"order {', '.join(each['nodes'])}: mean cost {each['mean_cost']:.6g}" for each in found.get("orders", ())]
+    said.append("gains [phase][j], of x(k - j):")
+    for i, phase in enumerate(found["gains"]):
+        for j, rows in enumerate(phase):
+            said += [f"  [{i}][{j}] " + " ".join(f"{entry:10.5g}" for entry in row) for row in rows]
+    return said

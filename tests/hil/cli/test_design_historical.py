@@ -1,0 +1,91 @@
+"""``hil design`` of several sensor nodes, and gains that keep to a largest input."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from design.requests.historical import HistoricalDesigned
+from hil.cli import cli
+from hil.compose.historical_bounds import judge_historical
+from hil.compose.loop import compose
+from hil.errors import HilError
+from hil.experiment import load_experiment
+from hil.measure.cost import Cost
+from hil.measure.view import view_of
+from hil.session import simulate
+
+SHORT = [f"nodes.{name}.buffer=1" for name in ("first", "second", "third", "fourth")]
+
+
+def test_cost_bounds_and_gains_are_printed() -> None:
+    """The bounds of the review: 1.7588 for any causal controller with packets of three samples, 1.6471 with the whole state."""
+    found = json.loads(CliRunner().invoke(cli, ["design", "multisensor-ours", "--json"]).stdout)
+    assert found["mean_cost"] <= 1.8130 and found["bound_causal"] == pytest.approx(1.7588, abs=1e-4)
+    assert found["bound_full_state"] == pytest.approx(1.6471, abs=1e-4) and 0.0 < found["gap"] <= 0.031
+    assert found["cost"] == pytest.approx(55.197, abs=1e-3) and found["verdict"]["state"] == "certified"
+    table = f"controller={{kind='historical', gains={found['gains']}}}"
+    again = compose(load_experiment("multisensor-ours", [table]))
+    assert again.verdict is not None and again.verdict.details["cost"] == pytest.approx(found["cost"], rel=1e-12)
+    shown = CliRunner().invoke(cli, ["design", "multisensor-newest"]).stdout
+    assert "bound, any causal controller  1.78145 (ours is 113.97 % above)" in shown and "[3][0]" in shown
+
+
+def test_every_order_of_the_turns_is_tried() -> None:
+    newest = compose(load_experiment("multisensor-newest", SHORT))
+    orders = judge_historical(newest, orders=True)["orders"]
+    assert len(orders) == 6 and orders[0] == {
+        "nodes": ["first", "second", "third", "fourth"],
+        "mean_cost": pytest.approx(2.0319, abs=1e-4),
+    }
+
+
+def test_what_has_no_bound_says_so() -> None:
+    gains = [[[[0.01 * (i == l) for l in range(4)]]] for i in range(4)]
+    table = f"controller={{kind='historical', uses='current-packet', gains={gains}}}"
+    lossy = compose(load_experiment("multisensor-ours", [table, *SHORT, "media.bus.loss=0.1"]))
+    found = judge_historical(lossy)
+    assert found["cost"] > 0 and found["mean_cost"] is found["bound_causal"] is found["gap"] is None
+    with pytest.raises(HilError, match="--orders: needs turns in a fixed order"):
+        judge_historical(lossy, orders=True)
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["multisensor-ours", "--gain-bound", "3"], "--gain-bound: not with several sensor nodes"),
+        (["multisensor-ours", "-o", "x.json"], "--file: not with several sensor nodes"),
+        (["dc-motor", "--orders"], "--orders: belongs to an experiment with several sensor nodes"),
+        (["dc-motor-two-nodes"], "hil design judges gains over historical data"),
+    ],
+)
+def test_what_means_nothing_is_refused(args: list[str], says: str) -> None:
+    with pytest.raises(HilError, match=says):
+        CliRunner().invoke(cli, ["design", *args], catch_exceptions=False, standalone_mode=False)
+
+
+def test_gains_keep_to_the_published_largest_input_and_cost_less() -> None:
+    """(5.17), I(0) = 1: largest input 15.93 and J = 149.5; the newest sample alone."""
+    sets = ["media.bus.phase=0", "controller={kind='historical-designed', uses='newest', start='given', peak_input=15.93}"]
+    loop = compose(load_experiment("multisensor-ours", sets))
+    found = Cost().of(view_of(simulate(loop, 0), loop.experiment))
+    assert found["peak_input"] is not None and 0.97 * 15.93 < found["peak_input"] <= 15.93 * (1 + 1e-6)
+    assert found["cost"] is not None and found["cost"] < 149.47
+    with pytest.raises(HilError, match=r"controller\.peak_input: is matched where turns follow a cycle"):
+        compose(load_experiment("multisensor-ours", ["controller.start=given", "controller.peak_input=3", "media.bus.loss=0.1",
+                                                     "controller.uses=newest"]))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"peak_input": -1.0, "start": "given"}, "peak_input: -1.0, expected a finite number > 0"),
+        ({"peak_input": 2.0}, "peak_input: is that of one run"),
+        ({"peak_input": 2.0, "start": "given", "input_weight": 1.0}, "peak_input: sets the input weight itself"),
+    ],
+)
+def test_a_largest_input_that_cannot_be_matched_is_refused(given: dict[str, object], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        HistoricalDesigned(**given)  # type: ignore[arg-type]
