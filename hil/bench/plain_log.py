@@ -28,13 +28,7 @@ class PlainSink:
         writer.start(profile="ros2", library=LIBRARY)
         for name, record in about.metadata().items():
             writer.add_metadata(name, record)
-        attachments = [
-            ("experiment.toml", "application/toml", about.experiment_text.encode("utf-8", "backslashreplace")),
-            ("resolved.json", "application/json", to_json(about.resolved, indent=1)),
-        ]
-        if about.certificate is not None:
-            attachments.append(("certificate.json", "application/json", to_json(about.certificate, indent=1)))
-        for name, media_type, data in attachments:
+        for name, media_type, data in about.attachments():
             writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
         schemas: dict[str, int] = {}
         for channel in channels.values():

@@ -82,13 +82,7 @@ class McapSink:
         writer = self._writer
         for name, record in provenance.metadata().items():
             writer.add_metadata(name, record)
-        attachments = [
-            ("experiment.toml", "application/toml", provenance.experiment_text.encode("utf-8", "backslashreplace")),
-            ("resolved.json", "application/json", to_json(provenance.resolved, indent=1)),
-        ]
-        if provenance.certificate is not None:
-            attachments.append(("certificate.json", "application/json", to_json(provenance.certificate, indent=1)))
-        for name, media_type, data in attachments:
+        for name, media_type, data in provenance.attachments():
             writer.add_attachment(name, media_type, data)
         schemas: dict[str, int] = {}
         for channel in channels.values():

@@ -10,6 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
+from hil.log.events import to_json
+
 CHECKOUT: Final = Path(__file__).parents[3]
 """The folder of this package: the root of a checkout, or `site-packages`."""
 
@@ -87,3 +89,13 @@ class Provenance:
             "session": {key: str(value) for key, value in self.session.items()},
         }
         return {name: dict(sorted(record.items())) for name, record in records.items() if record}
+
+    def attachments(self) -> list[tuple[str, str, bytes]]:
+        """Attachments as (name, media type, bytes), in the order of the file."""
+        found = [
+            ("experiment.toml", "application/toml", self.experiment_text.encode("utf-8", "backslashreplace")),
+            ("resolved.json", "application/json", to_json(self.resolved, indent=1)),
+        ]
+        if self.certificate is not None:
+            found.append(("certificate.json", "application/json", to_json(self.certificate, indent=1)))
+        return found
