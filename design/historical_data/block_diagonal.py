@@ -85,7 +85,7 @@ def tangent_scheme(plant: DelayedPlant, mask: Mask, x0: Array, *, iterations: in
     phases, columns, n = mask.shape
     p = plant.B.shape[1]
     K = np.zeros((phases, columns, p, n))
-    P, Q = _without_gains(plant, x0)
+    P, Q = proof_without_gains(plant, x0)
     bounds = [functional(P, Q, [x0])]
     for _ in range(iterations):
         step = _tangent_step(plant, mask, x0, np.asarray(np.linalg.inv(P), dtype=np.float64))
@@ -101,17 +101,21 @@ def tangent_scheme(plant: DelayedPlant, mask: Mask, x0: Array, *, iterations: in
     return BlockDiagonalProof(P, Q, K, tuple(bounds))
 
 
-def _without_gains(plant: DelayedPlant, x0: Array) -> tuple[Array, Array]:
-    """The theorem at K = 0 is linear in P and Q once (5.9) is multiplied out."""
+def proof_without_gains(plant: DelayedPlant, x0: Array) -> tuple[Array, Array]:
+    """Return P, (n, n), and Q, (tau, n, n), of least V(0) at K = 0, where (5.9) multiplied out is linear.
+
+    Raises:
+        Infeasible: the theorem cannot be met without gains.
+    """
     import cvxpy as cp
 
     n, tau = len(plant.A), plant.memory
     P: Any = cp.Variable((n, n), symmetric=True)
     Q: list[Any] = [cp.Variable((n, n), symmetric=True) for _ in range(tau)]
     row = np.concatenate([plant.A, *plant.delayed], axis=1)
-    omega = _diagonal([P - sum(Q) - plant.weight, *Q])
+    omega = diagonal_blocks([P - sum(Q) - plant.weight, *Q])
     rows = [row.T @ P @ row - omega + MARGIN * np.eye(n * (tau + 1)) << 0, P >> MARGIN * np.eye(n)]
-    _solve(cp.Problem(cp.Minimize(x0 @ P @ x0), rows))
+    solve_quietly(cp.Problem(cp.Minimize(x0 @ P @ x0), rows))
     if P.value is None:
         raise Infeasible("Theorem 5.1 cannot be met without gains: the tangent scheme has nowhere to start")
     found = np.asarray(P.value), np.array([q.value for q in Q])
@@ -130,7 +134,7 @@ def _tangent_step(plant: DelayedPlant, mask: Mask, x0: Array, X: Array) -> tuple
     P: Any = cp.Variable((n, n), symmetric=True)
     Q: list[Any] = [cp.Variable((n, n), symmetric=True) for _ in range(tau)]
     K: list[list[Any]] = [[cp.Variable((p, n)) for _ in range(columns)] for _ in range(phases)]
-    omega = _diagonal([P - sum(Q) - plant.weight, *Q])
+    omega = diagonal_blocks([P - sum(Q) - plant.weight, *Q])
     rows: list[Any] = [P >> MARGIN * np.eye(n)]
     open_loop = [plant.A, *plant.delayed]
     for i in range(phases):
@@ -139,14 +143,15 @@ def _tangent_step(plant: DelayedPlant, mask: Mask, x0: Array, X: Array) -> tuple
         block = compiler.bmat([[-(2 * X - X @ P @ X), row], [row.T, -omega]])
         rows.append(0.5 * (block + block.T) + MARGIN * np.eye(n * (tau + 2)) << 0)
         rows += [K[i][j][:, l] == 0 for j in range(columns) for l in range(n) if not mask[i, j, l]]
-    _solve(cp.Problem(cp.Minimize(x0 @ P @ x0), rows))
+    solve_quietly(cp.Problem(cp.Minimize(x0 @ P @ x0), rows))
     if P.value is None:
         return None
     gains = np.array([[k.value for k in row] for row in K]) * mask[:, :, None, :]
     return np.asarray(P.value), np.array([q.value for q in Q]), gains
 
 
-def _diagonal(blocks: list[Any]) -> Any:
+def diagonal_blocks(blocks: list[Any]) -> Any:
+    """Return the block-diagonal matrix of square blocks of one size."""
     import cvxpy as cp
 
     compiler: Any = cp
@@ -155,7 +160,8 @@ def _diagonal(blocks: list[Any]) -> Any:
     return compiler.bmat([[block if i == j else zero for j in range(len(blocks))] for i, block in enumerate(blocks)])
 
 
-def _solve(problem: Any) -> None:
+def solve_quietly(problem: Any) -> None:
+    """Solve a semidefinite programme; where the solver fails its variables have no values."""
     import cvxpy as cp
 
     with warnings.catch_warnings():

@@ -10,6 +10,7 @@ from design.as_printed.historical_data import historical_gains, newest_gains
 from design.errors import Infeasible, NotStable
 from design.historical_data.block_diagonal import functional, largest_eigenvalue, tangent_scheme
 from design.historical_data.common_lyapunov import common_bound
+from design.historical_data.cone_complementarity import cone_complementarity
 from design.historical_data.guaranteed_cost import (
     average_start,
     certify_cost,
@@ -269,3 +270,14 @@ def test_the_input_weight_of_a_peak_is_found() -> None:
     assert 0.97 * 15.93 < ours.peak <= 15.93 and ours.cost < 149.47
     with pytest.raises(Infeasible):
         match_peak(PLANT, mask, START, 0, 1e-9)
+
+
+@pytest.mark.slow
+def test_cone_complementarity_proves_a_bound_that_is_asked_for_and_no_impossible_one() -> None:
+    mask, x0 = round_robin(4, buffer=3).mask(), np.array(START)
+    proof = cone_complementarity(VARIANT, mask, x0, 14.8)
+    assert proof.bounds[-1] <= 14.8 and largest_eigenvalue(VARIANT, proof.gains, proof.P, proof.Q) < 0
+    assert not proof.gains[:, :, 0][~mask].any()
+    assert max(cost(close(VARIANT, proof.gains), start_at(START, 4, phase)) for phase in range(4)) < proof.bounds[-1]
+    with pytest.raises(Infeasible, match="no proof of a cost of 12"):
+        cone_complementarity(VARIANT, mask, x0, 12.0, iterations=3)
