@@ -12,6 +12,7 @@ from design.controllers.historical import Historical, History
 from design.controllers.packet_window import PacketWindow
 from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
 from design.errors import FieldError
+from design.requests.gain_cache import cached_history
 from design.requests.task import DesignTask
 
 if TYPE_CHECKING:
@@ -118,8 +119,8 @@ class HistoricalDesigned:
                 raise FieldError("peak_input", "is matched where turns follow a cycle and no packet is lost")
             matched = match_peak(problem, full, task.initial_state, int(at.argmax()), self.peak_input)
             return historical_of(matched.gains, uses)
-        K = synthesise(problem, full, start, transition=chain)[:phases]
-        return historical_of(K, uses)
+        K = cached_history((problem, full, start, chain), lambda: synthesise(problem, full, start, transition=chain))
+        return historical_of(K[:phases], uses)
 
     def _of_last_packets(self, plant: DelayedPlant, nodes: SensorNodes, x0: npt.NDArray[np.float64]) -> Historical:
         from design.historical_data.guaranteed_cost import Start, synthesise
@@ -138,7 +139,8 @@ class HistoricalDesigned:
         phases = np.mean([window_start(begin) for begin in begins], axis=0)
         moment = np.outer(x0, x0) if self.start == "given" else np.eye(len(plant.A))
         mask, start = window_mask(nodes, window, memory), Start(moment=moment, phases=phases)
-        K = synthesise(plant, mask, start, transition=window_chain(window))
+        chain = window_chain(window)
+        K = cached_history((plant, mask, start, chain), lambda: synthesise(plant, mask, start, transition=chain))
         return historical_of(K, "last-packets")
 
 

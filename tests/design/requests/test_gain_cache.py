@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.requests.gain_cache import cached_gain
+from design.requests.gain_cache import cached_gain, cached_history
 
 GAIN = ScheduledGain(
     gain=np.array([[[[0.1, 1.0 / 3.0]], [[-2.0, 1e-17]]]]), starts_s=np.array([[0.0, 0.7]]), schedule="linear",
@@ -51,3 +51,16 @@ def test_what_cannot_be_named_is_solved_every_time(tmp_path: Path) -> None:
 def test_a_cache_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert cached_gain("a", lambda: GAIN, tmp_path / "file" / "below") is GAIN
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"gains": [[1.0]]}', '{"gains": [[[[NaN]]]]}'])
+def test_gains_over_historical_data_are_solved_once_and_again_where_their_entry_is_damaged(text: str, tmp_path: Path) -> None:
+    K, solved = np.array([[[[0.1, 1.0 / 3.0]], [[-2.0, 1e-17]]]]), []
+
+    def kept() -> np.ndarray:
+        return cached_history(("a", np.ones(3)), lambda: solved.append(1) or K, tmp_path)
+
+    assert kept().tobytes() == kept().tobytes() == K.tobytes() and len(solved) == 1
+    (entry,) = tmp_path.iterdir()
+    entry.write_text(text)
+    assert kept().tobytes() == kept().tobytes() == K.tobytes() and len(solved) == 2
