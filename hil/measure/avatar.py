@@ -60,15 +60,20 @@ class AvatarPath:
     same: bool
 
 
-def wall_loop_of(view: RunView) -> Loop | None:
-    """Return the composed loop of a run if its controller renders a wall, None for every other run."""
+def loop_of(view: RunView) -> Loop | None:
+    """Return the composed loop of a run, None where it cannot be composed any more or its answers were not logged."""
     if view.experiment is None or ROWS not in view.run.arrays:
         return None
     try:
-        loop = compose(view.experiment, certify=False)
+        return compose(view.experiment, certify=False)
     except HilError:
         return None
-    return loop if isinstance(loop.controller, RendersWall) else None
+
+
+def wall_loop_of(view: RunView) -> Loop | None:
+    """Return the composed loop of a run if its controller renders a wall through a coupler, None for every other run."""
+    loop = loop_of(view)
+    return loop if loop is not None and isinstance(loop.controller, RendersWall) else None
 
 
 def _touching(controller: object) -> TouchesWall | None:

@@ -11,12 +11,13 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from design.controllers.model_following import FollowsModel
 from design.controllers.virtual_wall import RendersWall
 from design.controllers.wall import Wall
 from hil.compose.loop import Loop
 from hil.log.growing import whole
 from hil.log.records import PASSIVITY_TOPIC
-from hil.measure.avatar import MOST_ANSWERS, AvatarPath, avatar_path, wall_loop_of
+from hil.measure.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
 from hil.report.html.figures import Block, Figure, Marker, Scene, Section, Series, Shape
 from hil.report.run.curve import curve
@@ -39,7 +40,12 @@ def wall_section(view: RunView) -> Section | None:
     Args:
         view: the run.
     """
-    loop = wall_loop_of(view)
+    loop = loop_of(view)
+    if loop is not None and isinstance(loop.controller, FollowsModel):
+        return Section(
+            title="At the wall", blocks=tuple(_over_time(view, None)), columns=2,
+            intro="The controller draws the device after a model of the wall: there is no coupler, and so no avatar behind it.",
+        )  # fmt: skip
     if loop is None or not isinstance(loop.controller, RendersWall):
         return None
     path = avatar_path(view, loop)

@@ -53,6 +53,16 @@ def test_a_push_has_no_way_and_a_motor_no_wall():
     assert section("dc-motor-hinf", "duration=2")[1] is None
 
 
+def test_a_wall_without_a_coupler_shows_depth_force_and_energy():
+    following = ('controller={kind="model-following"}', "allow_uncertified=true", "limits.input=[40.0]", "limits.state.given=1.0")
+    run, found = section("omni-push", "duration=20", *following)
+    depth, force, energy = found.blocks
+    assert [len(block.series) for block in found.blocks] == [1, 1, 1]  # no avatar beside the device
+    assert depth.series[0].y == pytest.approx(1e3 * run.arrays["/plant/measurement"]["position"])
+    assert depth.series[0].y[-1] == pytest.approx(1.0, abs=0.05) and force.series[0].y[-1] == pytest.approx(1.0, abs=0.05)
+    assert energy.series[0].y.max() > 500.0
+
+
 def test_a_scene_has_one_scale_and_escapes_its_words():
     square = Shape(points=[(0, 0), (10, 0), (10, 10), (0, 10)], label="<b>", colour=1, filled=True)
     scene = Scene(title="t<", shapes=(square, Shape(points=[(0.0, 0.0), (np.nan, np.nan), (10.0, 10.0)])), labels=((5, 5, "&"),))
