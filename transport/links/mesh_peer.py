@@ -11,28 +11,20 @@ from typing import Final
 HEAD: Final = Struct("<dH")
 """Time stamp, s; datagrams lost before this one."""
 
-LARGEST: Final = 128
-"""Bytes of a datagram at most."""
-
 _STAMP: Final = Struct("@ll")
 _STAMP_SPACE: Final = socket.CMSG_SPACE(_STAMP.size)
-_SO_TIMESTAMPNS, _SO_PEEK_OFF = 35, 42  # <asm-generic/socket.h>; the socket module does not name them
+_SO_TIMESTAMPNS: Final = 35  # <asm-generic/socket.h>; the socket module does not name it
 _SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds more than QUEUE_LIMIT, see the tests
 
 
 def _stamp_what_waits(connection: socket.socket) -> None:
-    """Have the kernel stamp, in their order, the datagrams that came before this socket asked for stamps.
+    """Have the kernel stamp the datagram that came before this socket asked for stamps.
 
     It stamps such a datagram when it is first looked at: later than what others send meanwhile, which would be read first.
+    Only the first: several that came before are in turn with those of others who were let in at the same time.
     """
-    connection.setsockopt(socket.SOL_SOCKET, _SO_PEEK_OFF, 0)  # each look passes on to the next datagram
-    try:
-        while connection.recvmsg(LARGEST, _STAMP_SPACE, socket.MSG_PEEK)[0]:
-            pass
-    except BlockingIOError:  # all of them seen
-        pass
-    finally:
-        connection.setsockopt(socket.SOL_SOCKET, _SO_PEEK_OFF, -1)
+    with suppress(BlockingIOError):
+        connection.recvmsg(1, _STAMP_SPACE, socket.MSG_PEEK)
 
 
 class Peer:

@@ -27,7 +27,7 @@ from threading import Lock
 from typing import Final
 
 from transport.links.link import Closing, TransportError
-from transport.links.mesh_peer import HEAD, LARGEST, Peer
+from transport.links.mesh_peer import HEAD, Peer
 from transport.links.private_directory import locked
 
 QUEUE_LIMIT: Final = 256
@@ -37,6 +37,7 @@ POLLS: Final = 600
 """How often a short wait looks for an answer before it sleeps: about 200 us."""
 _MOST_IN_VAIN: Final = 8
 
+_LARGEST: Final = 128
 _JOIN_TIMEOUT_S: Final = 2.0
 _OURS: Final = "[0-9]*-[0-9]*.sock"  # process and number; nothing else in the directory is touched
 _MARK_BYTES: Final = 8
@@ -229,7 +230,7 @@ class Mesh(Closing):
                 self._admit()
             else:
                 try:
-                    datagram = peer.socket.recv(LARGEST)
+                    datagram = peer.socket.recv(_LARGEST)
                 except OSError:  # another thread took it, or the other end has left: what it sent is read next
                     datagram = None
                 if datagram:
