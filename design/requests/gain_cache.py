@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.scheduled_gain import ScheduledGain
+from design.errors import FieldError
 from design.tracking.cache import cache_directory, keep_entry
 from design.tracking.json_file import read_json
 
@@ -62,7 +63,7 @@ def cached_history(
     def read(stored: dict[str, Any]) -> NDArray[np.float64]:
         K = np.array(stored["gains"], dtype=np.float64)
         if K.ndim != 4 or not np.isfinite(K).all():
-            raise ValueError("gains: expected finite numbers [phase][j][m][p]")
+            raise FieldError("gains", "expected finite numbers [phase][j][m][p]")
         return K
 
     return _kept("historical", request, solve, read, lambda K: {"gains": K.tolist()}, directory)

@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+
 from design.controllers import Controller, LoopModel
 from design.verdict import Kind, Verdict
-from hil.experiment.protocols import BeyondModel, Plant
+from hil.experiment.protocols import BeyondModel, HasStateDelays, Plant
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -55,6 +57,14 @@ def limited_to_model(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     if not beyond or verdict.state == "undecided":
         return verdict
     reason = f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}"
+    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
+
+
+def limited_to_slots(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return the verdict of a certifier that knows x(k) alone: undecided where past states of the plant act on it too."""
+    if verdict.state == "undecided" or not isinstance(loop.plant, HasStateDelays) or not np.any(loop.plant.state_delays()):
+        return verdict
+    reason = f"{verdict.state} without the delayed states of the plant; undecided with them ({verdict.reason})"
     return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
 
 

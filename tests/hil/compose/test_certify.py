@@ -196,3 +196,32 @@ def test_a_request_says_which_of_its_fields_is_wrong() -> None:
         with pytest.raises(ValueError, match=f"{field}: "):
             RobustScheduled(**{field: value})
     assert isinstance(composed("smjls-robust", "controller.sections=3").model, LoopModel)
+
+
+@pytest.mark.parametrize(("delayed", "state"), [(0.9, "undecided"), (0.0, "certified")])
+def test_delayed_states_that_a_certifier_does_not_read_leave_it_undecided(tmp_path, delayed: float, state: str) -> None:
+    """x(k+1) = 0.5 x(k) + 0.9 x(k-1) grows; 0.5 x(k) alone does not: the verdict turns with the matrix A_1."""
+    path = tmp_path / "delayed.toml"
+    path.write_text(f"""
+        name = "delayed"
+        period = "50 ms"
+        duration = "5 s"
+        allow_uncertified = true
+        [plant]
+        kind = "delayed-states"
+        A = [[0.5]]
+        delayed = [[[{delayed}]]]
+        B = [[1.0]]
+        weight = [[1.0]]
+        initial_state = [1.0]
+        [controller]
+        kind = "send-all"
+        gains = [[[[0.0]]]]
+        [links]
+        uri = "memory:"
+        sc.law = {{ kind = "constant", age = 0 }}
+        ca.law = {{ kind = "constant", age = 0 }}
+    """)
+    verdict = compose(load_experiment(path)).verdict
+    assert verdict is not None and verdict.state == state
+    assert ("delayed states" in verdict.reason) == (state == "undecided")
