@@ -74,7 +74,7 @@ class SweepStore:
         if torn:
             self._file.truncate(size)
         if number == 0:
-            self._write(head)
+            self._write(self._size(), head)
 
     def _row(self, line: bytes, number: int, metrics: Sequence[str]) -> None:
         try:
@@ -99,19 +99,29 @@ class SweepStore:
                     f"expected {head['experiment']!r} as it is now"
                 )
 
-    def _write(self, *lines: dict[str, Any]) -> None:
-        left = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
+    def _size(self) -> int:
+        return os.fstat(self._file.fileno()).st_size
+
+    def _write(self, start: int, *lines: dict[str, Any]) -> None:
+        """Write what is not there yet of lines that begin at a size of the file: it may be called again after an interrupt."""
+        data = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
         try:
-            while left:  # the last bytes of a disk take a part of it, and no error
-                left = left[self._file.write(left) :]
+            while (there := self._size() - start) < len(data):  # the last bytes of a disk take a part of it, and no error
+                self._file.write(data[there:])
         except OSError as e:
             raise HilError(f"--resume: {self.path}: cannot be written: {e.strerror}") from e
 
     def add(self, rows: Sequence[dict[str, float]]) -> None:
         """Append finished runs and hand them to the operating system."""
         plain = [{name: None if isinstance(v, float) and math.isnan(v) else v for name, v in row.items()} for row in rows]
-        self._write(*plain)  # at once, so that Ctrl-C rarely comes in between
-        self.rows.update((int(row["seed"]), row) for row in rows)
+        found, start = {int(row["seed"]): row for row in rows}, self._size()
+        try:
+            self._write(start, *plain)
+            self.rows |= found
+        except KeyboardInterrupt:  # what was begun is ended first, so that what is told and the file are the same
+            self._write(start, *plain)
+            self.rows |= found
+            raise
 
     def close(self) -> None:
         """Close the file."""

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,40 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, experiment: Experiment, plain
         assert len(store.rows) == found.values["seed"].size
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
         same(run_sweep(experiment, range(40), workers=ONE_CORE, store=store).values, plain)
+
+
+def test_ctrl_c_at_any_line_of_the_store_leaves_its_rows_and_its_file_the_same(tmp_path: Path, experiment: Experiment) -> None:
+    rows = sweep(experiment, range(3), jobs=1)
+    plain_rows = [{name: float(column[i]) for name, column in rows.items()} for i in range(3)]
+
+    def kept_after_a_signal_at(number: int) -> tuple[bool, int]:
+        left = number
+
+        def trace(frame: FrameType, event: str, _: Any) -> Any:
+            nonlocal left
+            if frame.f_code.co_filename != store_file:
+                return None
+            left -= event == "line"
+            if left == 0 and event == "line":
+                raise KeyboardInterrupt
+            return trace
+
+        path = tmp_path / str(number)
+        with SweepStore(path, experiment, COLUMNS) as store:
+            try:
+                sys.settrace(trace)
+                store.add(plain_rows)
+            except KeyboardInterrupt:
+                pass
+            finally:
+                sys.settrace(None)
+            assert len(store.rows) == path.read_bytes().count(b"\n") - 1
+            return left <= 0, len(store.rows)
+
+    store_file = sys.modules[SweepStore.__module__].__file__
+    found = [kept_after_a_signal_at(number) for number in range(1, 400)]
+    assert {rows for struck, rows in found if struck} == {0, 3}  # before the first byte nothing, from then on all
+    assert not found[-1][0]  # the last ones came after the end
 
 
 @pytest.mark.parametrize(
