@@ -51,21 +51,21 @@ def undecided(loop: LoopToCertify, kind: Kind, reason: str, details: Mapping[str
     return Verdict(kind=kind, state="undecided", reason=reason, details=details or {}, digest=loop.digest)
 
 
-def limited_to_model(loop: LoopToCertify, verdict: Verdict) -> Verdict:
-    """Return a verdict on the plant's model as one on the plant: undecided where the plant has more than its model."""
-    beyond = loop.plant.beyond_model() if isinstance(loop.plant, BeyondModel) else ()
-    if not beyond or verdict.state == "undecided":
-        return verdict
-    reason = f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}"
-    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
+def limited_to_model(loop: LoopToCertify, verdict: Verdict, *, knows_state_delays: bool = False) -> Verdict:
+    """Return a verdict on the plant's model as one on the plant: undecided where the plant has more than its model.
 
-
-def limited_to_slots(loop: LoopToCertify, verdict: Verdict) -> Verdict:
-    """Return the verdict of a certifier that knows x(k) alone: undecided where past states of the plant act on it too."""
-    if verdict.state == "undecided" or not isinstance(loop.plant, HasStateDelays) or not np.any(loop.plant.state_delays()):
+    Args:
+        loop: the loop.
+        verdict: on the model x(k+1) = A x(k) + B u(k).
+        knows_state_delays: whether it is on the model with A_1 x(k-1) + ... beside it.
+    """
+    plant = loop.plant
+    beyond = tuple(plant.beyond_model()) if isinstance(plant, BeyondModel) else ()
+    if not knows_state_delays and isinstance(plant, HasStateDelays) and np.any(plant.state_delays()):
+        beyond += ("delayed states",)
+    if not beyond:
         return verdict
-    reason = f"{verdict.state} without the delayed states of the plant; undecided with them ({verdict.reason})"
-    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
+    return _undecide(verdict, f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}")
 
 
 def limited_to_undamped(loop: LoopToCertify, verdict: Verdict) -> Verdict:
@@ -74,10 +74,17 @@ def limited_to_undamped(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     Behind a controller that is certified passive with the damping of the model, the observed energy never exceeds 0, whatever the
     hand does: sum |u|^2 <= sum |u - 2 b w|^2 is what the condition of `design.passivity.condition` says of the controller.
     """
-    if not loop.damped or verdict.state == "undecided" or (verdict.kind == "passivity" and verdict.certified):
+    if not loop.damped or (verdict.kind == "passivity" and verdict.certified):
         return verdict
-    reason = (
+    return _undecide(
+        verdict,
         f"{verdict.state} without the passivity controller at the rig; undecided with the force that this controller adds "
-        f"({verdict.reason})"
+        f"({verdict.reason})",
     )
+
+
+def _undecide(verdict: Verdict, reason: str) -> Verdict:
+    """Return a verdict that nothing is known after all; one that knew nothing keeps its own reason."""
+    if verdict.state == "undecided":
+        return verdict
     return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from design.controllers import Controller, LoopModel
 from design.verdict import Verdict, digest
-from hil.compose.certifier import Certifier, LoopToCertify, limited_to_slots, limited_to_undamped, undecided
+from hil.compose.certifier import Certifier, LoopToCertify, limited_to_undamped, undecided
 from hil.compose.following_loop import certify_model_following
 from hil.compose.historical_loop import certify_historical
 from hil.compose.jump_loop import certify_jump_loop
@@ -28,9 +28,6 @@ CERTIFIERS: tuple[Certifier, ...] = (
     certify_send_all, certify_jump_loop, certify_wall_loop, certify_model_following, certify_historical, certify_linear_law,
 )  # fmt: skip
 """Asked in this order; the first that knows the kind of loop answers."""
-
-KNOW_STATE_DELAYS: tuple[Certifier, ...] = (certify_historical,)
-"""Who reads the delayed states of a plant; every other verdict on such a plant is undecided."""
 
 
 def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:
@@ -60,6 +57,5 @@ def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -
         if verdict is not None:
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
-            known = verdict if certifier in KNOW_STATE_DELAYS else limited_to_slots(loop, verdict)
-            return limited_to_undamped(loop, known)
+            return limited_to_undamped(loop, verdict)
     return undecided(loop, "mean-square stability", "no certificate covers this kind of controller")

@@ -105,4 +105,5 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
         said if lossless or said != "no packet is lost" else "packets are lost on the medium as it states, and nowhere else"
         for said in verdict.assumptions
     )
-    return limited_to_model(loop, replace(verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest))
+    known = replace(verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest)
+    return limited_to_model(loop, known, knows_state_delays=True)
