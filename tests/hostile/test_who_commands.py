@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -18,16 +17,11 @@ import pytest
 from hil.experiment import shipped
 from hil.key_files import make_keys
 from hil.log.read.run import Run, read_run
+from tests.ports import free_port
 
 pytestmark = pytest.mark.realtime
 
 THEIRS = -4.0  # volt; our controller never asks for it
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @contextmanager

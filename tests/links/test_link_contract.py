@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.ports import free_port
 from transport import Link, memory_pair, open_link
 from transport.links.contract import CHECKS, Pair, check_clause
 
@@ -19,13 +20,6 @@ def has_multicast() -> bool:
         probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton("239.74.163.2") + bytes(4))
         return True
     return False
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 multicast = pytest.mark.skipif(not has_multicast(), reason="no multicast route: ip route add 224.0.0.0/4 dev lo")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from time import monotonic
 
 import pytest
 
+from tests.ports import free_port
 from transport import Link, open_link
 from transport.links.contract import SEND_LIMIT_S, control, sensor
 
@@ -26,13 +26,6 @@ with open_link(sys.argv[1], "controller") as link:
         if packet is not None:
             link.send(encode_control(ControlPacket(packet.seq, packet.sample_ns, 1, 0, 1, (packet.y, packet.y))))
 """
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 @pytest.fixture(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,16 +14,11 @@ import pytest
 import zenoh
 
 from hil.key_files import make_keys
+from tests.ports import free_port
 from tests.waiting import until
 from transport import Link, TransportError, open_link
 from transport.links.contract import control, expect, meet, sensor
 from transport.links.zenoh_link import _config, zenoh_directory
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from time import monotonic
 
 import pytest
 
+from tests.ports import free_port
 from transport import Link, TransportError, open_link
 from transport.links.contract import SEND_LIMIT_S, control, expect, meet, sensor
 
@@ -49,13 +50,6 @@ def answered(link: Link, within_s: float) -> bool:
         if link.receive(0.02) is not None:
             return True
     return False
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 @pytest.fixture(params=["tcp", "unix"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -20,17 +19,13 @@ from hil.experiment import load_experiment
 from hil.log.read.run import read_run
 from hil.replay import verify
 from hil.session import run_session, simulate
+from tests.foreign_session import drive
+from tests.ports import free_port
 from tests.waiting import gone, until
 
 pytestmark = pytest.mark.realtime
 
 ROOM_S = 30.0  # thirty times what a quiet machine needs; the sequence of a stop is tested with a clock of its own
-
-
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
 
 
 def links() -> list[str]:
@@ -251,20 +246,10 @@ def test_foreign_controller_drives_the_rig(tmp_path: Path, program: str, options
         [sys.executable, str(Path(__file__).parents[1] / program), channel], stderr=subprocess.PIPE
     )
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--external", "--link",
-             f"can:hil:{channel}{options}", "--duration", "3", "--set", "reference.0.at=0.2",
-             "--set", "limits.watchdog_slots=40", "--json"],  # it has no priority: a busy machine may pause it for long
-            cwd=tmp_path, capture_output=True, text=True, timeout=200,
-        )  # fmt: skip
+        drive(tmp_path, "dc-motor-hinf", f"can:hil:{channel}{options}")
     finally:
         foreign.kill()
         foreign.wait()
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert summary["metrics"]["max_abs_u"] > 0.1 and not summary["problems"]
-    if summary["timing"]["valid"]:  # a machine that pauses the foreign program makes it another loop
-        assert abs(summary["metrics"]["steady_state_error"]) < 0.3
 
 
 def test_a_stopped_rig_is_said_and_ends_the_session(session: Running) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import socket
 import subprocess
 import sys
 from functools import cache
@@ -21,14 +20,10 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.replay import verify
 from hil.session import run_session, simulate
+from tests.foreign_session import drive
+from tests.ports import free_port
 
 pytestmark = pytest.mark.realtime
-
-
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
 
 
 STATES = {
@@ -75,20 +70,11 @@ def test_the_foreign_controller_of_the_guide_drives_two_nodes(tmp_path: Path) ->
     channel = f"two{os.getpid()}"
     foreign = subprocess.Popen([sys.executable, str(tmp_path / "controller.py"), channel], stderr=subprocess.PIPE)
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "hil", "run", "dc-motor-two-nodes", "--clock", "real", "--external", "--link",
-             f"can:hil:{channel}", "--duration", "4", "--set", "reference.0.at=0.2", "--set",
-             "controller={kind='local', gain=[[-0.05, -0.006]]}", "--set", "limits.watchdog_slots=40", "--json"],
-            cwd=tmp_path, capture_output=True, text=True, timeout=200,
-        )  # fmt: skip
+        gain = "controller={kind='local', gain=[[-0.05, -0.006]]}"
+        drive(tmp_path, "dc-motor-two-nodes", f"can:hil:{channel}", gain, duration_s=4)
     finally:
         foreign.kill()
         foreign.wait()
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert summary["metrics"]["max_abs_u"] > 0.1 and not summary["problems"]
-    if summary["timing"]["valid"]:  # a machine that pauses the foreign program makes it another loop
-        assert abs(summary["metrics"]["steady_state_error"]) < 0.3
 
 
 def test_wire_version_1_cannot_carry_several_nodes(tmp_path: Path) -> None:

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
+from tests.transport.medium.losses import lost_and_came
 from transport.laws.age import ConstantAge
 from transport.medium.arbitration import ArbitratedBus
-from transport.medium.draws import DELIVERED, LOST, REPLACED
+from transport.medium.draws import DELIVERED, REPLACED
 from transport.medium.independent import impair
 from transport.medium.sample_clock import SampleClock
 from transport.medium.scheduled import RoundRobin, ScheduledMedium
@@ -64,13 +65,7 @@ def test_what_wins_travels_on_through_the_channel_of_its_node() -> None:
 
 def test_what_the_bus_loses_never_comes() -> None:
     """200 frames, each lost with probability 1/2: 60 to 140 of them, one right bus in 10^8 is refused."""
-    shared, lost, came = bus(1, loss=0.5), 0, 0
-    for k in range(200):
-        shared.offer(0, k, k)
-        ((draws, arrivals),) = shared.collect(k)
-        gone = [d for d in draws if d.reason == LOST]
-        assert bool(gone) != any(g == k for g, _ in arrivals)
-        lost, came = lost + len(gone), came + any(g == k for g, _ in arrivals)
+    lost, came = lost_and_came(bus(1, loss=0.5), 200)
     assert lost + came == 200 and 60 < lost < 140
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.transport.medium.losses import lost_and_came
 from transport.laws.age import ConstantAge
-from transport.medium.draws import LOST
 from transport.medium.independent import impair
 from transport.medium.scheduled import RandomTurns, RoundRobin, ScheduledMedium
 
@@ -49,12 +49,5 @@ def test_turns_follow_their_chain_and_losses_their_probability() -> None:
 
 
 def test_what_is_lost_on_the_medium_never_comes_and_is_booked() -> None:
-    shared = medium(RoundRobin((0,), 0, 0.5, np.random.default_rng(1)), (0,), 1)
-    lost = came = 0
-    for k in range(200):
-        shared.offer(0, k, k)
-        ((draws, arrivals),) = shared.collect(k)
-        gone = [d for d in draws if d.reason == LOST]
-        assert bool(gone) != any(g == k for g, _ in arrivals)
-        lost, came = lost + len(gone), came + any(g == k for g, _ in arrivals)
+    lost, came = lost_and_came(medium(RoundRobin((0,), 0, 0.5, np.random.default_rng(1)), (0,), 1), 200)
     assert lost + came == 200 and 60 < lost < 140
