@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -17,14 +20,13 @@ from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.log.growing import Growing, pieces, whole
-from hil.log.read.arrays import StructuredArray
-from hil.log.read.export import FRAME_TOPICS, measured_frames
+from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
 from hil.log.read.run import Run
-from hil.replay_compare import BATCH, Comparison, in_time
+from hil.replay_compare import BATCH, Comparison
+from hil.replay_recorded import Heard, frames, recorded_wire
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import VERSION_1, Wire
 from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport.links.opening import open_link
@@ -55,44 +57,13 @@ def experiment_of(run: Run, source: str) -> Experiment:
     return experiment_from_resolved(run.resolved, run.experiment_text, source)
 
 
-def _frames(pieces: Iterator[StructuredArray]) -> Iterator[tuple[int, bytes]]:
-    """Give slot and bytes of every frame."""
-    for piece in pieces:
-        yield from zip(piece["tick"].tolist(), map(bytes, piece["data"]))
-
-
 def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
     """Feed the recorded sensor frames to the loop's controller; give the slot and its answer."""
     node = ControlNode(loop)
-    for tick, data in _frames(run.pieces("/link/sensor", BATCH)):
+    for tick, data in frames(run.pieces("/link/sensor", BATCH)):
         answer = node.hear(data)
         if answer is not None:
             yield tick, answer
-
-
-class Heard:
-    """The control packets that arrived in time, asked for slot by slot.
-
-    Args:
-        run: the log.
-    """
-
-    def __init__(self, run: Run) -> None:
-        numbers = in_time(run.numbers("/link/control"))
-        ticks = whole(numbers, "tick")
-        self.slots = np.unique(ticks)
-        frames = _frames(map(in_time, run.pieces("/link/control", BATCH)))
-        # A dict keeps the last of one slot; in a log that is in order it need hold no more than the slot at hand.
-        self._held: dict[int, bytes] = {} if (ticks[1:] >= ticks[:-1]).all() else dict(frames)
-        self._frames = frames
-        self._next = next(self._frames, None)
-
-    def get(self, k: int) -> bytes | None:
-        """Return the packet of a slot; slots are asked for in order."""
-        while self._next is not None and self._next[0] <= k:
-            self._held = {self._next[0]: self._next[1]}
-            self._next = next(self._frames, None)
-        return self._held.get(k)
 
 
 class Recorded:
@@ -127,29 +98,6 @@ class Recorded:
             self.difference = (k, text)
 
 
-def _wire(run: Run) -> Wire:
-    """Return version and nonces of the recorded questions."""
-    slots, nonces, versions = Growing(np.int64), Growing(np.uint64), set()
-    for piece in run.pieces("/link/sensor", BATCH):
-        asked = {tick: decode(bytes(data)) for tick, data in zip(piece["tick"].tolist(), piece["data"])}
-        questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
-        versions |= {packet.version for packet in questions.values()}
-        slots.extend(np.fromiter(questions, np.int64, len(questions)))
-        nonces.extend(np.fromiter((packet.nonce for packet in questions.values()), np.uint64, len(questions)))
-    if versions <= {1}:
-        return VERSION_1
-    ticks, numbers = slots.array(), nonces.array()
-    if (ticks[1:] < ticks[:-1]).any():
-        order = np.argsort(ticks, kind="stable")
-        ticks, numbers = ticks[order], numbers[order]
-
-    def nonce(k: int) -> int:
-        at = int(np.searchsorted(ticks, k, side="right")) - 1
-        return int(numbers[at]) if at >= 0 and ticks[at] == k else 0
-
-    return Wire(version=2, nonce=nonce)
-
-
 def verify(run: Run, source: str = "log") -> Verdict:
     """Run controller and rig again on the recorded control packets; compare every record, bit for bit.
 
@@ -169,7 +117,7 @@ def verify(run: Run, source: str = "log") -> Verdict:
     heard = Heard(run)
     channels = loop.channels()
     again = Comparison(run, channels, sorted(topic for topic in channels if topic != "/timing/tick"), slots)
-    rig = Rig(loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, _wire(run))
+    rig = Rig(loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, recorded_wire(run))
     recorded = Recorded(loop, heard, foreign)
     slot = Slot(rig, recorded, stopped=lambda: recorded.difference is not None)
     for k in range(slots):
@@ -183,7 +131,7 @@ def verify(run: Run, source: str = "log") -> Verdict:
     differences = [] if recorded.difference is None else [recorded.difference]
     differences += again.differences(slots)
     first, text = min(differences, default=(slots, None))
-    answers = 0 if foreign else int(np.count_nonzero(heard.slots < first))
+    answers = 0 if foreign else heard.answered(first)
     return Verdict(answers=answers, states=min(first, slots), difference=text)
 
 
@@ -200,9 +148,7 @@ def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[s
         history, NaN where nothing was applied).
     """
     experiment = experiment_of(run, source)
-    other = compose(
-        _with_controller(experiment, controller, kind), certify=False
-    )
+    other = compose(_with_controller(experiment, controller, kind), certify=False)
     if other.samples != (carried := packet_samples(experiment.controller)):
         raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")
     applied = run.numbers("/actuator/applied")
@@ -248,9 +194,7 @@ class _Recent:
 
 
 def _with_controller(experiment: Experiment, controller: Any, kind: str) -> Experiment:
-    return replace(
-        experiment, controller=controller, kinds={**experiment.kinds, "controller": kind}, allow_uncertified=True
-    )
+    return replace(experiment, controller=controller, kinds={**experiment.kinds, "controller": kind}, allow_uncertified=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,27 +207,34 @@ class Playback:
 
 def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], None] = lambda i, n: None) -> Playback:
     """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
-    schedule: list[tuple[int, str, bytes]] = []
-    for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True):
-        schedule += [(t_ns, role, bytes(data)) for t_ns, data in measured_frames(run, topic)]
-    schedule.sort(key=lambda entry: entry[0])
-    if not schedule:
+    count = sum(len(run.numbers(topic)) for topic in FRAME_TOPICS)
+    ways = [_of_role(run, topic, role) for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True)]
+    schedule = heapq.merge(*ways, key=itemgetter(0))
+    begin = next(schedule, None)
+    if begin is None:
         raise HilError("the log has no frames to play")
-    error = np.empty(len(schedule))
+    errors = Growing(np.float64)
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
         links = {"rig": rig, "controller": controller}
         clock = RealClock(monotonic_ns() + 100_000_000)
-        first = schedule[0][0]
-        for i, (t_ns, role, data) in enumerate(schedule):
-            at = round((t_ns - first) / speed)
+        found: list[float] = []
+        for i, (t_ns, role, data) in enumerate(chain([begin], schedule)):
+            at = round((t_ns - begin[0]) / speed)
             clock.wait_until(at)
-            error[i] = (clock.now() - at) / 1e3
+            found.append((clock.now() - at) / 1e3)
             links[role].send(data)
             while links["controller" if role == "rig" else "rig"].receive(0) is not None:
                 pass  # our own other end hears what we play; keep its queue short
             if i % 50 == 0:
-                progress(i, len(schedule))
+                progress(i, count)
+            if len(found) == BATCH:
+                errors.extend(np.array(found))
+                found.clear()
+    errors.extend(np.array(found))
+    error = errors.array()
     points = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
-    return Playback(
-        frames=len(schedule), error_us={name: float(np.percentile(error, q)) for name, q in points.items()}
-    )
+    return Playback(frames=count, error_us={name: float(np.percentile(error, q)) for name, q in points.items()})
+
+
+def _of_role(run: Run, topic: str, role: str) -> Iterator[tuple[int, str, bytes]]:
+    return ((t_ns, role, data) for t_ns, data in measured_frames(run, topic))

@@ -59,7 +59,7 @@ class Comparison:
 class _Topic:
     def __init__(self, topic: str, run: Run, slots: int) -> None:
         self._topic, self._slots = topic, slots
-        self._recorded = _Reader(in_time(piece) for piece in run.pieces(topic))
+        self._recorded = _Reader(in_time(piece) for piece in run.pieces(topic, BATCH))
         self._found: Difference | None = None
 
     def take(self, now: StructuredArray) -> None:

@@ -5,11 +5,17 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hil.errors import HilError
 
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+ROWS = 1 << 15  # that are written at a time
 SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 
 
@@ -74,14 +80,9 @@ def _verify(run: object, file: Path, as_json: bool) -> None:
     sys.exit(0 if verdict.difference is None else 1)
 
 
-def _what_if(
-    run: object, file: Path, kind: str, sets: tuple[str, ...], output: Path | None, as_json: bool
-) -> None:
-    import io
-
+def _what_if(run: object, file: Path, kind: str, sets: tuple[str, ...], output: Path | None, as_json: bool) -> None:
     import numpy as np
 
-    from hil.cli.outputs import write_output
     from hil.experiment import parse_plugin
     from hil.replay import what_if
 
@@ -97,11 +98,7 @@ def _what_if(
             "max_abs_replayed": float(np.nanmax(np.abs(series[f"{kind}_{name}"]))),
         }
     if output is not None:
-        table = io.StringIO()
-        np.savetxt(
-            table, np.column_stack(list(series.values())), delimiter=",", header=",".join(series), comments="", fmt="%.9g"
-        )
-        write_output(output, table.getvalue(), replace=False)
+        _write_series(output, series)
     if as_json:
         print(json.dumps({"controller": kind, "inputs": differences, "output": str(output) if output else None}, indent=2))
         return
@@ -111,6 +108,19 @@ def _what_if(
             f"(largest command {d['max_abs_replayed']:.4g}, recorded {d['max_abs_recorded']:.4g})"
         )
     print(f"series: {output}" if output else "the plant does not react to it; -o FILE.csv writes the series")
+
+
+def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> None:
+    """Write columns as CSV, a piece at a time."""
+    import numpy as np
+
+    from hil.exclusive_file import written_whole
+
+    with written_whole(output, replace=False) as part, open(part, "w", encoding="utf-8") as file:
+        file.write(",".join(series) + "\n")
+        for start in range(0, len(series["t_s"]), ROWS):
+            rows = np.column_stack([column[start : start + ROWS] for column in series.values()])
+            np.savetxt(file, rows, delimiter=",", fmt="%.9g")
 
 
 def _onto(run: object, uri: str, speed: float, as_json: bool) -> None:

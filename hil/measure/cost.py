@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.experiment.protocols import HasCost
+from hil.log.growing import pieces
 from hil.measure.measure import Quantity
 from hil.measure.network_load import loads
 from hil.measure.signals import Signals
@@ -36,18 +38,24 @@ class Cost:
 
     def of(self, view: RunView) -> dict[str, float | None]:
         """Return the numbers of one run."""
-        states = view.run.arrays[STATE]
-        x, u = matrix(states, signal_names(view.run, STATE)), view.applied()
-        n, m = x.shape[1], u.shape[1]
+        names = signal_names(view.run, STATE)
+        n, m = len(names), len(view.signals.inputs)
         plant = view.experiment.plant if view.experiment is not None else None
         weight, input_weight = plant.cost_weights() if isinstance(plant, HasCost) else (np.eye(n), np.zeros((m, m)))
         with np.errstate(over="ignore", invalid="ignore"):
-            total = float(np.einsum("ka,ab,kb->", x, weight, x) + np.einsum("ka,ab,kb->", u, input_weight, u))
+            total = sum(_square(matrix(piece, names), weight) for piece in pieces(view.run.arrays[STATE]))
+            total += sum(_square(u, input_weight) for u in view.inputs())
         found = loads(view)
-        largest = float(np.abs(u).max()) if u.size else None
+        peaks = [float(np.abs(u).max()) for u in view.inputs() if u.size]
+        largest = float(np.max(peaks)) if peaks else None  # NaN where one is
         return {
             "cost": total if np.isfinite(total) else None,
             "peak_input": largest if largest is not None and np.isfinite(largest) else None,
             "packets_per_s": sum(load.packets_per_s for load in found) if found else None,
             "bits_per_s": sum(load.bits_per_s for load in found) if found else None,
         }
+
+
+def _square(z: npt.NDArray[np.float64], weight: npt.NDArray[np.float64]) -> float:
+    """Return the sum over k of z_k' W z_k."""
+    return float(np.einsum("ka,ab,kb->", z, weight, z))

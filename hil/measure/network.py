@@ -79,7 +79,7 @@ def _p_value(law: NetworkLaw | None, modes: npt.NDArray[np.int64], draws: Draws)
     if law is None:
         return None
     try:
-        p_value = law_p_value(law, modes, draws)
+        p_value = law_p_value(law, modes, pieces(draws))
     except ValueError:  # a recorded trace whose file is no longer where it was
         return None
     return p_value if math.isfinite(p_value) else None

@@ -7,7 +7,8 @@ are pooled.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ LATENCY_BINS = 10
 _BLOCK = 1 << 18  # transitions that are counted at once
 
 Modes = NDArray[np.int64]
-Records = Sequence[Draw] | NDArray[np.void]
+Records = Sequence[Draw] | NDArray[np.void] | Iterable[NDArray[np.void]]
 
 
 class Evidence(NamedTuple):
@@ -74,7 +75,7 @@ def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None) -> 
         law: parameters of the law.
         modes: mode of every slot from slot 0, (slots,).
         draws: packet laws only: the records of the whole run from slot 0, a list of `Draw`, or a structured array with its fields
-            `tick`, `mode`, `latency_s` and `reason`.
+            `tick`, `mode`, `latency_s` and `reason`, or such arrays one after the other, of which one is in memory at a time.
     """
     found = list(_evidence(law, modes, draws))
     if not found:
@@ -179,41 +180,77 @@ def _hazard_evidence(left: NDArray[np.int64], at_risk: NDArray[np.int64], hazard
     yield Evidence(float(sum(more**2 / spread for more, spread in usable)), len(usable), possible, scarce=chance and not usable)
 
 
+@dataclass(slots=True)
+class _Packets:
+    """What became of the packets of a channel, counted block by block.
+
+    Args:
+        fates: by mode: lost, sent; without packets that a recorded latency loses.
+        binned: packets that were sent, by latency.
+        sent, copied: packets.
+        overflow: whether a queue was full.
+        possible: whether every latency is one that the law can give.
+    """
+
+    fates: NDArray[np.int64]
+    binned: NDArray[np.int64]
+    sent: int = 0
+    copied: int = 0
+    overflow: bool = False
+    possible: bool = True
+
+
 def _packet_evidence(law: ChannelLaw, draws: Records) -> Iterator[Evidence]:
-    table = _columns(draws)
-    fate = (table["mode"] >= 0) & np.isin(table["reason"], (SENT, LOST))
-    sent = fate & (table["reason"] == SENT)
-    recorded = latency(law.latency)
+    recorded, losses = latency(law.latency), law.channel_losses()
     if isinstance(recorded, LatencyTrace):
-        due = np.resize(recorded.values_s, int(table["tick"].max(initial=0)) + 1)[table["tick"]]
-        yield Evidence(0.0, 0, bool((table["latency_s"][sent] == due[sent]).all() and not sent[np.isinf(due)].any()))
-        fate &= np.isfinite(due)  # the others are lost by the trace, whatever the channel does
-    losses = law.channel_losses()
-    for mode, loss in enumerate(losses):
-        here = fate & (table["mode"] == mode)
-        gone = int((here & ~sent).sum())
-        yield _cells_evidence(np.array([gone, int(here.sum()) - gone]), np.array([loss, 1.0 - loss]))
-    copied = int((table["reason"] == COPIED).sum())
-    if not (table["reason"] == OVERFLOW).any():
-        row = np.array([law.duplication, 1.0 - law.duplication])
-        yield _cells_evidence(np.array([copied, int(sent.sum()) - copied]), row)
-    if not isinstance(recorded, LatencyTrace):
-        observed = table["latency_s"][sent]
-        low, high = recorded.values_s[0], recorded.values_s[-1]
-        yield Evidence(0.0, 0, bool(((observed >= low) & (observed <= high)).all()))
-        quantile = recorded.sampler()
+        edges, reached = np.empty(0), np.array([0.0, 1.0])
+        trace = np.asarray(recorded.values_s, dtype=np.float64)
+    else:
+        quantile, trace = recorded.sampler(), np.empty(0)
         edges = np.unique([quantile(level / LATENCY_BINS) for level in range(1, LATENCY_BINS)])
         reached = np.concatenate([[0.0], recorded.cdf(edges), [1.0]])
-        yield _cells_evidence(np.bincount(np.searchsorted(edges, observed), minlength=len(edges) + 1), np.diff(reached))
+    found = _Packets(fates=np.zeros((2, len(losses)), np.int64), binned=np.zeros(len(edges) + 1, np.int64))
+    for table in _blocks(draws):
+        fate = (table["mode"] >= 0) & np.isin(table["reason"], (SENT, LOST))
+        sent = fate & (table["reason"] == SENT)
+        observed = table["latency_s"][sent]
+        found.sent += len(observed)
+        found.copied += int((table["reason"] == COPIED).sum())
+        found.overflow |= bool((table["reason"] == OVERFLOW).any())
+        if isinstance(recorded, LatencyTrace):
+            due = trace[table["tick"] % len(trace)]
+            found.possible &= bool((observed == due[sent]).all() and not sent[np.isinf(due)].any())
+            fate &= np.isfinite(due)  # the others are lost by the trace, whatever the channel does
+        else:
+            found.possible &= bool(((observed >= recorded.values_s[0]) & (observed <= recorded.values_s[-1])).all())
+            found.binned += np.bincount(np.searchsorted(edges, observed), minlength=len(edges) + 1)
+        fate &= table["mode"] < len(losses)
+        for row, chosen in zip(found.fates, (fate & ~sent, fate & sent), strict=True):
+            row += np.bincount(table["mode"][chosen], minlength=len(losses))
+    yield Evidence(0.0, 0, found.possible)
+    for (gone, came), loss in zip(found.fates.T, losses, strict=True):
+        yield _cells_evidence(np.array([gone, came]), np.array([loss, 1.0 - loss]))
+    if not found.overflow:
+        row = np.array([law.duplication, 1.0 - law.duplication])
+        yield _cells_evidence(np.array([found.copied, found.sent - found.copied]), row)
+    if not isinstance(recorded, LatencyTrace):
+        yield _cells_evidence(found.binned, np.diff(reached))
 
 
-def _columns(draws: Records) -> dict[str, NDArray[Any]]:
+def _blocks(draws: Records) -> Iterator[dict[str, NDArray[Any]]]:
     if isinstance(draws, np.ndarray):
-        columns = {name: draws[name].astype(np.int64) for name in ("tick", "mode", "reason")}
-        return columns | {"latency_s": draws["latency_s"].astype(np.float64)}
-    return {
-        "tick": np.array([draw.tick for draw in draws], dtype=np.int64),
-        "mode": np.array([draw.mode for draw in draws], dtype=np.int64),
-        "latency_s": np.array([draw.latency_s for draw in draws], dtype=np.float64),
-        "reason": np.array([draw.reason for draw in draws], dtype=np.int64),
-    }
+        yield from map(_columns, (draws[start : start + _BLOCK] for start in range(0, len(draws), _BLOCK)))
+    elif isinstance(draws, Sequence):
+        yield {
+            "tick": np.array([draw.tick for draw in draws], dtype=np.int64),
+            "mode": np.array([draw.mode for draw in draws], dtype=np.int64),
+            "latency_s": np.array([draw.latency_s for draw in draws], dtype=np.float64),
+            "reason": np.array([draw.reason for draw in draws], dtype=np.int64),
+        }
+    else:
+        yield from map(_columns, draws)
+
+
+def _columns(draws: NDArray[np.void]) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {name: draws[name].astype(np.int64) for name in ("tick", "mode", "reason")}
+    return columns | {"latency_s": draws["latency_s"].astype(np.float64)}

@@ -19,28 +19,24 @@ import csv
 import heapq
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import datetime
-from itertools import chain
 from pathlib import Path
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.errors import HilError
 from hil.exclusive_file import written_whole
-from hil.log.growing import pieces, whole
+from hil.log.growing import pieces
 from hil.log.read.arrays import StructuredArray
+from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
 from hil.log.read.npz import NpzFile
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
 
-FRAME_TOPICS: Final = ("/link/sensor", "/link/control")
 VIRTUAL_BEGIN: Final = "2000-01-01T00:00:00Z"
 ROWS: Final = 4096  # that are made Python numbers at a time
-
-Ticks: TypeAlias = npt.NDArray[np.int64]
 
 
 def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (), *, replace: bool = False) -> list[Path]:
@@ -161,10 +157,7 @@ def _can_messages(run: Run, topics: Sequence[str]) -> Iterator[Any]:
 
     The framing is that of ``transport.links.can_link``, with the ``fd`` and ``base`` of the session's own link if that was CAN.
     """
-    ways = [_of_topic(run, topic) for topic in topics]
-    if all(_in_order(run, topic) for topic in topics):
-        return heapq.merge(*ways, key=_stamp)
-    return iter(sorted(chain(*ways), key=_stamp))  # an answer that came after the next question: all of them in memory
+    return heapq.merge(*(_of_topic(run, topic) for topic in topics), key=_stamp)
 
 
 def _stamp(message: Any) -> float:
@@ -187,46 +180,6 @@ def _of_topic(run: Run, topic: str) -> Iterator[Any]:
             raise HilError(f"{topic} at {t_ns / 1e9:g} s: {len(packet)} bytes do not fit on CAN; export .csv instead")
         yield from bus.messages
         bus.messages.clear()
-
-
-def measured_frames(run: Run, topic: str) -> Iterator[tuple[int, bytes]]:
-    """Give every frame of a topic with its instant in session time, ns: nominal plus what was measured of that slot.
-
-    Args:
-        run: the run.
-        topic: ``/link/sensor`` or ``/link/control``.
-    """
-    measured = _lateness(run, topic)
-    for piece in run.pieces(topic):
-        yield from zip((piece[TIME_FIELD] + measured(piece["tick"])).tolist(), piece["data"].tolist())
-
-
-def _in_order(run: Run, topic: str) -> bool:
-    last, measured = -(1 << 62), _lateness(run, topic)
-    for piece in pieces(run.numbers(topic)):
-        at = piece[TIME_FIELD] + measured(piece["tick"])
-        if at[0] < last or (at[1:] < at[:-1]).any():
-            return False
-        last = int(at[-1])
-    return True
-
-
-def _lateness(run: Run, topic: str) -> Callable[[Ticks], Ticks]:
-    """Return how much after its nominal instant a frame of a slot came, ns; 0 for a slot that was not timed."""
-    timing = run.arrays["/timing/tick"]
-    late_us = whole(timing, "lateness_us") + (np.nan_to_num(whole(timing, "round_trip_us")) if topic == "/link/control" else 0.0)
-    late_ns, ticks = np.round(late_us * 1e3).astype(np.int64), whole(timing, "tick")
-    if (ticks[1:] <= ticks[:-1]).any():
-        order = np.argsort(ticks, kind="stable")
-        late_ns, ticks = late_ns[order], ticks[order]
-
-    def of(slots: Ticks) -> Ticks:
-        if not len(ticks):
-            return np.zeros(len(slots), np.int64)
-        at = np.maximum(np.searchsorted(ticks, slots, side="right") - 1, 0)
-        return np.where(ticks[at] == slots, late_ns[at], 0)
-
-    return of
 
 
 def _framing(uri: str) -> tuple[bool, int]:

@@ -1,5 +1,7 @@
 """What is read in blocks gives the numbers of whole arrays, bit for bit."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from hil.log.growing import ROWS
 from hil.log.read.run import Run
 from hil.log.records import Field, Schema
 from hil.measure import followed, pairwise_sum, tracking
+from hil.measure.cost import STATE, Cost
 from hil.measure.step_response import target_of
 from hil.measure.view import APPLIED, DISTURBANCE, MEASUREMENT, REFERENCE, REFERENCE_STEP, view_of
 
@@ -68,3 +71,21 @@ def test_steps_and_disturbances_are_marked_once_wherever_a_piece_ends() -> None:
     found = [(mark.label, round(mark.t_s * 1e3)) for mark in view.marks]
     assert found == [*((REFERENCE_STEP, at) for at in changes), (DISTURBANCE, pulse[0])]
     assert view.followed().changes(9) == changes
+
+
+def test_a_cost_in_pieces_is_that_of_whole_arrays_and_never_holds_them() -> None:
+    n, rng = 4 * ROWS + 5, np.random.default_rng(3)
+    states = np.zeros(n, [("t_ns", "<i8"), ("x1", "<f8"), ("x2", "<f8"), ("tick", "<i8")])
+    states["x1"], states["x2"], states["tick"] = *rng.standard_normal((2, n)), np.arange(n)
+    applied = np.zeros(n, [("t_ns", "<i8"), ("volt", "<f8"), ("tick", "<i8")])
+    applied["volt"], applied["tick"] = rng.standard_normal(n), np.arange(n)
+    schema = Schema(name="hil/msg/Any", fields=(Field(type="float64", name="volt"),))
+    arrays = {STATE: states, MEASUREMENT: applied, REFERENCE: applied, APPLIED: applied}
+    view = view_of(Run(arrays=arrays, schemas=dict.fromkeys(arrays, schema), resolved={"period": 1e-3}))
+    tracemalloc.start()
+    found = Cost().of(view)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found["cost"] == pytest.approx(float(states["x1"] @ states["x1"] + states["x2"] @ states["x2"]), rel=1e-12)
+    assert found["peak_input"] == float(np.abs(applied["volt"]).max())
+    assert peak < n * 16  # the states alone as one matrix

@@ -20,7 +20,7 @@ from transport.laws.semi_markov import SemiMarkovAge
 from transport.laws.sojourn import DiscreteWeibull, Geometric, Table, Uniform
 from transport.laws.statistics import is_testable, law_p_value, mode_counts, transition_counts
 from transport.laws.trace import TraceAge
-from transport.medium.draws import DUPLICATED, LOST, Draw
+from transport.medium.draws import DUPLICATED, LOST, SENT, Draw
 from transport.medium.independent import impair
 
 LAMBDA = MarkovAge(matrix=((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1)))
@@ -48,6 +48,19 @@ def records(law: Any, slots: int, seed: int) -> list[Draw]:
 
 def packet_p_value(law: PacketLaw, draws: list[Draw]) -> float:
     return law_p_value(law, np.array([draw.mode for draw in draws if draw.mode >= 0]), draws)
+
+
+@pytest.mark.parametrize("law", [GAMMA, PacketLaw(latency="3 ms", loss=CHANNEL).prepared()], ids=["gamma", "constant"])
+def test_packets_in_pieces_have_the_p_value_of_all_together(law: PacketLaw) -> None:
+    draws = records(law, 3000, 5)
+    rows = [(draw.tick, draw.mode, draw.latency_s, draw.reason) for draw in draws]
+    table = np.array(rows, [("tick", "<i4"), ("mode", "i1"), ("latency_s", "<f8"), ("reason", "u1")])
+    drawn = table["mode"][table["mode"] >= 0].astype(int)
+    found = packet_p_value(law, draws)
+    assert 0.0 < found < 1.0
+    assert found == law_p_value(law, drawn, table) == law_p_value(law, drawn, iter(np.split(table, [7, 7, 900])))
+    table["latency_s"][np.flatnonzero(table["reason"] == SENT)[-1]] = -1.0
+    assert law_p_value(law, drawn, iter(np.split(table, [7, 7, 900]))) == 0.0
 
 
 @pytest.mark.parametrize("law", [LAMBDA, PI, BURSTY, IidAge(probabilities=(0.8, 0.2))], ids=["lambda", "pi", "bursty", "iid"])

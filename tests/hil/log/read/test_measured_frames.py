@@ -1,0 +1,65 @@
+"""Frames come out in the order of time, whatever the order of the log, and few of them wait in memory."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.errors import HilError
+from hil.log.read import measured_frames as module
+from hil.log.read.measured_frames import measured_frames
+from hil.log.read.run import Run
+
+MS = 1_000_000
+
+
+def run_of(slots: Sequence[int], late_us: float = 0.0) -> Run:
+    """Answers of slots in the order of the log; a slot of an odd number was timed late."""
+    answers = np.empty(len(slots), [("t_ns", "<i8"), ("tick", "<i8"), ("data", object)])
+    answers["tick"], answers["t_ns"] = slots, np.array(slots) * MS
+    answers["data"] = [k.to_bytes(4, "little") for k in slots]
+    timing = np.zeros(len(slots), [("lateness_us", "<f8"), ("round_trip_us", "<f8"), ("tick", "<i8")])
+    timing["tick"] = np.sort(slots)
+    timing["lateness_us"] = np.where(timing["tick"] % 2, late_us, 0.0)
+    return Run(arrays={"/link/control": answers, "/timing/tick": timing}, schemas={})
+
+
+def slots_of(run: Run) -> list[int]:
+    return [int.from_bytes(data, "little") for _, data in measured_frames(run, "/link/control")]
+
+
+@pytest.mark.parametrize("late_us", [0.0, 1700.0])
+def test_frames_stand_in_the_order_of_time(late_us: float) -> None:
+    rng = np.random.default_rng(0)
+    slots = [int(k) for start in range(0, 9000, 30) for k in rng.permutation(np.arange(start, start + 30))]
+    found = [*measured_frames(run_of(slots, late_us), "/link/control")]
+    expected = sorted((k * MS + (k % 2) * int(late_us * 1000), k.to_bytes(4, "little")) for k in slots)
+    assert found == expected
+
+
+def test_few_frames_wait_for_one_that_came_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_HELD", 8)
+    slots = [0, 1, 3, 2, 4, 5, 7, 6, *range(8, 20_000)]
+    assert slots_of(run_of(slots)) == sorted(slots)
+    with pytest.raises(HilError, match=r"/link/control: the frames are out of order by 0\.05 s; more than 8 would have to wait"):
+        slots_of(run_of([*range(1, 52), 1, *range(52, 200)]))
+
+
+def test_a_piece_at_a_time_is_read() -> None:
+    class Counted(dict[str, Any]):
+        alive = 0
+
+        def pieces(self, topic: str, rows: int) -> Iterator[Any]:
+            for start in range(0, len(self[topic]), rows):
+                self.alive = len(self[topic][start : start + rows])
+                yield self[topic][start : start + rows]
+
+        def numbers(self, topic: str) -> Any:
+            return self[topic]
+
+    run = run_of(range(10_000))
+    arrays = Counted(run.arrays)
+    first, _ = next(measured_frames(replace(run, arrays=arrays), "/link/control"))
+    assert first == 0 and arrays.alive < 10_000
