@@ -27,6 +27,7 @@ class LoopToCertify:
         sc, ca: the delay chains of both directions; None where a law has none.
         digest: SHA-256 of everything above, in the user's words; a verdict on this loop carries it.
         damped: whether a passivity controller at the rig may add to the command.
+        faults: faults on the time line.
     """
 
     plant: Plant
@@ -36,6 +37,7 @@ class LoopToCertify:
     ca: DelayChain | None
     digest: str
     damped: bool = False
+    faults: int = 0
 
 
 class Certifier(Protocol):
@@ -87,4 +89,12 @@ def _undecide(verdict: Verdict, reason: str) -> Verdict:
     """Return a verdict that nothing is known after all; one that knew nothing keeps its own reason."""
     if verdict.state == "undecided":
         return verdict
+    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
+
+
+def limited_to_sound(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on a loop without the faults on its time line as one on the loop: no proof knows what they break."""
+    if not loop.faults or verdict.state == "undecided":
+        return verdict
+    reason = f"{verdict.state} without the {loop.faults} faults on the time line; undecided with them ({verdict.reason})"
     return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from design.controllers import Controller, LoopModel
 from design.verdict import Verdict, digest
-from hil.compose.certifier import Certifier, LoopToCertify, limited_to_undamped, undecided
+from hil.compose.certifier import Certifier, LoopToCertify, limited_to_sound, limited_to_undamped, undecided
 from hil.compose.following_loop import certify_model_following
 from hil.compose.historical_loop import certify_historical
 from hil.compose.jump_loop import certify_jump_loop
@@ -35,7 +35,7 @@ def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) 
     resolved = replace(experiment, controller=controller).resolved()
     said = {name: resolved[name] for name in ("plant", "controller", "links", "period")}
     said["links"] = {side: said["links"][side] for side in ("sc", "ca")}  # over which link its frames go is no part of it
-    said |= {name: resolved[name] for name in ("nodes", "media") if name in resolved}
+    said |= {name: resolved[name] for name in ("nodes", "media", "fault") if name in resolved}
     if experiment.limits.passivity is not None:  # the other limits stop a run; this one changes it
         said["passivity"] = resolved["limits"]["passivity"]
     law = f"{type(controller).__module__}.{type(controller).__qualname__}"  # two laws may have the same parameters
@@ -57,5 +57,5 @@ def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -
         if verdict is not None:
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
-            return limited_to_undamped(loop, verdict)
+            return limited_to_sound(loop, limited_to_undamped(loop, verdict))
     return undecided(loop, "mean-square stability", "no certificate covers this kind of controller")

@@ -32,6 +32,7 @@ from hil.compose.historical_loop import delayed_plant_of, mask_faults
 from hil.compose.jump_plant import process_of, system_of
 from hil.compose.port import Port, port_of
 from hil.compose.sensors import Sensor, Shared, node_faults, sensor_nodes, sensors_of, shared_media
+from hil.compose.time_line import time_line_faults
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.check import fault_at
@@ -245,7 +246,7 @@ def _faults(e: Experiment) -> list[str]:
                 "limits.passivity: needs a device that takes one force and measures the position that it acts on; "
                 f"this plant takes {', '.join(taken)} and measures {', '.join(measured)}"
             )
-    return faults + node_faults(e)
+    return faults + node_faults(e) + time_line_faults(e)
 
 
 def _task(e: Experiment, model: LoopModel) -> DesignTask:
@@ -289,8 +290,11 @@ def _check_references(e: Experiment, controller: Controller, model: LoopModel) -
 def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: DelayChain | None, ca: DelayChain | None) -> Verdict:
     """Return the verdict on the loop that will run, or refuse the run."""
     own = digest_of(e, controller, model)
-    damped = e.limits.passivity is not None
-    verdict = certify(LoopToCertify(plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own, damped=damped))
+    loop = LoopToCertify(
+        plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own,
+        damped=e.limits.passivity is not None, faults=len(e.fault),
+    )  # fmt: skip
+    verdict = certify(loop)
     if not verdict.certified and not e.allow_uncertified:
         raise ExperimentError(
             e.name,

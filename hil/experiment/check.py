@@ -167,12 +167,14 @@ class Checker:
         """Convert one table into ``cls``; ``given`` holds fields that were made elsewhere (None: faulty there)."""
         hints = typing.get_type_hints(cls)
         if issubclass(cls, msgspec.Struct):
-            required = {f.name for f in msgspec.structs.fields(cls) if f.required}
-            known = list(cls.__struct_fields__)
+            required = {f.encode_name for f in msgspec.structs.fields(cls) if f.required}
+            known = list(cls.__struct_encode_fields__)
+            fields = dict(zip(known, cls.__struct_fields__))
         else:
             fs = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
             required = {f.name for f in fs if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
             known = [f.name for f in fs]
+            fields = dict(zip(known, known))
         before, values, broken = len(self.faults), dict(given), set(given)
         for key, value in raw.items():
             at = _join(path, key)
@@ -183,13 +185,13 @@ class Checker:
                 self.faults.append(f"{at}: unknown field{hint}")
                 continue
             count = len(self.faults)
-            converted = self._value(hints[key], value, at)
+            converted = self._value(hints[fields[key]], value, at)
             if len(self.faults) == count:
-                values[key] = converted
+                values[fields[key]] = converted
             else:
                 broken.add(key)
         for key in known:
-            if key in required and key not in values and key not in broken:
+            if key in required and fields[key] not in values and key not in broken:
                 self.faults.append(f"{_join(path, key)}: missing")
         if issubclass(cls, Table):
             self.faults += [_join(path, fault) for fault in cls.faults(values)]

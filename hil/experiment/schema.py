@@ -11,10 +11,13 @@ from docstring_parser import ParseError
 from docstring_parser.google import parse
 
 from hil.experiment import plugins as registry
+from hil.experiment.faults import Fault
 from hil.experiment.nodes import Node
 from hil.experiment.tables import HIDDEN, UNITS, Direction, Experiment, Seconds
 
 PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
+
+KEYS_OF_FAULT = dict(zip(Fault.__struct_fields__, Fault.__struct_encode_fields__))  # "for" is no name in Python
 
 
 def experiment_schema(plugins: Mapping[str, Mapping[str, type]] | None = None) -> dict[str, Any]:
@@ -75,7 +78,8 @@ def _explain(definition: dict[str, Any]) -> None:
     definition["description"] = "\n\n".join(filter(None, (doc.short_description, doc.long_description)))
     for param in doc.params:
         for name in param.arg_name.split(", "):
-            definition["properties"].get(name, {})["description"] = " ".join((param.description or "").split())
+            key = name if name in definition["properties"] else KEYS_OF_FAULT.get(name, name)
+            definition["properties"].get(key, {})["description"] = " ".join((param.description or "").split())
 
 
 def _hook(kind: type) -> dict[str, Any]:

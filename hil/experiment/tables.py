@@ -10,6 +10,7 @@ import msgspec
 
 from hil.errors import HilError
 from hil.experiment import plugins
+from hil.experiment.faults import Fault
 from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.table import LONGEST_S, UNITS, Seconds, Table
@@ -33,7 +34,7 @@ else:  # msgspec reads these at run time: which class a table becomes is said by
     PlantTable = ControllerTable = LawTable = Any
 
 HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
-SPARSE = ("nodes", "media")  # fields that the resolved form leaves out where they are empty
+SPARSE = ("nodes", "media", "fault")  # fields that the resolved form leaves out where they are empty
 
 
 def _not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
@@ -258,6 +259,7 @@ class Experiment(Table, frozen=True, kw_only=True):
         controller: what commands it.
         reference: steps of the reference; 0 before the first.
         disturbance: pulses that are added to the plant's input.
+        fault: what breaks when; nothing by default.
         links: the real link, and the network that is emulated on both sides of the rig.
         nodes: sensor nodes by name; without any there is one, which measures every output and sends in every slot.
         media: what nodes share on their way to the controller, by name.
@@ -279,6 +281,7 @@ class Experiment(Table, frozen=True, kw_only=True):
     controller: ControllerTable
     reference: tuple[Step, ...] = ()
     disturbance: tuple[Pulse, ...] = ()
+    fault: tuple[Fault, ...] = ()
     links: Links
     nodes: dict[str, Node] = msgspec.field(default_factory=dict)
     media: dict[str, Medium] = msgspec.field(default_factory=dict)
@@ -339,7 +342,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, msgspec.Struct):
         config = value.__struct_config__
         tag = {config.tag_field: config.tag} if config.tag_field else {}
-        return tag | {f: _plain(getattr(value, f)) for f in value.__struct_fields__}
+        names = zip(value.__struct_encode_fields__, value.__struct_fields__)
+        return tag | {key: _plain(getattr(value, f)) for key, f in names}
     if isinstance(value, tuple | list):
         return [_plain(v) for v in value]
     if isinstance(value, dict):

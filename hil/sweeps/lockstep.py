@@ -58,7 +58,8 @@ def in_lockstep(loop: Loop) -> bool:
     """Return whether the runs of a loop can be computed at once: its plant, controller and network laws all serve."""
     e, laws = loop.experiment, (loop.sc_law, loop.ca_law)
     return (
-        not e.nodes  # several sensor nodes take turns, one run after the other
+        not e.fault
+        and not e.nodes  # several sensor nodes take turns, one run after the other
         and all(law.family == "age" for law in laws)
         and isinstance(loop.controller, ControllerOfMany)
         and isinstance(e.plant, PlantOfMany)

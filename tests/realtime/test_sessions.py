@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hil.compose.loop import compose
-from hil.experiment import load_experiment
+from hil.experiment import experiment_from_resolved, load_experiment
 from hil.log.read.run import read_run
 from hil.replay import verify
 from hil.session import run_session, simulate
@@ -279,3 +279,27 @@ def test_local_needs_no_controller_process_and_takes_no_external_controller(tmp_
     assert summary["ticks"] == 20 and summary["link"] == "local:" and not summary["problems"]
     refused = subprocess.run([*run, "--external"], cwd=tmp_path, capture_output=True, text=True, timeout=200)
     assert refused.returncode == 2 and "needs a link" in refused.stderr
+
+
+def test_a_restart_on_the_time_line_ends_the_controller_process_and_starts_another(tmp_path: Path) -> None:
+    """However long a start takes: the session is stopped by the first answer after the restart."""
+    fault = {"at": 0.5, "kind": "controller-restart"}
+    experiment = load_experiment("dc-motor-hinf", ["duration=300", "limits.watchdog_slots=100000", "allow_uncertified=true"])
+    experiment = experiment_from_resolved({**experiment.resolved(), "fault": [fault]}, "", "test")
+    stopped: list[int] = []
+
+    def stop(t_ns: int, _payload: bytes) -> None:
+        if t_ns > 550_000_000 and missed(t_ns) and not stopped:
+            stopped.append(t_ns)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    answered = [0]
+
+    def missed(t_ns: int) -> bool:
+        gap, answered[0] = t_ns - answered[0], t_ns
+        return gap > 60_000_000
+
+    found = run_session(experiment, clock="real", link=links()[0], path=tmp_path / "x.mcap", taps={"/controller/rows": stop})
+    assert stopped and found.status == 130, found.summary
+    assert [event["kind"] for event in found.run.events if event["kind"].startswith("fault")] == ["fault: controller-restart"]
+    assert not {"controller_lost", "second_controller"} & set(found.summary["problems"])

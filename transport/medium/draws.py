@@ -17,6 +17,9 @@ REASONS: tuple[str, ...] = (
     "sent",  # packet law: on its way, with this latency
     "copied",  # packet law: a second copy on its way, with its own latency
     "replaced",  # on a bus with arbitration: a newer packet of its node took its place before the bus was free
+    "cut",  # a fault on the time line: it would have arrived while the link was cut
+    "corrupted",  # a fault on the time line: it arrived with a flipped bit, and the receiver's CRC refused it
+    "off-bus",  # a fault on the time line: its sender, or its receiver, was off the bus
 )
 """Names of the reason codes: `REASONS[draw.reason]`."""
 
@@ -33,6 +36,9 @@ REASONS: tuple[str, ...] = (
     SENT,
     COPIED,
     REPLACED,
+    CUT,
+    CORRUPTED,
+    OFF_BUS,
 ) = range(len(REASONS))
 
 NO_MODE = -1

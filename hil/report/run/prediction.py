@@ -29,9 +29,9 @@ def theory_section(view: RunView) -> Section | None:
     """Return the panels of predicted mean and spread, with the run and a Monte Carlo band over them.
 
     None where there is no prediction: a controller that is no table of gains, a network law without a chain, a reference that
-    no input holds, or a log whose experiment cannot be made again here.
+    no input holds, faults on the time line, or a log whose experiment cannot be made again here.
     """
-    if view.experiment is None:
+    if view.experiment is None or view.experiment.fault:
         return None
     try:
         loop = compose(view.experiment, certify=False)

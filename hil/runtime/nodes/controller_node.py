@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from design.controllers import FromSamples, Known, Rows, RunningController
 from hil.compose.loop import Loop
+from hil.compose.time_line import time_line
 from hil.runtime.nodes.assembly import Assembly, from_samples
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
 
@@ -15,7 +16,8 @@ HELLO = 0xFFFFFFFF  # seq of the rig's question "is anybody there", answered bef
 class ControlNode:
     """Answers the frame that closes a slot, in its version, with its nonce; tau is measured from time stamps.
 
-    When a rig asks "is anybody there" again, the next session begins, whose time begins at 0, with a fresh control law.
+    When a rig asks "is anybody there" again, the next session begins, whose time begins at 0, with a fresh control law. At a
+    restart on the time line of faults everything is forgotten too, and frames until its end are not heard.
 
     Args:
         loop: the composed experiment.
@@ -24,6 +26,7 @@ class ControlNode:
     def __init__(self, loop: Loop) -> None:
         self._memory: Callable[[], _Newest | _Several] = lambda: _Several(loop) if loop.experiment.nodes else _Newest(loop)
         self._heard = self._memory()
+        self._restarts, self._to_come = time_line(loop.experiment).restarts, 0
         self._period_ns = loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
         self._zeros = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
@@ -37,7 +40,9 @@ class ControlNode:
             return None
         seq, flags = packet.seq, packet.flags
         if seq == HELLO and self._heard.sample_ns >= 0:
-            self._heard = self._memory()
+            self._heard, self._to_come = self._memory(), 0
+        if self._restarts and seq != HELLO and self._down(seq):
+            return None
         if not flags & EMPTY and not self._heard.take(packet):
             self.malformed += 1  # a rig with another plant
             return None
@@ -55,6 +60,12 @@ class ControlNode:
         return encode_control(
             ControlPacket(seq, sample_ns, t_ns, tau, self._selection, rows, packet.nonce, 0, b"", packet.version)
         )
+
+    def _down(self, k: int) -> bool:
+        """Forget everything where a restart has begun; return whether nothing is heard in slot k."""
+        while self._to_come < len(self._restarts) and self._restarts[self._to_come][0] <= k:
+            self._heard, self._to_come = self._memory(), self._to_come + 1
+        return any(first <= k < end for first, end in self._restarts)
 
 
 class _Newest:

@@ -15,6 +15,7 @@ from hil.log.records import Channel
 from hil.log.write.sinks import Sink
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answers import Answers
+from hil.runtime.nodes.fault_line import FaultLine
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.port_damper import damper_of
 from hil.runtime.nodes.safety import Safety
@@ -57,8 +58,10 @@ class Rig:
         self._several = bool(e.nodes)
         self._samples = [sensor.buffer for sensor in loop.sensors]
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.sensors)
-        self._uplink = uplink_of(loop, seed, float(e.period), deadline_s)
-        self._downlink = impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)  # to the one actuator
+        faults = FaultLine(loop, seed)
+        self._faults = faults if e.fault else None
+        self._uplink = faults.uplink(uplink_of(loop, seed, float(e.period), deadline_s))
+        self._downlink = faults.downlink(impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s))
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
         safety = Safety(e.limits.input, limits, e.limits.watchdog_slots)
         self._port = loop.port.output if loop.port is not None and e.limits.passivity is not None else None
@@ -89,7 +92,18 @@ class Rig:
                 self._uplink.offer(i, k, sample)
         sent = self._uplink.collect(k)
         self._sent = fresh(sent) if self._several else sent
-        return self._frames(k, nonce)
+        frames = self._frames(k, nonce)
+        if self._faults is not None:
+            frames[:0] = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
+        return frames
+
+    def _frame(self, k: int, nonce: int, flags: int, node: int, g: int, y: tuple[float, ...]) -> bytes:
+        return encode_sensor(
+            SensorPacket(
+                k, flags, g * self._period_ns, y, node, self._samples[node], self._reference(k), len(self._sensors), nonce,
+                version=self._wire.version,
+            )
+        )  # fmt: skip
 
     def _frames(self, k: int, nonce: int) -> list[bytes]:
         version, samples, nodes, reference = self._wire.version, self._samples, len(self._sensors), self._reference(k)
@@ -103,14 +117,9 @@ class Rig:
             return [encode_sensor(nothing)]
         last = len(arrivals) - 1
         return [
-            encode_sensor(
-                SensorPacket(
-                    k, MORE if i < last else 0, g * self._period_ns, y, node, samples[node], reference, nodes, nonce,  # type: ignore[arg-type]
-                    version=version,
-                )
-            )
+            self._frame(k, nonce, MORE if i < last else 0, node, g, y)  # type: ignore[arg-type]
             for i, (node, g, y) in enumerate(arrivals)
-        ]  # fmt: skip
+        ]
 
     def record(self, t_ns: int, frames: Sequence[bytes]) -> None:
         """Record what was sensed and sent, and trip on a state beyond its limit.
@@ -120,6 +129,8 @@ class Rig:
             frames: what :meth:`sense` returned.
         """
         k, state, journal = self.k, self._plant.state, self._journal
+        if self._faults is not None:
+            self._faults.tell(t_ns, k, journal)
         journal.sensed(t_ns, k, state, self._y, self._reference(k))
         if self._several:
             for node, (draws, _) in enumerate(self._sent):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hil.compose.loop import Loop
+from hil.compose.time_line import time_line
 from hil.errors import HilError
 from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.sinks import Put, Sink
@@ -64,6 +66,9 @@ def run_real(
         raise HilError(f"{uri}: wire version 1 knows one sensor node; named nodes ([nodes.NAME]) need version 2")
     if external and uri == LOCAL:
         raise HilError(f"{LOCAL} runs our controller in the rig's process: an external one needs a link")
+    restarts = deque(first * loop.experiment.period_ns for first, _ in time_line(loop.experiment).restarts)
+    if external and restarts:
+        raise HilError("fault: controller-restart: an external controller is not ours to restart; end and start it by hand")
     outcome = RealOutcome()
     read_fd, write_fd = os.pipe()
     parent = os.getpid()
@@ -88,17 +93,19 @@ def run_real(
             thread.start()
             controller = None
             if not external and uri != LOCAL:
-                controller = Child(
-                    "controller",
-                    "hil.runtime.real.controller_process",
-                    controller_process.Job(loop=loop, uri=uri, parent=parent),
-                )
+                theirs = controller_process.Job(loop=loop, uri=uri, parent=parent)
+                controller = Child("controller", "hil.runtime.real.controller_process", theirs)
                 children.append(controller)
             silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
             while rig.poll() is None and signals.seen is None:
                 outcome.rig_silent = silence.look(monotonic_ns(), outcome.pump.records, rig.stopped())
                 if outcome.rig_silent:
                     break
+                if controller is not None and restarts and outcome.pump.records and outcome.pump.last_ns >= restarts[0]:
+                    restarts.popleft()
+                    controller.kill()  # a fault on the time line: it loses what it knew, and takes the time that a start takes
+                    controller = Child("controller", "hil.runtime.real.controller_process", theirs)
+                    children.append(controller)
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
                     outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
                     if not outcome.pump.records:

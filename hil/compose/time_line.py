@@ -1,0 +1,70 @@
+"""The faults on the time line of an experiment: what is wrong with them, and what they break in which slots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hil.compose.sensors import ordered_names
+from hil.experiment import Experiment
+from hil.experiment.faults import RESTART, Fault
+from transport.medium.faulted import Spell
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeLine:
+    """What is broken when.
+
+    Args:
+        nodes: of each sensor node, by number.
+        actuator: of the way from the controller to the actuator.
+        restarts: first slot of each restart of the controller, and the one in which it may answer again.
+    """
+
+    nodes: tuple[tuple[Spell, ...], ...]
+    actuator: tuple[Spell, ...]
+    restarts: tuple[tuple[int, int], ...]
+
+
+def time_line_faults(e: Experiment) -> list[str]:
+    """Return what is wrong with the time line, each with its path."""
+    there = f"there are: {', '.join(e.nodes)}" if e.nodes else "no node is named: use link"
+    return [
+        f"fault[{i}].node: there is no node {fault.node!r} ({there})"
+        for i, fault in enumerate(e.fault)
+        if fault.node is not None and fault.node not in e.nodes
+    ]
+
+
+def time_line(e: Experiment) -> TimeLine:
+    """Return the time line of a checked experiment.
+
+    A controller that is off the bus hears nothing either.
+    """
+    names: Sequence[str] = ordered_names(e) or [""]
+    nodes: list[list[Spell]] = [[] for _ in names]
+    actuator: list[Spell] = []
+    restarts = []
+    for fault in e.fault:
+        first, end = fault.slots(float(e.period))
+        if fault.kind == RESTART:
+            restarts.append((first, end))
+            continue
+        spell = Spell(first, end, fault.kind)
+        if fault.link == "ca":
+            actuator.append(spell)
+        for i, name in enumerate(names):
+            if fault.link == "sc" or fault.node == name or (fault.link == "ca" and fault.kind == "bus-off"):
+                nodes[i].append(spell)
+    return TimeLine(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
+
+
+def told(fault: Fault) -> str:
+    """Return what a fault is, in words.
+
+    >>> from hil.experiment import Seconds
+    >>> told(Fault(at=Seconds(3), lasts=Seconds(0.5), kind="cut", link="ca"))
+    'cut of links.ca for 0.5 s'
+    """
+    words = {"corrupt": "flipped bits on", "freeze": "frozen values on", "bus-off": "bus-off of", RESTART: "restart of"}
+    return f"{words.get(fault.kind, f'{fault.kind} of')} {fault.where} for {fault.lasts:g} s"

@@ -1,0 +1,72 @@
+"""The faults of a run at the rig: what they break of the network, and the events that tell when."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hil.compose.loop import Loop
+from hil.compose.time_line import time_line, told
+from hil.experiment.faults import RESTART
+from hil.runtime.nodes.journal import Journal
+from hil.runtime.streams import rng_for
+from transport.medium.faulted import FaultedChannel, FaultedMedium, FaultyPath
+from transport.medium.independent import Impairment
+from transport.medium.medium import Medium
+from transport.packets import packet_size
+
+
+class FaultLine:
+    """Breaks the network of a rig as the time line of its experiment says.
+
+    Args:
+        loop: the composed experiment; one without faults breaks nothing.
+        seed: seed of the run.
+    """
+
+    def __init__(self, loop: Loop, seed: int) -> None:
+        e = loop.experiment
+        line = time_line(e)
+        self._faults = [(*fault.slots(float(e.period)), fault) for fault in e.fault]
+        self._nodes, self._actuator = [FaultyPath(spells) for spells in line.nodes], FaultyPath(line.actuator)
+        self._rng = rng_for(seed, "fault")
+
+    def uplink(self, medium: Medium) -> Medium:
+        """Return the way to the controller, with its faults."""
+        return FaultedMedium(medium, self._nodes) if self._faults else medium
+
+    def downlink(self, channel: Impairment) -> Impairment:
+        """Return the way to the actuator, with its faults."""
+        return FaultedChannel(channel, self._actuator) if self._faults else channel
+
+    def mangled(self) -> list[tuple[int, int, Any]]:
+        """Return what arrives in this slot with a flipped bit: (node, slot of its sample, packet)."""
+        return [(node, g, packet) for node, path in enumerate(self._nodes) for g, packet in path.mangled]
+
+    def flip(self, frame: bytes) -> bytes:
+        """Return a frame with one bit flipped, drawn among those that leave its length as it was."""
+        while True:
+            place, bit = divmod(int(self._rng.integers(8 * len(frame))), 8)
+            wrong = bytes([*frame[:place], frame[place] ^ 1 << bit, *frame[place + 1 :]])
+            if packet_size(wrong) == packet_size(frame):
+                return wrong
+
+    def tell(self, t_ns: int, k: int, journal: Journal) -> None:
+        """Log the faults that begin or end in slot k.
+
+        Args:
+            t_ns: nominal time of the slot, ns.
+            k: slot.
+            journal: takes the events.
+        """
+        for i, (first, end, fault) in enumerate(self._faults):
+            if k == first:
+                self._event(journal, t_ns, k, f"fault: {fault.kind}", told(fault), i, "warning")
+            elif k == end and fault.kind != RESTART:
+                self._event(journal, t_ns, k, f"fault over: {fault.kind}", f"{told(fault)}: over", i, "info")
+
+    def _event(self, journal: Journal, t_ns: int, k: int, kind: str, message: str, number: int, severity: str) -> None:
+        first, end, fault = self._faults[number]
+        journal.event(
+            t_ns, kind, message, tick=k, severity=severity, fault=number, broken=fault.kind, link=fault.link, node=fault.node,
+            slots=end - first,
+        )  # fmt: skip

@@ -1,0 +1,146 @@
+"""`[[fault]]`: what a run, its log, its replay and its certificate say of faults on the time line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.compose.loop import Loop, compose
+from hil.errors import ExperimentError, HilError
+from hil.experiment import load_experiment, parse_experiment, shipped
+from hil.experiment.schema import experiment_schema
+from hil.log.write.sinks import MemorySink
+from hil.measure.view import view_of
+from hil.replay import verify
+from hil.report.run.prediction import theory_section
+from hil.runtime.nodes.actuator_node import HOLD
+from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.real.supervisor import run_real
+from hil.session import run_session, simulate
+from hil.sweeps.lockstep import in_lockstep
+from transport.packets import EMPTY, SensorPacket, decode, encode_sensor
+
+MOTOR = shipped()["dc-motor-hinf"].read_text().replace('duration = "50 s"', 'duration = "3 s"') + "watchdog_slots = 40\n"
+FIRST, END = 24, 34  # slots of 1.2 s to 1.7 s, while the step is followed
+
+
+def faulty(kind: str, where: str, text: str = MOTOR, lasts: str = 'for = "500 ms"') -> str:
+    free = text.replace("seed = 0", "seed = 0\nallow_uncertified = true")
+    return f'{free}\n[[fault]]\nat = "1.2 s"\n{lasts}\nkind = "{kind}"\n{where}\n'
+
+
+def loop_of(text: str, *, certify: bool = True) -> Loop:
+    return compose(parse_experiment(text), certify=certify)
+
+
+@pytest.mark.parametrize(
+    ("kind", "where"),
+    [(kind, f'link = "{side}"') for kind in ("cut", "corrupt", "freeze", "bus-off") for side in ("sc", "ca")]
+    + [("controller-restart", "")],
+)
+def test_a_fault_breaks_what_it_says_is_told_by_events_and_replayed_bit_for_bit(kind: str, where: str, tmp_path: Path) -> None:
+    session = run_session(parse_experiment(faulty(kind, where)), path=tmp_path / "x.mcap")
+    run = session.run
+    assert session.status == 0
+    told = [(event["kind"], event["tick"]) for event in run.events if event["kind"].startswith("fault")]
+    over = [] if kind == "controller-restart" else [(f"fault over: {kind}", END)]
+    assert told == [(f"fault: {kind}", FIRST), *over]
+    marks = {(mark.label, round(mark.t_s, 3)) for mark in view_of(run).marks}
+    assert (f"fault: {kind}", 1.2) in marks  # lines on every panel of the page
+    applied, sound = run.arrays["/actuator/applied"], simulate(loop_of(MOTOR, certify=False), 0).arrays
+    assert np.array_equal(run.arrays["/plant/state"]["angle"][:FIRST], sound["/plant/state"]["angle"][:FIRST])
+    assert not np.array_equal(run.arrays["/plant/state"]["angle"], sound["/plant/state"]["angle"])
+    held = applied["status"][FIRST:END] == HOLD
+    if kind == "controller-restart" or (where == 'link = "ca"' and kind != "freeze"):
+        assert held[-5:].all() and not (applied["status"][END + 2 :] == HOLD).any()
+    taus = run.arrays["/controller/rows"]
+    during = taus["tau"][(taus["tick"] >= FIRST) & (taus["tick"] < END)]
+    if where == 'link = "sc"' and kind != "freeze":
+        assert during[-1] >= END - FIRST - 1  # the newest sample that the controller has is that of before
+    elif kind == "freeze":
+        assert during.max() <= 2  # nobody sees it by the time stamps
+    again = verify(run)
+    assert again.difference is None and again.states == 60
+
+
+def test_of_a_corrupted_frame_one_bit_is_wrong_and_the_controller_refuses_it() -> None:
+    loop = loop_of(faulty("corrupt", 'link = "sc"'))
+    run, other = simulate(loop, 0), simulate(loop, 1)
+    node, wrong = ControlNode(loop), 0
+    for tick, data in zip(run.arrays["/link/sensor"]["tick"].tolist(), run.arrays["/link/sensor"]["data"]):
+        node.hear(bytes(data))
+        if decode(bytes(data)) is None:
+            assert FIRST <= tick < END
+            wrong += 1
+    assert wrong == node.malformed == END - FIRST
+    drawn = [[bytes(d) for d in each.arrays["/link/sensor"]["data"] if decode(bytes(d)) is None] for each in (run, other)]
+    assert drawn[0] != drawn[1]  # from the seed
+
+
+def test_a_controller_off_the_bus_hears_nothing() -> None:
+    run = simulate(loop_of(faulty("bus-off", 'link = "ca"'), certify=False), 0)
+    packets = [decode(bytes(data)) for data in run.arrays["/link/sensor"]["data"]]
+    heard = {p.seq for p in packets if isinstance(p, SensorPacket) and not p.flags & EMPTY}
+    assert not heard & set(range(FIRST, END)) and heard >= set(range(END + 3, 60))
+
+
+def test_one_node_of_several_falls_silent_and_its_bus_goes_on() -> None:
+    text = shipped()["multisensor-published"].read_text()
+    name = next(iter(parse_experiment(text).nodes))
+    run = simulate(loop_of(faulty("cut", f'node = "{name}"', text), certify=False), 0)
+    packets = [decode(bytes(data)) for data in run.arrays["/link/sensor"]["data"]]
+    heard = {(p.seq, p.node) for p in packets if isinstance(p, SensorPacket) and not p.flags & EMPTY}
+    slots = {node: {k for k, n in heard if n == node and FIRST <= k < END} for node in range(4)}
+    assert not slots[0] and all(slots[node] for node in (1, 2, 3))
+
+
+def test_a_restart_forgets_the_newest_sample() -> None:
+    """With `for` left out nothing is missed but what was known: zero rows until the next sample."""
+    node = ControlNode(loop_of(faulty("controller-restart", "", lasts="")))
+    period = 50_000_000
+    ask = lambda k, y: decode(node.hear(encode_sensor(SensorPacket(k, 0 if y else EMPTY, k * period if y else 0, y))) or b"")  # noqa: E731
+    for k in (FIRST - 1, FIRST, FIRST + 1):
+        packet = ask(k, (1.0,) if k != FIRST else ())
+        assert packet is not None and (packet.sample_ns < 0) == (k == FIRST)
+
+
+def test_a_loop_with_faults_is_not_certified_computed_at_once_or_predicted() -> None:
+    assert loop_of(MOTOR).verdict.certified  # type: ignore[union-attr]
+    with pytest.raises(ExperimentError, match=r"certified without the 1 faults on the time line; undecided with them"):
+        loop_of(faulty("cut", 'link = "sc"').replace("allow_uncertified = true", ""))
+    loop = loop_of(faulty("cut", 'link = "sc"'))
+    assert loop.verdict is not None and loop.verdict.state == "undecided"
+    assert loop.verdict.digest != loop_of(MOTOR).verdict.digest  # type: ignore[union-attr]
+    assert in_lockstep(loop_of(MOTOR)) and not in_lockstep(loop)
+    assert theory_section(view_of(simulate(loop, 0), loop.experiment)) is None
+
+
+def test_faults_of_the_table_are_told_by_their_path() -> None:
+    bad = [
+        ('at = -1\nfor = 1\nkind = "cut"\nlink = "sc"', "fault[0].at: -1 s is not between"),
+        ('at = 1\nkind = "cut"\nlink = "sc"', "fault[0].for: missing; a fault of kind 'cut' lasts a while"),
+        ('at = 1\nfor = 0\nkind = "freeze"\nlink = "ca"', "fault[0].for: 0 s, expected more"),
+        ('at = 1\nfor = 1\nkind = "cut"', "fault[0].link: neither link nor node is given"),
+        ('at = 1\nfor = 1\nkind = "cut"\nlink = "sc"\nnode = "a"', "fault[0].link: both link and node are given"),
+        ('at = 1\nfor = 1\nkind = "cut"\nnode = "a"', "fault[0].node: there is no node 'a' (no node is named: use link)"),
+        ('at = 1\nkind = "controller-restart"\nlink = "ca"', "fault[0].link: a restart of the controller takes none"),
+        ('at = 1\nfor = 1\nkind = "melt"\nlink = "sc"', "expected one of cut, corrupt, freeze, bus-off, controller-restart"),
+        ('at = 1\nlasts = 1\nkind = "cut"\nlink = "sc"', "fault[0].lasts: unknown field; there are at, for, kind, link, node"),
+    ]
+    for table, message in bad:
+        with pytest.raises(HilError) as told:
+            loop_of(f"{MOTOR}\n[[fault]]\n{table}\n", certify=False)
+        assert message in str(told.value), str(told.value)
+    keys = experiment_schema()["$defs"]["Fault"]["properties"]
+    assert set(keys) == {"at", "for", "kind", "link", "node"} and "how long it lasts" in keys["for"]["description"]
+    resolved = parse_experiment(faulty("cut", 'link = "sc"')).resolved()
+    assert json.loads(json.dumps(resolved))["fault"][0]["for"] == 0.5 and "fault" not in load_experiment("dc-motor-h2").resolved()
+
+
+def test_somebody_else_s_controller_is_not_restarted() -> None:
+    loop = loop_of(faulty("controller-restart", ""))
+    with pytest.raises(HilError, match="an external controller is not ours to restart"):
+        run_real(loop, 0, "can:hil:nobody", MemorySink(loop.channels()), external=True)
