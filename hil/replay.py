@@ -19,6 +19,7 @@ from design.controllers import packet_samples
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
+from hil.experiment.can_frames import link_uri
 from hil.log.growing import Growing, pieces, whole
 from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
 from hil.log.read.run import Run
@@ -214,6 +215,8 @@ def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], 
     if begin is None:
         raise HilError("the log has no frames to play")
     errors = Growing(np.float64)
+    if run.resolved.get("nodes"):  # each on its own CAN identifiers
+        uri = link_uri(experiment_of(run, "the log"), uri)
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
         links = {"rig": rig, "controller": controller}
         clock = RealClock(monotonic_ns() + 100_000_000)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
+from hil.experiment.can_frames import link_uri
 from hil.log.events import to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import Run, read_run
@@ -166,7 +167,7 @@ def run_session(
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
     loop = compose(experiment)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are told now
-    uri = "memory:" if clock == "virtual" else experiment.links.secured(experiment.folder, link)
+    uri = "memory:" if clock == "virtual" else link_uri(experiment, link)
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.
     provenance = Provenance(

@@ -37,7 +37,8 @@ from transport.wire.version2 import MAX_VALUES
 
 __all__ = [
     "EMPTY", "FD_LENGTHS", "MAX_INPUTS", "MAX_OUTPUTS", "MAX_ROWS", "MAX_VALUES", "MORE", "SELECTIONS", "TAU_LIMIT", "VERSIONS",
-    "ControlPacket", "SensorPacket", "decode", "encode_control", "encode_sensor", "frame_length", "packet_size",
+    "ControlPacket", "SensorPacket", "decode", "encode_control", "encode_sensor", "frame_length", "node_of",
+    "packet_size",
 ]  # fmt: skip
 
 VERSIONS: Final = {1: version1, 2: version2}
@@ -117,6 +118,18 @@ def packet_size(data: bytes) -> int | None:
     reader_of = _READERS.get(data[2])
     found = (0, None) if reader_of is None else reader_of(data)
     return None if found is None else found[0]
+
+
+def node_of(data: bytes) -> int:
+    """Number of the sensor node that a packet names, nothing of it judged; 0 where it names none.
+
+    Args:
+        data: any bytes, such as a packet or its first 25 bytes.
+
+    >>> node_of(bytes((0, 0, 0x21)) + bytes(21) + bytes((3,))), node_of(b"...")
+    (3, 0)
+    """
+    return data[24] if len(data) > 24 and data[2] == version2.SENSOR else 0
 
 
 def decode(data: bytes) -> SensorPacket | ControlPacket | None:

@@ -20,11 +20,12 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     """
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
+    from hil.experiment.can_frames import link_uri
     from hil.runtime.real.controller_process import serve
     from transport.links.opening import find_link
 
     loop = compose(load_experiment(experiment, sets))
-    uri = loop.experiment.links.secured(loop.experiment.folder, link)
+    uri = link_uri(loop.experiment, link)
     find_link(uri)  # what cannot be a link is said first
     print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)
     serve(loop, uri)

@@ -9,34 +9,55 @@ from typing import Any
 
 import click
 
+from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.errors import HilError
 
 NAME = "hilrig"
 
 
 @click.command()
+@click.argument("experiment", type=EXPERIMENT, required=False)
+@click.option("--link", metavar="URI", help="Framing and base of another link than EXPERIMENT's own.")
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
 @click.option("--c", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Write a C codec here: hilrig.h, hilrig.c.")
 @click.option("--decode", "log", type=click.Path(path_type=Path), metavar="FILE", help="Decode a CAN log, .log or .blf.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
-def command(folder: Path | None, log: Path | None, force: bool) -> None:
-    """Print the DBC of the link's frames.
+def command(
+    experiment: str | None, link: str | None, sets: tuple[str, ...], folder: Path | None, log: Path | None, force: bool
+) -> None:
+    """Print the DBC of the link's frames; of EXPERIMENT with a message for each sensor node, and each value by its name.
 
     With --c write a C codec that cantools makes of it, for a controller on another machine; with --decode print what the
     frames of a CAN log say, one JSON object a line.
     """
-    from transport import dbc_path
-
+    if experiment is None and (link is not None or sets):
+        raise HilError("--link and --set: name an experiment; without one the DBC is that of any one node below 0x100")
     if folder is not None and log is not None:
         raise HilError("--c and --decode: one at a time")
+    text = _text(experiment, link, sets)
     if folder is not None:
-        _write_codec(folder, force)
+        _write_codec(_database(text), folder, force)
     elif log is not None:
-        _decode(log)
+        _decode(_database(text), log)
     else:
-        print(dbc_path().read_text(encoding="utf-8"), end="")
+        print(text, end="")
 
 
-def _write_codec(folder: Path, force: bool) -> None:
+def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> str:
+    from hil.experiment import load_experiment
+    from hil.experiment.can_frames import experiment_dbc
+    from transport import dbc_path
+    from transport.links.link import TransportError
+
+    if experiment is None:
+        return dbc_path().read_text(encoding="utf-8")
+    try:
+        return experiment_dbc(load_experiment(experiment, sets), link)
+    except (TransportError, ValueError) as error:
+        raise HilError(f"{experiment}: {error}") from error
+
+
+def _write_codec(database: Any, folder: Path, force: bool) -> None:
     from cantools.database.can.c_source import generate
 
     from hil.cli.outputs import check_output, write_output
@@ -49,18 +70,17 @@ def _write_codec(folder: Path, force: bool) -> None:
         raise HilError(f"{folder}: cannot be made: {e.strerror}") from e
     for path in (header, source):
         check_output(path, fresh=not force, remedy="choose another --c or add --force")
-    texts = generate(_database(), NAME, header.name, source.name, "")
+    texts = generate(database, NAME, header.name, source.name, "")
     for path, text in zip((header, source), texts):
         write_output(path, text, replace=force)
         print(visible(path))
 
 
-def _decode(log: Path) -> None:
+def _decode(database: Any, log: Path) -> None:
     import can
 
     if log.suffix not in (".log", ".blf"):
         raise HilError(f"{log}: the ending {log.suffix!r} names no CAN log, expected .log or .blf (see `hil export`)")
-    database = _database()
     try:
         with can.LogReader(log) as frames:
             for frame in frames:
@@ -75,9 +95,7 @@ def _decode(log: Path) -> None:
         raise HilError(f"{log}: is no CAN log: {e}") from e
 
 
-def _database() -> Any:
+def _database(text: str) -> Any:
     import cantools
 
-    from transport import dbc_path
-
-    return cantools.database.load_file(dbc_path())
+    return cantools.database.load_string(text, "dbc")

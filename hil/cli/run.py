@@ -95,6 +95,7 @@ def command(
     from hil.cli.run_summary import show
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
+    from hil.experiment.can_frames import link_uri
     from hil.session import run_session
     from transport.links.local import LOCAL
     from transport.links.opening import open_link
@@ -104,7 +105,7 @@ def command(
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
-    uri = checked.links.secured(checked.folder, link)
+    uri = link_uri(checked, link)
     # An external controller may be there already: do not let it meet this end.
     if clock == "real" and not external and uri != LOCAL:
         with open_link(uri, "rig"), open_link(uri, "controller"):  # what cannot be opened is said before anything starts

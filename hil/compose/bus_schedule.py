@@ -15,7 +15,7 @@ MOST_PHASES = 64
 Heard = tuple[tuple[tuple[int, int], ...], ...]
 
 
-def bus_cycle(clocks: Sequence[ClockTable], frames: int) -> Heard | str:
+def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> Heard | str:
     """Return in every slot of the cycle, from slot 0, the (node, age) that the bus carries; or why there is no such cycle.
 
     The bus is run, by the rule that runs it in the rig, until what waits is as it was before. What is carried in the first slots
@@ -24,7 +24,10 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int) -> Heard | str:
     Args:
         clocks: of all nodes, by number.
         frames: frames that the bus carries in a slot.
+        identifiers: of all nodes, of which the lowest wins; by default their numbers.
     """
+    order = sorted(range(len(clocks)), key=lambda node: identifiers[node] if identifiers else node)
+    rank = {node: place for place, node in enumerate(order)}
     drawn = [i for i, clock in enumerate(clocks) if clock.drawn]
     if drawn:
         return f"the theory knows no bus whose nodes have clocks that draw: nodes {drawn}"
@@ -44,8 +47,8 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int) -> Heard | str:
             seen[state] = k
         for node, clock in enumerate(running):
             if clock.due(k):
-                bus.offer(node, k, None)
-        carried.append(tuple((node, k - waiting.tick) for node, waiting in bus.winners()))
+                bus.offer(rank[node], k, None)
+        carried.append(tuple((order[place], k - waiting.tick) for place, waiting in bus.winners()))
     period = len(carried) - first
     if period > MOST_PHASES:
         return f"the bus repeats itself every {period} slots, the theory takes cycles of {MOST_PHASES} slots"

@@ -35,6 +35,7 @@ from hil.compose.sensors import Sensor, Shared, node_faults, sensor_nodes, senso
 from hil.compose.time_line import time_line_faults
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
+from hil.experiment.can_frames import can_faults
 from hil.experiment.check import fault_at
 from hil.experiment.protocols import Designer, JumpPlant
 from hil.log.records import Channel, channels
@@ -246,7 +247,7 @@ def _faults(e: Experiment) -> list[str]:
                 "limits.passivity: needs a device that takes one force and measures the position that it acts on; "
                 f"this plant takes {', '.join(taken)} and measures {', '.join(measured)}"
             )
-    return faults + node_faults(e) + time_line_faults(e)
+    return faults + node_faults(e) + can_faults(e) + time_line_faults(e)
 
 
 def _task(e: Experiment, model: LoopModel) -> DesignTask:

@@ -9,6 +9,7 @@ from design.controllers import SensorNodes, Turns
 from hil.compose.bus_schedule import bus_cycle
 from hil.experiment import Experiment
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
+from hil.experiment.sensor_order import first_identifiers, ordered_names
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import BoundedAge, NetworkLaw, prepare, slots_served
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
@@ -27,6 +28,7 @@ class Sensor:
         trigger: when it sends.
         law: network from it to the controller.
         clock: in which slots it has something to send.
+        can_id: CAN identifier of its first frame: the lower one wins on a medium with arbitration.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Sensor:
     trigger: TriggerTable
     law: NetworkLaw
     clock: ClockTable
+    can_id: int = 0
 
     @property
     def stream(self) -> str:
@@ -57,12 +60,6 @@ class Shared:
     table: Medium
 
 
-def ordered_names(e: Experiment) -> list[str]:
-    """Return the names of the nodes by their number."""
-    names = list(e.nodes)
-    return sorted(names, key=lambda name: names.index(name) if e.nodes[name].id is None else e.nodes[name].id)  # type: ignore[arg-type,return-value]
-
-
 def node_faults(e: Experiment) -> list[str]:
     """Return what is wrong with nodes and media, each with its path."""
     if not e.nodes:
@@ -77,7 +74,7 @@ def node_faults(e: Experiment) -> list[str]:
         if not 0 <= number < len(e.nodes):
             faults.append(f"nodes.{name}.id: {number}, expected 0 to {len(e.nodes) - 1}, a number for each node")
         elif number in taken:
-            faults.append(f"nodes.{name}.id: {number} is the identifier of node {taken[number]!r} already")
+            faults.append(f"nodes.{name}.id: {number} is the number of node {taken[number]!r} already")
         taken.setdefault(number, name)
         for i, output in enumerate(node.outputs):
             at = f"nodes.{name}.outputs[{i}]"
@@ -123,8 +120,9 @@ def sensors_of(e: Experiment, samples: int) -> tuple[Sensor, ...]:
             trigger=e.nodes[name].trigger,
             law=prepare(e.links.sc.law if e.nodes[name].law is None else e.nodes[name].law),
             clock=e.nodes[name].clock,
+            can_id=can_id,
         )
-        for name in ordered_names(e)
+        for name, can_id in zip(ordered_names(e), first_identifiers(e), strict=True)
     )
 
 
@@ -161,7 +159,7 @@ def sensor_nodes(e: Experiment) -> SensorNodes | None:
 def _turns(shared: Shared, sensors: Sequence[Sensor]) -> Turns | str:
     table = shared.table
     if table.kind == "can-arbitration":
-        heard = bus_cycle([s.clock for s in sensors], table.frames)
+        heard = bus_cycle([s.clock for s in sensors], table.frames, [s.can_id for s in sensors])
         return heard if isinstance(heard, str) else Turns(heard=heard, loss=table.loss)
     if table.kind == "round-robin":
         return Turns(order=shared.nodes, phase=table.phase, loss=table.loss)

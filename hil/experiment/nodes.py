@@ -6,6 +6,7 @@ import typing
 from typing import Any, Literal
 
 from hil.experiment.table import Table
+from transport.links.can_identifiers import LARGEST
 
 LONGEST_BUFFER = 255
 LONGEST_CYCLE = 1_000_000
@@ -79,6 +80,8 @@ class Node(Table, frozen=True, kw_only=True):
         trigger: when the node sends.
         clock: in which slots it has something to send; by default in every one.
         law: the network from this node to the controller; by default that of ``links.sc``, with draws of its own.
+        can_id: CAN identifier of its packets' first frame, 11 bits, the next ones for further frames; by default by its number
+            below the base of the link. The lower one wins on a ``can-arbitration`` medium.
     """
 
     outputs: tuple[str, ...]
@@ -87,11 +90,14 @@ class Node(Table, frozen=True, kw_only=True):
     trigger: TriggerTable = TriggerTable()
     clock: ClockTable = ClockTable()
     law: Any = None
+    can_id: int | None = None
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         if not 1 <= values.get("buffer", 1) <= LONGEST_BUFFER:
             yield f"buffer: {values['buffer']} samples, expected 1 to {LONGEST_BUFFER}"
+        if values.get("can_id") is not None and not 0 <= values["can_id"] <= LARGEST:
+            yield f"can_id: {values['can_id']:#x}, expected 0 to {LARGEST:#x} (11 bits)"
         outputs = values.get("outputs", ("",))
         if not outputs:
             yield "outputs: empty; a sensor node measures something"
@@ -105,8 +111,8 @@ class Medium(Table, frozen=True, kw_only=True):
 
     Args:
         kind: ``round-robin`` (one in a slot, in the order of ``nodes``, again and again), ``random`` (one in a slot, by chance),
-            ``can-arbitration`` (the lowest ``id`` wins; who loses waits, and its newer sample replaces the waiting one) or
-            ``independent`` (all in every slot).
+            ``can-arbitration`` (the lowest CAN identifier wins; who loses waits, and its newer sample replaces the waiting
+            one) or ``independent`` (all in every slot).
         nodes: names of the nodes, for ``round-robin`` in the order of their turns (a node may have several).
         phase: ``round-robin``: position in the order in slot 0, from 0.
         probabilities: ``random``: probability of each node, independent in every slot; by default all are alike.

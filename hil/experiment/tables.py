@@ -14,6 +14,7 @@ from hil.experiment.faults import Fault
 from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.table import LONGEST_S, UNITS, Seconds, Table
+from transport.links.can_identifiers import LARGEST
 from transport.links.link import TransportError
 from transport.links.opening import find_link
 
@@ -107,6 +108,7 @@ class Links(Table, frozen=True, kw_only=True):
         auth: a message authentication code in every packet.
         tls: certificates, for a link over zenoh.
         login: a password for the controller, for a link over zenoh.
+        control_can_id: CAN identifier of the control packets' first frame, 11 bits; by default 0x40 above the link's base.
     """
 
     uri: str
@@ -115,6 +117,7 @@ class Links(Table, frozen=True, kw_only=True):
     auth: Auth | None = None
     tls: Tls | None = None
     login: Login | None = None
+    control_can_id: int | None = None
 
     def secured(self, folder: str, uri: str | None = None) -> str:
         """Return the URI of a link, by default the file's own, with the keys that the tables name.
@@ -128,6 +131,8 @@ class Links(Table, frozen=True, kw_only=True):
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         uri = values.get("uri", "memory:")
+        if values.get("control_can_id") is not None and not 0 <= values["control_can_id"] <= LARGEST:
+            yield f"control_can_id: {values['control_can_id']:#x}, expected 0 to {LARGEST:#x} (11 bits)"
         for table in ("tls", "login"):
             if values.get(table) is not None and not uri.startswith("zenoh:"):
                 yield f"{table}: the link {uri!r:.60} does not take it; only a zenoh link does"

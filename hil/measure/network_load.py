@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import packet_samples
-from hil.compose.sensors import ordered_names
+from hil.experiment.sensor_order import ordered_names
 from hil.log.growing import Growing, pieces
 from hil.measure.network import network_metrics
 from hil.measure.view import MEASUREMENT, RunView

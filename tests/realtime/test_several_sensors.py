@@ -10,6 +10,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
@@ -60,6 +61,24 @@ def test_several_nodes_in_real_time_are_the_virtual_ones(tmp_path: Path, which: 
     assert real.run.arrays["/actuator/applied"][u][:end].any() or end < 8
     if late is None:
         assert verify(real.run).difference is None
+
+
+def test_each_node_is_heard_on_the_bus_under_the_identifier_that_the_experiment_gives_it(tmp_path: Path) -> None:
+    ids = {"first": 0x090, "second": 0x091, "third": 0x210, "fourth": 0x2A0}
+    changes = [f"nodes.{name}.can_id={number}" for name, number in ids.items()]
+    experiment = load_experiment("multisensor-published", ["duration=0.4", "links.control_can_id=0x300", *changes])
+    channel = f"ids{os.getpid()}"
+    with can.Bus(interface="hil", channel=channel, fd=True) as bus:
+        real = run_session(experiment, clock="real", link=f"can:hil:{channel}", path=tmp_path / "real.mcap")
+        heard: dict[int, set[int]] = {}
+        while (frame := bus.recv(0.2)) is not None:
+            heard.setdefault(frame.arbitration_id, set()).add(frame.data[24])
+    assert {**heard, 0x300: {0}} == {number: {node} for node, number in enumerate(ids.values())} | {0x300: {0}}
+    assert real.summary["ticks"] == 8 and 0x300 in heard
+    late = real.summary["timing"]["first_late_tick"]
+    end = 8 if late is None else late
+    u = simulate(compose(experiment), 0).arrays["/actuator/applied"]["u1"][:end]
+    np.testing.assert_array_equal(real.run.arrays["/actuator/applied"]["u1"][:end], u)
 
 
 def test_the_foreign_controller_of_the_guide_drives_two_nodes(tmp_path: Path) -> None:

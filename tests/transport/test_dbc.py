@@ -13,7 +13,7 @@ import pytest
 from cantools.database.can import Database
 
 from transport import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, dbc_path, encode_control, encode_sensor
-from transport.links.can_link import BASE, FRAGMENTS, identifiers
+from transport.links.can_identifiers import FRAGMENTS, derived
 from transport.links.can_open import open_can
 from transport.links.link import Role
 
@@ -118,7 +118,7 @@ def test_every_frame_on_the_bus_reads_by_the_dbc_as_what_was_packed(
 def test_cantools_packs_the_very_bytes_that_we_pack(packet: SensorPacket | ControlPacket) -> None:
     data, database = encode(packet), DATABASES[packet.version]
     values = named(packet, data)
-    first = identifiers()[isinstance(packet, ControlPacket)]
+    first = (derived().control if isinstance(packet, ControlPacket) else derived().sensors[0])[0]
     packed = b""
     for index in range(-(-len(data) // 64)):
         frame = database.get_message_by_frame_id(first + index)
@@ -128,7 +128,7 @@ def test_cantools_packs_the_very_bytes_that_we_pack(packet: SensorPacket | Contr
 
 def test_every_frame_lies_in_the_links_identifiers_and_says_its_kind(database: Database) -> None:
     for fd in (True, False):
-        for first, sender in zip(identifiers(BASE, fd), ("Rig", "Controller")):
+        for first, sender in zip((derived(fd=fd).sensors[0][0], derived(fd=fd).control[0]), ("Rig", "Controller")):
             block = [message for message in database.messages if 0 <= message.frame_id - first < FRAGMENTS]
             assert [message.frame_id - first for message in block] == list(range(len(block)))
             assert sum(message.length for message in block) == 128

@@ -20,14 +20,14 @@ from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.replay import verify
 from hil.session import Session, run_session, simulate
-from transport.links.can_link import identifiers
+from transport.links.can_identifiers import derived
 
 pytestmark = pytest.mark.vcan
 
 FRAMES = pytest.mark.parametrize("uri", ["can:socketcan:vcan0", "can:socketcan:vcan0?fd=0"], ids=["fd", "classic"])
 CHANGES = ["duration=6", "reference.0.at=0.5", "seed=11"]
 TICKS, PERIOD_S = 120, 0.05
-FROM_THE_RIG = {identifiers(fd=fd)[0] for fd in (True, False)}  # of its first frame, which holds the slot in bytes 4 to 7
+FROM_THE_RIG = {derived(fd=fd).sensors[0][0] for fd in (True, False)}  # of its first frame, which holds the slot in bytes 4 to 7
 
 
 def session(uri: str, folder: Path) -> Session:

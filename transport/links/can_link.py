@@ -1,21 +1,10 @@
 """A link over any python-can interface: ``can:<interface>:<channel>[?fd=0&base=0x200&...]``.
 
-=============== ===================== ====================================================
-identifier      CAN FD (``fd=1``)     carries
-=============== ===================== ====================================================
-base + 0x00 + i sensor packet         bytes 64 i to 64 i + 63, in most cases i = 0 alone
-base + 0x40 + i control packet        the same
-=============== ===================== ====================================================
-
-=============== ===================== ====================================================
-identifier      classic (``fd=0``)    carries
-=============== ===================== ====================================================
-base + 0x80 + i sensor packet         bytes 8 i to 8 i + 7
-base + 0xC0 + i control packet        the same
-=============== ===================== ====================================================
-
-Fragments have one identifier each, as CANopen's TPDO1 to TPDOn have, and are sent in order; what is put together is checked
-by the packet's CRC. Sensor frames win the arbitration. `transport/hilrig.dbc` names every signal for the default base 0x100.
+A sensor packet has the identifiers of its node, a control packet those of the controller; fragment i of 64 bytes (``fd=1``) or 8
+(``fd=0``) has the i-th of them, see `transport.links.can_identifiers`. What is put together is checked by the packet's CRC, and
+by the node's number in it: what says another number than its identifier is malformed. A slot in which no node is heard, and the
+question "is anybody there", come as the first node's. `transport/hilrig.dbc` names every signal of one node for the default base
+0x100, ``hil dbc EXPERIMENT`` those of each node of an experiment.
 A frame is as short as its packet allows; with ``pad=1`` every FD frame has 64 bytes, for tools that insist on the DBC's length.
 
 Each role hears the other's identifiers only. Error frames, foreign frames and faults of the bus are counted; the link works
@@ -26,7 +15,7 @@ from __future__ import annotations
 
 import select
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from errno import EBADF, ENODEV, ENXIO
@@ -36,13 +25,9 @@ from typing import Final, Protocol
 import can
 
 from transport.links.can_bus import ERROR, EXTENDED, REMOTE, HilBus
+from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
 from transport.links.link import Closing, LinkCounters, Role
-from transport.packets import decode, frame_length, packet_size
-
-BASE: Final = 0x100
-FRAGMENTS: Final = 64
-CLASSIC_OFFSET: Final = 0x80
-CONTROL_OFFSET: Final = 0x40
+from transport.packets import decode, frame_length, node_of, packet_size
 
 _FAULTS: Final = (can.CanError, OSError, ValueError)
 _GONE: Final = (ENODEV, ENXIO, EBADF)  # the socket is bound to nothing any more
@@ -109,13 +94,13 @@ class CanLink(Closing):
         uri: for messages.
         role: the rig sends sensor packets and hears control packets, the controller the other way round.
         join: opens the bus with the given filters; called again when the interface has vanished.
-        base: first of 256 identifiers.
+        identifiers: of each node and of the controller; by default those of one node below 0x100.
         fd: one CAN FD frame of up to 64 bytes, or classic frames of 8.
         pad: fill every FD frame up to 64 bytes.
-        claim: closed with the link.
+        claims: closed with the link.
     """
 
-    __slots__ = ("_bus", "_claim", "_closed", "_counters", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step",
+    __slots__ = ("_bus", "_claims", "_closed", "_counters", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step",
                  "uri")  # fmt: skip
 
     def __init__(
@@ -124,19 +109,21 @@ class CanLink(Closing):
         role: Role,
         join: Callable[[], can.BusABC],
         *,
-        base: int = BASE,
+        identifiers: Identifiers | None = None,
         fd: bool = True,
         pad: bool = False,
-        claim: socket.socket | None = None,
+        claims: Sequence[socket.socket] = (),
     ) -> None:
         self.uri = uri
         self._counters = LinkCounters()
-        self._say, self._hear = (f := identifiers(base, fd))[role == "controller"], f[role == "rig"]
+        own = identifiers or derived(fd=fd)
+        self._say, heard = own.of(role), own.of("controller" if role == "rig" else "rig")
+        self._hear = {identifier: (node, i) for node, ids in enumerate(heard) for i, identifier in enumerate(ids)}
         self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
-        self._claim, self._join = claim, join
+        self._claims, self._join = tuple(claims), join
         self._bus = _frames_of(join(), fd)
         self._closed = False
-        self._parts = b""
+        self._parts = [b""] * len(heard)  # of each sender, what has come of a packet in fragments
         self._row = 0  # tries to reopen, one after the other, since the interface vanished
 
     @property
@@ -145,11 +132,12 @@ class CanLink(Closing):
         return replace(self._counters, dropped=self._counters.dropped + bus.lost, turned_away=bus.turned_away)
 
     def send(self, packet: bytes) -> None:
-        step, identifier, size, bus = self._step, self._say, len(packet), self._bus
-        if self._closed or size > FRAGMENTS * step:
+        step, say, size, bus = self._step, self._say, len(packet), self._bus
+        node = node_of(packet) if len(say) > 1 else 0
+        if self._closed or node >= len(say) or size > len(say[node]) * step:
             self._counters.dropped += 1
             return
-        dropped = bus.dropped
+        dropped, identifier = bus.dropped, say[node][0]
         try:
             for start in range(0, size, step):
                 data = packet[start : start + step]
@@ -193,8 +181,8 @@ class CanLink(Closing):
 
     def _packet(self, identifier: int, fd: bool, data: bytes) -> bytes | None:
         """Return the packet that this frame is or completes."""
-        index = identifier - self._hear  # far out of range with any flag set
-        if not 0 <= index < FRAGMENTS:
+        place = self._hear.get(identifier)  # none with any flag set
+        if place is None:
             if identifier & ERROR:
                 self._counters.errors += 1
             elif identifier & REMOTE:
@@ -203,23 +191,25 @@ class CanLink(Closing):
         if fd != self._fd:
             self._counters.malformed += 1
             return None
+        (node, index), parts = place, self._parts
+        begun, several = parts[node], len(parts) > 1
         if index == 0:
-            self._counters.malformed += bool(self._parts)  # the one before was never completed
+            self._counters.malformed += bool(begun)  # the one before was never completed
             size = packet_size(data)
-            if self._fd and size is not None and size <= len(data):
-                self._parts = b""
+            if self._fd and size is not None and size <= len(data) and not (several and node_of(data) != node):
+                parts[node] = b""
                 return data[:size] if self._pad else data  # alone in one frame; the receiver's decoder judges it
-        elif not self._parts or index * self._step != len(self._parts):
+        elif not begun or index * self._step != len(begun):
             self._counters.malformed += 1  # one before it is missing
-            self._parts = b""
+            parts[node] = b""
             return None
         else:
-            data = self._parts + data
+            data = begun + data
             size = packet_size(data)
-        self._parts = data if size is None or size > len(data) else b""
-        if self._parts:
+        parts[node] = data if size is None or size > len(data) else b""
+        if parts[node]:
             return None
-        if size is None or decode(data[:size]) is None:
+        if size is None or (several and node_of(data) != node) or decode(data[:size]) is None:
             self._counters.malformed += 1
             return None
         return data[:size]
@@ -227,7 +217,7 @@ class CanLink(Closing):
     def _fault(self, error: BaseException, wait_s: float) -> None:
         """Count a fault of the bus; pause, so that a loop that polls does not spin; reopen what has vanished."""
         self._counters.errors += 1
-        self._parts = b""
+        self._parts = [b""] * len(self._parts)
         code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
         if code in _GONE or isinstance(error, ValueError):
             self._reopen()
@@ -249,15 +239,5 @@ class CanLink(Closing):
             self._closed = True
             with suppress(*_FAULTS):
                 self._bus.shutdown()
-            if self._claim is not None:
-                self._claim.close()
-
-
-def identifiers(base: int = BASE, fd: bool = True) -> tuple[int, int]:
-    """Return the first identifier of the sensor and of the control frames.
-
-    >>> [hex(i) for i in identifiers(0x100, fd=False)]
-    ['0x180', '0x1c0']
-    """
-    first = base + (0 if fd else CLASSIC_OFFSET)
-    return first, first + CONTROL_OFFSET
+            for claim in self._claims:
+                claim.close()

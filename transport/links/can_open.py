@@ -17,8 +17,12 @@ from typing import Any, Final
 import can
 
 from transport.links.can_bus import bus_directory
-from transport.links.can_link import BASE, FRAGMENTS, CanLink, identifiers
+from transport.links.can_identifiers import filters, identifiers_of
+from transport.links.can_link import CanLink
 from transport.links.link import Role, TransportError, split_uri
+
+OPTIONS: Final = ("fd", "pad", "base", "nodes", "ids", "control")
+"""What a CAN link's URI may say of its frames; the rest is the interface's."""
 
 _RESERVED: Final = ("args", "kwargs", "channel", "interface", "config_context", "ignore_config", "can_filters", "protocol")
 _BIT_RATES: Final = ("bitrate", "data_bitrate", "sample_point", "data_sample_point")
@@ -32,8 +36,9 @@ def open_can(uri: str, role: Role) -> CanLink:
 
     Args:
         uri: ``can:<interface>:<channel>``, with the options ``fd`` (1 or 0), ``pad`` (1 or 0), ``base`` (first identifier, a
-            multiple of 0x100) and whatever the interface takes, ``bitrate`` for instance. ``virtual`` is python-can's bus within
-            one process.
+            multiple of 0x100), ``nodes`` (number of sensor nodes) or ``ids`` (the identifiers of each node, as in
+            ``0x141,0x150-0x151``), ``control`` (those of the control packets), and whatever the interface takes, ``bitrate`` for
+            instance. ``virtual`` is python-can's bus within one process.
         role: "rig" or "controller".
 
     Raises:
@@ -55,20 +60,15 @@ def open_can(uri: str, role: Role) -> CanLink:
     pad = options.pop("pad", "0")
     if pad not in ("0", fd):
         raise TransportError(f"link {uri!r}: pad={pad}, expected 1 (FD frames of 64 bytes) or 0; classic frames have no padding")
-    try:
-        base = int(options.pop("base", str(BASE)), 0)
-    except ValueError:
-        base = -1
-    if base not in range(0, 0x800, 0x100):
-        raise TransportError(f"link {uri!r}: base: expected a multiple of 0x100 from 0 to 0x700, as in base=0x200")
+    flexible = fd == "1"
+    identifiers = identifiers_of(uri, options, flexible)
     logger = logging.getLogger("can")  # what python-can has to say, we say in one line
     logger.addHandler(_SILENCE)
     logger.propagate = False
     _check_options(uri, interface, options)
-    flexible = fd == "1"
-    heard = identifiers(base, flexible)[role == "rig"]
+    heard = identifiers.of("controller" if role == "rig" else "rig")
     arguments: dict[str, Any] = {name: _value(text) for name, text in options.items()}
-    arguments["can_filters"] = [{"can_id": heard, "can_mask": 0x7FF & -FRAGMENTS, "extended": False}]
+    arguments["can_filters"] = filters(heard)
     if interface == "virtual":
         arguments["protocol"] = can.CanProtocol.CAN_FD if flexible else can.CanProtocol.CAN_20
     elif flexible or interface in ("hil", "udp_multicast"):
@@ -81,11 +81,19 @@ def open_can(uri: str, role: Role) -> CanLink:
 
     if interface == "socketcan":
         _check_interface(uri, channel, flexible)
-    claim = _claim(uri, role, interface, channel, heard)
+    claims: list[socket.socket] = []
     try:
-        return CanLink(uri, role, join, base=base, fd=flexible, pad=pad == "1", claim=claim)
+        for own in heard:
+            claims.append(_claim(uri, role, interface, channel, own[0]))
+    except TransportError:
+        for claim in claims:
+            claim.close()
+        raise
+    try:
+        return CanLink(uri, role, join, identifiers=identifiers, fd=flexible, pad=pad == "1", claims=claims)
     except Exception as error:  # a back end without its driver raises anything, a NameError for instance
-        claim.close()
+        for claim in claims:
+            claim.close()
         said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         raise TransportError(f"link {uri!r}: {said}{_remedy(interface, channel, error)}") from error
 
@@ -101,8 +109,9 @@ def _check_options(uri: str, interface: str, options: dict[str, str]) -> None:
             known = [*known, *_BIT_RATES] if interface in _SWALLOWING else []
     for option in options:
         if option in _RESERVED or (known and option not in known):
-            near = get_close_matches(option, ["fd", "pad", "base", *known], n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"expected fd, pad, base or what python-can's {interface} takes"
+            near = get_close_matches(option, [*OPTIONS, *known], n=1)
+            expected = f"expected {', '.join(OPTIONS)} or what python-can's {interface} takes"
+            hint = f"did you mean {near[0]!r}?" if near else expected
             raise TransportError(f"link {uri!r}: no option is called {option!r}, {hint}")
 
 

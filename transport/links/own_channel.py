@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 from urllib.parse import urlencode
 
-from transport.links.can_link import BASE
+from transport.links.can_identifiers import BASE
 from transport.links.link import TransportError, split_uri
 
 _BASES: Final = range(0, 0x800, 0x100)

@@ -185,10 +185,19 @@ def control_reader(data: bytes) -> Reader[ControlPacket] | None:
     return _control_reader(data[3], data[34], data[35]) if len(data) >= 36 else None
 
 
-def sensor_length(values: int) -> int:
-    """Bytes of a sensor packet without a tag that holds so many values, references included.
+def sensor_length(values: int, tagged: bool = False) -> int:
+    """Bytes of a sensor packet that holds so many values, references included.
 
-    >>> sensor_length(1 + 1), sensor_length(3 + 4)
-    (48, 64)
+    >>> sensor_length(1 + 1), sensor_length(3 + 4), sensor_length(3 + 4, tagged=True)
+    (48, 64, 72)
     """
-    return _sensor_layout(values, False).size
+    return _sensor_layout(values, tagged).size
+
+
+def control_length(values: int, tagged: bool = False) -> int:
+    """Bytes of a control packet that holds so many values.
+
+    >>> control_length(3), control_length(9)
+    (48, 72)
+    """
+    return _control_layout(values, tagged).size

@@ -20,20 +20,26 @@ import heapq
 import json
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 from hil.errors import HilError
 from hil.exclusive_file import written_whole
+from hil.experiment import experiment_from_resolved
+from hil.experiment.can_frames import identifiers_on
 from hil.log.growing import pieces
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
 from hil.log.read.npz import NpzFile
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
+
+if TYPE_CHECKING:
+    from transport.links.can_identifiers import Identifiers
 
 VIRTUAL_BEGIN: Final = "2000-01-01T00:00:00Z"
 ROWS: Final = 4096  # that are made Python numbers at a time
@@ -145,7 +151,7 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
     wanted = [topic for topic in FRAME_TOPICS if topic in topics]
     if not any(len(run.numbers(topic)) for topic in wanted):
         raise HilError(f"{target}: no frames to write; a CAN log needs the records of {' and '.join(FRAME_TOPICS)}")
-    if target.suffix == ".trc" and _framing(run.metadata.get("link", ""))[0]:
+    if target.suffix == ".trc" and _framing(run)[0]:
         raise HilError(f"{target}: python-can writes classic frames only as .trc, and this link has CAN FD; export .asc instead")
     with written_whole(target, replace=replace) as part, can.Logger(part) as writer:  # picks the writer by the ending
         for message in _can_messages(run, wanted):
@@ -168,11 +174,11 @@ def _of_topic(run: Run, topic: str) -> Iterator[Any]:
     from transport.links.can_link import CanLink
 
     uri = run.metadata.get("link", "")
-    fd, base = _framing(uri)
+    fd, identifiers = _framing(run)
     bus: Any = _BusOfPaper()
     begin_s = datetime.fromisoformat(run.session.get("started", VIRTUAL_BEGIN)).timestamp()
     role: Literal["rig", "controller"] = "rig" if topic == "/link/sensor" else "controller"
-    link = CanLink(uri, role, lambda: bus, base=base, fd=fd)
+    link = CanLink(uri, role, lambda: bus, identifiers=identifiers, fd=fd)
     for t_ns, packet in measured_frames(run, topic):
         bus.t_s = begin_s + t_ns / 1e9
         link.send(packet)
@@ -182,18 +188,20 @@ def _of_topic(run: Run, topic: str) -> Iterator[Any]:
         bus.messages.clear()
 
 
-def _framing(uri: str) -> tuple[bool, int]:
-    """Whether a link's frames are CAN FD, and its first identifier; the defaults for what is no CAN link."""
-    from transport.links.can_link import BASE
+def _framing(run: Run) -> tuple[bool, Identifiers]:
+    """Whether a run's frames are CAN FD, and its identifiers; the default ones of its nodes for what is no CAN link."""
+    from transport.links.can_identifiers import derived, identifiers_of
     from transport.links.link import TransportError, split_uri
 
-    try:
-        scheme, _, options = split_uri(uri)
-        if scheme == "can":
-            return options.get("fd", "1") == "1", int(options.get("base", str(BASE)), 0)
-    except (TransportError, ValueError):
-        pass  # no session could have run over it
-    return True, BASE
+    uri = run.metadata.get("link", "")
+    with suppress(TransportError, ValueError):  # no session could have run over it
+        if uri.startswith("can:"):
+            options = split_uri(uri)[2]
+            fd = options.get("fd", "1") == "1"
+            return fd, identifiers_of(uri, options, fd)
+    if not run.resolved.get("nodes"):
+        return True, derived()
+    return True, identifiers_on(experiment_from_resolved(run.resolved, run.experiment_text, "the log"), uri)
 
 
 class _BusOfPaper:

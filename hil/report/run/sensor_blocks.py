@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from hil.compose.sensors import ordered_names
+from hil.experiment.sensor_order import ordered_names
 from hil.log.growing import pieces
 from hil.measure.network_load import loads
 from hil.measure.view import RunView

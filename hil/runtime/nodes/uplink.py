@@ -36,7 +36,7 @@ def uplink_of(loop: Loop, seed: int, period_s: float, deadline_s: float) -> Medi
         if shared.table.kind != "can-arbitration":
             turning.append(shared)
             continue
-        nodes = sorted(shared.nodes)  # a lower identifier wins
+        nodes = sorted(shared.nodes, key=lambda node: loop.sensors[node].can_id)  # a lower identifier wins
         rng = rng_for(seed, f"medium.{shared.name}")
         parts.append((nodes, ArbitratedBus([channels[i] for i in nodes], shared.table.frames, shared.table.loss, rng)))
     on_a_bus = {node for nodes, _ in parts for node in nodes}

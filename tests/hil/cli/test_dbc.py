@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import can
 import pytest
 from click.testing import CliRunner
 
@@ -80,18 +81,56 @@ def test_what_is_no_can_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
         assert end.value.code == 2 and str(path) in capsys.readouterr().err
 
 
-def test_frames_of_two_nodes_are_decoded_to_what_each_measured(tmp_path: Path) -> None:
+def test_each_node_has_messages_of_its_own_which_read_as_what_it_measured(tmp_path: Path) -> None:
     controller = "controller={kind='local', gain=[[-0.05, -0.006]]}"
     changes = [controller, "duration=1", "reference.0.at=0.1"]
     session = run_session(load_experiment("dc-motor-two-nodes", changes), path=tmp_path / "run.mcap")
     with pytest.raises(SystemExit):
         main(["export", str(tmp_path / "run.mcap"), "-o", str(tmp_path / "run.log")])
-    done = CliRunner().invoke(command, ["--decode", str(tmp_path / "run.log")])
+    with can.LogReader(tmp_path / "run.log") as log:
+        heard = {frame.arbitration_id for frame in log}
+    assert heard == {0x100, 0x120, 0x140}
+    done = CliRunner().invoke(command, ["dc-motor-two-nodes", "--decode", str(tmp_path / "run.log")])
     frames = [json.loads(line) for line in done.stdout.splitlines()]
     sensor = [f for f in frames if f["Kind"] == "sensor" and not f["Empty"]]
-    assert {f["Node"] for f in sensor} == {0, 1} and all(f["Nodes"] == 2 and f["References"] == 2 for f in frames if "Nodes" in f)
+    names = {"Sensor_angle_FD0": ("angle", 0), "Sensor_speed_FD0": ("speed", 1)}
+    assert {f["frame"] for f in sensor} == {*names} and all(f["References"] == 2 for f in frames if "References" in f)
     y = session.run.arrays["/plant/measurement"]
     for f in sensor:
-        k = f["SampleTime"] // 50_000_000
-        assert f["Y0"] == pytest.approx(y["angle" if f["Node"] == 0 else "speed"][k], rel=1e-6, abs=1e-9) and k <= f["Seq"]
-    assert len(sensor) > 15 and any(f["Y0"] for f in sensor)
+        (output, number), k = names[f["frame"]], f["SampleTime"] // 50_000_000
+        assert f["Node"] == number and f[f"{output}_0"] == pytest.approx(y[output][k], rel=1e-6, abs=1e-9) and k <= f["Seq"]
+    assert len(sensor) > 15 and any(f.get("angle_0") for f in sensor) and any(f.get("speed_0") for f in sensor)
+    empty = [f for f in frames if f["Kind"] == "sensor" and f["Empty"]]
+    assert empty and all("ref_angle_alone" in f and "angle_0" not in f for f in empty)
+
+
+NODES = """
+#include <stdio.h>
+#include "hilrig.h"
+int main(void) {
+    uint8_t bytes[64]; struct hilrig_sensor_first_fd0_t a; struct hilrig_sensor_third_fd0_t c;
+    if (fread(bytes, 1, 64, stdin) != 64 || hilrig_sensor_third_fd0_unpack(&c, bytes, 64)) return 1;
+    if (hilrig_sensor_first_fd0_unpack(&a, bytes, 64)) return 1;
+    printf("%x %x %d %.9g %.9g", HILRIG_SENSOR_FIRST_FD0_FRAME_ID, HILRIG_SENSOR_THIRD_FD0_FRAME_ID, c.node,
+           (double)c.x3_1, (double)c.ref_x4);
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler: apt-get install gcc")
+def test_the_c_codec_of_an_experiment_has_a_message_for_each_node(tmp_path: Path) -> None:
+    words = ["multisensor-published", "--set", "nodes.third.can_id=0x90", "--c", str(tmp_path)]
+    done = CliRunner().invoke(command, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    (tmp_path / "main.c").write_text(NODES)
+    subprocess.run(["gcc", "-Wall", "-Werror", "-O0", "-o", "read", "main.c", "hilrig.c"], cwd=tmp_path, check=True, timeout=120)
+    packet = SensorPacket(5, 0, 0, (1.5, 2.5, 3.5), 2, 3, (0.0, 0.0, 0.0, 7.0), 4, version=2)
+    data = encode_sensor(packet).ljust(64, b"\0")
+    told = subprocess.run([tmp_path / "read"], input=data, capture_output=True, check=True, timeout=10).stdout
+    assert told.split() == [b"100", b"90", b"2", b"2.5", b"7"]
+
+
+def test_a_dbc_of_no_experiment_takes_no_link() -> None:
+    done = CliRunner().invoke(command, ["--link", "can:hil:rig0"])
+    assert done.exit_code and "name an experiment" in str(done.exception)

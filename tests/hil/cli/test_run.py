@@ -89,7 +89,9 @@ GAINS = "controller={kind='historical', uses='current-packet', gains=%s}"
     [
         (["nodes.second.buffer=2"], "controller.gains[0][5][0][1]: -0.0201, expected 0: in this phase"),
         (["nodes.second.buffer=7"], "nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),
-        (["nodes.second.id=0"], "nodes.second.id: 0 is the identifier of node 'first' already"),
+        (["nodes.second.id=0"], "nodes.second.id: 0 is the number of node 'first' already"),
+        (["nodes.second.can_id=0x110", "nodes.third.can_id=0x110"],
+         "nodes.third.can_id: 0x110 is the identifier of node 'second' already"),
         ([GAINS % [[[[1.0] * 3]]]], "controller.gains: 1 x 3 matrices, but the plant has 1 inputs and 4 outputs"),
         ([GAINS % LARGE, *(f"nodes.{n}.buffer=1" for n in ("first", "second", "third", "fourth"))], "refused: E|X|^2 of"),
         (["media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], matrix=[[1.0]]}"], "media.bus.matrix: 1 rows"),

@@ -80,6 +80,23 @@ def test_gains_for_a_bus_cost_what_their_certificate_says(clocks: str, frames: i
     assert found == pytest.approx(loop.verdict.details["cost"], rel=1e-5)
 
 
+def test_the_lowest_can_identifier_wins_in_the_rig_and_in_the_theory() -> None:
+    """Without can_id the first node is heard in every slot and the second never; with these identifiers it is the other way."""
+    ids = ("nodes.first.can_id=0x12", "nodes.second.can_id=0x11")
+    sets = (*ids, "controller.memory=6", "duration=1", "allow_uncertified=true")
+    loop = on_a_bus("1+0 1+0 4+0 4+0", *sets)
+    nodes = summarise(view_of(simulate(loop, 0), loop.experiment))["network"]["nodes"]
+    assert [nodes[name]["packets"] for name in NAMES] == [0, 20, 0, 0]
+    assert loop.model.sensors is not None and loop.model.sensors.turns is not None
+    assert loop.model.sensors.turns.heard == (((1, 0),),) * 4
+    mixed = on_a_bus("4+0 4+0 4+0 4+0", "nodes.third.can_id=0x9", "controller.memory=6")
+    assert mixed.verdict is not None and mixed.verdict.certified
+    found = Cost().of(view_of(simulate(mixed, 0), mixed.experiment))["cost"]
+    assert found == pytest.approx(mixed.verdict.details["cost"], rel=1e-5)
+    assert mixed.model.sensors is not None and mixed.model.sensors.turns is not None
+    assert mixed.model.sensors.turns.heard == (((2, 0),), ((0, 1),), ((1, 2),), ((3, 3),))
+
+
 def test_the_log_of_a_run_over_a_bus_is_made_again_bit_for_bit(tmp_path: Path) -> None:
     loop = on_a_bus("2+0 3+1 4+0 4+0", ONE, "allow_uncertified=true", "nodes.first.clock.jitter=1", "duration=1", loss=0.2)
     result = run_session(loop.experiment, path=tmp_path / "a.mcap")

@@ -99,7 +99,7 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path) -> None:  # type: ig
         (['nodes.speed.outputs=["angle"]'], "nodes.speed.outputs[0]: 'angle' is measured by node 'angle' already"),
         (['nodes.speed.outputs=["angle"]'], "nodes: no node measures the output 'speed'"),
         (['nodes.speed.outputs=["torque"]'], "nodes.speed.outputs[0]: the plant has no output 'torque'"),
-        (["nodes.speed.id=0", "nodes.angle.id=0"], "nodes.speed.id: 0 is the identifier of node 'angle' already"),
+        (["nodes.speed.id=0", "nodes.angle.id=0"], "nodes.speed.id: 0 is the number of node 'angle' already"),
         (["plant.tachometer=false"], "the plant has no output 'speed'"),
         ([FIXED % GAINS[:2]], "controller.ages: [2, 2], expected counts whose product is 2"),
         ([(FIXED % GAINS).replace("[2, 2]", "[4]")], "controller.ages: [4], expected one number for each of 2 sensor nodes"),

@@ -16,9 +16,9 @@ from design.historical_data.sensor_schedule import phase_chain, phases_at_start,
 from design.historical_data.state_moments import StateMoments, state_moments
 from hil.compose.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
-from hil.compose.sensors import ordered_names
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
+from hil.experiment.sensor_order import ordered_names
 from hil.measure.cost import Cost
 from hil.measure.network_load import loads
 from hil.measure.summary import summarise
@@ -147,8 +147,18 @@ FAULTS: list[tuple[str, list[str], str]] = [
     ("published", ['nodes.second.outputs=["x9"]'], "nodes.second.outputs[0]: the plant has no output 'x9'"),
     ("published", ['nodes.second.outputs=["x1"]'], "nodes.second.outputs[0]: 'x1' is measured by node 'first' already"),
     ("published", ['nodes.second.outputs=["x1"]'], "nodes: no node measures the output 'x2'"),
-    ("published", ["nodes.second.id=0"], "nodes.second.id: 0 is the identifier of node 'first' already"),
+    ("published", ["nodes.second.id=0"], "nodes.second.id: 0 is the number of node 'first' already"),
     ("published", ["nodes.second.id=7"], "nodes.second.id: 7, expected 0 to 3"),
+    ("published", ["nodes.second.can_id=0x100"], "nodes.second.can_id: 0x100 is the identifier of node 'first' already"),
+    ("published", ["nodes.second.can_id=0x800"], "nodes.second.can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
+    ("published", ["nodes.second.can_id=0x140"], "links.control_can_id: 0x140 is the identifier of node 'second' already"),
+    ("published", ["links.control_can_id=-1"], "links.control_can_id: -0x1, expected 0 to 0x7ff (11 bits)"),
+    ("published", ["nodes.fourth.can_id=0x7ff", "links.auth={key_file='k'}"],
+     "nodes.fourth.can_id: 0x7ff, and its packets take 2 frames: above 0x7ff (11 bits)"),
+    ("published", ["nodes.first.can_id=0x201", "nodes.second.can_id=0x200", "links.uri='can:hil:r?fd=0'"],
+     "nodes.second.can_id: 0x200 is the identifier of node 'first' already (0x201, for its packets take 8 frames)"),
+    ("published", ["nodes.second.buffer=255"],
+     "nodes.second.can_id: its packets take 17 frames, and its identifiers are 0x110-0x11f; give it a can_id of its own"),
     ("published", ["nodes.second.outputs=[]"], "nodes.second.outputs: empty"),
     ("published", ["nodes.second.buffer=0"], "nodes.second.buffer: 0 samples, expected 1 to 255"),
     ("published", ["nodes.second.buffer=7"], "nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),

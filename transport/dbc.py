@@ -1,0 +1,135 @@
+"""The DBC of some sensor nodes and a controller: one message per identifier, every value by its name.
+
+`transport/hilrig.dbc` is the DBC of one node whose values have no names. The layout is that of `transport.wire.version2`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import count
+from typing import Final, NamedTuple
+
+from transport.errors import FieldError
+from transport.wire.fields import SELECTIONS
+from transport.wire.version2 import CONTROL, SENSOR, control_length, sensor_length
+
+LONGEST_NAME: Final = 32
+"""Characters of a name that other tools take."""
+_SINGLE: Final = "3.4E+38"  # the largest float32; no other signal reaches so far
+
+
+class _Signal(NamedTuple):
+    name: str
+    start: int  # bit, from the packet's first
+    bits: int
+    sign: str = "+"
+    top: str = ""
+    unit: str = ""
+    mux: str = ""
+
+
+_SENSOR_HEAD: Final = (
+    _Signal("Crc", 0, 16), _Signal("Kind", 16, 8), _Signal("Outputs", 24, 6), _Signal("More", 30, 1), _Signal("Empty", 31, 1),
+    _Signal("Seq", 32, 32), _Signal("Nonce", 64, 64, "+", "1.8E+19"), _Signal("SampleTime", 128, 64, "-", "9.2E+18", "ns"),
+    _Signal("Node", 192, 8), _Signal("Samples", 200, 8), _Signal("References", 208, 7), _Signal("Tagged", 215, 1),
+    _Signal("Nodes", 216, 8),
+)  # fmt: skip
+_CONTROL_HEAD: Final = (
+    _Signal("Crc", 0, 16), _Signal("Kind", 16, 8), _Signal("Selection", 24, 7), _Signal("Tagged", 31, 1), _Signal("Seq", 32, 32),
+    _Signal("Nonce", 64, 64, "+", "1.8E+19"), _Signal("SampleTime", 128, 64, "-", "9.2E+18", "ns"),
+    _Signal("ControlTime", 192, 64, "-", "9.2E+18", "ns"), _Signal("Tau", 256, 16, "-", "32767", "samples"),
+    _Signal("Rows", 272, 8), _Signal("Inputs", 280, 8),
+)  # fmt: skip
+_FORMATS: Final = ",".join(
+    f'"{word}"'
+    for word in ("StandardCAN", "ExtendedCAN", "reserved", "J1939PG", *["reserved"] * 10, "StandardCAN_FD", "ExtendedCAN_FD")
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Talker:
+    """Who sends packets of one shape.
+
+    Args:
+        name: of its messages: letters, digits and _.
+        about: a comment on them.
+        identifiers: fragment i has the entry i.
+        values: name and unit of each value, in their order; names of signals are unique within a message only.
+        references: sensor nodes: how many of the last values are references; an EMPTY packet carries these alone.
+        sensor: whether it sends sensor packets, or control packets.
+    """
+
+    name: str
+    about: str
+    identifiers: range
+    values: tuple[tuple[str, str], ...]
+    references: int = 0
+    sensor: bool = True
+
+
+def dbc_text(talkers: Sequence[Talker], *, fd: bool, title: str) -> str:
+    """Return a DBC.
+
+    Args:
+        talkers: the sensor nodes and the controller.
+        fd: CAN FD or classic frames.
+        title: what stands in VERSION.
+
+    Raises:
+        ValueError: a packet that has more fragments than identifiers.
+    """
+    blocks = [list(_messages(talker, fd)) for talker in talkers]
+    lines = [f'VERSION "{title}"', "", "NS_ :", *(f"\t{word}" for word in ("CM_", "BA_DEF_", "BA_", "VAL_", "BA_DEF_DEF_",
+             "SIG_VALTYPE_")), "", "BS_:", "", "BU_: Rig Controller"]  # fmt: skip
+    kinds = ('BA_DEF_ "BusType" STRING ;', f'BA_DEF_ BO_ "VFrameFormat" ENUM {_FORMATS} ;')
+    defaults = ('BA_DEF_DEF_  "BusType" "CAN";', 'BA_DEF_DEF_  "VFrameFormat" "StandardCAN";')
+    comments, formats, words, floats = [], [], [], []
+    for talker, messages in zip(talkers, blocks, strict=True):
+        sender, other = ("Rig", "Controller") if talker.sensor else ("Controller", "Rig")
+        for index, (identifier, name, length, signals) in enumerate(messages):
+            lines += ["", f"BO_ {identifier} {name}: {length} {sender}"]
+            lines += [_line(signal, other) for signal in signals]
+            floats += [f"SIG_VALTYPE_ {identifier} {s.name} : 1;" for s in signals if s.top == _SINGLE]
+            formats += [f'BA_ "VFrameFormat" BO_ {identifier} 14;'] * fd
+            if not index:
+                comments.append(f'CM_ BO_ {identifier} "{talker.about}";')
+                kind = f'{SENSOR} "sensor"' if talker.sensor else f'{CONTROL} "control"'
+                words.append(f"VAL_ {identifier} Kind {kind} ;")
+                if not talker.sensor:
+                    said = " ".join(f'{code} "{word}"' for code, word in enumerate(SELECTIONS))
+                    words.append(f"VAL_ {identifier} Selection {said} ;")
+    bus = [f'BA_ "BusType" "{"CAN FD" if fd else "CAN"}";']
+    return "\n".join([*lines, "", *comments, *kinds, *defaults, *bus, *formats, *words, *floats, ""])
+
+
+def _messages(talker: Talker, fd: bool) -> Iterator[tuple[int, str, int, list[_Signal]]]:
+    step = 64 if fd else 8
+    values = len(talker.values)
+    size = sensor_length(values) if talker.sensor else control_length(values)
+    if -(-size // step) > len(talker.identifiers):
+        raise FieldError(talker.name, f"{-(-size // step)} frames, and {len(talker.identifiers)} identifiers")
+    signals = list(_SENSOR_HEAD if talker.sensor else _CONTROL_HEAD)
+    first = 8 * (28 if talker.sensor else 36)
+    alone = talker.sensor and fd and 0 < talker.references <= 9  # else no message holds both Empty and the values
+    for i, (name, unit) in enumerate(talker.values):
+        at = first + 32 * i
+        signals.append(_Signal(name, at, 32, "-", _SINGLE, unit, "m0" if alone and at < 512 else ""))
+    if alone:
+        for i, (name, unit) in enumerate(talker.values[values - talker.references :]):
+            signals.append(_Signal(f"{name}_alone"[:LONGEST_NAME], first + 32 * i, 32, "-", _SINGLE, unit, "m1"))
+        signals = [signal._replace(mux="M") if signal.name == "Empty" else signal for signal in signals]
+    for index, identifier in zip(count(), talker.identifiers):
+        begin = 8 * step * index
+        own = [signal._replace(start=signal.start - begin) for signal in signals if 0 <= signal.start - begin < 8 * step]
+        if begin >= 8 * size:
+            return
+        yield identifier, f"{talker.name}{'FD' if fd else ''}{index}", step, own
+
+
+def _line(signal: _Signal, receiver: str) -> str:
+    top = signal.top or str(2**signal.bits - 1)
+    low = {"+": "0", "-": "-32768" if signal.bits == 16 else f"-{top}"}[signal.sign]
+    mux = f" {signal.mux}" if signal.mux else ""
+    where = f"{signal.start}|{signal.bits}@1{signal.sign} (1,0) [{low}|{top}]"
+    return f' SG_ {signal.name}{mux} : {where} "{signal.unit}" {receiver}'

@@ -1,0 +1,196 @@
+"""Which CAN identifiers the packets of a link have: those of each sensor node, and those of the control packets.
+
+An identifier of 11 bits is a bit field, unless an experiment sets it:
+
+===== ==================================================================================================
+bits  say
+===== ==================================================================================================
+10-8  the link's base, 0x100 by default: two rigs on one bus have two bases
+7     0 CAN FD, 1 classic frames
+6     0 sensor packet, 1 control packet: sensor frames win the arbitration
+5-0   the number of the node in as many upper bits as N nodes need, the number i of the fragment in the rest
+===== ==================================================================================================
+
+One node has the identifiers base + i. Of four nodes the third has base + 0x20 + i: its number stands in the bits 5 and 4. The
+lower number wins the arbitration with all of its fragments. A tool that filters takes one node with the mask 0x7F0.
+
+Fragments of a packet are sent in order, each with the identifier after that of the one before, as CANopen's TPDO1 to TPDOn.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from transport.errors import FieldError
+from transport.links.link import TransportError
+
+BASE: Final = 0x100
+FRAGMENTS: Final = 64
+CLASSIC_OFFSET: Final = 0x80
+CONTROL_OFFSET: Final = 0x40
+LARGEST: Final = 0x7FF
+"""The largest identifier of 11 bits."""
+
+_RANGE: Final = re.compile("(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8})(?:-(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8}))?")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identifiers:
+    """The identifiers of a link: fragment i of a packet has the entry i of its range.
+
+    Args:
+        sensors: of each sensor node, by number.
+        control: of the control packets.
+
+    Raises:
+        ValueError: identifiers of more than 11 bits, or two owners of one.
+    """
+
+    sensors: tuple[range, ...]
+    control: range
+
+    def __post_init__(self) -> None:
+        owner: dict[int, str] = {}
+        for name, own in self.named():
+            if not own or own[0] < 0 or own[-1] > LARGEST:
+                raise FieldError(name, f"identifiers {said(own)}, expected 0 to {LARGEST:#x} (11 bits)")
+            for identifier in own:
+                if owner.setdefault(identifier, name) != name:
+                    raise FieldError(name, f"the identifier {identifier:#x} is that of {owner[identifier]} already")
+
+    def named(self) -> Iterator[tuple[str, range]]:
+        """Give owner and identifiers: ``node 0``, ``node 1``, ..., ``control``."""
+        yield from ((f"node {number}", own) for number, own in enumerate(self.sensors))
+        yield "control", self.control
+
+    def of(self, sender: str) -> tuple[range, ...]:
+        """Return what the rig (``rig``) or the controller says."""
+        return self.sensors if sender == "rig" else (self.control,)
+
+
+def derived(base: int = BASE, fd: bool = True, nodes: int = 1) -> Identifiers:
+    """Return the identifiers that nobody has set.
+
+    Args:
+        base: a multiple of 0x100.
+        fd: CAN FD or classic frames.
+        nodes: number of sensor nodes.
+
+    Raises:
+        ValueError: more nodes than there are identifiers.
+
+    >>> [said(own) for own in derived(nodes=4).sensors]
+    ['0x100-0x10f', '0x110-0x11f', '0x120-0x12f', '0x130-0x13f']
+    >>> [said(own) for own in derived(0x200, fd=False).sensors], said(derived().control)
+    (['0x280-0x2bf'], '0x140-0x17f')
+    """
+    if not 1 <= nodes <= FRAGMENTS:
+        raise FieldError("nodes", f"{nodes}, expected 1 to {FRAGMENTS}: there are no more identifiers below a base; set can_id")
+    first, step = base + (0 if fd else CLASSIC_OFFSET), FRAGMENTS >> (nodes - 1).bit_length()
+    control = first + CONTROL_OFFSET
+    return Identifiers(
+        sensors=tuple(range(first + n * step, first + (n + 1) * step) for n in range(nodes)),
+        control=range(control, control + FRAGMENTS),
+    )
+
+
+def said(own: range) -> str:
+    """Return identifiers as a link's URI has them: ``0x141`` or ``0x141-0x143``."""
+    return f"{own[0]:#x}" if len(own) == 1 else f"{own.start:#x}-{own.stop - 1:#x}"
+
+
+def read_range(text: str) -> range:
+    """Return the identifiers that `said` has written.
+
+    Raises:
+        ValueError: other text, an identifier above 11 bits, or more than a packet's fragments.
+
+    >>> read_range("0x141-0x143")
+    range(321, 324)
+    """
+    found = _RANGE.fullmatch(text)
+    if found is None:
+        raise FieldError("identifiers", f"{text!r:.40}, expected a number or two, as in 0x141 or 0x141-0x143")
+    first = int(found[1], 0)
+    last = first if found[2] is None else int(found[2], 0)
+    if not first <= last <= LARGEST or last - first >= FRAGMENTS:
+        raise FieldError("identifiers", f"{text!r:.40}, expected up to {FRAGMENTS} in ascending order, none above {LARGEST:#x}")
+    return range(first, last + 1)
+
+
+def filters(heard: Sequence[range]) -> list[dict[str, int | bool]]:
+    """Return the fewest acceptance filters (identifier, mask) that let these identifiers through and no other.
+
+    >>> [(hex(f["can_id"]), hex(f["can_mask"])) for f in filters(derived(nodes=3).sensors)]
+    [('0x100', '0x7e0'), ('0x120', '0x7f0')]
+    """
+    return [
+        {"can_id": first, "can_mask": LARGEST & -size, "extended": False}
+        for own in _merged(heard)
+        for first, size in _aligned(own)
+    ]
+
+
+def _merged(heard: Iterable[range]) -> list[range]:
+    found: list[range] = []
+    for own in sorted(heard, key=lambda own: own.start):
+        if found and found[-1].stop == own.start:
+            found[-1] = range(found[-1].start, own.stop)
+        else:
+            found.append(own)
+    return found
+
+
+def _aligned(own: range) -> Iterator[tuple[int, int]]:
+    """Give (first, size) of the aligned blocks of 2^q identifiers that make up a range."""
+    first = own.start
+    while first < own.stop:
+        size = first & -first or LARGEST + 1
+        while size > own.stop - first:
+            size >>= 1
+        yield first, size
+        first += size
+
+
+def identifiers_of(uri: str, options: dict[str, str], fd: bool) -> Identifiers:
+    """Return the identifiers that the options ``base``, ``nodes``, ``ids`` and ``control`` of a URI say, and take these out.
+
+    Args:
+        uri: for messages.
+        options: of the URI.
+        fd: CAN FD or classic frames.
+
+    Raises:
+        TransportError: an option that says none, or identifiers with two owners.
+
+    >>> identifiers_of("can:hil:rig0", {"ids": "0x141,0x150-0x151"}, True).sensors
+    (range(321, 322), range(336, 338))
+    """
+    base = base_of(uri, options)
+    options.pop("base", None)
+    nodes, ids, control = options.pop("nodes", ""), options.pop("ids", ""), options.pop("control", "")
+    try:
+        if nodes and (ids or not re.fullmatch("[0-9]{1,3}", nodes)):
+            raise FieldError("nodes", f"{nodes!r:.20}, expected a number, and no ids=")
+        sensors = [read_range(text) for text in ids.split(",")] if ids else derived(base, fd, int(nodes or "1")).sensors
+        return Identifiers(sensors=tuple(sensors), control=read_range(control) if control else derived(base, fd).control)
+    except FieldError as error:
+        raise TransportError(f"link {uri!r}: {error}") from error
+
+
+def base_of(uri: str, options: Mapping[str, str]) -> int:
+    """Return the base that the options of a CAN link's URI say, 0x100 by default.
+
+    Raises:
+        TransportError: no multiple of 0x100.
+    """
+    try:
+        base = int(options.get("base", str(BASE)), 0)
+    except ValueError:
+        base = -1
+    if base not in range(0, 0x800, 0x100):
+        raise TransportError(f"link {uri!r}: base: expected a multiple of 0x100 from 0 to 0x700, as in base=0x200")
+    return base
