@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hil.compose.sensors import ordered_names
 from hil.experiment import Experiment
 from hil.experiment.faults import RESTART, Fault
+from hil.experiment.sensor_order import ordered_names
 from transport.medium.faulted import Spell
 
 
