@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.log.growing import Growing
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Channel
-from hil.log.write.mcap_writer import HEAD_FIELDS, MESSAGE_OVERHEAD, Heads
+from hil.log.write.packed_records import MESSAGE_OVERHEAD, Messages
 
 StructuredArray: TypeAlias = np.ndarray[Any, np.dtype[np.void]]
 Keep: TypeAlias = Mapping[str, Sequence[str] | None]
@@ -50,21 +50,23 @@ class Kept:
         """Say under which number a topic stands in the file."""
         self._ids = ids
 
-    def take(self, heads: Heads, messages: list[bytes]) -> None:
+    def take(self, data: bytes, messages: Messages) -> None:
         """Keep what is to be kept of one chunk; see `McapWriter`."""
         if not self._any:
             return
-        channels = heads["channel"]
+        channels, begins = messages.channels, messages.begins
         for topic, message in self._messages.items():
-            own = np.flatnonzero(channels == self._ids[topic]).tolist()
-            records = np.frombuffer(b"".join([messages[i] for i in own]), message)
+            own, size = channels == self._ids[topic], message.itemsize
+            records = np.frombuffer(b"".join([data[at : at + size] for at in begins[own].tolist()]), message)
             column = self._columns[topic]
             part = np.empty(len(records), column.dtype)
-            for name in message.names or ():
+            part[TIME_FIELD] = messages.times[own]
+            for name in self._fields[topic]:
                 part[name] = records[name]
             column.extend(part)
         for i in np.flatnonzero(channels == self._ids[EVENTS_TOPIC]).tolist():
-            self.events.append(messages[i][MESSAGE_OVERHEAD:])
+            end = begins[i + 1] if i + 1 < len(begins) else len(data)
+            self.events.append(data[begins[i] + MESSAGE_OVERHEAD : end])
 
     def _numbers(self, topic: str) -> Mapping[str, Any]:
         return self.schemas[topic].dtype.fields or {}
@@ -74,11 +76,9 @@ class Kept:
         return np.dtype([(TIME_FIELD, "<i8"), *((name, numbers[name][0]) for name in self._fields[topic])])
 
     def _message(self, topic: str) -> np.dtype[np.void]:
-        """The fields that are kept, where they stand in a message: the time in its head, the numbers behind the CDR header."""
+        """The fields that are kept, where they stand in a message: behind its head and the CDR header."""
         numbers, payload = self._numbers(topic), MESSAGE_OVERHEAD + len(CDR_HEADER)
-        heads: Mapping[str, Any] = HEAD_FIELDS.fields or {}
-        fields: dict[str, tuple[Any, int]] = {TIME_FIELD: ("<i8", heads["log"][1])}
-        fields |= {name: (numbers[name][0], payload + numbers[name][1]) for name in self._fields[topic]}
+        fields = {name: (numbers[name][0], payload + numbers[name][1]) for name in self._fields[topic]}
         return np.dtype(
             {
                 "names": list(fields),

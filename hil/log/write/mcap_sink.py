@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -14,6 +14,7 @@ from hil.log.events import encode_event, to_json
 from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write.kept import Keep, Kept
 from hil.log.write.mcap_writer import Index, McapWriter
+from hil.log.write.packed_records import Packed
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import Put, Record
 
@@ -101,14 +102,16 @@ class McapSink:
             return None
         return self._writer.messages_of(self._ids[topic])
 
-    def record(self, topic: str) -> Record | None:
+    def records(self, topics: Sequence[str]) -> Record | None:
         """See ``PacksRecords``."""
-        if topic not in self._channels:
+        if not set(topics) <= set(self._channels):
             return None
+        return self._writer.records_of([self._packed(topic) for topic in topics])
+
+    def _packed(self, topic: str) -> Packed:
         schema = self._channels[topic].schema
-        if not schema.raw:
-            return self._writer.records_of(self._ids[topic], CDR_HEADER, schema.codes)
-        return self._writer.frames_of(self._ids[topic], CDR_HEADER, f"{schema.codes}{-schema.dtype.itemsize % 4}x")
+        codes = f"{schema.codes}{-schema.dtype.itemsize % 4}x" if schema.raw else schema.codes
+        return Packed(self._ids[topic], CDR_HEADER, codes, len(schema.codes), schema.raw)
 
     @property
     def dropped(self) -> int:

@@ -1,7 +1,7 @@
 """MCAP records to bytes: what `mcap.writer.Writer` writes, byte for byte, with the messages of a chunk put together at once.
 
-The package writes a message with some fifteen small writes. Here a message is one head and its payload, and the index of a
-chunk is computed by numpy from the heads when the chunk ends.
+The package writes a message with some fifteen small writes. Here one `struct` writes several messages with their heads, and the
+index of a chunk is computed by numpy when the chunk ends.
 
 Reference: the MCAP format specification, https://mcap.dev/spec.
 """
@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Mapping
-from functools import partial
-from operator import itemgetter
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -38,6 +35,7 @@ from mcap.records import (
 )
 
 from hil.log.growing import Growing
+from hil.log.write.packed_records import BEHIND, HEAD, MESSAGE_OVERHEAD, Layouts, Messages, Packed, Part, messages_at
 
 Index = Literal["full", "chunk"]
 """How much of an index a log has."""
@@ -45,19 +43,10 @@ Index = Literal["full", "chunk"]
 MAGIC: Final = b"\x89MCAP0\r\n"
 COMPRESSION: Final = "zstd"
 
-_HEAD: Final = struct.Struct("<BQHIQQ")
-MESSAGE_OVERHEAD: Final = _HEAD.size
-"""Bytes of a message beside its payload."""
-
-HEAD_FIELDS: Final = np.dtype(
-    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
-)
-_head_of: Final = itemgetter(slice(MESSAGE_OVERHEAD))
 _INDEX_ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
-Heads = np.ndarray[Any, np.dtype[np.void]]
-ChunkEnded = Callable[[Heads, list[bytes]], None]
+ChunkEnded = Callable[[bytes, Messages], None]
 
 
 class Stream(Protocol):
@@ -77,7 +66,7 @@ class McapWriter:
         stream: takes the bytes; only `flush` and `finish` let it go to the disk.
         profile, library: what the header says.
         index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
-        chunk_ended: told every chunk that is written: the messages' heads (`HEAD_FIELDS`), and the messages, heads included.
+        chunk_ended: told every chunk that is written: its bytes, and where its messages stand in them.
 
     Attributes:
         open_bytes: bytes of the messages in the open chunk.
@@ -92,7 +81,7 @@ class McapWriter:
         profile: str,
         library: str,
         index: Index = "full",
-        chunk_ended: ChunkEnded = lambda heads, messages: None,
+        chunk_ended: ChunkEnded = lambda data, messages: None,
     ) -> None:
         self._index = index
         self._chunk_ended = chunk_ended
@@ -109,7 +98,8 @@ class McapWriter:
         self._start: int | None = None
         self._end = 0
         self._opening = RecordBuilder()  # schemas and channels that stand at the begin of the open chunk
-        self._parts: list[bytes] = []  # the messages of the open chunk
+        self._parts: list[bytes] = []  # the messages of the open chunk, one or several in each part
+        self._noted: list[Part] = []
         self.open_bytes = self.refused = 0
         self.closed = False
         self._write(MAGIC)
@@ -158,7 +148,8 @@ class McapWriter:
 
     def messages_of(self, channel_id: int) -> Callable[[int, bytes], None]:
         """Return the function that adds a message of a channel to the open chunk: time in ns, 0 at least, and payload."""
-        append, pack, frame, opcode = self._parts.append, _HEAD.pack, MESSAGE_OVERHEAD - 9, int(Opcode.MESSAGE)
+        append, note, pack, frame, opcode = self._parts.append, self._noted.append, HEAD.pack, BEHIND, int(Opcode.MESSAGE)
+        channels = (channel_id,)
 
         def add(t_ns: int, payload: bytes) -> None:
             if self.closed:
@@ -168,54 +159,36 @@ class McapWriter:
                 t_ns = 0
             size = len(payload)
             append(pack(opcode, frame + size, channel_id, 0, t_ns, t_ns) + payload)
+            note((t_ns, channels, (MESSAGE_OVERHEAD + size,)))
             self.open_bytes += MESSAGE_OVERHEAD + size
 
         return add
 
-    def records_of(self, channel_id: int, before: bytes, codes: str) -> Callable[..., None]:
-        """Return the function that adds a message of numbers, packed with its head at once: time in ns, then the numbers.
+    def records_of(self, records: Sequence[Packed]) -> Callable[..., None]:
+        """Return the function that adds one message of each of these channels, packed with their heads at once.
+
+        It takes time in ns, then the numbers of the first record, of the second, and so on; the bytes of a frame stand behind
+        its numbers.
 
         Args:
-            channel_id: the channel.
-            before: bytes of the payload before the numbers.
-            codes: the numbers, as `struct` writes them.
+            records: in order; one of them at most has a frame.
         """
-        layout = struct.Struct(f"<BQHIQQ{len(before)}s{codes}")
-        pack = partial(layout.pack, int(Opcode.MESSAGE), layout.size - 9, channel_id, 0)
-        append, size = self._parts.append, layout.size
-
-        def add(t_ns: int, *numbers: float) -> None:
-            if self.closed:
-                self.refused += 1
-                return
-            if t_ns < 0:
-                t_ns = 0
-            append(pack(t_ns, t_ns, before, *numbers))
-            self.open_bytes += size
-
-        return add
-
-    def frames_of(self, channel_id: int, before: bytes, codes: str) -> Callable[..., None]:
-        """Return the function that adds a message of numbers and bytes: time in ns, the numbers, the bytes.
-
-        Args:
-            channel_id: the channel.
-            before: bytes of the payload before the numbers.
-            codes: the numbers and the padding behind them, as `struct` writes them; the length of the bytes follows as a u32.
-        """
-        layout = struct.Struct(f"<BQHIQQ{len(before)}s{codes}I")
-        append, pack, size, opcode = self._parts.append, layout.pack, layout.size, int(Opcode.MESSAGE)
+        layouts = Layouts(records)
+        layout_of, at, count, messages = layouts.of, layouts.frame_at, layouts.count, len(records)
+        append, note = self._parts.append, self._noted.append
 
         def add(t_ns: int, *values: Any) -> None:
             if self.closed:
-                self.refused += 1
+                self.refused += messages
                 return
+            if len(values) != count:
+                raise TypeError(f"{len(values)} values, expected {count} in {messages} records")
             if t_ns < 0:
                 t_ns = 0
-            *numbers, data = values
-            length = len(data)
-            append(pack(opcode, size - 9 + length, channel_id, 0, t_ns, t_ns, before, *numbers, length) + data)
-            self.open_bytes += size + length
+            pack, pick, constants, channels, sizes, size = layout_of(0 if at is None else len(values[at]))
+            append(pack(*pick((t_ns, *constants, *values))))
+            note((t_ns, channels, sizes))
+            self.open_bytes += size
 
         return add
 
@@ -227,12 +200,13 @@ class McapWriter:
             message: opcode, length, channel, and so on.
         """
         self._parts.append(message[:9] + channel_id.to_bytes(2, "little") + message[11:])
+        self._noted.append((HEAD.unpack_from(message)[4], (channel_id,), (len(message),)))
         self.open_bytes += len(message)
 
     @property
     def open_messages(self) -> int:
         """Messages in the open chunk."""
-        return len(self._parts)
+        return sum(len(sizes) for _, _, sizes in self._noted)
 
     def flush(self) -> None:
         """End the open chunk, if it has a message, and let everything go to the disk."""
@@ -242,14 +216,13 @@ class McapWriter:
     def _end_chunk(self) -> None:
         if not self._parts:
             return
-        opening, messages = self._opening.end(), self._parts.copy()  # type: ignore[no-untyped-call]
-        self._parts.clear()  # the same list: `messages_of` and the others append to it
-        data = b"".join((opening, *messages))
-        sizes = np.fromiter(map(len, messages), np.int64, len(messages))
-        begins = len(opening) + np.cumsum(sizes) - sizes
-        heads = np.frombuffer(b"".join(map(_head_of, messages)), HEAD_FIELDS)
+        opening = self._opening.end()  # type: ignore[no-untyped-call]
+        data = b"".join((opening, *self._parts))
+        messages = messages_at(len(opening), self._noted)
+        self._parts.clear()  # the same lists: `messages_of` and the others append to them
+        self._noted.clear()
         self.open_bytes = 0
-        first, last = int(heads["log"].min()), int(heads["log"].max())
+        first, last = int(messages.times.min()), int(messages.times.max())
         packed = self._compress(data)
         chunk = Chunk(
             compression=COMPRESSION, data=packed, message_start_time=first, message_end_time=last,
@@ -258,7 +231,7 @@ class McapWriter:
         at = self._stream.tell()
         self._write(_bytes(chunk))
         length = self._stream.tell() - at
-        indexes, offsets = self._indexes(heads, begins)
+        indexes, offsets = self._indexes(messages)
         self._write(indexes)
         index = ChunkIndex(
             message_start_time=first, message_end_time=last, chunk_start_offset=at, chunk_length=length,
@@ -269,14 +242,15 @@ class McapWriter:
         self._chunk_indexes.extend(np.frombuffer(_bytes(index), np.uint8))
         self._start = first if self._start is None else min(self._start, first)
         self._end = max(self._end, last)
-        self._chunk_ended(heads, messages)
+        self._chunk_ended(data, messages)
 
-    def _indexes(self, heads: Heads, begins: npt.NDArray[np.int64]) -> tuple[bytes, dict[int, int]]:
+    def _indexes(self, messages: Messages) -> tuple[bytes, dict[int, int]]:
         """Return the message indexes of a chunk, and where in the file that of every channel begins."""
-        entries = np.empty(len(heads), _INDEX_ENTRY)
-        entries["time"] = heads["log"]
-        entries["offset"] = begins
-        channels, found = heads["channel"], []
+        channels = messages.channels
+        entries = np.empty(len(channels), _INDEX_ENTRY)
+        entries["time"] = messages.times
+        entries["offset"] = messages.begins
+        found = []
         begin = self._stream.tell()
         offsets: dict[int, int] = {}
         ids, firsts = np.unique(channels, return_index=True)

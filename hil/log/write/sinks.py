@@ -6,7 +6,7 @@ ever raises into the loop: what it cannot keep it counts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 from hil.log.events import encode_event
@@ -37,19 +37,24 @@ class Sink(Protocol):
 
 @runtime_checkable
 class PacksRecords(Protocol):
-    """A sink that packs the numbers of a record itself, quicker than it takes bytes."""
+    """A sink that packs the numbers of records itself, quicker than it takes bytes."""
 
-    def record(self, topic: str) -> Record | None:
-        """Function that takes time in ns and the fields of a record of ``topic``; None if nobody wants them."""
+    def records(self, topics: Sequence[str]) -> Record | None:
+        """Function that takes time in ns and the fields of one record of each topic, in order; None if it does not take all."""
         ...
 
 
 def record_to(sink: Sink, channel: Channel) -> Record | None:
     """Return the function that logs a record of a topic: time in ns, then its fields; None if nobody wants them."""
     if isinstance(sink, PacksRecords):
-        return sink.record(channel.topic)
+        return sink.records((channel.topic,))
     put, pack = sink.channel(channel.topic), channel.schema.pack
     return None if put is None else lambda t_ns, *values: put(t_ns, pack(*values))
+
+
+def records_to(sink: Sink, topics: Sequence[str]) -> Record | None:
+    """Return the function that logs one record of each topic at once; None where they have to be logged one by one."""
+    return sink.records(topics) if isinstance(sink, PacksRecords) else None
 
 
 class MemorySink:

@@ -6,11 +6,14 @@ from collections.abc import Mapping, Sequence
 from math import nan
 
 from hil.log.records import PASSIVITY_TOPIC, Channel
-from hil.log.write.sinks import Sink, record_to
+from hil.log.write.sinks import Sink, record_to, records_to
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.port_damper import Injected
 from transport.medium.draws import Draw
 from transport.packets import ControlPacket
+
+_ASKED = ("/plant/state", "/plant/measurement", "/reference", "/network/sc", "/link/sensor")
+_ANSWERED = ("/actuator/applied", "/network/ca", "/link/control", "/controller/rows")
 
 
 class Journal:
@@ -34,6 +37,45 @@ class Journal:
         self._control = self._log["/link/control"]
         self._passivity = self._log.get(PASSIVITY_TOPIC)
         self._row_values = row_values
+        self._asked_at_once = records_to(sink, _ASKED)
+        self._answered_at_once = records_to(sink, _ANSWERED)
+
+    def slot_asked(
+        self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float], draws: Sequence[Draw],
+        frames: Sequence[bytes],
+    ) -> None:  # fmt: skip
+        """Record what was sensed in slot k, what the network decided about it, and what was asked."""
+        if self._asked_at_once is not None and len(draws) == len(frames) == 1:  # the usual slot
+            tick, packet_tick, mode, age, latency_s, reason = draws[0]
+            self._asked_at_once(
+                t_ns, *state, k, *y, k, *r, k, latency_s, tick, packet_tick, mode, age, reason, k, 0, frames[0]
+            )  # fmt: skip
+            return
+        self.sensed(t_ns, k, state, y, r)
+        self.draws("/network/sc", t_ns, draws)
+        self.asked(t_ns, k, frames)
+
+    def slot_answered(
+        self, t_ns: int, k: int, applied: Applied, w: Sequence[float], draws: Sequence[Draw], packet: ControlPacket | None,
+        data: bytes,
+    ) -> None:  # fmt: skip
+        """Record what the actuator applied in slot k, what the network decided about it, and the answer, None if none came."""
+        u, packet_tick, d, row, status, _, injected = applied
+        if self._answered_at_once is not None and injected is None and packet is not None and len(draws) == 1:
+            values = packet.rows[0] if len(packet.rows) == 1 else [v for row_of in packet.rows for v in row_of]
+            if len(values) == self._row_values:  # the usual slot
+                tick, arrived_tick, mode, age, latency_s, reason = draws[0]
+                self._answered_at_once(
+                    t_ns, *u, *w, k, packet_tick, d, row, status, latency_s, tick, arrived_tick, mode, age, reason, k, 0, data,
+                    *values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection,
+                )  # fmt: skip
+                return
+        self.applied(t_ns, k, applied, w)
+        if injected is not None:
+            self.injected(t_ns, k, injected)
+        self.draws("/network/ca", t_ns, draws)
+        if packet is not None:
+            self.answered(t_ns, k, packet, data)
 
     def sensed(self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float]) -> None:
         """Record the plant's state, its outputs and the reference in slot k."""

@@ -131,13 +131,13 @@ class Rig:
         k, state, journal = self.k, self._plant.state, self._journal
         if self._faults is not None:
             self._faults.tell(t_ns, k, journal)
-        journal.sensed(t_ns, k, state, self._y, self._reference(k))
         if self._several:
+            journal.sensed(t_ns, k, state, self._y, self._reference(k))
             for node, (draws, _) in enumerate(self._sent):
                 journal.node_draws("/network/sc", t_ns, node, draws)
+            journal.asked(t_ns, k, frames)
         else:
-            journal.draws("/network/sc", t_ns, self._sent[0][0])
-        journal.asked(t_ns, k, frames)
+            journal.slot_asked(t_ns, k, state, self._y, self._reference(k), self._sent[0][0], frames)
         self._note_trip(t_ns, self.actuator.watch(state))
         if self._port is not None:
             self._note_trip(t_ns, self.actuator.feel(self._y[self._port], self._plant.applied[0]))
@@ -164,13 +164,7 @@ class Rig:
         applied = self.actuator.apply(k, arrivals)
         self._note_trip(t_ns, applied.tripped)
         self._w = self._disturbance(k)
-        journal = self._journal
-        journal.applied(t_ns, k, applied, self._w)
-        if applied.injected is not None:
-            journal.injected(t_ns, k, applied.injected)
-        journal.draws("/network/ca", t_ns, draws)
-        if packet is not None:
-            journal.answered(t_ns, k, packet, self.answers.data)
+        self._journal.slot_answered(t_ns, k, applied, self._w, draws, packet, self.answers.data)
         if self._end is not None and k >= self._end:
             self._stop()
 

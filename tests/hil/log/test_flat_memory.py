@@ -24,7 +24,7 @@ def short_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
 def write(path: Path, slots: int) -> float:
     """Write so many slots; return how many bytes every slot of the last part took."""
     with McapSink(path, TABLE, provenance(), keep={"/plant/state": None}) as sink:
-        state, frame = sink.record("/plant/state"), sink.record("/link/sensor")
+        state, frame = sink.records(("/plant/state",)), sink.records(("/link/sensor",))
         assert state is not None and frame is not None
         held = []
         for k in range(slots):

@@ -20,7 +20,7 @@ from hil.experiment import load_experiment
 from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import commit
-from hil.log.write.sinks import MemorySink, TeeSink
+from hil.log.write.sinks import MemorySink, TeeSink, record_to, records_to
 from hil.runtime.virtual import run_virtual
 from tests.file_limit import files_up_to
 from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
@@ -187,6 +187,31 @@ def test_the_file_is_that_of_mcaps_own_writer_byte_for_byte(name: str, tmp_path:
             sink.event(-5, "late", "before the first slot", x=1.5)
     assert (tmp_path / "ours").read_bytes() == (tmp_path / "plain").read_bytes()
     assert len((tmp_path / "ours").read_bytes()) > 100_000  # several chunks
+
+
+def test_several_records_at_once_are_those_one_by_one_whatever_the_length_of_the_frame(tmp_path: Path) -> None:
+    topics = ("/plant/state", "/link/sensor", "/plant/measurement")
+    with McapSink(tmp_path / "at once", TABLE, provenance()) as at_once, McapSink(tmp_path / "one", TABLE, provenance()) as one:
+        together, singly = records_to(at_once, topics), [record_to(one, TABLE[topic]) for topic in topics]
+        assert together is not None
+        for k in range(150):  # more lengths than layouts are kept
+            frame = bytes([k]) * k
+            together(k - 1, 0.1 * k, 2.0, k, k, 1, frame, 0.3, k)
+            for log, values in zip(singly, ((0.1 * k, 2.0, k), (k, 1, frame), (0.3, k))):
+                assert log is not None
+                log(k - 1, *values)
+            at_once.event(k, "between", "two slots")
+            one.event(k, "between", "two slots")
+        with pytest.raises(TypeError, match="7 values, expected 8 in 3 records"):
+            together(0, 0.1, 2.0, 1, 1, 1, b"", 0.3)
+        assert at_once.messages + at_once.dropped == 0
+    assert (tmp_path / "at once").read_bytes() == (tmp_path / "one").read_bytes()
+    assert at_once.messages == 150 * 4
+    together(0, 0.1, 2.0, 1, 1, 1, b"", 0.3, 1)  # the file is closed: all three are counted
+    assert at_once.dropped == 3
+    with pytest.raises(ValueError, match="2 frames"):
+        at_once.records(("/link/sensor", "/link/control"))
+    assert at_once.records(("/link/sensor", "/of/nobody")) is None
 
 
 def test_a_file_without_records_is_that_of_mcaps_own_writer(tmp_path: Path) -> None:
