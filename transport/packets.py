@@ -93,7 +93,7 @@ def encode_control(packet: ControlPacket) -> bytes:
     count = len(rows)
     inputs = len(rows[0]) if count else 0
     values = rows[0] if count == 1 else tuple([value for row in rows for value in row])
-    if count > MAX_ROWS or (count and not 0 < inputs <= MAX_INPUTS) or (count > 1 and {*map(len, rows)} - {inputs}):
+    if count > MAX_ROWS or (count and not 0 < inputs <= MAX_INPUTS) or (count > 1 and [*map(len, rows)].count(inputs) != count):
         raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected up to 255 rows of one length, 1 to 255")
     if not 0 <= selection < len(SELECTIONS):
         raise FieldError("selection", f"{selection}, expected a code from 0 to {len(SELECTIONS) - 1}")

@@ -124,6 +124,8 @@ def _schedule(start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float
     ticks = [k for k, _ in ordered]
     values = [start, *(v for _, v in ordered)]
     position = 0
+    if not ticks:
+        return lambda k: start
 
     def at(k: int) -> tuple[float, ...]:
         nonlocal position

@@ -177,7 +177,7 @@ class PathRun:
 class SlideRun:
     """The place along the wall over time."""
 
-    __slots__ = ("_at", "_heading", "_rng", "_since_ns", "_slide", "_start", "next_ns")
+    __slots__ = ("_heading", "_rng", "_since_ns", "_slide", "_start", "at", "next_ns")
 
     def __init__(self, slide: Slide, rng: np.random.Generator) -> None:
         self._slide, self._rng, self._since_ns = slide, rng, 0
@@ -188,7 +188,7 @@ class SlideRun:
         figures: dict[Way, Callable[[int], tuple[float, float]]] = {
             "straight": self._line, "wander": self._line, "lissajous": self._figure,
         }  # fmt: skip
-        self._at = figures[slide.way]
+        self.at = figures[slide.way]  # y and z in m at an instant that is not before the last turn
 
     def _turned(self) -> float:
         return 2.0 * math.pi * float(self._rng.random())
@@ -198,10 +198,6 @@ class SlideRun:
         self._start, self._since_ns = self.at(self.next_ns), self.next_ns
         self._heading = self._turned()
         self.next_ns += max(round(self._slide.turn_s * NS_PER_S), 1)
-
-    def at(self, now_ns: int) -> tuple[float, float]:
-        """Return y and z in m at an instant that is not before the last turn."""
-        return self._at(now_ns)
 
     def _line(self, now_ns: int) -> tuple[float, float]:
         way = self._slide.speed_m_s * ((now_ns - self._since_ns) / NS_PER_S)

@@ -11,6 +11,7 @@ from transport.packets import SELECTIONS, ControlPacket
 
 OK, HOLD, NONE_YET, SAFE = range(4)  # the codes of /actuator/applied.status
 CONSTANT = SELECTIONS.index("constant")
+_new = tuple.__new__  # without the Python constructor of a named tuple
 
 
 def row_index(selection: str, d: int, g: int, measured_d: Mapping[int, int] | Sequence[int], d_max: int) -> int:
@@ -134,7 +135,7 @@ class ActuatorNode:
             self._latch(reason)
             row, status = -1, SAFE
         if self._damper is None:
-            return Applied(self.u, g, d, row, status, reason)
+            return _new(Applied, (self.u, g, d, row, status, reason, None))
         if status == SAFE:
             injected = Injected(self._damper.energy_j, 0.0, 0.0)
         else:

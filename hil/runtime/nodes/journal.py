@@ -12,8 +12,10 @@ from hil.runtime.nodes.port_damper import Injected
 from transport.medium.draws import Draw
 from transport.packets import ControlPacket
 
-_ASKED = ("/plant/state", "/plant/measurement", "/reference", "/network/sc", "/link/sensor")
-_ANSWERED = ("/actuator/applied", "/network/ca", "/link/control", "/controller/rows")
+_SENSED = ("/plant/state", "/plant/measurement", "/reference")
+_ANSWERED = ("/link/control", "/controller/rows")
+_DRAWS = range(1, 4)
+"""How many decisions a network law takes in a slot that is recorded at once."""
 
 
 class Journal:
@@ -37,19 +39,17 @@ class Journal:
         self._control = self._log["/link/control"]
         self._passivity = self._log.get(PASSIVITY_TOPIC)
         self._row_values = row_values
-        self._asked_at_once = records_to(sink, _ASKED)
-        self._answered_at_once = records_to(sink, _ANSWERED)
+        self._asked_at_once = {n: records_to(sink, (*_SENSED, *["/network/sc"] * n, "/link/sensor")) for n in _DRAWS}
+        self._answered_at_once = {n: records_to(sink, ("/actuator/applied", *["/network/ca"] * n, *_ANSWERED)) for n in _DRAWS}
 
     def slot_asked(
         self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float], draws: Sequence[Draw],
         frames: Sequence[bytes],
     ) -> None:  # fmt: skip
         """Record what was sensed in slot k, what the network decided about it, and what was asked."""
-        if self._asked_at_once is not None and len(draws) == len(frames) == 1:  # the usual slot
-            tick, packet_tick, mode, age, latency_s, reason = draws[0]
-            self._asked_at_once(
-                t_ns, *state, k, *y, k, *r, k, latency_s, tick, packet_tick, mode, age, reason, k, 0, frames[0]
-            )  # fmt: skip
+        at_once = self._asked_at_once.get(len(draws))
+        if at_once is not None and len(frames) == 1:  # the usual slot
+            at_once(t_ns, *state, k, *y, k, *r, k, *_values_of(draws), k, 0, frames[0])
             return
         self.sensed(t_ns, k, state, y, r)
         self.draws("/network/sc", t_ns, draws)
@@ -61,12 +61,12 @@ class Journal:
     ) -> None:  # fmt: skip
         """Record what the actuator applied in slot k, what the network decided about it, and the answer, None if none came."""
         u, packet_tick, d, row, status, _, injected = applied
-        if self._answered_at_once is not None and injected is None and packet is not None and len(draws) == 1:
+        at_once = self._answered_at_once.get(len(draws))
+        if at_once is not None and injected is None and packet is not None:
             values = packet.rows[0] if len(packet.rows) == 1 else [v for row_of in packet.rows for v in row_of]
             if len(values) == self._row_values:  # the usual slot
-                tick, arrived_tick, mode, age, latency_s, reason = draws[0]
-                self._answered_at_once(
-                    t_ns, *u, *w, k, packet_tick, d, row, status, latency_s, tick, arrived_tick, mode, age, reason, k, 0, data,
+                at_once(
+                    t_ns, *u, *w, k, packet_tick, d, row, status, *_values_of(draws), k, 0, data,
                     *values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection,
                 )  # fmt: skip
                 return
@@ -130,3 +130,11 @@ class Journal:
         """Record a control frame that came too late for the slot that it answers."""
         if self._control:
             self._control(t_ns, seq, 1, data)
+
+
+def _values_of(draws: Sequence[Draw]) -> Sequence[float]:
+    """Return the fields of the records of some decisions, one after the other."""
+    if len(draws) == 1:
+        tick, packet_tick, mode, age, latency_s, reason = draws[0]
+        return latency_s, tick, packet_tick, mode, age, reason
+    return [v for draw in draws for v in (draw[4], *draw[:4], draw[5])]

@@ -28,6 +28,8 @@ from transport.medium.independent import impair
 from transport.medium.medium import Delivery
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 
+_new = tuple.__new__  # a packet without its Python constructor
+
 
 class Rig:
     """Plant, nodes and media of one loop.
@@ -75,6 +77,7 @@ class Rig:
         self._stop = stop
         self.k = -1
         self._y: tuple[float, ...] = ()
+        self._r: tuple[float, ...] = ()
         self._w: tuple[float, ...] = (0.0,) * inputs
         self._sent: Sequence[Delivery] = ()
 
@@ -85,6 +88,7 @@ class Rig:
         if k:
             plant.advance(self._period_ns, self.actuator.u, self._w)
         y = self._y = plant.measure()
+        self._r = self._reference(k)
         nonce = self.answers.open(t_ns, k)
         for i, node in enumerate(self._sensors):
             sample = node.measure(k, y, self._uplink.may_send(i, k))
@@ -106,11 +110,11 @@ class Rig:
         )  # fmt: skip
 
     def _frames(self, k: int, nonce: int) -> list[bytes]:
-        version, samples, nodes, reference = self._wire.version, self._samples, len(self._sensors), self._reference(k)
+        version, samples, nodes, reference = self._wire.version, self._samples, len(self._sensors), self._r
         if nodes == 1 and len(self._sent[0][1]) == 1:  # the usual case, at once
             g, y = self._sent[0][1][0]
             sample_ns = g * self._period_ns
-            return [encode_sensor(SensorPacket(k, 0, sample_ns, y, 0, samples[0], reference, 1, nonce, 0, b"", version))]  # type: ignore[arg-type]
+            return [encode_sensor(_new(SensorPacket, (k, 0, sample_ns, y, 0, samples[0], reference, 1, nonce, 0, b"", version)))]
         arrivals = [(node, g, y) for node, (_, arrived) in enumerate(self._sent) for g, y in arrived]
         if not arrivals:
             nothing = SensorPacket(k, EMPTY, 0, (), reference=reference, nodes=nodes, nonce=nonce, version=version)
@@ -132,12 +136,12 @@ class Rig:
         if self._faults is not None:
             self._faults.tell(t_ns, k, journal)
         if self._several:
-            journal.sensed(t_ns, k, state, self._y, self._reference(k))
+            journal.sensed(t_ns, k, state, self._y, self._r)
             for node, (draws, _) in enumerate(self._sent):
                 journal.node_draws("/network/sc", t_ns, node, draws)
             journal.asked(t_ns, k, frames)
         else:
-            journal.slot_asked(t_ns, k, state, self._y, self._reference(k), self._sent[0][0], frames)
+            journal.slot_asked(t_ns, k, state, self._y, self._r, self._sent[0][0], frames)
         self._note_trip(t_ns, self.actuator.watch(state))
         if self._port is not None:
             self._note_trip(t_ns, self.actuator.feel(self._y[self._port], self._plant.applied[0]))
