@@ -69,7 +69,7 @@ def damaged(draw: st.DrawFn, tree: Any) -> Any:
 @st.composite
 def edited(draw: st.DrawFn, text: str) -> str:
     """A text with a few pieces cut, doubled or replaced."""
-    pieces = [*"=[]{}\"'\n.#\\", "9" * 4400, "1e400", "nan", "\"\"\"", "\x1b[2J", "a." * 40, "[" * 40, "inf", "-1", "\0", "é"]
+    pieces = [*"=[]{}\"'\n.#\\", "9" * 4400, "1e400", "nan", '"""', "\x1b[2J", "a." * 40, "[" * 40, "inf", "-1", "\0", "é"]
     for _ in range(draw(st.integers(1, 4))):
         at = draw(st.integers(0, len(text)))
         text = text[:at] + draw(st.sampled_from(pieces)) + text[at + draw(st.integers(0, 12)) :]
@@ -205,6 +205,18 @@ def fuzz(name: str, count: int) -> None:
 @pytest.mark.parametrize("name", ATTACKS)
 def test_what_a_stranger_writes_is_read_or_refused_with_one_message(name: str) -> None:
     fuzz(name, FEW)
+
+
+FOUND: list[tuple[str, Any]] = [
+    ("log words", {"events": [{**WORDS["events"][0], "t_s": 10**400}]}),  # type: ignore[index]
+]
+"""Inputs that the fuzz found, with the boundary at which each was a traceback."""
+
+
+@pytest.mark.parametrize("name, data", FOUND)
+def test_what_the_fuzz_found_stays_refused(tmp_path: Path, name: str, data: Any) -> None:
+    with pytest.raises(HilError), within():
+        ATTACKS[name][1](tmp_path, data)
 
 
 @pytest.mark.hostile

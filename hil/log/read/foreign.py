@@ -35,7 +35,7 @@ def check_topics(schemas: Mapping[str, Schema]) -> None:
 
 
 def check_events(events: Sequence[Mapping[str, Any]]) -> None:
-    """Check that every event has its six fields, each of its type.
+    """Check that every event has its six fields, each of its type, and that its instant is one.
 
     Args:
         events: as they stand in the log.
@@ -47,6 +47,9 @@ def check_events(events: Sequence[Mapping[str, Any]]) -> None:
         for name, kind in _EVENT.items():
             if not isinstance(event.get(name), kind) or isinstance(event.get(name), bool):  # type: ignore[arg-type]
                 raise HilError(f"event {index}: {name}: {event.get(name)!r:.60} is not of the type that events have")
+        for name in ("tick", "t_s"):
+            if not _number(event[name]):
+                raise HilError(f"event {index}: {name}: {event[name]!r:.60} is no instant of a run")
 
 
 def check_words(metadata: Mapping[str, str], resolved: Mapping[str, Any], summary: Mapping[str, Any]) -> None:

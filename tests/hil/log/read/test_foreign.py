@@ -1,0 +1,81 @@
+"""Logs that hil did not write, or that somebody edited: one message names the field, for every kind that once ended elsewhere."""
+
+import math
+from copy import deepcopy
+from typing import Any
+
+import pytest
+
+from hil.errors import HilError
+from hil.log.read.foreign import check_events, check_topics, check_words
+from hil.log.records import Field, Schema
+from tests.hil.log.recording import TABLE
+
+SCHEMAS = {topic: channel.schema for topic, channel in TABLE.items()}
+EVENT = {"tick": 3, "t_s": 0.15, "kind": "safety", "severity": "error", "message": "limit", "data": {}}
+RESOLVED: dict[str, Any] = {
+    "period": 0.05, "plant": {}, "controller": {}, "disturbance": [{"at": 1.0}],
+    "links": {"sc": {"law": {}}, "ca": {"law": {}}},
+}  # fmt: skip
+
+
+def test_what_hil_writes_is_taken() -> None:
+    check_topics(SCHEMAS)
+    check_events([EVENT, {**EVENT, "tick": -1, "t_s": 2}])
+    check_words({"seed": "7"}, RESOLVED, {"problems": {}, "log": {"messages": 3, "path": "x.mcap"}})
+
+
+@pytest.mark.parametrize("topic", sorted(SCHEMAS))
+def test_a_topic_or_a_field_of_another_name_or_type_is_named(topic: str) -> None:
+    with pytest.raises(HilError, match=f"topic {topic}: missing"):
+        check_topics({f"{name}2" if name == topic else name: schema for name, schema in SCHEMAS.items()})
+    tick = next(f for f in SCHEMAS[topic].fields if f.name == "tick")
+    others = tuple(f for f in SCHEMAS[topic].fields if f is not tick)
+    renamed = tuple(Field(type=f.type, name="pick") if f is tick else f for f in SCHEMAS[topic].fields)
+    for fields in (renamed, (Field(type="float64", name="tick"), *others)):
+        with pytest.raises(HilError, match=f"topic {topic}: field tick: is (missing|float64), expected {tick.type}"):
+            check_topics({**SCHEMAS, topic: Schema(name=SCHEMAS[topic].name, fields=fields)})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"tick": "3"}, {"tick": None}, {"tick": True}, {"tick": 10**400}, {"t_s": "now"}, {"t_s": 10**400}, {"t_s": math.nan},
+        {"t_s": -math.inf}, {"t_s": 1e300}, {"kind": 7}, {"severity": None}, {"message": ["x"]}, {"data": "x"}, {"data": None},
+    ],
+    ids=lambda change: str(change)[:20],
+)  # fmt: skip
+def test_an_event_of_another_kind_is_named(change: dict[str, Any]) -> None:
+    with pytest.raises(HilError, match=f"event 1: {next(iter(change))}: "):
+        check_events([EVENT, {**EVENT, **change}])
+
+
+@pytest.mark.parametrize("seed", ["", "x", "-1", "1e3", "1" * 25, "७"])
+def test_a_seed_that_is_none_is_named(seed: str) -> None:
+    with pytest.raises(HilError, match="metadata hilrig: seed"):
+        check_words({"seed": seed}, {}, {})
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("period", "x"), ("period", 0), ("period", math.nan), ("period", True), ("period", 10**400), ("plant", []),
+        ("controller", "hinf"), ("links", 3), ("links.sc", []), ("links.ca.law", "markov"), ("disturbance", {}),
+        ("disturbance", [3]), ("disturbance", [{}]), ("disturbance", [{"at": "1 s"}]), ("disturbance", [{"at": 10**400}]),
+    ],
+)  # fmt: skip
+def test_an_experiment_of_other_types_is_named(path: str, value: Any) -> None:
+    resolved: dict[str, Any] = deepcopy(RESOLVED)
+    *folders, last = path.split(".")
+    node = resolved
+    for folder in folders:
+        node = node[folder]
+    node[last] = value
+    with pytest.raises(HilError, match=rf"resolved\.json: {path}: "):
+        check_words({"seed": "7"}, resolved, {})
+
+
+@pytest.mark.parametrize("summary", [{"problems": []}, {"log": "x"}, {"log": {"messages": None}}], ids=str)
+def test_a_summary_of_other_types_is_named(summary: dict[str, Any]) -> None:
+    with pytest.raises(HilError, match="metadata summary: "):
+        check_words({"seed": "7"}, {}, summary)
