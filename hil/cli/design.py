@@ -85,15 +85,16 @@ def command(
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
     from hil.cli.design_historical import command as historical
-    from hil.cli.design_historical import has_nodes
+    from hil.cli.design_historical import with_nodes
     from hil.cli.outputs import check_output, write_output
     from hil.compose.design_problem import problem_for, tracking_target, verdict_on
     from hil.compose.plant_uncertainty import interval, judge_uncertain
     from hil.log.write.provenance import package_versions
 
-    if has_nodes(subject):
+    experiment = with_nodes(subject)
+    if experiment is not None:
         _refuse_others({"subject", "orders", "as_json"}, "with several sensor nodes, whose gains [controller] asks for")
-        historical(subject, orders, as_json)
+        historical(experiment, orders, as_json)
         return
     if orders:
         raise HilError("--orders: belongs to an experiment with several sensor nodes")
@@ -140,17 +141,11 @@ def command(
 
 def _local(target: TrackingTarget, method: str, input_weight: float | None, noise: float | None, as_json: bool) -> None:
     """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
-    from click.core import ParameterSource
-
     from design.requests.local import LocalDesigned
     from hil.cli.design_local import design_local, show_local
 
-    context = click.get_current_context()
     common = {"subject", "period", "input_weight", "local", "noise", "as_json"}
-    given = [p for p in context.command.params if p.name and context.get_parameter_source(p.name) is ParameterSource.COMMANDLINE]
-    others = [p.opts[-1] for p in given if p.name not in common]
-    if others:
-        raise HilError(f"{others[0]}: not with --local, which designs for the plant alone")
+    _refuse_others(common, "with --local, which designs for the plant alone")
     request = LocalDesigned(
         method=method, input_weight=0.01 if input_weight is None else input_weight, noise=0.01 if noise is None else noise  # type: ignore[arg-type]
     )  # fmt: skip
@@ -222,8 +217,8 @@ def _show(design: Design, document: dict[str, Any]) -> None:
             f"{c.hinf_norm:.6g}",
             f"any causal controller: >= {bounds['hinf_delayed_information']:.4g}" if bounds else "",
         ),
-        ("verdict", document["verdict"]["state"], f"{document['verdict']['kind']}, of the plant's linear model"),
-        ("second-moment radius", f"{c.mean_square_radius:.6f}", "mean-square stable" if c.stable else "NOT STABLE"),
+        ("verdict", document["verdict"]["state"], document["verdict"]["reason"]),
+        ("second-moment radius", f"{c.mean_square_radius:.6f}", "linear model: " + ("stable" if c.stable else "NOT STABLE")),
         ("margin of (7.17)", f"{c.lyapunov_margin:.3g}", f"rounding {c.rounding:.1g}"),
         ("margin of (7.28)", "-" if c.hinf_margin is None else f"{c.hinf_margin:.3g}", "at gamma (1 + 1e-6)"),
         ("solved in", f"{document['wall_s']} s", f"{design.evaluations} norms, {len(design.starts)} starts, seed {problem.seed}"),

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.errors import HilError
 
+if TYPE_CHECKING:
+    from hil.experiment import Experiment
 
-def has_nodes(place: str) -> bool:
-    """Return whether a name is that of an experiment with several sensor nodes."""
+
+def with_nodes(subject: str) -> Experiment | None:
+    """Return the experiment of a name that has several sensor nodes, None for every other name."""
     from hil.experiment import load_experiment
     from hil.experiment.plugins import names
 
-    return place not in names("hil.plants") and bool(load_experiment(place).nodes)
+    if subject in names("hil.plants"):
+        return None
+    experiment = load_experiment(subject)
+    return experiment if experiment.nodes else None
 
 
-def command(place: str, orders: bool, as_json: bool) -> None:
+def command(experiment: Experiment, orders: bool, as_json: bool) -> None:
     """Print what gains over historical data cost."""
     from hil.compose.historical_bounds import judge_historical
     from hil.compose.loop import compose
-    from hil.experiment import load_experiment
 
     try:
-        found = judge_historical(compose(load_experiment(place)), orders=orders)
+        found = judge_historical(compose(experiment), orders=orders)
     except ValueError as error:
-        raise HilError(f"{place}: {error}") from error
+        raise HilError(f"{experiment.name}: {error}") from error
     if as_json:
         print(json.dumps(found, indent=2))
         return

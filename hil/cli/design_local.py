@@ -8,6 +8,7 @@ from typing import Any, get_args
 from design.errors import DesignError, FieldError
 from design.local.python_control import LocalMethod
 from design.requests.local import LocalDesigned
+from hil.compose.certifier import limited_to_model
 from hil.compose.design_problem import TrackingTarget, digest_of_law, model_at
 from hil.compose.linear_law_loop import judge_linear_law
 from hil.errors import HilError
@@ -32,9 +33,10 @@ def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, An
     none = DelayChain(transition=((1.0,),))
     rho = request.input_weight
     alone = judge_linear_law(model_at(target), none, none, law, input_weight=rho).to_json()
-    verdict = judge_linear_law(
+    over_network = judge_linear_law(
         model_at(target), target.sc, target.ca, law, input_weight=rho, digest=digest_of_law(target, law)
     )  # fmt: skip
+    verdict = limited_to_model(target.of, over_network)
     return {
         "plant": target.plant,
         "period_s": target.period_s,

@@ -10,7 +10,7 @@ import numpy as np
 
 from design.controllers import Controller, LoopModel
 from design.verdict import Kind, Verdict
-from hil.experiment.protocols import BeyondModel, HasStateDelays, Plant
+from hil.experiment.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -53,18 +53,22 @@ def undecided(loop: LoopToCertify, kind: Kind, reason: str, details: Mapping[str
     return Verdict(kind=kind, state="undecided", reason=reason, details=details or {}, digest=loop.digest)
 
 
-def limited_to_model(loop: LoopToCertify, verdict: Verdict, *, knows_state_delays: bool = False) -> Verdict:
+def limited_to_model(
+    plant: Plant, verdict: Verdict, *, knows_state_delays: bool = False, knows_jumps: bool = False
+) -> Verdict:  # fmt: skip
     """Return a verdict on the plant's model as one on the plant: undecided where the plant has more than its model.
 
     Args:
-        loop: the loop.
+        plant: the plant.
         verdict: on the model x(k+1) = A x(k) + B u(k).
         knows_state_delays: whether it is on the model with A_1 x(k-1) + ... beside it.
+        knows_jumps: whether it is on the model of every mode and on their process.
     """
-    plant = loop.plant
     beyond = tuple(plant.beyond_model()) if isinstance(plant, BeyondModel) else ()
     if not knows_state_delays and isinstance(plant, HasStateDelays) and np.any(plant.state_delays()):
         beyond += ("delayed states",)
+    if not knows_jumps and isinstance(plant, JumpPlant):
+        beyond += ("jumps between modes",)
     if not beyond:
         return verdict
     return _undecide(verdict, f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}")

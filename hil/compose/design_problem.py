@@ -11,6 +11,7 @@ from design.controllers import LinearLaw, LoopModel
 from design.processes.delay_chain import DelayChain
 from design.tracking.problem import TrackingProblem
 from design.verdict import Verdict, digest
+from hil.compose.certifier import limited_to_model
 from hil.compose.send_all_loop import judge_gains
 from hil.errors import HilError
 from hil.experiment.protocols import Plant
@@ -96,10 +97,11 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
 def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
     """Return what the door says of a design over the network that it was made for."""
     sc, ca = design.problem.chains
-    return judge_gains(
+    verdict = judge_gains(
         model_at(target), sc, ca, design.gains, design.selection, samples=design.problem.samples,
         integral=bool(design.problem.integral), digest=digest_of_design(target, design),
     )  # fmt: skip
+    return limited_to_model(target.of, verdict)
 
 
 def model_at(target: TrackingTarget) -> LoopModel:

@@ -51,7 +51,7 @@ def certify_model_following(loop: LoopToCertify) -> Verdict | None:
     if number < 1.0:
         reason = f"stable for {len(HANDS)} passive hands that were tried; no proof covers the others"
         verdict = Verdict(kind="passivity", state="undecided", reason=reason, details=details, digest=loop.digest)
-        return limited_to_model(loop, verdict)
+        return limited_to_model(loop.plant, verdict)
     m, b, k = worst
     reason = (
         f"not stable when a passive hand of {m:g} kg, {b:g} N s/m and {k:g} N/m is added (spectral radius {number:.4f}); "
@@ -62,4 +62,4 @@ def certify_model_following(loop: LoopToCertify) -> Verdict | None:
         method="spectral radii of the loop in contact", assumptions=("the hand is held rigidly", "contact is never lost"),
         digest=loop.digest,
     )  # fmt: skip
-    return limited_to_model(loop, verdict)
+    return limited_to_model(loop.plant, verdict)

@@ -106,4 +106,4 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
         for said in verdict.assumptions
     )
     known = replace(verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest)
-    return limited_to_model(loop, known, knows_state_delays=True)
+    return limited_to_model(loop.plant, known, knows_state_delays=True)

@@ -49,7 +49,7 @@ def certify_jump_loop(loop: LoopToCertify) -> Verdict | None:
         found = sampled_verdict(system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca)
     except (ValueError, DesignError) as error:
         return undecided(loop, KIND, f"the theory does not cover this plant: {error}")
-    return limited_to_model(loop, _with_continuous_time(loop, found, system, gain, process))
+    return limited_to_model(loop.plant, _with_continuous_time(loop, found, system, gain, process), knows_jumps=True)
 
 
 def in_continuous_time(

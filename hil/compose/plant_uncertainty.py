@@ -25,6 +25,7 @@ from design.networked_loop.closed_loop import LoopStructure
 from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
 from design.tracking.synthesis import Design
 from design.verdict import State, Verdict, digest
+from hil.compose.certifier import limited_to_model
 from hil.compose.design_problem import TrackingTarget, digest_of_design
 from hil.errors import HilError
 from hil.experiment.protocols import Plant
@@ -158,15 +159,16 @@ def _judge(target: TrackingTarget, design: Design, intervals: Sequence[Interval]
         except Infeasible as error:  # stable, but no bound was found
             reason = f"{reason}; {error}"
     system = {"loop": digest_of_design(target, design), "parameters": [list(i) for i in intervals]}
-    return Verdict(
+    verdict = Verdict(
         kind="mean-square stability", state=state, reason=reason, number=1.0 / margin, limit=1.0,
         quantity="share of the uncertainty that the loop bears, inverse", details=details, digest=digest(system),
         method="small-gain theorem over the jump-linear loop (Remark 7.6)",
         assumptions=(
             f"the plant between two of {len(found.changes)} computed ones changes as smoothly as they do",
-            "the plant is its linear model", "no packet is later than its law says", "no limit trips",
+            "no packet is later than its law says", "no limit trips",
         ),
     )  # fmt: skip
+    return limited_to_model(target.of, verdict)
 
 
 def _extreme(changes: Array, axes: int) -> Array:

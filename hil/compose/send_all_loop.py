@@ -40,7 +40,7 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
         loop.model, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),
         integral=integrates(controller), digest=loop.digest,
     )  # fmt: skip
-    return limited_to_model(loop, verdict)
+    return limited_to_model(loop.plant, verdict)
 
 
 def judge_gains(

@@ -31,4 +31,4 @@ def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
         device=device, wall=controller.wall, coupler=controller.coupler, period_s=loop.model.period_s, sc=loop.sc, ca=loop.ca,
         equalised=controller.equalise, material_chain=controller.wall.chain,
     )  # fmt: skip
-    return limited_to_model(loop, replace(verdict, digest=loop.digest))
+    return limited_to_model(loop.plant, replace(verdict, digest=loop.digest))

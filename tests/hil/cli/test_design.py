@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from design.requests.local import LocalDesigned
 from design.requests.tracking import solve_tracking
 from hil.bench.design import GOALS, bench_design
 from hil.cli.design import command
-from hil.compose.design_problem import problem_for, tracking_target
+from hil.cli.design_local import design_local
+from hil.compose.design_problem import problem_for, tracking_target, verdict_on
 from hil.compose.loop import compose
 from hil.compose.plant_uncertainty import interval, judge_uncertain, plants_between
 from hil.errors import HilError
@@ -102,6 +104,18 @@ def test_uncertainty_is_borne_undecided_or_refused_by_its_size():
     louder = dataclasses.replace(design, gains=1.5 * design.gains)  # stable, with less to spare
     states = [judge_uncertain(target, louder, [interval(target.of, f"gain={width}%")]).state for width in (20, 50)]
     assert states == ["undecided", "refused"]
+
+
+def test_what_a_plant_has_beyond_its_model_leaves_a_design_undecided():
+    """Friction and an encoder that rounds are in no proof of a design; the same gains over the plain motor are certified."""
+    target, plain = tracking_target("dc-motor-h2-friction"), tracking_target("dc-motor").of
+    design = solve_tracking(problem_for(target, starts=1))
+    verdict = verdict_on(target, design)
+    assert verdict.state == "undecided" and "friction" in verdict.reason
+    assert verdict_on(target._replace(of=plain), design).state == "certified"
+    assert judge_uncertain(target, design, [interval(target.of, "gain=1%")]).state == "undecided"
+    for of, state in ((target.of, "undecided"), (plain, "refused")):
+        assert design_local(target._replace(of=of), LocalDesigned(method="lqr"))["verdict"]["state"] == state
 
 
 @pytest.mark.parametrize("names", [("gain=10%",), ("pole=30%",), ("gain=5%", "pole=20%")])
