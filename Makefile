@@ -5,11 +5,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 RUN := runs/make-run
+# At least four test processes: where a machine has two busy cores, each process gets its share.
+WORKERS := $(shell n=$$(nproc 2>/dev/null || echo 4); [ $$n -gt 4 ] && echo $$n || echo 4)
 
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench docs clean
+.PHONY: help run test test-slow test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,8 +30,13 @@ test: $(INSTALLED) ## lint, types, import rules, tests and doctests; what keeps 
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -n auto --dist worksteal -m "not realtime" $(PYTEST_ARGS)
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not realtime" $(PYTEST_ARGS)
 	$(BIN)/pytest -n 0 -m realtime $(PYTEST_ARGS)
+
+test-slow: export OMP_NUM_THREADS = 1
+test-slow: $(INSTALLED) ## the long computations: whole chapters, studies of hundreds of loops; an hour or so
+	$(BIN)/pytest -n auto --dist worksteal --hil-slow -m "slow and not realtime" $(PYTEST_ARGS)
+	$(BIN)/pytest -n 0 --hil-slow -m "slow and realtime" $(PYTEST_ARGS)
 
 mutations: $(INSTALLED) ## put every known fault in and see its tests fail (minutes)
 	$(BIN)/python -m tests.mutations
