@@ -16,7 +16,7 @@ from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment.can_frames import link_uri
-from hil.log.events import to_json
+from hil.log.events import decode_event, to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import Run, read_run
 from hil.log.records import EVENTS_TOPIC
@@ -239,7 +239,7 @@ def _kept(sink: McapSink, provenance: Provenance) -> Run:
     return Run(
         arrays=arrays,
         schemas={topic: sink.kept.schemas[topic] for topic in arrays},
-        events=[json.loads(payload) for payload in sink.kept.events],
+        events=[decode_event(payload) for payload in sink.kept.events],
         metadata=provenance.metadata()["hilrig"],
         codes={name: list(words) for name, words in provenance.codes.items()},
         experiment_text=provenance.experiment_text,

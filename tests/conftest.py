@@ -22,7 +22,11 @@ NEEDS = {
     "cyclictest": Requirement(
         lambda: shutil.which("cyclictest") is not None, "no cyclictest: apt-get install rt-tests", "cyclictest"
     ),
-}
+    "foxglove": Requirement(
+        lambda: shutil.which("node") is not None and (Path(__file__).parent / "node/node_modules/@mcap").is_dir(),
+        "nothing of Foxglove: npm ci --prefix tests/node", "foxglove",
+    ),
+}  # fmt: skip
 LONG = {"slow": "minutes of computing", "hostile": "attacks that last for minutes"}
 
 

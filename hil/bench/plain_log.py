@@ -36,8 +36,8 @@ class PlainSink:
             if schema.name not in schemas:
                 schemas[schema.name] = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
             self._ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schemas[schema.name])
-        events = writer.register_schema(EVENT_SCHEMA_NAME, "jsonschema", to_json(EVENT_SCHEMA))
-        self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "json", events)
+        events = writer.register_schema(EVENT_SCHEMA_NAME, "ros2msg", EVENT_SCHEMA.encode())
+        self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "cdr", events)
         writer.flush()  # type: ignore[no-untyped-call]
 
     def channel(self, topic: str) -> Put | None:

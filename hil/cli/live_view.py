@@ -7,7 +7,6 @@ records, so the view reads no clock of its own.
 
 from __future__ import annotations
 
-import json
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from struct import Struct
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.cli.terminal import visible
+from hil.log.events import decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, channels
 from hil.measure.signals import PURE, tracked_among
 from hil.report.html.numbers import text_of
@@ -224,7 +224,7 @@ class LiveView:
         self._overruns += int(tick["overrun"])
 
     def _event(self, t_ns: int, payload: bytes) -> None:
-        self._events.append(json.loads(payload))
+        self._events.append(decode_event(payload))
 
 
 def _quantity(value: float, signal: Any) -> str:

@@ -1,4 +1,4 @@
-"""Events of a session as strict JSON, whatever values they carry.
+"""Events of a session, their values as strict JSON, whatever they are.
 
 An event is written when something went wrong, so writing it must not go wrong: numbers that are not finite become
 text, numpy becomes plain, anything else becomes its ``str``.
@@ -8,12 +8,18 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
+from hil.errors import HilError
+from hil.log.records import CDR_HEADER
+
+_NUMBERS: Final = struct.Struct("<dq")
+_LENGTH: Final = struct.Struct("<I")
 _MAX_TEXT = 2000
 _MAX_DEPTH = 20
 
@@ -66,7 +72,7 @@ def to_json(value: object, *, indent: int | None = None) -> bytes:
 def encode_event(
     t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", data: Mapping[str, object]
 ) -> bytes:
-    """Payload of one ``/events`` record; see ``records.EVENT_SCHEMA``.
+    """Payload of one ``/events`` record, CDR; see ``records.EVENT_SCHEMA``.
 
     Args:
         t_ns: nominal session time in ns.
@@ -75,8 +81,44 @@ def encode_event(
         severity: one of ``records.SEVERITIES``; others are kept as they are, an event is never lost for its form.
         data: values that belong to it.
 
-    >>> encode_event(0, "stop", "done", data={})
-    b'{"data":{},"kind":"stop","message":"done","severity":"info","t_s":0.0,"tick":-1}'
+    >>> decode_event(encode_event(1_000_000_000, "stop", "done", data={"u": math.nan}))
+    {'t_s': 1.0, 'tick': -1, 'kind': 'stop', 'severity': 'info', 'message': 'done', 'data': {'u': 'nan'}}
     """
-    return to_json({"tick": tick, "t_s": t_ns / 1e9, "kind": kind, "severity": severity, "message": message,
-                    "data": data})
+    parts = [CDR_HEADER, _NUMBERS.pack(t_ns / 1e9, tick)]
+    for text in (kind, severity, message):
+        parts.append(_string(text.replace("\0", "\\0").encode("utf-8", "backslashreplace")))
+    return b"".join((*parts, _string(to_json(data)))).rstrip(b"\0") + b"\0"  # nothing stands behind the last text
+
+
+def decode_event(payload: bytes) -> dict[str, Any]:
+    """Return an event as ``encode_event`` was told it.
+
+    Args:
+        payload: CDR.
+
+    Raises:
+        HilError: it is none.
+    """
+    try:
+        if payload[: len(CDR_HEADER)] != CDR_HEADER:
+            raise ValueError("no little-endian CDR")
+        t_s, tick = _NUMBERS.unpack_from(payload, len(CDR_HEADER))
+        at, texts = len(CDR_HEADER) + _NUMBERS.size, []
+        for _ in range(4):
+            (size,) = _LENGTH.unpack_from(payload, at)
+            text = payload[at + 4 : at + 4 + size]
+            if len(text) < size or not text.endswith(b"\0"):
+                raise ValueError("a text is cut off")
+            texts.append(text[:-1].decode())
+            at += 4 + size + -size % 4
+        kind, severity, message, data = texts
+        found = json.loads(data)
+    except (ValueError, RecursionError, struct.error) as error:
+        raise HilError(f"is no event: {error!s:.200}") from error
+    return {"t_s": t_s, "tick": tick, "kind": kind, "severity": severity, "message": message, "data": found}
+
+
+def _string(text: bytes) -> bytes:
+    """A string in CDR: its length with the zero that ends it, the bytes, and zeros up to a multiple of 4."""
+    size = len(text) + 1
+    return _LENGTH.pack(size) + text + bytes(1 + -size % 4)

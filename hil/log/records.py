@@ -4,7 +4,9 @@ Every signal record is a ROS 2 message (``ros2msg`` text as schema) in CDR, litt
 int64, int32, uint8, so that the packed layout *is* the aligned layout of CDR: one ``struct`` writes a record and one
 ``numpy`` dtype reads thousands. Only raw frames have a part of variable length, ``uint8[] data``, always last.
 
-Log time and publish time of a record are the nominal session time; the fields never repeat them.
+The log time of a record is the nominal session time of its slot, in real time counted from the wall-clock instant at which
+the session began. Its publish time is when it happened: in virtual time the same instant, in real time what was measured. The
+fields never repeat them.
 """
 
 from __future__ import annotations
@@ -34,22 +36,16 @@ STATUS: Final = ("ok", "hold", "none yet", "safe state")
 
 SEVERITIES: Final = ("debug", "info", "warning", "error")
 
-EVENT_SCHEMA_NAME: Final = "hil.Event"
-EVENT_SCHEMA: Final[dict[str, Any]] = {
-    "$schema": "https://json-schema.org/draft/2020-12/schema",
-    "title": EVENT_SCHEMA_NAME,
-    "type": "object",
-    "required": ["tick", "t_s", "kind", "severity", "message", "data"],
-    "properties": {
-        "tick": {"type": "integer", "description": "slot in which it happened, -1 outside of slots"},
-        "t_s": {"type": "number", "description": "nominal session time in s"},
-        "kind": {"type": "string", "description": "short name to filter by"},
-        "severity": {"type": "string", "enum": list(SEVERITIES)},
-        "message": {"type": "string", "description": "one sentence for people"},
-        "data": {"type": "object", "description": "values that belong to it; numbers that are not finite as text"},
-    },
-}
-"""JSON Schema of ``/events``."""
+EVENT_SCHEMA_NAME: Final = "hil/msg/Event"
+EVENT_SCHEMA: Final = f"""\
+float64 t_s  # s, nominal session time
+int64 tick  # 1, slot in which it happened, -1 outside of slots
+string kind  # 1, short name to filter by
+string severity  # 1, one of {', '.join(SEVERITIES)}
+string message  # 1, one sentence for people
+string data  # 1, values that belong to it, as a JSON object; numbers that are not finite as text
+"""
+"""``ros2msg`` text of ``/events``; see `hil.log.events.encode_event`."""
 
 _CODES: Final = {"float64": "d", "int64": "q", "int32": "i", "uint8": "B"}
 _NUMPY: Final = {"float64": "<f8", "int64": "<i8", "int32": "<i4", "uint8": "u1"}

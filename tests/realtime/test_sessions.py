@@ -7,12 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from hil.compose.loop import compose
 from hil.experiment import experiment_from_resolved, load_experiment
@@ -36,7 +38,9 @@ def links() -> list[str]:
 def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Path, which: int) -> None:
     changes = ["duration=1.5", "reference.0.at=0.25", "seed=11"]
     experiment = load_experiment("dc-motor-hinf", changes)
+    begun_ns = time.time_ns()
     real = run_session(experiment, clock="real", link=links()[which], path=tmp_path / "real.mcap")
+    assert begun_ns < real.run.start_ns < time.time_ns()
     late = real.summary["timing"]["first_late_tick"]
     assert real.status == 0 or late is not None, real.summary  # a machine that stalls for long may trip the watchdog
     virtual = simulate(compose(experiment), 11)
@@ -52,6 +56,11 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
     assert real.summary["log"]["dropped"] == 0
     if late is None:
         assert verify(real.run).difference is None
+        with open(tmp_path / "real.mcap", "rb") as file:
+            published = {(c.topic, m.log_time): m.publish_time for _, c, m in make_reader(file).iter_messages()}
+        for t_ns, round_trip_us in real.run.arrays["/timing/tick"][["t_ns", "round_trip_us"]].tolist():
+            sent, heard = (published[topic, real.run.start_ns + t_ns] for topic in ("/link/sensor", "/link/control"))
+            assert abs((heard - sent) / 1e3 - round_trip_us) < 0.01
 
 
 @pytest.mark.parametrize("which", [0, 1], ids=["can-hil", "zenoh"])

@@ -14,7 +14,7 @@ import numpy as np
 from hil.log.growing import ROWS, Growing, let_go, pieces
 from hil.log.read.arrays import StructuredArray, assemble, run_dtype
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT
-from hil.log.records import Schema
+from hil.log.records import TIME_FIELD, Schema
 
 TOGETHER: Final = 4096
 """Messages that are turned into numbers together."""
@@ -26,10 +26,12 @@ class Columns:
     Args:
         schema: of the topic.
         folder: where those of a long log are kept.
+        start_ns: log time of session time 0, ns.
     """
 
-    def __init__(self, schema: Schema, folder: str | os.PathLike[str] | None = None) -> None:
+    def __init__(self, schema: Schema, folder: str | os.PathLike[str] | None = None, start_ns: int = 0) -> None:
         self.schema = schema
+        self._start_ns = start_ns
         self._messages: list[bytes] = []
         self._dtype = run_dtype(schema)
         self._raw = schema.fields[-1].name if schema.raw else None
@@ -56,6 +58,7 @@ class Columns:
             return
         found = assemble(self.schema, self._messages, payload_at=MESSAGE_PAYLOAD_AT, time_at=MESSAGE_TIME_AT)
         self._messages = []
+        found[TIME_FIELD] -= self._start_ns
         if self._raw is None:
             self._numbers.extend(found)
             return

@@ -176,7 +176,7 @@ def _of_topic(run: Run, topic: str) -> Iterator[Any]:
     uri = run.metadata.get("link", "")
     fd, identifiers = _framing(run)
     bus: Any = _BusOfPaper()
-    begin_s = datetime.fromisoformat(run.session.get("started", VIRTUAL_BEGIN)).timestamp()
+    begin_s = run.start_ns / 1e9 or datetime.fromisoformat(run.session.get("started", VIRTUAL_BEGIN)).timestamp()
     role: Literal["rig", "controller"] = "rig" if topic == "/link/sensor" else "controller"
     link = CanLink(uri, role, lambda: bus, identifiers=identifiers, fd=fd)
     for t_ns, packet in measured_frames(run, topic):

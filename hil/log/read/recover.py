@@ -39,6 +39,7 @@ class Recovery:
     Args:
         messages, chunks, attachments, metadata: what was kept.
         last_ns: log time of the last message that was kept, -1 if there is none.
+        start_ns: log time of session time 0.
         closed: whether the file had been closed in good order.
         lost_messages: messages of damaged chunks, as far as the file's own index can tell.
         lost_bytes: bytes behind the tear.
@@ -51,6 +52,7 @@ class Recovery:
     attachments: int = 0
     metadata: int = 0
     last_ns: int = -1
+    start_ns: int = 0
     closed: bool = False
     lost_messages: int = 0
     lost_bytes: int = 0
@@ -60,7 +62,7 @@ class Recovery:
     @property
     def text(self) -> str:
         """For people, one line each."""
-        until = f", up to {self.last_ns / 1e9:.3f} s of session time" if self.messages else ""
+        until = f", up to {(self.last_ns - self.start_ns) / 1e9:.3f} s of session time" if self.messages else ""
         lines = [f"kept: {self.messages} messages in {self.chunks} chunks{until}; {self.metadata} metadata records,"
                  f" {self.attachments} attachments"]
         lines += [f"lost: {loss}" for loss in self.losses]
@@ -210,6 +212,8 @@ class _Copy:
             metadata = parse(Metadata.read, record)
             writer.add_metadata(metadata.name, metadata.metadata)
             report.metadata += 1
+            if metadata.name == "clock" and metadata.metadata.get("start_ns", "").isdecimal():
+                report.start_ns = int(metadata.metadata["start_ns"][:19])
             self.ours |= metadata.name == "hilrig"
         elif record.opcode == Opcode.ATTACHMENT:
             found = parse_attachment(record)

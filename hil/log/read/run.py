@@ -13,6 +13,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel
 
 from hil.errors import HilError
+from hil.log.events import decode_event
 from hil.log.growing import ROWS, pieces
 from hil.log.read.arrays import StructuredArray, assemble
 from hil.log.read.columns import Columns, Topics
@@ -21,8 +22,10 @@ from hil.log.read.mcap_content import Content
 from hil.log.read.mcap_file import open_mcap
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
-from hil.log.write.provenance import FORMAT
+from hil.log.write.provenance import READABLE
 from hil.log.write.sinks import MemorySink
+
+LATEST_START_NS = 1 << 62  # the year 2116
 
 
 @runtime_checkable
@@ -50,6 +53,7 @@ class Run:
         experiment_text: the experiment file.
         resolved, certificate: the experiment after defaults and overrides; the design's certificate, empty if there is none.
         summary: the summary that closed the log, empty if it was never closed.
+        start_ns: wall-clock instant of session time 0, ns since 1970; 0 in virtual time and where the log does not say.
     """
 
     arrays: MutableMapping[str, StructuredArray]
@@ -63,6 +67,7 @@ class Run:
     resolved: dict[str, Any] = field(default_factory=dict)
     certificate: dict[str, Any] = field(default_factory=dict)
     summary: dict[str, Any] = field(default_factory=dict)
+    start_ns: int = 0
 
     @classmethod
     def from_memory(cls, sink: MemorySink, **about: Any) -> Run:
@@ -128,7 +133,7 @@ class _Reading:
         self.content = content
         self._folder = folder
         self._columns: dict[int, Columns] = {}
-        self._payloads: list[bytes] = []  # of events
+        self._events: list[dict[str, Any]] = []
 
     def take(self, record: Record) -> None:
         """Take one record of the file."""
@@ -142,11 +147,12 @@ class _Reading:
                 continue  # it may be told later
             messages = content.messages.pop(number)
             if channel.topic == EVENTS_TOPIC:
-                self._payloads += [message[MESSAGE_PAYLOAD_AT:] for message in messages]
+                payloads = [message[MESSAGE_PAYLOAD_AT:] for message in messages]
+                self._events += (_json_events if channel.message_encoding == "json" else _events)(payloads, len(self._events))
                 continue
             columns = self._columns.get(number)
             if columns is None:
-                columns = self._columns[number] = Columns(_schema(content, channel), self._folder)
+                columns = self._columns[number] = Columns(_schema(content, channel), self._folder, start_of(content))
             try:
                 columns.add(messages)
             except HilError as error:
@@ -168,7 +174,19 @@ class _Reading:
                 columns.finish()
             except HilError as error:
                 raise HilError(f"topic {channel.topic}: {error}") from error
-        return _run(content, found, _events(self._payloads))
+        return _run(content, found, self._events)
+
+
+def start_of(content: Content) -> int:
+    """Return the wall-clock instant of session time 0, ns since 1970; 0 where the file does not say.
+
+    Raises:
+        HilError: it says something else than an instant.
+    """
+    said = content.metadata.get("clock", {}).get("start_ns", "0")
+    if not (said.isascii() and said.isdecimal() and len(said) <= 19 and int(said) < LATEST_START_NS):
+        raise HilError(f"metadata clock: start_ns: {said!r:.60}, expected nanoseconds since 1970")
+    return int(said)
 
 
 def _schema(content: Content, channel: Channel) -> Schema:
@@ -185,8 +203,8 @@ def _check_head(content: Content) -> None:
     head = content.metadata.get("hilrig")
     if head is None:
         raise HilError("is an MCAP file, but not a log of hilrig: it has no metadata record 'hilrig'")
-    if head.get("format") != FORMAT:
-        raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {FORMAT!r}")
+    if head.get("format") not in READABLE:
+        raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {' and '.join(READABLE)}")
 
 
 def _run(content: Content, columns: dict[str, Columns], events: list[dict[str, Any]]) -> Run:
@@ -213,6 +231,7 @@ def _run(content: Content, columns: dict[str, Columns], events: list[dict[str, A
         resolved=resolved,
         certificate=_attached_json(content, "certificate.json"),
         summary=summary,
+        start_ns=start_of(content),
     )
 
 
@@ -221,8 +240,19 @@ def _attached_json(content: Content, name: str) -> dict[str, Any]:
     return _json_object(attachment.data, f"attachment {name}") if attachment is not None else {}
 
 
-def _events(payloads: Sequence[bytes]) -> list[dict[str, Any]]:
-    return [_json_object(payload, f"event {index}") for index, payload in enumerate(payloads)]
+def _events(payloads: Sequence[bytes], first: int = 0) -> list[dict[str, Any]]:
+    found = []
+    for index, payload in enumerate(payloads, first):
+        try:
+            found.append(decode_event(payload))
+        except HilError as error:
+            raise HilError(f"event {index}: {error}") from error
+    return found
+
+
+def _json_events(payloads: Sequence[bytes], first: int) -> list[dict[str, Any]]:
+    """Return events as log format 1 has them."""
+    return [_json_object(payload, f"event {index}") for index, payload in enumerate(payloads, first)]
 
 
 def _json_object(text: str | bytes, what: str) -> dict[str, Any]:

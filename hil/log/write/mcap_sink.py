@@ -91,13 +91,13 @@ class McapSink:
             if schema.name not in schemas:
                 schemas[schema.name] = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
             self._ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schemas[schema.name])
-        events = writer.register_schema(EVENT_SCHEMA_NAME, "jsonschema", to_json(EVENT_SCHEMA))
-        self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "json", events)
+        events = writer.register_schema(EVENT_SCHEMA_NAME, "ros2msg", EVENT_SCHEMA.encode())
+        self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "cdr", events)
         self.kept.number(self._ids)
         writer.flush()
 
     def channel(self, topic: str) -> Put | None:
-        """See ``Sink``; ``/events`` takes JSON payloads that were encoded elsewhere."""
+        """See ``Sink``; ``/events`` takes payloads that were encoded elsewhere."""
         if topic not in self._ids:
             return None
         return self._writer.messages_of(self._ids[topic])
@@ -106,12 +106,23 @@ class McapSink:
         """See ``PacksRecords``."""
         if not set(topics) <= set(self._channels):
             return None
-        return self._writer.records_of([self._packed(topic) for topic in topics])
+        writer = self._writer
+        add = writer.records_of([self._packed(topic) for topic in topics])
+        return add if self._now is None else lambda t_ns, *values: add(writer.start_ns + t_ns, *values)
 
     def _packed(self, topic: str) -> Packed:
         schema = self._channels[topic].schema
         codes = f"{schema.codes}{-schema.dtype.itemsize % 4}x" if schema.raw else schema.codes
         return Packed(self._ids[topic], CDR_HEADER, codes, len(schema.codes), schema.raw)
+
+    def begin(self, wall_ns: int) -> None:
+        """See ``Dated``; the file says it in the metadata ``clock``."""
+        self._writer.start_ns = wall_ns
+        self._writer.add_metadata("clock", {"start_ns": str(wall_ns)})
+
+    def behind(self, ns: int) -> None:
+        """See ``Dated``."""
+        self._writer.behind_ns = ns
 
     @property
     def dropped(self) -> int:

@@ -72,6 +72,8 @@ class McapWriter:
         open_bytes: bytes of the messages in the open chunk.
         closed: set it, and no message is taken any more.
         refused: how many came since.
+        start_ns: log time of time 0 of `messages_of`.
+        behind_ns: how much after its log time happened what comes next, likewise.
     """
 
     def __init__(
@@ -100,7 +102,7 @@ class McapWriter:
         self._opening = RecordBuilder()  # schemas and channels that stand at the begin of the open chunk
         self._parts: list[bytes] = []  # the messages of the open chunk, one or several in each part
         self._noted: list[Part] = []
-        self.open_bytes = self.refused = 0
+        self.open_bytes = self.refused = self.start_ns = self.behind_ns = 0
         self.closed = False
         self._write(MAGIC)
         self._write(_bytes(Header(profile, library)))
@@ -147,7 +149,10 @@ class McapWriter:
         return channel.id
 
     def messages_of(self, channel_id: int) -> Callable[[int, bytes], None]:
-        """Return the function that adds a message of a channel to the open chunk: time in ns, 0 at least, and payload."""
+        """Return the function that adds a message of a channel to the open chunk: time in ns, 0 at least, and payload.
+
+        The log time counts from `start_ns`, and the publish time lies `behind_ns` after it.
+        """
         append, note, pack, frame, opcode = self._parts.append, self._noted.append, HEAD.pack, BEHIND, int(Opcode.MESSAGE)
         channels = (channel_id,)
 
@@ -155,11 +160,10 @@ class McapWriter:
             if self.closed:
                 self.refused += 1
                 return
-            if t_ns < 0:
-                t_ns = 0
+            log_ns = self.start_ns + t_ns if t_ns > 0 else self.start_ns
             size = len(payload)
-            append(pack(opcode, frame + size, channel_id, 0, t_ns, t_ns) + payload)
-            note((t_ns, channels, (MESSAGE_OVERHEAD + size,)))
+            append(pack(opcode, frame + size, channel_id, 0, log_ns, max(log_ns + self.behind_ns, 0)) + payload)
+            note((log_ns, channels, (MESSAGE_OVERHEAD + size,)))
             self.open_bytes += MESSAGE_OVERHEAD + size
 
         return add

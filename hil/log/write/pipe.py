@@ -1,9 +1,9 @@
 """Records from a loop to another process, through a pipe for which the loop never waits.
 
-A stream of frames, each a little-endian head (u32 payload length, u16 channel number, i64 time in ns) and the payload.
-Channel 0 carries events in JSON; two numbers at the top are ours: how many records the writer had to drop, and that it
-ended in good order. Writes of up to ``PIPE_BUF`` bytes are all or nothing, so a full pipe costs whole ticks and never
-the framing; a killed writer leaves a torn frame at most at the very end.
+A stream of frames, each a little-endian head (u32 payload length, u16 channel number, i64 nominal time in ns, i64 how much
+later it happened) and the payload. Channel 0 carries events; three numbers at the top are ours: when session time 0 was, how
+many records the writer had to drop, and that it ended in good order. Writes of up to ``PIPE_BUF`` bytes are all or nothing, so
+a full pipe costs whole ticks and never the framing; a killed writer leaves a torn frame at most at the very end.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from typing import Final
 
 from hil.log.events import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
-from hil.log.write.sinks import Put, Sink
+from hil.log.write.sinks import Dated, Put, Sink
 
 PIPE_BYTES: Final = 1 << 20
-_HEAD: Final = Struct("<IHq")
+_HEAD: Final = Struct("<IHqq")
 _EVENTS_ID: Final = 0
 _DROPPED_ID: Final = 0xFFFF
 _END_ID: Final = 0xFFFE
+_BEGIN_ID: Final = 0xFFFD
 _COUNT: Final = Struct("<Q")
 _MAX_PAYLOAD: Final = 1 << 24
 _READ_BYTES: Final = 1 << 18
@@ -46,7 +47,7 @@ class PipeSink:
         self._channels = channels
         self._records: list[bytes] = []
         self._rest = b""
-        self._unreported = 0
+        self._unreported = self._behind = 0
         os.set_blocking(fd, False)
         widen(fd)
 
@@ -61,16 +62,24 @@ class PipeSink:
         head, records = _HEAD.pack, self._records
 
         def put(t_ns: int, payload: bytes) -> None:
-            records.append(head(len(payload), number, t_ns) + payload)
+            records.append(head(len(payload), number, t_ns, self._behind) + payload)
 
         return put
+
+    def begin(self, wall_ns: int) -> None:
+        """See ``Dated``."""
+        self._records.append(_HEAD.pack(_COUNT.size, _BEGIN_ID, 0, 0) + _COUNT.pack(wall_ns))
+
+    def behind(self, ns: int) -> None:
+        """See ``Dated``."""
+        self._behind = ns
 
     def event(
         self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
     ) -> None:
         """See ``Sink``."""
         payload = encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data)
-        self._records.append(_HEAD.pack(len(payload), _EVENTS_ID, t_ns) + payload)
+        self._records.append(_HEAD.pack(len(payload), _EVENTS_ID, t_ns, self._behind) + payload)
 
     def commit(self) -> None:
         """See ``Sink``; hands the tick's records to the pipe, or counts them as dropped."""
@@ -94,7 +103,7 @@ class PipeSink:
             poll = select.poll()
             poll.register(self._fd, select.POLLOUT)
             poll.poll(timeout_s * 1000)
-            self._records.append(_HEAD.pack(0, _END_ID, 0))
+            self._records.append(_HEAD.pack(0, _END_ID, 0, 0))
             self.commit()
         os.close(self._fd)
         self._fd = -1
@@ -105,7 +114,7 @@ class PipeSink:
             return
         if self._unreported:
             t_ns = _HEAD.unpack_from(records[0])[2]
-            report = _HEAD.pack(_COUNT.size, _DROPPED_ID, t_ns) + _COUNT.pack(self._unreported)
+            report = _HEAD.pack(_COUNT.size, _DROPPED_ID, t_ns, 0) + _COUNT.pack(self._unreported)
             if not self._write(report):
                 self._drop(len(records))
                 return
@@ -255,8 +264,10 @@ def _takers(
 def _take(data: bytes, takers: Mapping[int, _Taker], sink: Sink, report: PumpReport) -> bytes | None:
     """Hand over every whole frame of ``data`` and return the rest, or None where the framing is lost."""
     at, end, head, records = 0, len(data), _HEAD.unpack_from, 0
+    dated = sink if isinstance(sink, Dated) else None
+    before = None
     while end - at >= _HEAD.size:
-        size, number, t_ns = head(data, at)
+        size, number, t_ns, behind = head(data, at)
         after = at + _HEAD.size + size
         if after > end:
             if size > _MAX_PAYLOAD:  # not ours; nothing behind it can be trusted
@@ -268,6 +279,9 @@ def _take(data: bytes, takers: Mapping[int, _Taker], sink: Sink, report: PumpRep
         at = after
         taker = takers.get(number)
         if taker is not None and (size == taker[1] if taker[1] is not None else size >= taker[2]):
+            if behind != before and dated is not None:
+                dated.behind(behind)
+                before = behind
             taker[0](t_ns, payload)
             report.last_ns = t_ns
             records += 1
@@ -278,9 +292,14 @@ def _take(data: bytes, takers: Mapping[int, _Taker], sink: Sink, report: PumpRep
                        severity="warning", records=lost)
         elif number == _END_ID and not size:
             report.complete = True
+        elif number == _BEGIN_ID and size == _COUNT.size:
+            if dated is not None:
+                dated.begin(_COUNT.unpack(payload)[0])
         else:
             report.malformed += 1
     report.records += records
+    if dated is not None:
+        dated.behind(0)  # of what this process says itself
     return data[at:]
 
 

@@ -44,6 +44,19 @@ class PacksRecords(Protocol):
         ...
 
 
+@runtime_checkable
+class Dated(Protocol):
+    """A sink that says when records happened, by the clock on the wall: in real time."""
+
+    def begin(self, wall_ns: int) -> None:
+        """Say when session time 0 was, in ns since 1970; once, before the first record."""
+        ...
+
+    def behind(self, ns: int) -> None:
+        """Say how much after its nominal time happened what is recorded next, ns."""
+        ...
+
+
 def record_to(sink: Sink, channel: Channel) -> Record | None:
     """Return the function that logs a record of a topic: time in ns, then its fields; None if nobody wants them."""
     if isinstance(sink, PacksRecords):

@@ -130,14 +130,16 @@ class LinkExchange:
         deadline_ns: how long the answer may take, ns.
         stopped: whether the run was ended from outside.
         now: session time, ns.
+        happened: told how much after the begin of its slot the question left, or a frame came, ns.
         drain: empty the link before every question: without a nonce (wire version 1) nothing else tells an answer from one
             that was sent ahead.
     """
 
     def __init__(
-        self, link: Link, listener: Listener, deadline_ns: int, stopped: Callable[[], bool], now: Now, drain: bool = False
-    ) -> None:
-        self._drain = drain
+        self, link: Link, listener: Listener, deadline_ns: int, stopped: Callable[[], bool], now: Now,
+        happened: Callable[[int], None] = lambda ns: None, drain: bool = False,
+    ) -> None:  # fmt: skip
+        self._drain, self._happened = drain, happened
         self._link, self._listener, self._deadline_ns, self._stopped, self._now = link, listener, deadline_ns, stopped, now
         self._sent_ns = 0
         self.round_trip_us = math.nan
@@ -154,6 +156,7 @@ class LinkExchange:
         for frame in frames:
             self._sent_ns = self._now()
             self._link.send(frame)
+        self._happened(self._sent_ns - t_ns)
 
     def answer(self, t_ns: int, hear: Hear) -> None:
         """Wait for the answer until the deadline; what is read after it is never applied."""
@@ -167,9 +170,12 @@ class LinkExchange:
             if data is None:
                 continue
             frames += 1
+            self._happened(now - t_ns)
             if now > deadline:
                 self._listener.hear_late(data)
             elif hear(data):
                 self.round_trip_us = (now - self._sent_ns) / 1e3
                 break
+        if not frames:
+            self._happened(now - t_ns)
         self.waited_ns = now - begin

@@ -24,7 +24,7 @@ from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
 from hil.runtime.slot import Hear, Slot
-from hil.runtime.time.clock import RealClock, monotonic_ns
+from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
 from hil.runtime.virtual import DirectExchange
 from transport.links.link import Link, TransportError, wire_version
@@ -54,7 +54,9 @@ class RealLoop:
     def __init__(self, job: Job, link: Link, sink: PipeSink, wire: Wire) -> None:
         e = job.loop.experiment
         channels = job.loop.channels()
-        self.clock = RealClock(monotonic_ns() + SETTLE_NS)
+        start_ns = monotonic_ns() + SETTLE_NS
+        self.clock = RealClock(start_ns)
+        sink.begin(wall_clock_ns(start_ns))
         self.kernel = Kernel(self.clock)
         self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire)
         self.overruns = 0
@@ -64,7 +66,7 @@ class RealLoop:
         self._woken_ns = self._late = 0
         deadline_ns = round(e.timing.deadline * e.period_ns)
         self._exchange = LinkExchange(
-            link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, drain=wire.version == 1
+            link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, sink.behind, wire.version == 1
         )
         self._slot = Slot(self.rig, self._exchange, self._commit, lambda: self.kernel.stopped)
         self.kernel.every(e.period_ns, e.ticks, self._run)
@@ -148,9 +150,9 @@ def main() -> None:
                 sys.stderr.write(f"hil: {greeting.foreign} frames that are no answer came on {job.uri} meanwhile\n")
             sink.close()
             raise SystemExit(NOBODY)
+        real = RealLoop(job, link, sink, wire)
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
         sink.commit()
-        real = RealLoop(job, link, sink, wire)
         loops.append(real)
         if not stopped:
             real.kernel.run()

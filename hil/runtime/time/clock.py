@@ -81,3 +81,8 @@ def pause(seconds: float) -> None:
 def wall_clock() -> str:
     """Return the date and time in UTC, ISO 8601: provenance of real-time runs only."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+
+
+def wall_clock_ns(monotonic: int) -> int:
+    """Return what the clock on the wall says, ns since 1970, at an instant of ``CLOCK_MONOTONIC``: provenance likewise."""
+    return time.time_ns() + monotonic - time.monotonic_ns()

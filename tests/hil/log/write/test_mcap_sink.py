@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from hil.bench.plain_log import PlainSink
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.log.events import decode_event
 from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import commit
@@ -56,7 +56,7 @@ def test_provenance_travels_inside(tmp_path: Path) -> None:
     assert run.resolved == {"period": 0.001, "limits": {"voltage": 24.0}}
     assert run.certificate == {"radius": 0.9}
     own = {"commit": commit()} if commit() else {}  # an installed package has none
-    assert run.metadata == own | {"format": "1", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
+    assert run.metadata == own | {"format": "2", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
     assert run.versions["numpy"] == np.__version__
     assert run.codes["reason"] == ["delivered", "lost"]
     assert run.summary["metrics"] == {"sse": 1.5}
@@ -83,7 +83,7 @@ def test_mcaps_own_reader_and_its_ros2_decoder_read_the_file(tmp_path: Path) -> 
                 got = bytes(got) if name == "data" else got
                 assert got == expected[name] or (got != got and expected[name] != expected[name])
         assert seen == {topic: len(array) for topic, array in same.arrays.items()}
-        events = [json.loads(m.data) for _, c, m in reader.iter_messages(topics=["/events"])]
+        events = [decode_event(m.data) for _, c, m in reader.iter_messages(topics=["/events"])]
         assert events == same.events
 
 
@@ -231,7 +231,7 @@ def test_what_is_kept_is_what_the_file_says(tmp_path: Path) -> None:
         for field in array.dtype.names:
             np.testing.assert_array_equal(array[field], run.arrays[topic][field])
     assert arrays["/network/sc"].dtype.names == ("t_ns", "mode", "reason")
-    assert [json.loads(payload) for payload in sink.kept.events] == run.events
+    assert [decode_event(payload) for payload in sink.kept.events] == run.events
     with pytest.raises(ValueError, match="/link/sensor"):
         McapSink(tmp_path / "none.mcap", TABLE, provenance(), keep={"/link/sensor": None})
 

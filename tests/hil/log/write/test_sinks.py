@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.log.events import encode_event, plain
+from hil.log.events import decode_event, encode_event, plain
 from hil.log.read.run import Run
 from hil.log.write.sinks import MemorySink, TeeSink
 from tests.hil.log.recording import TABLE, assert_same_arrays, record
@@ -30,19 +30,19 @@ _values = st.recursive(
 
 @settings(max_examples=30, deadline=None)
 @given(st.text(), st.text(), st.dictionaries(st.text(), _values))
-def test_every_event_becomes_strict_json(kind: str, message: str, data: dict[str, Any]) -> None:
-    def refuse(name: str) -> None:
-        raise AssertionError(f"{name} is no JSON")
-
-    event = json.loads(encode_event(1_500_000_000, kind, message, data=data), parse_constant=refuse)
+def test_every_event_carries_strict_json(kind: str, message: str, data: dict[str, Any]) -> None:
+    event = decode_event(encode_event(1_500_000_000, kind, message, data=data))
     assert event["t_s"] == 1.5
     assert set(event) == {"tick", "t_s", "kind", "severity", "message", "data"}
+    json.dumps(event["data"], allow_nan=False)
+    if "\0" not in kind and kind.isprintable():
+        assert event["kind"] == kind
 
 
 def test_an_event_with_endless_nesting_is_kept() -> None:
     endless: list[Any] = []
     endless.append(endless)
-    assert json.loads(encode_event(0, "a", "b", data={"endless": endless}))["kind"] == "a"
+    assert decode_event(encode_event(0, "a", "b", data={"endless": endless}))["kind"] == "a"
 
 
 def test_values_that_python_will_not_print_are_kept_in_an_event() -> None:
@@ -50,13 +50,13 @@ def test_values_that_python_will_not_print_are_kept_in_an_event() -> None:
         def __str__(self) -> str:
             raise RuntimeError("no")
 
-    data = json.loads(encode_event(0, "a", "b", data={"n": 16**5000, "rude": Rude()}))["data"]
+    data = decode_event(encode_event(0, "a", "b", data={"n": 16**5000, "rude": Rude()}))["data"]
     assert data["n"] == hex(16**5000)
     assert data["rude"] == "<Rude>"
 
 
 def test_lone_surrogates_in_an_event_are_kept_readable() -> None:
-    assert json.loads(encode_event(0, "\ud800", "b", data={}))["kind"] == "\ud800"
+    assert decode_event(encode_event(0, "\ud800", "b", data={}))["kind"] == "\\ud800"
 
 
 def test_numbers_that_are_not_finite_become_text() -> None:
