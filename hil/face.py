@@ -222,7 +222,7 @@ def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
 
     Args:
         session: a finished run.
-        side: "sc" (sensor to controller) or "ca" (controller to actuator).
+        side: "sc" (sensor to controller), "ca" (controller to actuator), or the name of a sensor node.
         alpha: largest probability of a wrong failure.
 
     Returns:
@@ -232,9 +232,11 @@ def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
         AssertionError: if the p-value is below ``alpha``.
         HilError: another side, or a law that has no test or too short a record for it.
     """
-    if side not in ("sc", "ca"):
-        raise HilError(f"assert_law: side {side!r}; expected 'sc' or 'ca'")
-    found = session.summary["network"][side]
+    network = session.summary["network"]
+    sides = {"sc": network["sc"], "ca": network["ca"], **network["nodes"]}
+    if side not in sides:
+        raise HilError(f"assert_law: side {side!r}; expected one of {', '.join(map(repr, sides))}")
+    found = sides[side]
     p_value = found["p_value"]
     if p_value is None:
         raise HilError(f"assert_law: {side}: the law {found['law']!r} has no test, or the run is too short for it")

@@ -225,10 +225,9 @@ def _summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
     """Return what a summary needs of a log in virtual time, topic to fields (None: all); None where it needs raw frames."""
     table = loop.channels()
     keep: dict[str, Sequence[str] | None] = dict.fromkeys((MEASUREMENT, REFERENCE, APPLIED, TIMING))
-    for side, law in (("sc", loop.sc_law), ("ca", loop.ca_law)):
-        keep[f"/network/{side}"] = ("mode", "reason") if law.family == "age" else None
-    if loop.experiment.nodes:
-        keep["/network/sc"] = None  # the load of each node is summed up from it
+    for topic, laws in (("/network/sc", [sensor.law for sensor in loop.sensors]), ("/network/ca", [loop.ca_law])):
+        counted = [name for name in table[topic].schema.dtype.names or () if name in ("mode", "node", "reason")]
+        keep[topic] = counted if all(law.family == "age" for law in laws) else None
     keep |= dict.fromkeys({topic for measure in measures_of(loop.experiment) for topic in measure.topics} - {EVENTS_TOPIC})
     return None if any(table[topic].schema.raw for topic in keep) else keep
 

@@ -3,13 +3,17 @@
 from design.controllers.contract import (
     Controller,
     CountsSojourns,
+    FromSamples,
     Gains,
     GainTable,
+    HistoryGains,
     IntegralAction,
+    Known,
     LoopModel,
     ModeSchedule,
     Rows,
     RunningController,
+    Sample,
     Selection,
     SeveralSamples,
     TellsAges,
@@ -24,7 +28,7 @@ from design.controllers.historical import Historical
 from design.controllers.linear_law import LinearFeedback, LinearLaw, OutputFeedback
 from design.controllers.published_motor import PublishedH2, PublishedHinf
 from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nested
-from design.controllers.sensor_nodes import FromSamples, HistoryGains, Known, Sample, SensorNodes, Turns
+from design.controllers.sensor_nodes import SensorNodes, Turns
 
 __all__ = [
     "Constant", "Controller", "CountsSojourns", "FromSamples", "GainIndex", "GainTable", "Gains", "Historical",

@@ -23,15 +23,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.scheduled_gain import ScheduledGain
-
-if TYPE_CHECKING:
-    from design.controllers.sensor_nodes import FromSamples, SensorNodes
+from design.controllers.sensor_nodes import SensorNodes, Uses, one_node
 
 Selection = Literal["constant", "generated", "applied", "previous", "both"]
 Rows = tuple[tuple[float, ...], ...]
@@ -55,7 +53,7 @@ class LoopModel:
         A, B, C: shapes (n, n), (n, m), (p, n). Nominal plant, zero-order hold at ``period_s``.
         period_s: sample period T, s.
         tau_max, d_max: largest sensor-to-controller and controller-to-actuator delays, samples.
-        sensors: the sensor nodes, None where one measures every output and sends in every slot.
+        sensors: the sensor nodes, None where one measures every output and sends in every slot; read them as ``nodes``.
     """
 
     A: NDArray[np.float64]
@@ -65,6 +63,11 @@ class LoopModel:
     tau_max: int
     d_max: int
     sensors: SensorNodes | None = None
+
+    @property
+    def nodes(self) -> SensorNodes:
+        """The sensor nodes, by number: one or more."""
+        return one_node(self.C.shape[0]) if self.sensors is None else self.sensors
 
 
 class RunningController(Protocol):
@@ -77,6 +80,45 @@ class RunningController(Protocol):
 
         Where the parameters say ``samples = 2``, y holds y(k - tau), then y(k - tau - 1).
         """
+        ...
+
+
+class Sample(NamedTuple):
+    """What one node measured in one slot.
+
+    Attributes:
+        node: number of the node, from 0.
+        slot: slot of the measurement.
+        values: one entry per output of the node, in the outputs' units.
+    """
+
+    node: int
+    slot: int
+    values: tuple[float, ...]
+
+
+class Known(NamedTuple):
+    """What a controller knows in a slot.
+
+    Attributes:
+        samples: what has arrived, newest first: of each node every sample that is at most `memory` slots old, and its newest one.
+        reference: one entry per output.
+    """
+
+    samples: tuple[Sample, ...]
+    reference: tuple[float, ...]
+
+
+@runtime_checkable
+class FromSamples(Protocol):
+    """A running controller that is told which node measured what and when; any number of nodes serves it."""
+
+    selection: Selection
+    memory: int
+    """Age in slots of the oldest sample that it uses."""
+
+    def rows(self, k: int, known: Known) -> Rows:
+        """Return one row of m inputs per row index; called once a slot, in order, once a sample is known."""
         ...
 
 
@@ -113,6 +155,19 @@ class ModeSchedule(Protocol):
 
     def schedule_of_modes(self) -> ScheduledGain:
         """Return K(mode, h); the controller counts h from the sample that showed the mode first."""
+        ...
+
+
+@runtime_checkable
+class HistoryGains(Protocol):
+    """Gains over what scheduled nodes have sent: u(k) = sum_j K[i, j] y(k - j); certified where the state is measured."""
+
+    uses: Uses
+
+    def start(self, model: LoopModel) -> FromSamples | RunningController: ...
+
+    def history(self) -> NDArray[np.float64]:
+        """Return K[phase, j, m, p]; a phase is a turn of the cycle, or the node whose packet has just come."""
         ...
 
 

@@ -15,9 +15,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers.contract import LoopModel, Rows, Selection
+from design.controllers.contract import Known, LoopModel, Rows, Selection
 from design.controllers.packet_window import PacketWindow, window_of
-from design.controllers.sensor_nodes import Known, SensorNodes, Turns, Uses
+from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
 from design.errors import FieldError
 
 History = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [phase][j][m][p]
@@ -68,12 +68,10 @@ class Historical:
         Raises:
             ValueError: gains that do not fit the plant or its nodes.
         """
-        K, nodes = self.history(), model.sensors
+        K, nodes = self.history(), model.nodes
         m, p = model.B.shape[1], model.C.shape[0]
         if K.shape[2:] != (m, p):
             raise FieldError("gains", f"{K.shape[2]} x {K.shape[3]} matrices, but the plant has {m} inputs and {p} outputs")
-        if nodes is None:
-            raise FieldError("gains", "over historical data they need sensor nodes: [nodes.NAME] outputs, buffer")
         if nodes.mixed:
             raise FieldError("gains", "over historical data need all nodes on one medium, or none on any")
         if self.uses == "last-packets":
@@ -106,7 +104,7 @@ def phase_at(turns: Turns | None, k: int) -> int:
 
 
 class HistoricalRun:
-    """The controller while it runs, see `design.controllers.sensor_nodes.FromSamples`."""
+    """The controller while it runs, see `design.controllers.contract.FromSamples`."""
 
     def __init__(self, K: NDArray[np.float64], nodes: SensorNodes, uses: Uses, window: PacketWindow | None = None) -> None:
         self._window = window

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from design.controllers.contract import LoopModel, Rows, RunningController
-from design.controllers.sensor_nodes import Known
-from design.errors import FieldError
+from design.controllers.contract import Known, LoopModel, Rows, RunningController
 
 
 class NodeGainRows:
@@ -25,9 +23,7 @@ class NodeGainRows:
     memory = 0
 
     def __init__(self, running: RunningController, model: LoopModel, ages: Sequence[int], rows: int) -> None:
-        nodes = model.sensors
-        if nodes is None:
-            raise FieldError("ages", "of several sensor nodes: [nodes.NAME] outputs")
+        nodes = model.nodes
         self.selection = running.selection
         self._rows, self._ages, self._outputs = running.rows, tuple(ages), nodes.outputs
         self._waited = {i for i, name in enumerate(nodes.names) if name not in nodes.silent}

@@ -11,10 +11,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers.contract import Gains, LoopModel, Rows, RunningController, Selection, row_count
+from design.controllers.contract import FromSamples, Gains, LoopModel, Rows, RunningController, Selection, row_count
 from design.controllers.gain_rows_many import GainRowsOfMany, dot, feedforward, sojourn_ranges
 from design.controllers.node_gain_rows import NodeGainRows
-from design.controllers.sensor_nodes import FromSamples
 from design.errors import FieldError
 
 
@@ -133,7 +132,7 @@ class SendAll:
                 f"for selection {self.selection!r} with d up to {model.d_max}",
             )
         if self.ages:
-            count = 1 if model.sensors is None else len(model.sensors.names)
+            count = len(model.nodes.names)
             if len(self.ages) != count:
                 raise FieldError("ages", f"{list(self.ages)}, expected one number for each of {count} sensor nodes")
         elif len(self.sojourns or K) < model.tau_max + 1:
@@ -142,7 +141,7 @@ class SendAll:
 
     def start(self, model: LoopModel) -> RunningController | FromSamples:
         running = GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
-        if not self.ages or model.sensors is None:
+        if len(self.ages) < 2:  # of one node, the age is tau itself
             return running
         return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max))
 

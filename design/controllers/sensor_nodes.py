@@ -1,55 +1,11 @@
-"""Several sensor nodes, as a controller sees them: who measures what, who may send when, and what has arrived."""
+"""The sensor nodes of a rig: who measures what, and who may send when."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
-
-import numpy as np
-from numpy.typing import NDArray
-
-from design.controllers.contract import LoopModel, Rows, RunningController, Selection
+from typing import Literal
 
 Uses = Literal["history", "current-packet", "last-packets"]
-
-
-class Sample(NamedTuple):
-    """What one node measured in one slot.
-
-    Attributes:
-        node: number of the node, from 0.
-        slot: slot of the measurement.
-        values: one entry per output of the node, in the outputs' units.
-    """
-
-    node: int
-    slot: int
-    values: tuple[float, ...]
-
-
-class Known(NamedTuple):
-    """What a controller knows in a slot.
-
-    Attributes:
-        samples: what has arrived, newest first: of each node every sample that is at most `memory` slots old, and its newest one.
-        reference: one entry per output.
-    """
-
-    samples: tuple[Sample, ...]
-    reference: tuple[float, ...]
-
-
-@runtime_checkable
-class FromSamples(Protocol):
-    """A running controller that is told which node measured what and when; any number of nodes serves it."""
-
-    selection: Selection
-    memory: int
-    """Age in slots of the oldest sample that it uses."""
-
-    def rows(self, k: int, known: Known) -> Rows:
-        """Return one row of m inputs per row index; called once a slot, in order, once a sample is known."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +42,7 @@ class Turns:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorNodes:
-    """The sensor nodes of a rig.
+    """The sensor nodes of a rig, one or more.
 
     Args:
         names: of the nodes, by number.
@@ -109,14 +65,10 @@ class SensorNodes:
     unforeseen: str = ""
 
 
-@runtime_checkable
-class HistoryGains(Protocol):
-    """Gains over what scheduled nodes have sent: u(k) = sum_j K[i, j] y(k - j); certified where the state is measured."""
+def one_node(outputs: int) -> SensorNodes:
+    """Return the only node of a rig, which measures so many outputs and sends in every slot.
 
-    uses: Uses
-
-    def start(self, model: LoopModel) -> FromSamples | RunningController: ...
-
-    def history(self) -> NDArray[np.float64]:
-        """Return K[phase, j, m, p]; a phase is a turn of the cycle, or the node whose packet has just come."""
-        ...
+    >>> one_node(2).outputs
+    ((0, 1),)
+    """
+    return SensorNodes(names=("sensor",), outputs=(tuple(range(outputs)),), buffers=(1,), delays=(None,))

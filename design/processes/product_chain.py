@@ -35,6 +35,8 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
     every = [output for own in outputs for output in own]
     if len(outputs) != len(chains) or sorted(every) != list(range(len(every))) or not every:
         raise FieldError("outputs", f"{[list(own) for own in outputs]}, expected every output once, on {len(chains)} nodes")
+    if len(chains) == 1 and not told:
+        return chains[0]
     modes = prod(chain.modes for chain in chains)
     if modes > MOST_MODES:
         raise FieldError("transition", f"the delays of {len(chains)} nodes have {modes} modes together, at most {MOST_MODES}")
@@ -51,8 +53,6 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
             if chain.max_delay >= count:
                 raise FieldError(f"told[{node}]", f"{count} ages, but the delay of this node reaches {chain.max_delay}")
         label = np.ravel_multi_index(tuple(own), tuple(told))
-    elif len(chains) == 1 and not np.array_equal(chains[0].label, chains[0].delay):
-        label = chains[0].label
     exact = all(chain.between is None for chain in chains)
     low, high = ([chain.bounds[side] for chain in chains] for side in (0, 1))
     return DelayChain(

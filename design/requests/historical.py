@@ -75,9 +75,7 @@ class HistoricalDesigned:
             with_lost_turns,
         )
 
-        nodes, plant = task.model.sensors, task.delayed_plant
-        if nodes is None:
-            raise FieldError("kind", "needs sensor nodes: [nodes.NAME] outputs, buffer")
+        nodes, plant = task.model.nodes, task.delayed_plant
         if plant is None or task.initial_state is None:
             raise FieldError("kind", "needs a plant in slots whose state is measured, with a cost (state_delays, cost_weights)")
         m = plant.B.shape[1]

@@ -91,7 +91,7 @@ class Designed:
             FieldError: names the field.
         """
         model, sc, ca = task.model, task.sc, task.ca
-        p, nodes = model.C.shape[0], model.sensors
+        p, several = model.C.shape[0], len(model.nodes.names) > 1
         if self.output_weights and len(self.output_weights) != p:
             raise FieldError("output_weights", f"{len(self.output_weights)} entries, but the plant has {p} outputs")
         if self.integral and p > model.B.shape[1]:
@@ -106,15 +106,15 @@ class Designed:
             )  # fmt: skip
         if sc is None or ca is None:
             said = "a design needs age laws with a chain on both links, not packet laws or traces"
-            raise FieldError("kind", said + (", and nodes that send in every slot" if nodes is not None else ""))
+            raise FieldError("kind", said + (", and nodes that send in every slot" if several else ""))
         ages: tuple[int, ...] = ()
-        if nodes is not None and self.sojourns > 1:
+        if several and self.sojourns > 1:
             raise FieldError("sojourns", "of one sensor node only; over several the gain depends on their ages")
-        if nodes is not None and self.node_ages == "each":
+        if several and self.node_ages == "each":
             from design.processes.product_chain import product_chain
 
             ages = tuple(chain.max_delay + 1 for chain in task.sc_nodes)
-            sc = product_chain(task.sc_nodes, nodes.outputs, ages)
+            sc = product_chain(task.sc_nodes, model.nodes.outputs, ages)
         from design.tracking.cache import solve_cached
         from design.tracking.synthesis import TrackingProblem
 

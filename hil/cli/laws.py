@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+
+if TYPE_CHECKING:
+    from transport.laws.analysis import LawAnalysis
+    from transport.laws.protocols import NetworkLaw
 
 NEGLIGIBLE = 1e-6
 
@@ -19,29 +24,37 @@ NEGLIGIBLE = 1e-6
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
-    """Show stationary law, mean bursts, ages and losses of both directions of EXPERIMENT's network."""
+    """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
+    from hil.compose.law_files import with_law_files
+    from hil.compose.sensors import sensors_of
     from hil.experiment import load_experiment
     from transport.laws.analysis import analyse_law
     from transport.laws.modes import mode_transitions
 
-    checked = load_experiment(experiment, sets)
+    checked = with_law_files(load_experiment(experiment, sets))
     period_s = float(checked.period)
     deadline_s = checked.timing.deadline * period_s
-    directions = {
-        side: analyse_law(direction.law, period_s, deadline_s)
-        for side, direction in (("sc", checked.links.sc), ("ca", checked.links.ca))
-    }
+    sensors = sensors_of(checked)
+    networks = {sensor.name: sensor.law for sensor in sensors}
+
+    def told(law: NetworkLaw) -> dict[str, Any]:
+        matrix = mode_transitions(law)
+        found: dict[str, Any] = _json(asdict(analyse_law(law, period_s, deadline_s)))
+        return found | {"transition_matrix": None if matrix is None else matrix.tolist()}
+
     if as_json:
-        laws = {side: _json(asdict(analysis)) for side, analysis in directions.items()}
-        for side, direction in (("sc", checked.links.sc), ("ca", checked.links.ca)):
-            matrix = mode_transitions(direction.law)
-            laws[side]["transition_matrix"] = None if matrix is None else matrix.tolist()
-        print(json.dumps({"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws}, indent=2))
+        laws = {"sc": told(checked.links.sc.law), "ca": told(checked.links.ca.law)}
+        nodes = {name: laws["sc"] if law is checked.links.sc.law else told(law) for name, law in networks.items()}
+        said = {"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes}
+        print(json.dumps(said, indent=2))
         return
-    _print(checked.name, period_s, directions)
+    way = "sensor to controller (sc)"
+    titled = {way if len(sensors) == 1 else f"node {name}, {way}": law for name, law in networks.items()}
+    titled["controller to actuator (ca)"] = checked.links.ca.law
+    _print(checked.name, period_s, {title: analyse_law(law, period_s, deadline_s) for title, law in titled.items()})
 
 
-def _print(name: str, period_s: float, directions: dict[str, Any]) -> None:
+def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis]) -> None:
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -49,9 +62,8 @@ def _print(name: str, period_s: float, directions: dict[str, Any]) -> None:
     from hil.cli.terminal import visible
 
     console = Console()
-    titles = {"sc": "sensor to controller (sc)", "ca": "controller to actuator (ca)"}
-    for side, law in directions.items():
-        head = f"[bold]{escape(visible(name))}[/bold], {titles[side]}: {law.kind} law, T = {period_s * 1e3:g} ms"
+    for title, law in networks.items():
+        head = f"[bold]{escape(visible(name))}[/bold], {escape(title)}: {law.kind} law, T = {period_s * 1e3:g} ms"
         console.print(head, highlight=False)
         if law.stationary:
             table = Table()

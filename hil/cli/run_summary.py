@@ -34,10 +34,11 @@ def show(summary: dict[str, Any]) -> None:
         else:
             unit = units.get(name, "")
             row(name, number(value) + (f" {unit}" if unit and value is not None else ""))
-    for side in ("sc", "ca"):
-        n = summary["network"][side]
+    nodes = summary["network"]["nodes"]
+    ways = {f"network sc {name}" if len(nodes) > 1 else "network sc": found for name, found in nodes.items()}
+    for name, n in (ways | {"network ca": summary["network"]["ca"]}).items():
         row(
-            f"network {side}",
+            name,
             f"{n['law']}, modes {n['mode_counts']}, p = {number(n['p_value'])}, "
             f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}",
         )

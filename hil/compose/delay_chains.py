@@ -26,31 +26,39 @@ def delay_chains(e: Experiment) -> tuple[DelayChain | None, DelayChain | None]:
     Raises:
         ValueError: the controller asks for more than it can measure over this law.
     """
-    ca = delay_chain(e.links.ca.law)
-    if not e.nodes:
-        return delay_chain(e.links.sc.law, sojourns_told(e.controller)), ca
-    chains = node_chains(e)
+    chains, ca = node_chains(e), delay_chain(e.links.ca.law)
     if chains is None:
         return None, ca
     from design.processes.product_chain import product_chain
 
-    return product_chain(chains, [sensor.outputs or () for sensor in sensors_of(e, 1)], ages_told(e.controller)), ca
+    return product_chain(chains, [sensor.outputs for sensor in sensors_of(e)], ages_told(e.controller)), ca
 
 
-def node_chains(e: Experiment) -> tuple[DelayChain, ...] | None:
+def node_chains(e: Experiment, sojourns: int | Sequence[int] | None = None) -> tuple[DelayChain, ...] | None:
     """Return the delay chain of each sensor node by its number.
 
-    None where a law has no chain, where nodes take turns or may keep silent, or where the chains together have more modes than
-    the theory computes with.
+    None where a law has no chain, where nodes take turns or may keep silent, or where the chains of several nodes together have
+    more modes than the theory computes with.
+
+    Args:
+        e: checked, its laws loaded.
+        sojourns: of one node: lengths of stay with labels of their own; by default those that the controller tells apart.
+
+    Raises:
+        ValueError: the controller asks for more than it can measure over this law.
     """
     from design.processes.product_chain import MOST_MODES
 
-    sensors = sensors_of(e, 1)
+    sensors = sensors_of(e)
     if shared_media(e) or any(sensor.trigger.kind != "every-slot" or sensor.clock.every > 1 for sensor in sensors):
         return None
-    chains = [delay_chain(sensor.law) for sensor in sensors]
+    if sojourns is None:
+        sojourns = sojourns_told(e.controller) if len(sensors) == 1 else ()
+    chains = [delay_chain(sensor.law, sojourns) for sensor in sensors]
     known = tuple(chain for chain in chains if chain is not None)
-    return known if len(known) == len(chains) and prod(chain.modes for chain in known) <= MOST_MODES else None
+    if len(known) < len(chains) or (len(known) > 1 and prod(chain.modes for chain in known) > MOST_MODES):
+        return None
+    return known
 
 
 def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayChain | None:
@@ -95,17 +103,13 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayCha
 
 def initial_laws(e: Experiment) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return the distributions of the modes of both delay chains in slot 0, None where a law has no chain."""
-    ca = delay_states(e.links.ca.law)
-    known = [states.initial for states in map(delay_states, _sensor_laws(e)) if states is not None]
-    if ca is None or len(known) < len(_sensor_laws(e)):
+    ca, sensors = delay_states(e.links.ca.law), sensors_of(e)
+    known = [states.initial for states in (delay_states(sensor.law) for sensor in sensors) if states is not None]
+    if ca is None or len(known) < len(sensors):
         return None
     from design.processes.product_chain import kron_of
 
     return kron_of(known), ca.initial
-
-
-def _sensor_laws(e: Experiment) -> list[NetworkLaw]:
-    return [sensor.law for sensor in sensors_of(e, 1)] if e.nodes else [e.links.sc.law]
 
 
 def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:

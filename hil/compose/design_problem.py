@@ -66,21 +66,21 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
         period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:
-        from hil.compose.delay_chains import delay_chain
+        from hil.compose.delay_chains import delay_chain, node_chains
         from hil.experiment import load_experiment
 
         experiment = load_experiment(name)
-        if experiment.nodes:  # the law of links.sc is not that of the nodes
+        if len(experiment.nodes) > 1:
             raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
         plant = experiment.plant
         period = period_s if period_s is not None else float(experiment.period)
         try:
-            sc_found, ca_found = delay_chain(experiment.links.sc.law, sojourns), delay_chain(experiment.links.ca.law)
+            chains, ca_found = node_chains(experiment, sojourns), delay_chain(experiment.links.ca.law)
         except ValueError as error:
             raise HilError(f"{name}: {error}") from None
-        if sc_found is None or ca_found is None:
+        if chains is None or ca_found is None:
             raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
-        sc, ca = sc_found, ca_found
+        (sc,), ca = chains, ca_found
         name = experiment.kinds.get("plant", name)
     if not (np.isfinite(period) and period > 0):
         raise HilError(f"--period: {period:g} s, expected a number > 0")

@@ -28,9 +28,9 @@ def judge_historical(loop: Loop, *, orders: bool = False) -> dict[str, Any]:
     from design.historical_data.lifted_loop import close
     from design.historical_data.orders import orders_by_cost
 
-    controller, nodes, name = loop.controller, loop.model.sensors, loop.experiment.name
+    controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
     plant = delayed_plant_of(loop.experiment.plant, loop.model)
-    if not isinstance(controller, HistoryGains) or nodes is None or plant is None:
+    if not isinstance(controller, HistoryGains) or plant is None:
         raise HilError(f"{name}: several sensor nodes; hil design judges gains over historical data, of a plant that measures "
                        "its state; hil run solves others by kind = 'designed'")  # fmt: skip
     if loop.verdict is None or not loop.verdict.certified:

@@ -67,8 +67,8 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
 
     The cost in the details is that of the run: from the plant's first state, in the schedule's first phase.
     """
-    controller, nodes = loop.controller, loop.model.sensors
-    if not isinstance(controller, HistoryGains) or nodes is None:
+    controller, nodes = loop.controller, loop.model.nodes
+    if not isinstance(controller, HistoryGains):
         return None
     from design.historical_data.guaranteed_cost import Start, certify_cost
     from design.historical_data.packet_windows import window_chain, window_start, window_undecided

@@ -37,7 +37,7 @@ def certify_jump_loop(loop: LoopToCertify) -> Verdict | None:
         return None
     if not isinstance(plant, JumpPlant):
         return undecided(loop, KIND, "no certificate covers gains by mode over a plant that does not jump")
-    if loop.model.sensors is not None and len(loop.model.sensors.names) > 1:
+    if len(loop.model.nodes.names) > 1:
         return undecided(loop, KIND, "no certificate covers gains by mode over several sensor nodes")
     if loop.sc is None or loop.ca is None:
         return undecided(loop, KIND, "no certificate covers this kind of network law")

@@ -30,6 +30,7 @@ from hil.compose.certify import certify, digest_of
 from hil.compose.delay_chains import delay_chains, node_chains
 from hil.compose.historical_loop import delayed_plant_of, mask_faults
 from hil.compose.jump_plant import process_of, system_of
+from hil.compose.law_files import with_law_files
 from hil.compose.port import Port, port_of
 from hil.compose.sensors import Sensor, Shared, node_faults, sensor_nodes, sensors_of, shared_media
 from hil.compose.time_line import time_line_faults
@@ -40,7 +41,7 @@ from hil.experiment.check import fault_at
 from hil.experiment.protocols import Designer, JumpPlant
 from hil.log.records import Channel, channels
 from plants.errors import PlantError
-from transport.laws.protocols import NetworkLaw, load_files, prepare, slots_served
+from transport.laws.protocols import NetworkLaw, prepare
 from transport.packets import MAX_OUTPUTS
 
 if TYPE_CHECKING:
@@ -55,11 +56,11 @@ class Loop:
         experiment: the checked description.
         model: what the controller knows of the plant, and the bounds of both delays.
         controller: controller parameters, with any design already solved.
-        sc_law, ca_law: the network laws, distributions tabulated: no process that keeps time computes them.
+        ca_law: the network to the actuator, distributions tabulated: no process that keeps time computes them.
         rows: rows in one send-all packet.
         selection: how the actuator picks one of them.
-        samples: samples in one sensor packet: the newest, and so many less one before it.
-        sensors: the sensor nodes, by number.
+        samples: samples that the controller takes from a node: the newest, and so many less one before it.
+        sensors: the sensor nodes, by number, their laws tabulated too.
         media: what they share on their way to the controller.
         verdict: what is claimed of the closed loop, None if nobody asked.
         port: force and position of a device under one force, None for another plant.
@@ -68,7 +69,6 @@ class Loop:
     experiment: Experiment
     model: LoopModel
     controller: Controller
-    sc_law: NetworkLaw
     ca_law: NetworkLaw
     rows: int
     selection: str
@@ -94,11 +94,11 @@ class Loop:
     def channels(self) -> dict[str, Channel]:
         """Return the topics that a run of this loop logs."""
         plant = self.experiment.plant
-        named = bool(self.experiment.nodes)
         passivity = self.experiment.limits.passivity is not None
         return channels(
-            states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows, nodes=named, passivity=passivity
-        )
+            states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows,
+            numbered=any(sensor.numbered for sensor in self.sensors), passivity=passivity,
+        )  # fmt: skip
 
     def reference(self) -> Callable[[int], tuple[float, ...]]:
         """Return the reference as a function of the slot."""
@@ -154,7 +154,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
     faults = _faults(experiment)
     if faults:
         raise ExperimentError(experiment.name, faults)
-    experiment = _loaded(experiment)
+    experiment = with_law_files(experiment)
     plant, links = experiment.plant, experiment.links
     try:
         discrete = plant.model().discretise(float(experiment.period))
@@ -180,16 +180,15 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         sc, ca = delay_chains(experiment)
         samples = packet_samples(controller)
         _check_references(experiment, controller, model)
-        if not experiment.nodes and isinstance(running, FromSamples):
-            raise FieldError("kind", "it takes samples of named sensor nodes: [nodes.NAME] outputs, buffer")
-        if experiment.nodes and samples > 1:
-            raise FieldError("samples", "a controller of one sensor takes one sample where several nodes measure")
+        sensors = tuple(sensor.prepared() for sensor in sensors_of(experiment))
+        if samples > 1 and (len(sensors) > 1 or sensors[0].buffer < samples):
+            raise FieldError("samples", f"{samples} in one packet, but no node alone sends so many samples of every output")
         if not 1 <= samples * len(plant.outputs) <= MAX_OUTPUTS:
             raise FieldError("samples", f"{samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
     except (ValueError, DesignError) as e:
         raise ExperimentError(experiment.name, [fault_at("controller", e)]) from e
-    if isinstance(controller, HistoryGains) and model.sensors is not None:
-        unknown = mask_faults(controller, model.sensors)
+    if isinstance(controller, HistoryGains):
+        unknown = mask_faults(controller, model.nodes)
         if unknown:
             raise ExperimentError(experiment.name, unknown)
     verdict = _certified(experiment, controller, model, sc, ca) if certify else None
@@ -197,34 +196,15 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         experiment=experiment,
         model=model,
         controller=controller,
-        sc_law=prepare(links.sc.law),
         ca_law=prepare(links.ca.law),
         rows=row_count(running.selection, model.d_max),
         selection=running.selection,
         samples=samples,
-        sensors=sensors_of(experiment, samples),
+        sensors=sensors,
         media=shared_media(experiment),
         verdict=verdict,
         port=port_of(plant),
     )
-
-
-def _loaded(e: Experiment) -> Experiment:
-    """Read the files that the network laws name, so that the experiment needs nothing but itself."""
-    sides = {}
-    for side in ("sc", "ca"):
-        direction = getattr(e.links, side)
-        try:
-            law = load_files(direction.law, e.folder)
-        except ValueError as error:
-            raise ExperimentError(e.name, [fault_at(f"links.{side}.law", error)]) from error
-        served = slots_served(law)
-        if served is not None and served < e.ticks:
-            raise ExperimentError(
-                e.name, [f"links.{side}.law: the recording serves {served} slots, the run has {e.ticks}; it can repeat"]
-            )
-        sides[side] = replace(direction, law=law)
-    return replace(e, links=replace(e.links, **sides))
 
 
 def _faults(e: Experiment) -> list[str]:
@@ -261,12 +241,11 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
             jumps = {"jump_system": system_of(plant.jump_system()), "jump_process": process_of(plant.jump_process())}
         except ValueError as error:
             raise FieldError("kind", f"no design covers this plant: {error}") from error
-    delayed, initial = (delayed_plant_of(plant, model), None) if model.sensors is not None else (None, None)
-    if delayed is not None:
-        initial = np.array(plant.start(np.random.default_rng(0)).state)
-    nodes = (node_chains(e) or ()) if model.sensors is not None else ()
+    delayed = delayed_plant_of(plant, model)
+    initial = None if delayed is None else np.array(plant.start(np.random.default_rng(0)).state)
     return DesignTask(
-        model=model, sc=sc, sc_nodes=nodes, ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial, **jumps
+        model=model, sc=sc, sc_nodes=node_chains(e) or (), ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial,
+        **jumps,
     )  # fmt: skip
 
 

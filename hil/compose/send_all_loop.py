@@ -28,7 +28,8 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
     controller = loop.controller
     if not isinstance(controller, GainTable):
         return None
-    if loop.model.sensors is not None and loop.sc is None:
+    nodes = loop.model.nodes
+    if loop.sc is None and (len(nodes.names) > 1 or nodes.silent or nodes.turns):
         reason = "no certificate covers a table of gains over nodes that take turns, may be silent, or have no chain of ages"
         return undecided(loop, "mean-square stability", reason)
     if loop.sc is None or loop.ca is None:

@@ -1,17 +1,17 @@
-"""The sensor nodes of an experiment: what is wrong with them, and what rig, controller and theory take of them."""
+"""The sensor nodes of an experiment as one list, which rig, controller, theory and measures read; and what is wrong with them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from design.controllers import SensorNodes, Turns
+from design.controllers import SensorNodes, Turns, packet_samples
 from hil.compose.bus_schedule import bus_cycle
 from hil.experiment import Experiment
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from hil.experiment.sensor_order import first_identifiers, ordered_names
 from transport.laws.delay_states import delay_states
-from transport.laws.protocols import BoundedAge, NetworkLaw, prepare, slots_served
+from transport.laws.protocols import BoundedAge, NetworkLaw, prepare
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
 
 MOST_NODES = 255
@@ -19,30 +19,37 @@ MOST_NODES = 255
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
-    """One sensor node, ready to run.
+    """One sensor node.
 
     Args:
-        name: of the node; empty for the only one of the short form.
-        outputs: indices of the plant's outputs, None for all.
+        name: of the node.
+        outputs: indices of the plant's outputs, in the order of its packets.
         buffer: samples in one packet.
         trigger: when it sends.
-        law: network from it to the controller.
         clock: in which slots it has something to send.
+        law: network from it to the controller.
+        law_kind: name of the law's plug-in.
+        stream: name of the random stream of its channel.
+        repeats: the newest packet goes to the controller again in a slot in which no new one has come.
+        numbered: the log says of each draw that it is of this node.
         can_id: CAN identifier of its first frame: the lower one wins on a medium with arbitration.
     """
 
     name: str
-    outputs: tuple[int, ...] | None
+    outputs: tuple[int, ...]
     buffer: int
     trigger: TriggerTable
-    law: NetworkLaw
     clock: ClockTable
+    law: NetworkLaw
+    law_kind: str
+    stream: str
+    repeats: bool
+    numbered: bool
     can_id: int = 0
 
-    @property
-    def stream(self) -> str:
-        """Name of the random stream of its channel."""
-        return f"link.sc.{self.name}" if self.name else "link.sc"
+    def prepared(self) -> Sensor:
+        """Return the same node, its law tabulated: no process that keeps time computes it."""
+        return replace(self, law=prepare(self.law))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,9 +94,6 @@ def node_faults(e: Experiment) -> list[str]:
         bound = node.law.max_age if isinstance(node.law, BoundedAge) else None
         if bound is not None and bound > e.links.sc.max_age:
             faults.append(f"nodes.{name}.law: its largest delay {bound} is above links.sc.max_age = {e.links.sc.max_age}")
-        served = None if node.law is None else slots_served(node.law)
-        if served is not None and served < e.ticks:
-            faults.append(f"nodes.{name}.law: the recording serves {served} slots, the run has {e.ticks}; it can repeat")
     faults += [f"nodes: no node measures the output {name!r}" for name in outputs if name not in owner]
     on: dict[str, str] = {}
     for name, medium in e.media.items():
@@ -101,29 +105,31 @@ def node_faults(e: Experiment) -> list[str]:
     return faults
 
 
-def sensors_of(e: Experiment, samples: int) -> tuple[Sensor, ...]:
-    """Return the sensor nodes that run, by number.
+def sensors_of(e: Experiment) -> tuple[Sensor, ...]:
+    """Return the sensor nodes by number: the named ones, or the only one that `links.sc` stands for.
 
     Args:
-        e: checked, its laws loaded.
-        samples: samples per packet of the only node, where none is named.
+        e: checked.
     """
-    if not e.nodes:
-        only = prepare(e.links.sc.law)
-        return (Sensor(name="", outputs=None, buffer=samples, trigger=TriggerTable(), law=only, clock=ClockTable()),)
-    index = {s.name: i for i, s in enumerate(e.plant.outputs)}
+    kind = e.kinds.get("links.sc.law", "?")
+    if not e.nodes:  # the short form; whoever reads the list need not know it
+        return (
+            Sensor(
+                name="sensor", outputs=tuple(range(len(e.plant.outputs))), buffer=packet_samples(e.controller),
+                trigger=TriggerTable(), clock=ClockTable(), law=e.links.sc.law, law_kind=kind,
+                stream="link.sc", repeats=True, numbered=False,
+            ),
+        )  # fmt: skip
+    names, index = ordered_names(e), {s.name: i for i, s in enumerate(e.plant.outputs)}
     return tuple(
         Sensor(
-            name=name,
-            outputs=tuple(index[output] for output in e.nodes[name].outputs),
-            buffer=e.nodes[name].buffer,
-            trigger=e.nodes[name].trigger,
-            law=prepare(e.links.sc.law if e.nodes[name].law is None else e.nodes[name].law),
-            clock=e.nodes[name].clock,
-            can_id=can_id,
+            name=name, outputs=tuple(index[output] for output in node.outputs), buffer=node.buffer,
+            trigger=node.trigger, clock=node.clock, law=e.links.sc.law if node.law is None else node.law,
+            law_kind=kind if node.law is None else e.kinds.get(f"nodes.{name}.law", "?"),
+            stream=f"link.sc.{name}", repeats=False, numbered=True, can_id=can_id,
         )
-        for name, can_id in zip(ordered_names(e), first_identifiers(e), strict=True)
-    )
+        for name, node, can_id in zip(names, map(e.nodes.__getitem__, names), first_identifiers(e), strict=True)
+    )  # fmt: skip
 
 
 def shared_media(e: Experiment) -> tuple[Shared, ...]:
@@ -136,17 +142,15 @@ def shared_media(e: Experiment) -> tuple[Shared, ...]:
     )
 
 
-def sensor_nodes(e: Experiment) -> SensorNodes | None:
-    """Return the sensor nodes as a controller and the theory see them, None for the only one of the short form."""
-    if not e.nodes:
-        return None
-    sensors, shared = sensors_of(e, 1), shared_media(e)
+def sensor_nodes(e: Experiment) -> SensorNodes:
+    """Return the sensor nodes as a controller and the theory see them."""
+    sensors, shared = sensors_of(e), shared_media(e)
     mixed = len(shared) > 1 or any(set(medium.nodes) != set(range(len(sensors))) for medium in shared)
     on_bus = bool(shared) and not mixed and shared[0].table.kind == "can-arbitration"
     turns = _turns(shared[0], sensors) if shared and not mixed else None
     return SensorNodes(
         names=tuple(s.name for s in sensors),
-        outputs=tuple(s.outputs or () for s in sensors),
+        outputs=tuple(s.outputs for s in sensors),
         buffers=tuple(s.buffer for s in sensors),
         delays=tuple(_constant_delay(s.law) for s in sensors),
         turns=turns if isinstance(turns, Turns) else None,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hil.compose.sensors import sensors_of
 from hil.experiment import Experiment
 from hil.experiment.faults import RESTART, Fault
-from hil.experiment.sensor_order import ordered_names
 from transport.medium.faulted import Spell
 
 
@@ -41,7 +40,7 @@ def time_line(e: Experiment) -> TimeLine:
 
     A controller that is off the bus hears nothing either.
     """
-    names: Sequence[str] = ordered_names(e) or [""]
+    names = [sensor.name for sensor in sensors_of(e)]
     nodes: list[list[Spell]] = [[] for _ in names]
     actuator: list[Spell] = []
     restarts = []

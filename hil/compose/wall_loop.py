@@ -18,7 +18,7 @@ def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
     controller, plant = loop.controller, loop.plant
     if not isinstance(controller, RendersWall):
         return None
-    if loop.model.sensors is not None and len(loop.model.sensors.names) > 1:
+    if len(loop.model.nodes.names) > 1:
         return undecided(loop, "passivity", "no certificate covers a wall over several sensor nodes")
     port = port_of(plant)
     if port is None:

@@ -68,7 +68,7 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
         for k in range(60):
             y = tuple(map(float, rng.normal(size=(seen,))))
             if isinstance(running, FromSamples):
-                outputs = model.sensors.outputs if model.sensors is not None else (tuple(range(p)),)
+                outputs = model.nodes.outputs
                 newest = [Sample(i, k - (k + i) % len(outputs), tuple(y[o] for o in own)) for i, own in enumerate(outputs)]
                 rows = running.rows(k, Known(tuple(s for s in newest if s.slot >= 0), (1.0,) * p))
             else:

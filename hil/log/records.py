@@ -218,7 +218,7 @@ def channels(
     inputs: Sequence[SignalLike],
     outputs: Sequence[SignalLike],
     n_rows: int,
-    nodes: bool = False,
+    numbered: bool = False,
     passivity: bool = False,
 ) -> dict[str, Channel]:
     """Every signal topic of a session, in the order of their numbers (``/events`` stands apart, in JSON).
@@ -226,7 +226,7 @@ def channels(
     Args:
         states, inputs, outputs: the plant's signals, n, m and p of them, each with ``name`` and ``unit``.
         n_rows: rows of the longest control packet that the selection rule can demand.
-        nodes: sensor nodes are named: what the network decided says about which of them.
+        numbered: what the network decided about a sensor packet says of which node it is.
         passivity: the rig has a passivity controller: what it saw and did is logged.
 
     Returns:
@@ -252,7 +252,7 @@ def channels(
             _i64("control_ns", "ns", "when the controller answered"), _tick,
             _i32("tau", "samples", "sensor delay that the controller measured"),
             _i32("selection", "1", "code of the selection rule"))),
-        ("/network/sc", "NodeDraw" if nodes else "NetworkDraw", _node_draw if nodes else _draw),
+        ("/network/sc", "NodeDraw" if numbered else "NetworkDraw", _node_draw if numbered else _draw),
         ("/network/ca", "NetworkDraw", _draw),
         ("/link/sensor", "LinkFrame", _frame),
         ("/link/control", "LinkFrame", _frame),

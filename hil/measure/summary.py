@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ from hil.experiment import Experiment
 from hil.log.read.run import Run
 from hil.measure.measure import measured, measures_of, quantities_of
 from hil.measure.network import network_metrics
-from hil.measure.network_load import node_metrics, several_nodes
+from hil.measure.network_load import loads
+from hil.measure.network_paths import network_paths
 from hil.measure.timing import timing_metrics
 from hil.measure.view import MEASUREMENT, TIMING, RunView, view_of
 from transport.medium.draws import REASONS
@@ -21,9 +23,9 @@ def summarise(view: RunView) -> dict[str, Any]:
 
     Keys: experiment, seed, clock, link, ticks, duration_s; metrics (the numbers of the experiment's measures, see
     `hil.measure.measure.measured`) and units (of them, nothing for a pure number); network.sc and network.ca (see
-    `network_metrics`); timing (see `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or
-    None); network.nodes (where nodes are named: the same per node, and its load); certificate (what the log carries of it,
-    or None).
+    `network_metrics`) and network.nodes (the same per sensor node, and its load; see `network_summary`); timing (see
+    `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or None); certificate (what the log
+    carries of it, or None).
 
     Args:
         view: a log that was read, or a run kept in memory with `metadata` and `resolved`.
@@ -31,17 +33,6 @@ def summarise(view: RunView) -> dict[str, Any]:
     run, experiment = view.run, view.experiment
     ticks = _ticks(run)
     timing = run_timing(view)
-    links = run.resolved.get("links", {})
-    reasons = run.codes.get("reason") or REASONS
-    laws = laws_of(experiment)
-    network = {}
-    for side in ("sc", "ca"):
-        kind = str(links.get(side, {}).get("law", {}).get("kind", "?"))
-        late = timing["late"] if side == "ca" else 0
-        network[side] = network_metrics(run.arrays.get(f"/network/{side}"), laws[side], kind, late=late, reasons=reasons)
-    if experiment is not None and experiment.nodes:
-        network["sc"] = several_nodes(network["sc"])
-        network["nodes"] = node_metrics(view, reasons)
     measures = measures_of(experiment)
     return {
         "experiment": run.metadata.get("experiment", ""),
@@ -52,18 +43,39 @@ def summarise(view: RunView) -> dict[str, Any]:
         "duration_s": round(ticks * view.period_s, 9),
         "metrics": measured(view, measures),
         "units": {q.name: q.unit for q in quantities_of(measures, view.signals)},
-        "network": network,
+        "network": network_summary(view, timing["late"]),
         "timing": timing,
         "safety": safety_of(run),
         "certificate": dict(run.certificate) if run.certificate else None,
     }
 
 
-def laws_of(experiment: Experiment | None) -> dict[str, Any]:
-    """Return the network law of each direction, None where the experiment cannot be made again here."""
-    if experiment is None:
-        return {"sc": None, "ca": None}
-    return {"sc": experiment.links.sc.law, "ca": experiment.links.ca.law}
+def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
+    """Return the network part of a summary: sc and ca, see `network_metrics`, and nodes, the same per sensor node with its load.
+
+    Where several nodes share the way to the controller, sc counts their packets together, and no law is tested: each has its own.
+
+    Args:
+        view: the run.
+        late: control packets that missed the deadline of their slot.
+    """
+    run = view.run
+    reasons = run.codes.get("reason") or REASONS
+    *sensors, actuator = network_paths(view)
+    nodes = {path.node: network_metrics(path.draws, path.law, path.kind, reasons=reasons) for path in sensors}
+    if len(sensors) == 1:
+        together = nodes[sensors[0].node]
+    else:
+        kind = str(run.resolved.get("links", {}).get("sc", {}).get("law", {}).get("kind", "?"))
+        counted = network_metrics(run.arrays.get("/network/sc"), None, kind, reasons=reasons)
+        together = {**counted, "mode_counts": [], "transition_counts": [], "p_value": None}
+    load = {each.node: asdict(each) for each in loads(view)}
+    keys = ("packets", "packets_per_s", "bits_per_s")
+    return {
+        "sc": together,
+        "ca": network_metrics(actuator.draws, actuator.law, actuator.kind, late=late, reasons=reasons),
+        "nodes": {name: found | {key: load[name][key] for key in keys if name in load} for name, found in nodes.items()},
+    }
 
 
 def run_metrics(run: Run, experiment: Experiment | None = None) -> dict[str, Any]:

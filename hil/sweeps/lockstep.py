@@ -56,16 +56,23 @@ def chunk_runs(loop: Loop) -> int:
 
 def in_lockstep(loop: Loop) -> bool:
     """Return whether the runs of a loop can be computed at once: its plant, controller and network laws all serve."""
-    e, laws = loop.experiment, (loop.sc_law, loop.ca_law)
+    e, laws = loop.experiment, (loop.sensors[0].law, loop.ca_law)
     return (
         not e.fault
-        and not e.nodes  # several sensor nodes take turns, one run after the other
+        and _sends_all(loop)
         and all(law.family == "age" for law in laws)
         and isinstance(loop.controller, ControllerOfMany)
         and isinstance(e.plant, PlantOfMany)
         and e.plant.start_many(1) is not None
         and e.limits.passivity is None
     )
+
+
+def _sends_all(loop: Loop) -> bool:
+    """Return whether one node measures every output and sends in every slot: several wait for each other, run by run."""
+    first = loop.sensors[0]  # the only one, where it measures every output
+    every = first.outputs == tuple(range(len(loop.experiment.plant.outputs)))
+    return every and not loop.media and first.trigger.kind == "every-slot" and first.clock.every == 1
 
 
 def measures_in_lockstep(loop: Loop) -> bool:
@@ -92,8 +99,8 @@ class _Slots:
         e, d_max = loop.experiment, loop.model.d_max
         self._loop, self._plants, self._controllers = loop, plants, controllers
         self._slots, self._runs, self._period_ns = e.ticks, len(seeds), e.period_ns
-        sc_law, ca_law = cast("tuple[AgeLaw, AgeLaw]", (loop.sc_law, loop.ca_law))  # `in_lockstep` asked their family
-        sc = drawn_ages(sc_law, seeds, "link.sc", e.ticks)
+        sc_law, ca_law = cast("tuple[AgeLaw, AgeLaw]", (loop.sensors[0].law, loop.ca_law))  # `in_lockstep` asked their family
+        sc = drawn_ages(sc_law, seeds, loop.sensors[0].stream, e.ticks)
         ca = drawn_ages(ca_law, seeds, "link.ca", e.ticks)
         self._known = lawful(sc_law, sc) & lawful(ca_law, ca)
         self._sampled, self._held = newest(sc), newest(ca)

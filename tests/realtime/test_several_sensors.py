@@ -99,6 +99,6 @@ def test_the_foreign_controller_of_the_guide_drives_two_nodes(tmp_path: Path) ->
 def test_wire_version_1_cannot_carry_several_nodes(tmp_path: Path) -> None:
     experiment = load_experiment("multisensor-published", ["duration=1"])
     link = f"can:hil:nodes{os.getpid()}?version=1"
-    with pytest.raises(HilError, match="wire version 1 knows one sensor node"):
+    with pytest.raises(HilError, match="wire version 1 carries one sensor node"):
         run_session(experiment, clock="real", link=link, path=tmp_path / "a.mcap")
     assert not (tmp_path / "a.mcap").exists()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from transport.laws.delay_states import delay_states, measured_ages
 from transport.laws.latency import LatencyTrace, QuantileTable, latency
 from transport.laws.modes import mode_bursts, mode_shares
 from transport.laws.packet import SLOT_TOLERANCE
-from transport.laws.protocols import ChainLaw, ChannelLaw, RecordedLaw, prepare, slots_served
+from transport.laws.protocols import ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
 from transport.laws.stochastic_matrix import stationary_row
 from transport.medium.draws import DELIVERED, NO_MODE, OVERFLOW
 from transport.medium.independent import impair
@@ -58,7 +58,7 @@ class LawAnalysis:
     mean_latency_s: float
 
 
-def analyse_law(law: Any, period_s: float, deadline_s: float) -> LawAnalysis:
+def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float) -> LawAnalysis:
     """Return what a law does in the long run.
 
     Args:
@@ -152,7 +152,7 @@ def _may_overflow(law: ChannelLaw, latencies: QuantileTable, period_s: float, de
     return q <= m or q - m - q * math.log(q / m) > math.log(NEGLIGIBLE)
 
 
-def _simulated(law: Any, period_s: float, deadline_s: float) -> tuple[NDArray[np.float64], float, float]:
+def _simulated(law: NetworkLaw, period_s: float, deadline_s: float) -> tuple[NDArray[np.float64], float, float]:
     """Ages, without the slots before the first arrival, unused share and overflow of a run in which every slot sends."""
     network = impair(law, np.random.default_rng(0), period_s, deadline_s)
     slots = min(SIMULATED_SLOTS, slots_served(law) or SIMULATED_SLOTS)

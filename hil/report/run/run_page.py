@@ -9,8 +9,8 @@ from typing import Any
 from hil.log.events import plain
 from hil.log.read.run import Run
 from hil.measure.measure import Quantity, measures_of, quantities_of
+from hil.measure.network_paths import network_paths
 from hil.measure.signals import with_unit
-from hil.measure.summary import laws_of
 from hil.measure.view import RunView
 from hil.report.html.figures import Badge, Block, Cell, Section, State, Table, Text, Tile
 from hil.report.html.numbers import text_of
@@ -65,7 +65,7 @@ def render_report(
 
 def run_sections(view: RunView, summary: Mapping[str, Any], predicted: Mapping[str, Prediction]) -> list[Section]:
     """Return the sections that show what happened, in reading order; empty ones are left out."""
-    run, marks, laws = view.run, markers(view), laws_of(view.experiment)
+    run, marks, paths = view.run, markers(view), network_paths(view)
     lateness = lateness_panel(view, marks)
     tables = _summary_tables(view, summary)
     outputs = output_panels(view, marks, predicted)
@@ -77,10 +77,10 @@ def run_sections(view: RunView, summary: Mapping[str, Any], predicted: Mapping[s
             title="Delays",
             intro="The broad line is the delay that the emulated network drew, the thin line what the receiver measured "
             "from time stamps. They differ where a packet was late, lost or still on its way.",
-            blocks=(*delay_panels(view, marks), network_table(summary["network"], laws)),
+            blocks=(*delay_panels(view, marks), network_table(summary["network"], paths)),
         ),
         Section(title="Sensor nodes", blocks=tuple(sensor_blocks(view, marks))),
-        Section(title="Network against its law", columns=2, blocks=tuple(network_blocks(run, summary["network"], laws))),
+        Section(title="Network against its law", columns=2, blocks=tuple(network_blocks(run, summary["network"], paths))),
         Section(title="Timing", blocks=() if lateness is None else (lateness,)),
         Section(title="Distribution of times", columns=2, blocks=tuple(timing_blocks(run, summary["timing"]))),
         Section(title="Summary", columns=sum(not table.wide for table in tables), blocks=tuple(tables)),

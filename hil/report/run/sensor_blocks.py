@@ -1,4 +1,4 @@
-"""Several sensor nodes in the report: who spoke in which slot, how old the newest sample of each is, and the load of each."""
+"""Named sensor nodes in the report: who spoke in which slot, how old the newest sample of each is, and the load of each."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from hil.experiment.sensor_order import ordered_names
+from hil.compose.sensors import sensors_of
 from hil.log.growing import pieces
 from hil.measure.network_load import loads
 from hil.measure.view import RunView
@@ -33,11 +33,15 @@ def newest_ages(draws: npt.NDArray[np.void], node: int, slots: int) -> npt.NDArr
 
 
 def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
-    """Return the figures and the table of a run with named sensor nodes, none for any other."""
+    """Return the figures and the table of a run whose log numbers its sensor nodes.
+
+    A log that does not has one node, which the figures of the delays show.
+    """
     draws, e = view.run.arrays.get("/network/sc"), view.experiment
-    if e is None or not e.nodes or draws is None or not len(draws):
+    if e is None or draws is None or not len(draws) or "node" not in (draws.dtype.names or ()):
         return []
-    names, slots = ordered_names(e), max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
+    sensors, outputs = sensors_of(e), [signal.name for signal in e.plant.outputs]
+    names, slots = [sensor.name for sensor in sensors], max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
     t = np.asarray(np.arange(slots) * view.period_s, dtype=np.float64)
     spoke: list[Series] = []
     for reasons, label, colour in (((DELIVERED, DISORDERED), "heard", 0), ((LOST,), "lost", 4)):
@@ -50,8 +54,8 @@ def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
     )
     numbered = ", ".join(f"{i}: {name}" for i, name in enumerate(names))
     rows: list[list[Cell]] = [
-        [load.node, ", ".join(e.nodes[load.node].outputs), load.packets, load.lost, load.packets_per_s, load.bits_per_s]
-        for load in loads(view)
+        [load.node, ", ".join(outputs[i] for i in own.outputs), load.packets, load.lost, load.packets_per_s, load.bits_per_s]
+        for own, load in zip(sensors, loads(view))
     ]
     return [
         Figure(title="Which node spoke", y_label="node", series=tuple(spoke), markers=marks, integer_y=True, note=numbered),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,10 @@ import numpy.typing as npt
 from hil.log.growing import pieces, whole
 from hil.log.read.run import Run
 from hil.measure.network import expected_frequencies, expected_transitions, mode_sequence
+from hil.measure.network_paths import NetworkPath
 from hil.report.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
 from hil.report.html.numbers import text_of
-from transport.laws.protocols import ChainLaw, RecordedLaw, SemiMarkovLaw
+from transport.laws.protocols import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
 from transport.laws.sojourn import hazards
 from transport.laws.statistics import is_testable
 
@@ -26,30 +27,43 @@ LONGEST = 16
 DIRECTIONS: Mapping[str, tuple[str, str]] = {"sc": ("sensor to controller", "τ"), "ca": ("controller to actuator", "d")}
 
 
-def network_blocks(run: Run, network: Mapping[str, Any], laws: Mapping[str, Any | None]) -> list[Block]:
-    """Return frequencies and transitions of both directions, beside what their laws state.
+def network_blocks(run: Run, network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> list[Block]:
+    """Return frequencies and transitions of every emulated network, beside what its law states.
 
     Args:
         network: the part of that name of the run's summary.
-        laws: the parameters of each direction's law.
+        paths: the emulated networks.
     """
     blocks: list[Block] = []
-    for side, (way, symbol) in DIRECTIONS.items():
-        found, law = network[side], laws.get(side)
+    for path, way, found in _numbers(network, paths):
+        law, symbol = path.law, DIRECTIONS[path.side][1]
         if not found["mode_counts"]:
             continue
-        ages = law.mode_ages if isinstance(law, ChainLaw | SemiMarkovLaw) else range(0)
+        ages: Sequence[int] = law.mode_ages if isinstance(law, ChainLaw | SemiMarkovLaw) else range(0)
         plain = isinstance(law, RecordedLaw) or list(ages) == list(range(len(found["mode_counts"])))
         what = f"{symbol} (samples)" if plain else "mode of the law"
         blocks.append(_frequencies(found, law, f"{_capital(way)}: mode frequencies", what))
         blocks.append(_transitions(found, law, f"{_capital(way)}: transitions", symbol if plain else "mode"))
-        blocks += _sojourns(run, side, law)
+        blocks += _sojourns(path, way, symbol)
     blocks += [block for side in DIRECTIONS if (block := _measured_ages(run, network, side)) is not None]
     return blocks
 
 
-def verdict(found: Mapping[str, Any], law: Any | None) -> Badge:
-    """Return whether a direction's record agrees with its law."""
+def _numbers(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> list[tuple[NetworkPath, str, Mapping[str, Any]]]:
+    """Every path with its name for people and its numbers."""
+    alone = sum(path.side == "sc" for path in paths) == 1
+    return [
+        (
+            path,
+            DIRECTIONS[path.side][0] if path.side == "ca" or alone else f"{path.node} to controller",
+            network["ca"] if path.side == "ca" else network["nodes"][path.node],
+        )
+        for path in paths
+    ]
+
+
+def verdict(found: Mapping[str, Any], law: NetworkLaw | None) -> Badge:
+    """Return whether the record of a network agrees with its law."""
     p = found["p_value"]
     if p is None and law is not None and is_testable(law):
         return Badge(label="no test", detail="too few slots")
@@ -60,21 +74,21 @@ def verdict(found: Mapping[str, Any], law: Any | None) -> Badge:
     return Badge(label="agrees with its law", state="good", detail=f"p = {text_of(p, 3)}")
 
 
-def network_table(network: Mapping[str, Any], laws: Mapping[str, Any | None]) -> Table:
-    """Return one row per direction: law, verdict, and what became of the packets."""
-    fates = sorted({fate for side in DIRECTIONS for fate in network[side]["fates"]} - {"lost", "duplicated"})
+def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> Table:
+    """Return one row per emulated network: law, verdict, and what became of the packets."""
+    numbers = _numbers(network, paths)
+    fates = sorted({fate for _, _, found in numbers for fate in found["fates"]} - {"lost", "duplicated"})
     rows = [
         [
             _capital(way),
             found["law"],
-            verdict(found, laws.get(side)),
+            verdict(found, path.law),
             found["lost"],
             found["late"],
             found["duplicated"],
             *(found["fates"].get(fate, 0) for fate in fates),
         ]
-        for side, (way, _) in DIRECTIONS.items()
-        for found in (network[side],)
+        for path, way, found in numbers
     ]
     return Table(
         columns=["direction", "law", "test of the record", "lost", "late", "duplicated", *fates],
@@ -84,7 +98,7 @@ def network_table(network: Mapping[str, Any], laws: Mapping[str, Any | None]) ->
     )
 
 
-def _frequencies(found: Mapping[str, Any], law: Any, title: str, what: str) -> Bars:
+def _frequencies(found: Mapping[str, Any], law: NetworkLaw | None, title: str, what: str) -> Bars:
     counts = np.asarray(found["mode_counts"], dtype=np.float64)
     groups = [BarGroup(label="counted", values=(counts / max(counts.sum(), 1.0)).tolist(), colour=0)]
     stated = expected_frequencies(law)
@@ -100,7 +114,7 @@ def _frequencies(found: Mapping[str, Any], law: Any, title: str, what: str) -> B
     )
 
 
-def _transitions(found: Mapping[str, Any], law: Any, title: str, symbol: str) -> Matrix:
+def _transitions(found: Mapping[str, Any], law: NetworkLaw | None, title: str, symbol: str) -> Matrix:
     counts = np.asarray(found["transition_counts"], dtype=np.float64)
     totals = counts.sum(axis=1, keepdims=True)
     shares = np.divide(counts, totals, out=np.full_like(counts, np.nan), where=totals > 0)
@@ -119,15 +133,15 @@ def _transitions(found: Mapping[str, Any], law: Any, title: str, symbol: str) ->
     )
 
 
-def _sojourns(run: Run, side: str, law: Any) -> list[Block]:
+def _sojourns(path: NetworkPath, way: str, symbol: str) -> list[Block]:
     """How long every mode of a semi-Markov law lasted, beside its sojourn law; modes met too rarely are left out."""
-    if not isinstance(law, SemiMarkovLaw):
+    law = path.law
+    if not isinstance(law, SemiMarkovLaw) or path.draws is None:
         return []
-    modes = mode_sequence(run.arrays[f"/network/{side}"])
+    modes = mode_sequence(path.draws)
     starts = np.flatnonzero(np.diff(modes)) + 1
     # The first sojourn has no known begin, the last no known end.
     lengths, owners = np.diff(starts), modes[starts[:-1]]
-    way, symbol = DIRECTIONS[side]
     blocks: list[Block] = []
     for mode, sojourn in enumerate(law.sojourn):
         mine = lengths[owners == mode]

@@ -10,6 +10,7 @@ from hil.log.write.sinks import Sink, record_to, records_to
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.port_damper import Injected
 from transport.medium.draws import Draw
+from transport.medium.medium import Delivery
 from transport.packets import ControlPacket
 
 _SENSED = ("/plant/state", "/plant/measurement", "/reference")
@@ -25,9 +26,12 @@ class Journal:
         sink: where records go.
         channels: the table of what is logged.
         row_values: values of a control packet that its record holds, rows times inputs.
+        numbers: of each sensor node what a record of its draws holds of its number: the number, or nothing.
     """
 
-    def __init__(self, sink: Sink, channels: Mapping[str, Channel], row_values: int) -> None:
+    def __init__(
+        self, sink: Sink, channels: Mapping[str, Channel], row_values: int, numbers: Sequence[tuple[int, ...]] = ((),)
+    ) -> None:  # fmt: skip
         self.event = sink.event
         self._log = {topic: record_to(sink, channel) for topic, channel in channels.items()}
         self._state = self._log["/plant/state"]
@@ -38,21 +42,23 @@ class Journal:
         self._sensor = self._log["/link/sensor"]
         self._control = self._log["/link/control"]
         self._passivity = self._log.get(PASSIVITY_TOPIC)
-        self._row_values = row_values
+        self._row_values, self._numbers = row_values, tuple(numbers)
         self._asked_at_once = {n: records_to(sink, (*_SENSED, *["/network/sc"] * n, "/link/sensor")) for n in _DRAWS}
         self._answered_at_once = {n: records_to(sink, ("/actuator/applied", *["/network/ca"] * n, *_ANSWERED)) for n in _DRAWS}
 
     def slot_asked(
-        self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float], draws: Sequence[Draw],
-        frames: Sequence[bytes],
+        self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float],
+        sent: Sequence[Delivery], frames: Sequence[bytes],
     ) -> None:  # fmt: skip
-        """Record what was sensed in slot k, what the network decided about it, and what was asked."""
+        """Record what was sensed in slot k, what the network decided about each sensor node, and what was asked."""
+        draws, numbers = sent[0][0], self._numbers
         at_once = self._asked_at_once.get(len(draws))
-        if at_once is not None and len(frames) == 1:  # the usual slot
-            at_once(t_ns, *state, k, *y, k, *r, k, *_values_of(draws), k, 0, frames[0])
+        if at_once is not None and len(sent) == 1 == len(frames):  # the usual slot
+            at_once(t_ns, *state, k, *y, k, *r, k, *_values_of(draws, numbers[0]), k, 0, frames[0])
             return
         self.sensed(t_ns, k, state, y, r)
-        self.draws("/network/sc", t_ns, draws)
+        for (draws, _), number in zip(sent, numbers):
+            self.draws("/network/sc", t_ns, draws, number)
         self.asked(t_ns, k, frames)
 
     def slot_answered(
@@ -92,19 +98,12 @@ class Journal:
             for frame in frames:
                 self._sensor(t_ns, k, 0, frame)
 
-    def draws(self, topic: str, t_ns: int, draws: Sequence[Draw]) -> None:
-        """Record the decisions of a network law."""
+    def draws(self, topic: str, t_ns: int, draws: Sequence[Draw], number: tuple[int, ...] = ()) -> None:
+        """Record the decisions of a network law, with the number of the node where the log has it."""
         log = self._log[topic]
         if log:
             for tick, packet_tick, mode, age, latency_s, reason in draws:
-                log(t_ns, latency_s, tick, packet_tick, mode, age, reason)
-
-    def node_draws(self, topic: str, t_ns: int, node: int, draws: Sequence[Draw]) -> None:
-        """Record the decisions about one node of several."""
-        log = self._log[topic]
-        if log:
-            for tick, packet_tick, mode, age, latency_s, reason in draws:
-                log(t_ns, latency_s, tick, packet_tick, mode, age, node, reason)
+                log(t_ns, latency_s, tick, packet_tick, mode, age, *number, reason)
 
     def applied(self, t_ns: int, k: int, applied: Applied, w: Sequence[float]) -> None:
         """Record what the actuator applied in slot k, and the disturbance w that comes on top."""
@@ -132,9 +131,9 @@ class Journal:
             self._control(t_ns, seq, 1, data)
 
 
-def _values_of(draws: Sequence[Draw]) -> Sequence[float]:
+def _values_of(draws: Sequence[Draw], number: tuple[int, ...] = ()) -> Sequence[float]:
     """Return the fields of the records of some decisions, one after the other."""
     if len(draws) == 1:
         tick, packet_tick, mode, age, latency_s, reason = draws[0]
-        return latency_s, tick, packet_tick, mode, age, reason
-    return [v for draw in draws for v in (draw[4], *draw[:4], draw[5])]
+        return latency_s, tick, packet_tick, mode, age, *number, reason
+    return [v for draw in draws for v in (draw[4], *draw[:4], *number, draw[5])]

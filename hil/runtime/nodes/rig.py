@@ -21,7 +21,7 @@ from hil.runtime.nodes.port_damper import damper_of
 from hil.runtime.nodes.safety import Safety
 from hil.runtime.nodes.sensor_node import SensorNode
 from hil.runtime.nodes.triggers import trigger_of
-from hil.runtime.nodes.uplink import clock_of, fresh, uplink_of
+from hil.runtime.nodes.uplink import clock_of, uplink_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
 from transport.medium.independent import impair
@@ -57,7 +57,6 @@ class Rig:
         deadline_s = e.timing.deadline * float(e.period)
         self._period_ns = e.period_ns
         self._plant = e.plant.start(rng_for(seed, "plant"))
-        self._several = bool(e.nodes)
         self._samples = [sensor.buffer for sensor in loop.sensors]
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.sensors)
         faults = FaultLine(loop, seed)
@@ -68,7 +67,8 @@ class Rig:
         safety = Safety(e.limits.input, limits, e.limits.watchdog_slots)
         self._port = loop.port.output if loop.port is not None and e.limits.passivity is not None else None
         self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop))
-        self._journal = Journal(sink, channels, loop.rows * inputs)
+        numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.sensors)]
+        self._journal = Journal(sink, channels, loop.rows * inputs, numbers)
         self._wire = wire or VIRTUAL
         self.answers = Answers(inputs, loop.model.d_max, self._journal, self._wire)
         self._reference, self._disturbance = loop.reference(), loop.disturbance()
@@ -94,8 +94,7 @@ class Rig:
             sample = node.measure(k, y, self._uplink.may_send(i, k))
             if sample is not None:
                 self._uplink.offer(i, k, sample)
-        sent = self._uplink.collect(k)
-        self._sent = fresh(sent) if self._several else sent
+        self._sent = self._uplink.collect(k)
         frames = self._frames(k, nonce)
         if self._faults is not None:
             frames[:0] = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
@@ -135,13 +134,7 @@ class Rig:
         k, state, journal = self.k, self._plant.state, self._journal
         if self._faults is not None:
             self._faults.tell(t_ns, k, journal)
-        if self._several:
-            journal.sensed(t_ns, k, state, self._y, self._r)
-            for node, (draws, _) in enumerate(self._sent):
-                journal.node_draws("/network/sc", t_ns, node, draws)
-            journal.asked(t_ns, k, frames)
-        else:
-            journal.slot_asked(t_ns, k, state, self._y, self._r, self._sent[0][0], frames)
+        journal.slot_asked(t_ns, k, state, self._y, self._r, self._sent, frames)
         self._note_trip(t_ns, self.actuator.watch(state))
         if self._port is not None:
             self._note_trip(t_ns, self.actuator.feel(self._y[self._port], self._plant.applied[0]))

@@ -41,16 +41,16 @@ class SensorNode:
     Before slot 0 the plant was at rest in its first state: y(k) = y(0) for k < 0.
 
     Args:
-        outputs: indices of the plant's outputs that this node measures, None for all of them.
+        outputs: indices of the plant's outputs that this node measures.
         buffer: samples n in one packet.
         trigger: decides whether the node sends.
         clock: says in which slots it has something to send; None: in every one.
     """
 
     def __init__(
-        self, outputs: Sequence[int] | None, buffer: int, trigger: Trigger, clock: Clock | None = None
+        self, outputs: Sequence[int], buffer: int, trigger: Trigger, clock: Clock | None = None
     ) -> None:  # fmt: skip
-        self._outputs, self._samples, self._sends = outputs, buffer, trigger.sends
+        self._outputs, self._samples, self._sends = tuple(outputs), buffer, trigger.sends
         self._due = None if clock is None else clock.due
         self._buffer: tuple[float, ...] = ()
 
@@ -62,7 +62,7 @@ class SensorNode:
             y: all outputs of the plant, shape (p,).
             turn: whether its medium lets the node send in this slot.
         """
-        own = y if self._outputs is None else tuple([y[i] for i in self._outputs])
+        own = tuple([y[i] for i in self._outputs])
         if self._samples == 1:
             self._buffer = own
         else:

@@ -9,7 +9,7 @@ from hil.compose.sensors import Sensor, Shared
 from hil.runtime.streams import rng_for
 from transport.medium.arbitration import ArbitratedBus
 from transport.medium.draws import DELIVERED, DISORDERED, DUPLICATED
-from transport.medium.independent import impair
+from transport.medium.independent import Impairment, impair
 from transport.medium.medium import Delivery, IndependentChannels, Medium
 from transport.medium.sample_clock import SampleClock
 from transport.medium.scheduled import RandomTurns, RoundRobin, ScheduledMedium, Turns
@@ -28,8 +28,35 @@ def uplink_of(loop: Loop, seed: int, period_s: float, deadline_s: float) -> Medi
         deadline_s: seconds after the start of a slot at which it closes; packet laws only.
     """
     channels = [impair(s.law, rng_for(seed, s.stream), period_s, deadline_s) for s in loop.sensors]
-    if not loop.media:
-        return IndependentChannels(channels)
+    medium = _shared(loop, channels, seed) if loop.media else IndependentChannels(channels)
+    return medium if all(s.repeats for s in loop.sensors) else NewPackets(medium, [s.repeats for s in loop.sensors])
+
+
+class NewPackets:
+    """A medium whose nodes repeat nothing: what has arrived before does not arrive again in a slot in which nothing new came.
+
+    Args:
+        medium: the medium behind it.
+        repeats: nodes, by number, whose newest packet arrives again all the same.
+    """
+
+    def __init__(self, medium: Medium, repeats: Sequence[bool]) -> None:
+        self.may_send, self.offer = medium.may_send, medium.offer
+        self._collect, self._repeats = medium.collect, tuple(repeats)
+
+    def collect(self, k: int) -> list[Delivery]:
+        """Return what arrived for the first time in slot k, see `Medium.collect`."""
+        return [
+            delivery if repeats else _new(delivery) for delivery, repeats in zip(self._collect(k), self._repeats, strict=True)
+        ]
+
+
+def _new(delivery: Delivery) -> Delivery:
+    draws, arrivals = delivery
+    return draws, [(g, packet) for g, packet in arrivals if any(d.packet_tick == g and d.reason in _CAME for d in draws)]
+
+
+def _shared(loop: Loop, channels: Sequence[Impairment], seed: int) -> Medium:
     parts: list[tuple[Sequence[int], Medium]] = []
     turning = []
     for shared in loop.media:
@@ -66,11 +93,3 @@ def _turns(shared: Shared, others: Sequence[int], seed: int) -> Turns:
     if table.kind == "round-robin":
         return RoundRobin(nodes, table.phase, table.loss, rng)
     return RandomTurns(nodes, table.transition(), table.shares(), table.loss, rng)
-
-
-def fresh(sent: Sequence[Delivery]) -> list[Delivery]:
-    """Return what arrived for the first time in this slot: a node that is silent repeats nothing."""
-    return [
-        (draws, [(g, packet) for g, packet in arrivals if any(d.packet_tick == g and d.reason in _CAME for d in draws)])
-        for draws, arrivals in sent
-    ]

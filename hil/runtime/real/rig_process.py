@@ -19,7 +19,7 @@ from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, VIRTUAL, Wire, session_wire
+from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
@@ -106,15 +106,15 @@ class Rehearsal:
         hear(encode_control(ControlPacket(k, 0, 0, 0, self._selection, self._rows, version=self._version)))
 
 
-def warm_up(loop: Loop, local: bool = False) -> None:
+def warm_up(loop: Loop, wire: Wire, local: bool = False) -> None:
     """Run a rig through a few slots without a link, so that slot 0 does not pay for what is done once (tables, first calls).
 
     Args:
         loop: the composed experiment.
+        wire: what the session will speak.
         local: the controller will run in this process: it takes part.
     """
     e = loop.experiment
-    wire = VIRTUAL if e.nodes else VERSION_1  # version 1 knows one sensor node only
     rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), lambda: None, wire)
     slot = Slot(rig, DirectExchange(ControlNode(loop)) if local else Rehearsal(loop, wire))
     for k in range(min(e.ticks, 50)):
@@ -143,7 +143,7 @@ def main() -> None:
     wire = VERSION_1 if wire_version(job.uri) == 1 else session_wire(os.urandom(KEY_BYTES))
     local = job.uri == LOCAL
     with LocalLink(ControlNode(job.loop)) if local else open_link(job.uri, "rig") as link:
-        warm_up(job.loop, local)
+        warm_up(job.loop, wire, local)
         greeting = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire).greet()
         if not greeting.answered:
             if greeting.foreign:

@@ -62,8 +62,8 @@ def run_real(
     Raises:
         HilError: if rig or controller ended before the run began, or no controller answered.
     """
-    if loop.experiment.nodes and wire_version(uri) == 1:
-        raise HilError(f"{uri}: wire version 1 knows one sensor node; named nodes ([nodes.NAME]) need version 2")
+    if wire_version(uri) == 1 and (len(loop.sensors) > 1 or loop.sensors[0].buffer > loop.samples):
+        raise HilError(f"{uri}: wire version 1 carries one sensor node without a buffer; these nodes need version 2")
     if external and uri == LOCAL:
         raise HilError(f"{LOCAL} runs our controller in the rig's process: an external one needs a link")
     restarts = deque(first * loop.experiment.period_ns for first, _ in time_line(loop.experiment).restarts)

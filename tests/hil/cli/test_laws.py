@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from hil.cli.laws import command
 from hil.errors import HilError
-from hil.experiment import shipped
+from hil.experiment import load_experiment, shipped
 from transport.laws import analysis
 
 PACKET = 'links.ca.law={kind="packet", latency={dist="gamma", a=2.0, scale="20 ms"}, loss={p_gb=0.1, p_bg=0.4}}'
@@ -59,6 +59,15 @@ def test_a_full_queue_and_a_mean_that_is_a_bound_are_said(monkeypatch: pytest.Mo
     monkeypatch.setattr(analysis, "LONGEST", 1000)
     text = laws("--set", 'links.ca.law={kind="packet", latency="2 h", queue=1000000}')
     assert "older: 1" in text and "mean age                  above 1000 slots" in text
+
+
+def test_every_sensor_node_has_the_law_of_its_own_network() -> None:
+    of_nodes = CliRunner().invoke(command, ["dc-motor-two-nodes"], catch_exceptions=False).output
+    assert "node angle, sensor to controller (sc)" in of_nodes and "node speed, sensor to controller (sc)" in of_nodes
+    found = json.loads(CliRunner().invoke(command, ["dc-motor-two-nodes", "--json"], catch_exceptions=False).output)
+    law = load_experiment("dc-motor-two-nodes").nodes["speed"].law
+    assert found["nodes"]["speed"]["transition_matrix"] == [list(row) for row in law.matrix]
+    assert set(found["laws"]) == {"sc", "ca"} and list(json.loads(laws("--json"))["nodes"]) == ["sensor"]
 
 
 def test_a_faulty_law_is_named_by_its_path() -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from design.controllers import FromSamples, Known, Sample, SendAll
 from design.networked_loop.prediction import predict_tracking
+from hil.cli.run_summary import show
 from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
 from hil.compose.design_problem import tracking_target
 from hil.compose.loop import Loop, compose
@@ -84,10 +87,17 @@ def test_until_both_nodes_have_been_heard_the_rows_are_zero() -> None:
     assert running.rows(2, Known((angle, speed), (0.0, 0.0))) == ((pytest.approx(-0.05 - 5 * 0.006),),)
 
 
-def test_a_run_has_a_summary_per_node_and_replays(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_run_has_a_summary_per_node_and_replays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     experiment = load_experiment("dc-motor-two-nodes", ["duration=1", FIXED % GAINS])
     session = run_session(experiment, path=tmp_path / "a.mcap")
-    assert session.status == 0 and set(session.summary["network"]["nodes"]) == {"angle", "speed"}
+    nodes = session.summary["network"]["nodes"]
+    assert session.status == 0 and set(nodes) == {"angle", "speed"}
+    assert all(sum(node["mode_counts"]) == 20 for node in nodes.values())  # of a node its own draws alone
+    assert sum(node["fates"]["delivered"] for node in nodes.values()) == session.summary["network"]["sc"]["fates"]["delivered"]
+    show(session.summary)
+    rows = dict(line.split("  ", 1) for line in capsys.readouterr().out.splitlines() if line.startswith("network"))
+    assert list(rows) == ["network sc angle", "network sc speed", "network ca"] and "modes []" not in "".join(rows.values())
+    assert f"markov, modes {nodes['speed']['mode_counts']}" in rows["network sc speed"]
     assert session.summary["units"]["sse"] == "rad² s"  # the angle is tracked, the speed is not
     assert verify(session.run).difference is None
 

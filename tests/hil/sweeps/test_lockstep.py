@@ -144,10 +144,14 @@ def test_a_run_that_overflows_is_the_plain_engine_s() -> None:
     same_bits(loop, range(3))
 
 
-def test_a_loop_with_named_nodes_is_left_to_the_plain_engine() -> None:
-    loop = loop_of("vtol-h2", "duration=2", "nodes={velocity={outputs=['vertical_velocity']}}")
-    assert not in_lockstep(loop)
+def test_one_named_node_moves_the_same_and_several_are_left_to_the_plain_engine() -> None:
+    loop = loop_of("vtol-h2", "duration=2", "nodes={velocity={outputs=['vertical_velocity'],buffer=2}}")
+    assert in_lockstep(loop)
     same_bits(loop, range(2))
+    assert not in_lockstep(loop_of("dc-motor-two-nodes"))
+    for change in ("trigger={kind='magnitude',threshold=0.1}", "clock={every=2}"):
+        silent = f"nodes={{velocity={{outputs=['vertical_velocity'],{change}}}}}"
+        assert not in_lockstep(loop_of("vtol-h2", "duration=2", "allow_uncertified=true", silent))
 
 
 class Liar(TraceAge):

@@ -6,12 +6,14 @@ import numpy as np
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.measure.network_paths import network_paths
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.report.html.figures import Figure, Table
 from hil.report.run.prediction import theory_section
 from hil.report.run.run_page import render_report
 from hil.report.run.sensor_blocks import newest_ages, sensor_blocks
+from hil.report.run.statistics import network_table
 from hil.session import simulate
 
 
@@ -38,6 +40,9 @@ def test_two_nodes_of_a_motor_are_drawn_with_what_theory_says_of_them() -> None:
     for series in ages.series:
         assert set(series.y[np.isfinite(series.y)].tolist()) == {0.0, 1.0}
     assert [row[:2] for row in table.rows] == [["angle", "angle"], ["speed", "speed"]]
+    tested = network_table(summarise(view)["network"], network_paths(view)).rows
+    assert [row[:2] for row in tested] == [["Angle to controller", "markov"], ["Speed to controller", "markov"], [
+        "Controller to actuator", "markov"]]  # fmt: skip
     section = theory_section(view)
     assert section is not None
     angle, speed = section.blocks[:2]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_struct
 from scipy.stats import norm
 
 from design.controllers import Historical, HistoryGains, Known, LoopModel, Rows, Sample, Selection
@@ -16,17 +17,17 @@ from design.historical_data.sensor_schedule import phase_chain, phases_at_start,
 from design.historical_data.state_moments import StateMoments, state_moments
 from hil.compose.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
+from hil.compose.sensors import sensors_of
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
-from hil.experiment.sensor_order import ordered_names
 from hil.measure.cost import Cost
 from hil.measure.network_load import loads
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.runtime.nodes.assembly import Assembly, OneSensorAdapter
+from hil.runtime.nodes.assembly import Assembly
+from hil.runtime.nodes.heard import NewestSample
 from hil.runtime.nodes.triggers import DeadBand, Error, Magnitude
 from hil.session import simulate
-from hil.sweeps.lockstep import in_lockstep
 from plants.delayed_states import START_5_4
 from tests.hil.runtime.nodes.many_runs import states_of_many
 from transport.packets import EMPTY, SensorPacket, decode
@@ -215,7 +216,7 @@ def test_one_node_has_no_key_of_nodes_and_several_have_theirs() -> None:
     several = compose(load_experiment("multisensor-published", ["duration=1"]))
     resolved = several.experiment.resolved()
     again = experiment_from_resolved(json.loads(json.dumps(resolved, sort_keys=True)), "", "log")  # as a log keeps it
-    assert ordered_names(again) == ["first", "second", "third", "fourth"]
+    assert [sensor.name for sensor in sensors_of(again)] == ["first", "second", "third", "fourth"]
     assert resolved["nodes"]["third"]["outputs"] == ["x3"] and resolved["media"]["bus"]["kind"] == "round-robin"
     run = simulate(several, 0)
     summary = summarise(view_of(run, several.experiment))
@@ -240,11 +241,18 @@ class Newest:
 def test_a_controller_of_one_sensor_is_served_by_several_nodes() -> None:
     loop = compose(load_experiment("multisensor-published"), certify=False)
     newest = Newest()
-    adapter = OneSensorAdapter(newest, loop.sensors, 4, ((7.0,),))
-    samples = (Sample(2, 9, (3.0,)), Sample(0, 8, (1.0,)), Sample(1, 8, (2.0,)), Sample(0, 4, (-1.0,)), Sample(3, 7, (4.0,)))
-    adapter.rows(10, Known(samples, (0.0,) * 4))
-    assert newest.told == [(10, 3, (1.0, 2.0, 3.0, 4.0))]
-    assert adapter.rows(11, Known(samples[:4], (0.0,) * 4)) == ((7.0,),) and len(newest.told) == 1  # node 3 was never heard
+    heard = NewestSample(loop, newest)
+
+    def take(node: int, slot: int, value: float) -> None:
+        y = (value, 99.0, 99.0)  # of the buffer, the newest sample alone
+        assert heard.take(SensorPacket(slot, 0, slot * 50_000_000, y, node, 3, nodes=4, version=2))
+
+    for node, slot, value in ((0, 8, 1.0), (0, 4, -1.0), (2, 9, 3.0), (1, 8, 2.0)):  # an older packet may come later
+        take(node, slot, value)
+    assert heard.rows(9) == ((0.0,),) and not newest.told  # node 3 was never heard
+    take(3, 7, 4.0)
+    heard.rows(10)
+    assert newest.told == [(10, 3, (1.0, 2.0, 3.0, 4.0))] and heard.sample_ns == 9 * 50_000_000
 
 
 def test_a_controller_knows_what_has_arrived_newest_first_and_no_more_than_it_asked_for() -> None:
@@ -296,10 +304,19 @@ def test_the_controller_counts_frames_of_another_rig() -> None:
     assert node.hear(frame(flags=EMPTY, y=(), samples=1)) is not None
 
 
-def test_a_sweep_of_named_nodes_runs_one_run_after_the_other() -> None:
-    """In lockstep a motor has one node; with nodes named, every run goes through the nodes themselves."""
+def test_the_short_form_is_a_list_of_one_node() -> None:
+    """One node by its name has the verdict of `links.sc`."""
     one = compose(load_experiment("dc-motor-hinf"))
     named = compose(load_experiment("dc-motor-hinf", ['nodes.motor={outputs=["angle"]}']))
-    assert in_lockstep(one) and not in_lockstep(named)
-    assert named.verdict is not None and one.verdict is not None
-    assert named.verdict.number == one.verdict.number  # one node by its name is the loop of one sensor
+    assert [(s.name, s.outputs, s.stream, s.numbered) for s in one.sensors] == [("sensor", (0,), "link.sc", False)]
+    assert [(s.name, s.outputs, s.stream, s.numbered) for s in named.sensors] == [("motor", (0,), "link.sc.motor", True)]
+    assert named.verdict is not None and one.verdict is not None and named.verdict.number == one.verdict.number
+
+
+def test_a_controller_over_history_takes_the_short_form_too() -> None:
+    """Gains over the newest sample of the only node, which is `links.sc`: the loop is certified and runs."""
+    gains = np.zeros((1, 1, 1, 4)).tolist()
+    sets = [f"controller={{kind='historical', gains={gains}}}", "duration=1", "allow_uncertified=true"]
+    short = compose(replace_struct(load_experiment("multisensor-published", sets), nodes={}, media={}))
+    assert not short.experiment.nodes and short.verdict is not None and short.verdict.kind == "guaranteed cost"
+    assert len(simulate(short, 0).arrays["/link/sensor"]) == 20

@@ -1,0 +1,36 @@
+"""The files that network laws name (recorded ages, latencies), read from beside the experiment."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from hil.errors import ExperimentError
+from hil.experiment import Experiment
+from hil.experiment.check import fault_at
+from transport.laws.protocols import NetworkLaw, load_files, slots_served
+
+
+def with_law_files(e: Experiment) -> Experiment:
+    """Return an experiment with the files read that its network laws name: it needs nothing but itself then.
+
+    Raises:
+        ExperimentError: a file is missing or faulty, or a recording is shorter than the run.
+    """
+    sc, ca = e.links.sc, e.links.ca
+    sc, ca = replace(sc, law=_loaded_law(e, sc.law, "links.sc")), replace(ca, law=_loaded_law(e, ca.law, "links.ca"))
+    nodes = {
+        name: node if node.law is None else replace(node, law=_loaded_law(e, node.law, f"nodes.{name}"))
+        for name, node in e.nodes.items()
+    }
+    return replace(e, links=replace(e.links, sc=sc, ca=ca), nodes=nodes)
+
+
+def _loaded_law(e: Experiment, law: NetworkLaw, path: str) -> NetworkLaw:
+    try:
+        loaded = load_files(law, e.folder)
+    except ValueError as error:
+        raise ExperimentError(e.name, [fault_at(f"{path}.law", error)]) from error
+    served = slots_served(loaded)
+    if served is not None and served < e.ticks:
+        raise ExperimentError(e.name, [f"{path}.law: the recording serves {served} slots, the run has {e.ticks}; it can repeat"])
+    return loaded

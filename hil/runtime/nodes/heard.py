@@ -1,0 +1,114 @@
+"""What a controller has heard of its sensor nodes, one or more: the newest packets, or every sample that it looks back to."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from design.controllers import FromSamples, Known, Rows, RunningController
+from hil.compose.loop import Loop
+from hil.runtime.nodes.assembly import Assembly
+from transport.packets import SensorPacket
+
+
+class Heard(Protocol):
+    """A control law with what it has heard since slot 0."""
+
+    sample_ns: int
+    """Time stamp of the newest sample of any node, -1 before the first."""
+
+    def take(self, packet: SensorPacket) -> bool:
+        """Keep a packet; return False if it is not of this loop."""
+        ...
+
+    def rows(self, k: int) -> Rows:
+        """Return what the control law says in slot k, once a sample is there."""
+        ...
+
+
+def heard_by(loop: Loop) -> Heard:
+    """Return a fresh control law and its memory: which of the two is the control law's own choice, for any number of nodes."""
+    running = loop.start_controller()
+    return EverySample(loop, running) if isinstance(running, FromSamples) else NewestSample(loop, running)
+
+
+class NewestSample:
+    """Serves a `RunningController`: the newest sample of every output, as old as the oldest of them.
+
+    Until every node has been heard it answers zeros, as before the first sample of one node. A node that may keep silent by its
+    trigger is not waited for: until then its outputs are 0.
+
+    Args:
+        loop: the composed experiment.
+        running: the control law.
+    """
+
+    def __init__(self, loop: Loop, running: RunningController) -> None:
+        e, sensors = loop.experiment, loop.sensors
+        outputs = len(e.plant.outputs)
+        self._rows, self._reference, self._period_ns = running.rows, loop.reference(), e.period_ns
+        self._nothing: Rows = ((0.0,) * len(e.plant.inputs),) * loop.rows
+        self._lengths = [len(s.outputs) * s.buffer for s in sensors]
+        self._waited = [i for i, s in enumerate(sensors) if s.trigger.kind == "every-slot"]
+        # One node that measures the outputs in their order: the beginning of its packet is what the control law takes.
+        self._whole = sensors[0].outputs == tuple(range(outputs))
+        self._width = outputs * loop.samples
+        self._outputs = [s.outputs for s in sensors]
+        self._sampled_ns = [-1] * len(sensors)
+        self._y: tuple[float, ...] = (0.0,) * self._width
+        self.sample_ns = -1
+
+    def take(self, packet: SensorPacket) -> bool:
+        """Keep a packet unless a newer one is here; see `Heard.take`."""
+        node, y, sample_ns = packet.node, packet.y, packet.sample_ns
+        if packet.nodes != len(self._lengths) or len(y) != self._lengths[node]:
+            return False
+        if sample_ns >= self._sampled_ns[node]:
+            self._sampled_ns[node] = sample_ns
+            self.sample_ns = max(self.sample_ns, sample_ns)
+            self._y = y[: self._width] if self._whole else self._with(node, y)
+        return True
+
+    def _with(self, node: int, y: tuple[float, ...]) -> tuple[float, ...]:
+        known = list(self._y)
+        for output, value in zip(self._outputs[node], y):
+            known[output] = value
+        return tuple(known)
+
+    def rows(self, k: int) -> Rows:
+        """Return what the control law says; see `Heard.rows`."""
+        sampled = self._sampled_ns
+        oldest = sampled[0] if len(sampled) == 1 else self._oldest()
+        if oldest < 0:
+            return self._nothing
+        return self._rows(k, (k * self._period_ns - oldest) // self._period_ns, self._y, self._reference(k))
+
+    def _oldest(self) -> int:
+        sampled = self._sampled_ns
+        return -1 if any(sampled[i] < 0 for i in self._waited) else min(ns for ns in sampled if ns >= 0)
+
+
+class EverySample:
+    """Serves a `FromSamples`: what each node has sent, as far back as the control law looks.
+
+    Args:
+        loop: the composed experiment.
+        running: the control law.
+    """
+
+    def __init__(self, loop: Loop, running: FromSamples) -> None:
+        self._rows, self._reference, self._period_ns = running.rows, loop.reference(), loop.experiment.period_ns
+        self._assembly = Assembly(loop.sensors, running.memory)
+        self.sample_ns = -1
+
+    def take(self, packet: SensorPacket) -> bool:
+        """Keep the samples of a packet; see `Heard.take`."""
+        slot, rest = divmod(packet.sample_ns, self._period_ns)
+        if rest or slot < 0 or not self._assembly.fits(packet.node, packet.nodes, packet.samples, len(packet.y)):
+            return False
+        self._assembly.take(packet.node, slot, packet.y)
+        self.sample_ns = max(self.sample_ns, packet.sample_ns)
+        return True
+
+    def rows(self, k: int) -> Rows:
+        """Return what the control law says; see `Heard.rows`."""
+        return self._rows(k, Known(self._assembly.known(k), self._reference(k)))
