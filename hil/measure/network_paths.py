@@ -53,7 +53,7 @@ def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
             )
             for number, sensor in enumerate(sensors_of(e))
         ),
-        NetworkPath(side="ca", node="", law=e.links.ca.law, kind=kinds["ca"], draws=ca),
+        NetworkPath(side="ca", node="", law=e.links.ca.law, kind=e.kinds.get("links.ca.law", kinds["ca"]), draws=ca),
     )  # fmt: skip
 
 
