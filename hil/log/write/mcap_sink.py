@@ -21,6 +21,8 @@ from hil.log.write.sinks import Put, Record
 LIBRARY: Final = "hilrig"
 FLUSH_BYTES: Final = 1 << 16
 FLUSH_S: Final = 0.05
+MOST_WAITING: Final = 1 << 21
+"""Bytes that wait in memory for a flush."""
 
 
 class McapSink:
@@ -225,27 +227,39 @@ class McapSink:
 
 
 class _Disk:
-    """A file that grows by whole flushes: after a failed one it is cut back to the end of the last good one."""
+    """A file that grows by whole flushes: after a failed one it is cut back to the end of the last good one.
+
+    What is large goes to the disk before it is flushed, and is cut off all the same if the rest does not follow.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         flags = os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
         self._file = open(os.open(path, flags, 0o600), "w+b", buffering=0)  # noqa: SIM115
         self._parts: list[bytes] = []
+        self._waiting = 0  # bytes in the parts
         self._position = 0
         self._good = 0
 
     def write(self, data: bytes) -> int:
         self._parts.append(data)
         self._position += len(data)
+        self._waiting += len(data)
+        if self._waiting >= MOST_WAITING:
+            self._let_go()
         return len(data)
 
     def tell(self) -> int:
         return self._position
 
     def flush(self) -> None:
+        self._let_go()
+        self._good = self._position
+
+    def _let_go(self) -> None:
         data = memoryview(b"".join(self._parts))
         self._parts.clear()
+        self._waiting = 0
         try:
             while data:
                 data = data[self._file.write(data) or 0 :]
@@ -255,7 +269,6 @@ class _Disk:
             except OSError:
                 pass  # a device or a dying disk; the torn end can still be recovered
             raise
-        self._good = self._position
 
     def duplicate(self) -> int:
         return os.dup(self._file.fileno())

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
@@ -34,7 +34,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from hil.log.growing import Growing
+from hil.log.growing import Growing, pieces
 from hil.log.write.packed_records import BEHIND, HEAD, MESSAGE_OVERHEAD, Layouts, Messages, Packed, Part, messages_at
 
 Index = Literal["full", "chunk"]
@@ -42,6 +42,9 @@ Index = Literal["full", "chunk"]
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 COMPRESSION: Final = "zstd"
+
+INDEX_PIECE: Final = 1 << 18
+"""Bytes of the chunks' index that are written together: it has some 6 bytes for every slot of a run."""
 
 _INDEX_ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
@@ -63,7 +66,7 @@ class McapWriter:
     """Writes one MCAP file: chunks compressed with zstd, every chunk indexed, all checksums.
 
     Args:
-        stream: takes the bytes; only `flush` and `finish` let it go to the disk.
+        stream: takes the bytes; those before a `flush` are as good as written, later ones may go to the disk or not.
         profile, library: what the header says.
         index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
         chunk_ended: told every chunk that is written: its bytes, and where its messages stand in them.
@@ -278,20 +281,22 @@ class McapWriter:
             chunk_count=self._chunks, message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
             message_start_time=self._start or 0, message_end_time=self._end, schema_count=len(self._schemas),
         )  # fmt: skip
-        groups = (
-            (Opcode.SCHEMA, b"".join(map(_bytes, self._schemas))),
-            (Opcode.CHANNEL, b"".join(map(_bytes, self._channels))),
-            (Opcode.STATISTICS, _bytes(statistics)),
-            (Opcode.CHUNK_INDEX, self._chunk_indexes.array().tobytes()),
-            (Opcode.ATTACHMENT_INDEX, b"".join(map(_bytes, self._attachments))),
-            (Opcode.METADATA_INDEX, b"".join(map(_bytes, self._metadata))),
+        groups: tuple[tuple[Opcode, Iterable[bytes]], ...] = (
+            (Opcode.SCHEMA, map(_bytes, self._schemas)),
+            (Opcode.CHANNEL, map(_bytes, self._channels)),
+            (Opcode.STATISTICS, (_bytes(statistics),)),
+            (Opcode.CHUNK_INDEX, (piece.tobytes() for piece in pieces(self._chunk_indexes.array(), INDEX_PIECE))),
+            (Opcode.ATTACHMENT_INDEX, map(_bytes, self._attachments)),
+            (Opcode.METADATA_INDEX, map(_bytes, self._metadata)),
         )
         offsets, tail, crc = b"", start, 0
         for opcode, group in groups:
-            offsets += _bytes(SummaryOffset(group_opcode=opcode, group_start=tail, group_length=len(group)))
-            self._stream.write(group)
-            tail += len(group)
-            crc = zlib.crc32(group, crc)
+            begin = tail
+            for data in group:
+                self._stream.write(data)
+                tail += len(data)
+                crc = zlib.crc32(data, crc)
+            offsets += _bytes(SummaryOffset(group_opcode=opcode, group_start=begin, group_length=tail - begin))
         footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, tail)
         crc = zlib.crc32(footer, zlib.crc32(offsets, crc))
         self._stream.write(offsets)

@@ -4,9 +4,11 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from hil.log import growing
 from hil.log.read.run import read_run
+from hil.log.write import mcap_sink, mcap_writer
 from hil.log.write.mcap_sink import McapSink
 from tests.hil.log.recording import PERIOD_NS, TABLE, provenance
 
@@ -43,6 +45,29 @@ def test_writing_holds_no_more_for_a_longer_run(tmp_path: Path) -> None:
         assert write(tmp_path / "run.mcap", MANY) < BYTES_PER_SLOT
     finally:
         tracemalloc.stop()
+
+
+def test_closing_holds_no_index_of_a_long_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mcap_sink, "FLUSH_BYTES", 1)  # a chunk per slot
+    monkeypatch.setattr(mcap_sink, "MOST_WAITING", 1 << 14)
+    monkeypatch.setattr(mcap_writer, "INDEX_PIECE", 1 << 12)
+    sink, chunks = McapSink(tmp_path / "run.mcap", TABLE, provenance(), index="chunk"), 3_000
+    state, pack = sink.channel("/plant/state"), TABLE["/plant/state"].schema.pack
+    assert state is not None
+    for k in range(chunks):
+        state(k * PERIOD_NS, pack(0.1, 1.0, k))
+        sink.commit()
+    tracemalloc.start()
+    try:
+        sink.close()
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 40 * chunks  # the index has some 90 bytes for every chunk
+    with open(tmp_path / "run.mcap", "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None and len(summary.chunk_indexes) == chunks
+    assert len(read_run(tmp_path / "run.mcap").numbers("/plant/state")) == chunks
 
 
 def test_reading_holds_no_more_for_a_longer_log(tmp_path: Path) -> None:
