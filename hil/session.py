@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.experiment.can_frames import link_uri
+from hil.experiment.can_frames import link_uri, said_identifiers
 from hil.log.events import decode_event, to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import Run, read_run
@@ -179,6 +179,7 @@ def run_session(
         clock=clock,
         link=uri,
         codes={"reason": REASONS, "selection": SELECTIONS},
+        channels=said_identifiers(experiment, uri),
         session={} if clock == "virtual" else {
             "started": wall_clock(), "external_controller": str(external), "who_commands": who_commands(uri),
         },

@@ -22,6 +22,7 @@ COMMANDS = {
     "replay": "Verify a log, ask another controller, or put its frames on a bus.",
     "recover": "Rebuild an indexed log from a torn one.",
     "export": "Write a log's frames or signals in other formats.",
+    "layout": "Make a layout of Foxglove, Lichtblick or PlotJuggler for a log.",
     "dbc": "Print the DBC of the frames, make a C codec of it, decode a CAN log.",
     "sweep": "Run an experiment for many seeds on all cores.",
     "compare": "Compare experiments under common random numbers.",

@@ -125,6 +125,22 @@ def identifiers_on(e: Experiment, uri: str) -> Identifiers:
     return identifiers_of(uri, split_uri(uri)[2], framing(uri)[1])
 
 
+def said_identifiers(e: Experiment, uri: str) -> dict[str, dict[str, str]]:
+    """Return what the log says of its frames: topic to the CAN identifiers of each talker, as ``hil dbc`` has them too.
+
+    Args:
+        e: the experiment.
+        uri: the link of the session; one that is no CAN link has the default identifiers of its nodes, as an export has.
+    """
+    try:
+        own = identifiers_on(e, uri)
+    except (TransportError, ExperimentError):
+        return {}  # more nodes than a CAN link has identifiers for
+    names = ordered_names(e) or ["sensor"]
+    told = {f"can_id.{name}": said(ids) for name, ids in zip(names, own.sensors, strict=True)}
+    return {"/link/sensor": told, "/link/control": {"can_id.control": said(own.control)}}
+
+
 def _explicit(e: Experiment) -> bool:
     return e.links.control_can_id is not None or any(node.can_id is not None for node in e.nodes.values())
 

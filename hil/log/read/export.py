@@ -5,6 +5,7 @@
 ``.blf``  Vector's binary format (CANalyzer, CANoe), through python-can
 ``.asc``  Vector's text format, through python-can; its times count from the first frame
 ``.trc``  PEAK's text format, through python-can: classic frames only
+``.mf4``  ASAM MDF 4, through python-can and asammdf (the extra ``mf4``)
 ``.csv``  one table per topic, numbers in full precision, units in the header
 ``.npz``  one structured array per topic for ``numpy.load``; raw frames as a matrix of bytes, padded with zeros
 ========= ===================================================================================================
@@ -22,6 +23,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -50,7 +52,7 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
 
     Args:
         run: what to write.
-        target: ``.log``, ``.blf``, ``.asc``, ``.trc``, ``.csv`` or ``.npz``. Tables of more than one topic make files
+        target: ``.log``, ``.blf``, ``.asc``, ``.trc``, ``.mf4``, ``.csv`` or ``.npz``. Tables of more than one topic make files
             ``name.topic.csv``.
         topics: only these; all by default. CAN logs hold ``/link/sensor`` and ``/link/control``.
         replace: replace files that are there, each when it is whole. Otherwise none is touched where one is in the way.
@@ -63,7 +65,7 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
             ``replace``) or cannot be written.
     """
     target = Path(target)
-    writers = {".log": _can_log, ".blf": _can_log, ".asc": _can_log, ".trc": _can_log, ".csv": _tables, ".npz": _npz}
+    writers = dict.fromkeys((".log", ".blf", ".asc", ".trc", ".mf4"), _can_log) | {".csv": _tables, ".npz": _npz}
     writer = writers.get(target.suffix)
     if writer is None:
         raise HilError(f"{target}: the ending {target.suffix!r} names no format, expected {', '.join(writers)}")
@@ -153,6 +155,8 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
         raise HilError(f"{target}: no frames to write; a CAN log needs the records of {' and '.join(FRAME_TOPICS)}")
     if target.suffix == ".trc" and _framing(run)[0]:
         raise HilError(f"{target}: python-can writes classic frames only as .trc, and this link has CAN FD; export .asc instead")
+    if target.suffix == ".mf4" and find_spec("asammdf") is None:
+        raise HilError(f"{target}: .mf4 needs asammdf: pip install 'hilrig[mf4]'")
     with written_whole(target, replace=replace) as part, can.Logger(part) as writer:  # picks the writer by the ending
         for message in _can_messages(run, wanted):
             writer.on_message_received(message)

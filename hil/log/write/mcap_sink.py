@@ -92,7 +92,9 @@ class McapSink:
             schema = channel.schema
             if schema.name not in schemas:
                 schemas[schema.name] = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
-            self._ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schemas[schema.name])
+            self._ids[channel.topic] = writer.register_channel(
+                channel.topic, "cdr", schemas[schema.name], provenance.channels.get(channel.topic)
+            )  # fmt: skip
         events = writer.register_schema(EVENT_SCHEMA_NAME, "ros2msg", EVENT_SCHEMA.encode())
         self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "cdr", events)
         self.kept.number(self._ids)

@@ -65,6 +65,7 @@ class Provenance:
         versions: package name to version.
         commit: of the checkout that runs; empty where there is none. The same for every run of one checkout.
         codes: names behind the small integers of the records, for instance ``{"reason": REASONS}``.
+        channels: topic to what its channel says of itself in the file, such as the CAN identifiers of its frames.
         session: what only a session in real time may say: start, host, scheduler. Leave empty in virtual time, or two runs of one
             experiment are no longer the same file.
     """
@@ -79,6 +80,7 @@ class Provenance:
     versions: Mapping[str, str] = field(default_factory=package_versions)
     commit: str = field(default_factory=commit)
     codes: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    channels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     session: Mapping[str, str] = field(default_factory=dict)
 
     def metadata(self) -> dict[str, dict[str, str]]:

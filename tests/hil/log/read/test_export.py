@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,11 +13,15 @@ import can
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from mcap.reader import make_reader
 
 from hil.cli.export import command
 from hil.errors import HilError
+from hil.experiment import load_experiment
+from hil.experiment.can_frames import said_identifiers
 from hil.log.read.export import export
 from hil.log.read.run import Run, read_run
+from hil.session import run_session
 from tests.hil.log.recording import record_chunks
 
 
@@ -105,7 +110,7 @@ def packets(run: Run) -> list[tuple[float, int, bytes]]:
     return sorted(found, key=lambda packet: packet[0])
 
 
-@pytest.mark.parametrize("ending", [".log", ".blf"])
+@pytest.mark.parametrize("ending", [".log", ".blf", ".mf4"])
 def test_a_can_log_holds_the_frames_of_the_link(run: Run, tmp_path: Path, ending: str) -> None:
     target = tmp_path / f"run{ending}"
     assert export(run, target) == [target]
@@ -115,6 +120,28 @@ def test_a_can_log_holds_the_frames_of_the_link(run: Run, tmp_path: Path, ending
     assert [(m.arbitration_id, bytes(m.data)) for m in messages] == [(i, data) for _, i, data in expected]
     assert [m.timestamp for m in messages] == pytest.approx([t for t, _, _ in expected], abs=1e-6)
     assert all(m.is_fd and m.bitrate_switch and not m.is_extended_id for m in messages)
+
+
+def test_without_asammdf_a_message_names_the_extra(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(HilError, match=r"\.mf4 needs asammdf: pip install 'hilrig\[mf4\]'"):
+        export(run, tmp_path / "run.mf4")
+    assert not list(tmp_path.iterdir())
+
+
+def test_channels_of_frames_say_their_can_identifiers(tmp_path: Path) -> None:
+    """As ``hil dbc`` has them: of each node by its name, those of the session's link."""
+    experiment = load_experiment("multisensor-published", ["duration=0.1"])
+    run_session(experiment, path=tmp_path / "x.mcap")
+    with open(tmp_path / "x.mcap", "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    told = {channel.topic: channel.metadata for channel in summary.channels.values()}
+    ids = {f"can_id.{name}": f"{0x100 + 16 * i:#x}-{0x10F + 16 * i:#x}" for i, name in enumerate(experiment.nodes)}
+    assert told["/link/sensor"] == ids and told["/link/control"] == {"can_id.control": "0x140-0x17f"}
+    assert said_identifiers(load_experiment("dc-motor-hinf"), "can:hil:x?base=0x300")["/link/sensor"] == {
+        "can_id.sensor": "0x300-0x33f"
+    }
 
 
 def test_vectors_text_format_holds_the_frames_and_the_time_between_them(run: Run, tmp_path: Path) -> None:
@@ -162,7 +189,8 @@ def test_a_can_log_without_frames_is_refused(run: Run, tmp_path: Path) -> None:
 
 
 def test_an_unknown_ending_or_topic_is_named(run: Run, tmp_path: Path) -> None:
-    with pytest.raises(HilError, match=r"the ending '\.xls' names no format, expected \.log, \.blf, \.asc, \.trc, \.csv, \.npz"):
+    endings = r"\.log, \.blf, \.asc, \.trc, \.mf4, \.csv, \.npz"
+    with pytest.raises(HilError, match=rf"the ending '\.xls' names no format, expected {endings}"):
         export(run, tmp_path / "run.xls")
     with pytest.raises(HilError, match=r"topic '/plant/stat': not in the log, expected one of /plant/state, "):
         export(run, tmp_path / "run.csv", ["/plant/stat"])

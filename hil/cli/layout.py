@@ -1,0 +1,38 @@
+"""``hil layout``: a layout of Foxglove, Lichtblick or PlotJuggler for the topics of a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("viewer", type=click.Choice(["foxglove", "lichtblick", "plotjuggler"]))
+@click.argument("source", metavar="SOURCE")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE", help="File to write; by default it is printed.")
+@click.option("--force", is_flag=True, help="Replace FILE if it exists.")
+def command(viewer: str, source: str, output: Path | None, force: bool) -> None:
+    """Make a layout for the logs of SOURCE, an experiment or a log: outputs, states, inputs, delays, timing and events.
+
+    Foxglove and Lichtblick import the JSON under "Import from file", PlotJuggler loads the XML by "Layout".
+    """
+    from hil.cli.outputs import check_output, write_output
+    from hil.cli.terminal import visible
+    from hil.compose.loop import compose
+    from hil.experiment import load_experiment
+    from hil.log.read.run import read_run
+    from hil.report.layouts import foxglove, plotjuggler
+
+    if output is not None:
+        check_output(output, fresh=not force, remedy="choose another -o or add --force")
+    if Path(source).suffix == ".mcap":
+        schemas = read_run(source).schemas
+    else:
+        schemas = {topic: channel.schema for topic, channel in compose(load_experiment(source), certify=False).channels().items()}
+    text = plotjuggler(schemas) if viewer == "plotjuggler" else foxglove(schemas) + "\n"
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        write_output(output, text, replace=force)
+        click.echo(f"written: {visible(output)}")

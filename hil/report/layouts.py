@@ -1,0 +1,117 @@
+"""Layouts of other people's viewers for the topics of a log: panels of Foxglove and Lichtblick, plots of PlotJuggler."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+from xml.etree import ElementTree
+
+from hil.log.records import EVENTS_TOPIC, Schema
+
+COLOURS: Final = ("#1f77b4", "#7f7f7f", "#17becf", "#d62728", "#2ca02c", "#9467bd")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Panel:
+    """One plot over time.
+
+    Args:
+        title: what it shows.
+        curves: topic and field of each curve.
+    """
+
+    title: str
+    curves: tuple[tuple[str, str], ...]
+
+
+def panels(schemas: Mapping[str, Schema]) -> list[Panel]:
+    """Return the plots of a log: outputs against their reference, states, inputs, delays, network and timing.
+
+    Args:
+        schemas: topic to schema, of a log or of an experiment's channels.
+    """
+    outputs, states, inputs = (_floats(schemas, topic) for topic in ("/plant/measurement", "/plant/state", "/actuator/applied"))
+    found = [
+        Panel(
+            title=name,
+            curves=(
+                ("/plant/measurement", name), ("/reference", name), *([("/plant/state", name)] if name in states else []),
+            ),
+        )
+        for name in outputs
+    ]  # fmt: skip
+    found += [Panel(title=name, curves=(("/plant/state", name),)) for name in states if name not in outputs]
+    disturbed = [name for name in inputs if not (name.startswith("w_") and name[2:] in inputs)]
+    found += [Panel(title=name, curves=(("/actuator/applied", name), ("/actuator/applied", f"w_{name}"))) for name in disturbed]
+    found.append(Panel(title="delays, samples", curves=(("/controller/rows", "tau"), ("/actuator/applied", "d"))))
+    found.append(Panel(title="network, age in samples", curves=(("/network/sc", "age"), ("/network/ca", "age"))))
+    timed = (("/timing/tick", "lateness_us"), ("/timing/tick", "round_trip_us"))
+    found.append(Panel(title="timing, us", curves=timed))
+    return found
+
+
+def foxglove(schemas: Mapping[str, Schema]) -> str:
+    """Return a layout of Foxglove and Lichtblick, JSON: a plot above the other, the events beside them.
+
+    Args:
+        schemas: see `panels`.
+    """
+    configs: dict[str, Any] = {}
+    for i, panel in enumerate(panels(schemas)):
+        configs[f"Plot!{i}"] = {
+            "foxglovePanelTitle": panel.title,
+            "title": panel.title,
+            "paths": [
+                {"value": f"{topic}.{name}", "label": f"{topic} {name}", "enabled": True, "timestampMethod": "receiveTime"}
+                for topic, name in panel.curves
+            ],
+            "showXAxisLabels": True, "showYAxisLabels": True, "showLegend": True, "legendDisplay": "floating",
+            "showPlotValuesInLegend": True, "isSynced": True, "xAxisVal": "timestamp", "sidebarDimension": 240,
+        }  # fmt: skip
+    plots = _stacked(list(configs))
+    configs["RawMessages!events"] = {"topicPath": EVENTS_TOPIC, "diffEnabled": False, "diffMethod": "custom"}
+    layout = {"direction": "row", "first": plots, "second": "RawMessages!events", "splitPercentage": 75}
+    return json.dumps(
+        {
+            "configById": configs, "globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1}, "layout": layout,
+        },
+        indent=1,
+    )  # fmt: skip
+
+
+def plotjuggler(schemas: Mapping[str, Schema]) -> str:
+    """Return a layout of PlotJuggler, XML: one tab, a plot above the other, times from the beginning of the log.
+
+    Args:
+        schemas: see `panels`.
+    """
+    found = panels(schemas)
+    root = ElementTree.Element("root")
+    tabs = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
+    container = ElementTree.SubElement(ElementTree.SubElement(tabs, "Tab", tab_name="hilrig", containers="1"), "Container")
+    sizes = ";".join([f"{1 / len(found):.6f}"] * len(found))
+    splitter = ElementTree.SubElement(container, "DockSplitter", orientation="-", count=str(len(found)), sizes=sizes)
+    for panel in found:
+        area = ElementTree.SubElement(splitter, "DockArea", name=panel.title)
+        plot = ElementTree.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
+        ElementTree.SubElement(plot, "limitY")
+        for i, (topic, name) in enumerate(panel.curves):
+            ElementTree.SubElement(plot, "curve", name=f"{topic}/{name}", color=COLOURS[i % len(COLOURS)])
+    ElementTree.SubElement(tabs, "currentTabIndex", index="0")
+    ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
+    ElementTree.indent(root, " ")
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _stacked(names: Sequence[str]) -> Any:
+    """Return panels one above the other, all of one height."""
+    if len(names) == 1:
+        return names[0]
+    rest = _stacked(names[1:])
+    return {"direction": "column", "first": names[0], "second": rest, "splitPercentage": round(100 / len(names), 3)}
+
+
+def _floats(schemas: Mapping[str, Schema], topic: str) -> list[str]:
+    return [field.name for field in schemas[topic].fields if field.type == "float64"]

@@ -1,0 +1,42 @@
+"""`hil layout`: what a viewer is told to draw stands in a real log."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from hil.log.read.run import read_run
+from tests.hil.cli.conftest import Hil
+
+
+def leaves(node: Any) -> list[str]:
+    return [node] if isinstance(node, str) else [*leaves(node["first"]), *leaves(node["second"])]
+
+
+def test_a_layout_names_topics_and_fields_of_a_real_log(hil_log: Path, cli: Hil) -> None:
+    fields = {topic: {f.name for f in schema.fields} for topic, schema in read_run(hil_log).schemas.items()}
+    status, out, _ = cli("layout", "foxglove", hil_log)
+    layout = json.loads(out)
+    assert status == 0 and sorted(leaves(layout["layout"])) == sorted(layout["configById"])
+    paths = [path["value"] for panel in layout["configById"].values() for path in panel.get("paths", [])]
+    assert all(name in fields[topic] for topic, _, name in (path.rpartition(".") for path in paths))
+    for needed in ("/plant/measurement.angle", "/reference.angle", "/actuator/applied.voltage", "/controller/rows.tau"):
+        assert needed in paths
+    assert cli("layout", "lichtblick", "dc-motor-hinf")[1] == out  # an experiment has the topics of its logs
+    status, out, _ = cli("layout", "plotjuggler", hil_log, "-o", "x.xml")
+    plots = ElementTree.parse("x.xml")
+    curves = [curve.attrib["name"] for curve in plots.iter("curve")]
+    assert status == 0 and all(name in fields[topic] for topic, _, name in (curve.rpartition("/") for curve in curves))
+    assert {curve.rpartition("/")[::2] for curve in curves} == {path.rpartition(".")[::2] for path in paths}
+    splitter = next(plots.iter("DockSplitter"))
+    assert int(splitter.attrib["count"]) == len(splitter) == len(layout["configById"]) - 1
+
+
+def test_a_layout_replaces_nothing_unasked(cli: Hil) -> None:
+    Path("x.json").write_text("mine")
+    status, _, err = cli("layout", "foxglove", "dc-motor-hinf", "-o", "x.json")
+    assert status == 2 and "exists already; choose another -o or add --force" in err and Path("x.json").read_text() == "mine"
+    assert cli("layout", "foxglove", "dc-motor-hinf", "-o", "x.json", "--force")[0] == 0
+    assert "Plot!0" in json.loads(Path("x.json").read_text())["configById"]
