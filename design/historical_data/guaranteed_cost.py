@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from design.errors import Infeasible, NotStable
-from design.historical_data.information import Information, Mask
+from design.historical_data.information import Mask
 from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, close
 from design.historical_data.measurement_noise import cost_from, stationary_cost
 from design.verdict import Verdict
@@ -226,79 +226,6 @@ def _descend(
         options={"maxiter": 1500 if finish else 40, "gtol": 1e-9},
     )  # fmt: skip
     return np.asarray(found.x) if np.isfinite(found.fun) else v
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CostBounds:
-    """What no controller can go below.
-
-    Args:
-        full_state: with the whole state known in every slot.
-        causal: for any causal controller that knows what the packets have brought, and where x(0) comes from.
-    """
-
-    full_state: float
-    causal: float
-
-
-def lower_bounds(plant: DelayedPlant, information: Information, start: Start) -> CostBounds:
-    """Return lower bounds of the cost over a fixed schedule.
-
-    The optimal causal controller is the linear quadratic regulator on the conditional mean of the stacked state (separation); its
-    cost is that of the full state plus tr(K'(Xi_u + B'SB)K Sigma(k)), summed, with Sigma(k) the error covariance in slot k.
-    """
-    memory = max(information.memory, plant.memory, information.buffer - 1 + information.delay)
-    A, B, weight, input_weight = plant.matrices(memory)
-    S = _riccati(A, B, weight, input_weight)
-    core = input_weight + B.T @ S @ B
-    K = np.linalg.pinv(core) @ B.T @ S @ A
-    price = K.T @ core @ K
-    size, n = A.shape[0], plant.A.shape[0]
-    full = float(np.trace(S[:n, :n] @ start.moment))
-    extra = 0.0
-    for phase, share in enumerate(start.phases):
-        if share == 0.0:
-            continue
-        sigma = np.zeros((size, size))
-        sigma[:n, :n] = start.moment
-        for k in range(2000):
-            sigma = _informed(sigma, _seen(information, (phase + k) % information.phases, k, n, memory))
-            added = float(np.trace(price @ sigma))
-            extra += share * added
-            sigma = A @ sigma @ A.T
-            if np.abs(sigma).max() < 1e-14:
-                break
-    return CostBounds(full_state=full, causal=full + extra)
-
-
-def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
-    """Cost-to-go of the regulator by value iteration, which takes a zero input weight as it is."""
-    S = Q
-    for _ in range(100_000):
-        core = R + B.T @ S @ B
-        new = Q + A.T @ S @ A - A.T @ S @ B @ np.linalg.pinv(core) @ B.T @ S @ A
-        new = 0.5 * (new + new.T)
-        if np.abs(new - S).max() <= 1e-13 * np.abs(new).max():
-            return np.asarray(new)
-        S = new
-    raise Infeasible("the regulator's Riccati equation has no solution: the plant cannot be stabilised")
-
-
-def _seen(information: Information, phase: int, k: int, n: int, memory: int) -> list[int]:
-    """Entries of the stacked state that the packet arriving in slot k holds (the packet sent `delay` slots ago)."""
-    if k < information.delay:
-        return []
-    node = information.order[(phase - information.delay) % information.phases]
-    ages = range(information.delay, min(information.delay + information.buffer, memory + 1))
-    return [j * n + state for j in ages for state, owner in enumerate(information.nodes) if owner == node]
-
-
-def _informed(sigma: Array, seen: list[int]) -> Array:
-    if not seen:
-        return sigma
-    cross = sigma[:, seen]
-    better = sigma - cross @ np.linalg.pinv(sigma[np.ix_(seen, seen)], rcond=1e-12, hermitian=True) @ cross.T
-    return np.asarray(0.5 * (better + better.T))
 
 
 def cyclic_orders(nodes: int) -> Iterator[tuple[int, ...]]:

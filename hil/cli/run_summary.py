@@ -50,6 +50,8 @@ def show(summary: dict[str, Any]) -> None:
         state = str(claim.get("state", "no verdict"))
         colour = {"certified": "green", "refused": "red"}.get(state, "yellow")
         row("certificate", Text.assemble(cell(state, colour), cell(f", {claim.get('kind')}: {claim.get('reason')}")))
+        if claim.get("bound_full_state") is not None:
+            row("least cost", least_cost(claim))
     else:
         row("certificate", "none")
     if summary.get("safety"):
@@ -64,6 +66,22 @@ def show(summary: dict[str, Any]) -> None:
     log = summary["log"]
     row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
     console.print(table)
+
+
+def least_cost(claim: dict[str, Any]) -> str:
+    """Return what a certificate says of the cost and of what no controller goes below.
+
+    Args:
+        claim: with `bound_full_state`, and `cost` where it is known.
+
+    >>> least_cost({"bound_full_state": 54.7557, "cost": 55.1974})
+    'no controller below 54.756 from this start, over any network; this one 55.197, 0.81 % above'
+    """
+    bound, cost = float(claim["bound_full_state"]), claim.get("cost")
+    told = f"no controller below {number(bound)} from this start, over any network"
+    if cost is None:
+        return told
+    return f"{told}; this one {number(float(cost))}" + (f", {100 * (float(cost) / bound - 1):.2f} % above" if bound > 0 else "")
 
 
 def timing_rows(timing: dict[str, Any]) -> list[tuple[str, str]]:

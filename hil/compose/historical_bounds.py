@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
 
 from design.controllers import HistoryGains, SensorNodes
+from design.controllers.packet_window import window_of
+from design.controllers.sensor_nodes import Uses
 from hil.compose.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop
 from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from design.historical_data.guaranteed_cost import Start
+    from design.historical_data.lifted_loop import DelayedPlant
+
+Gains = npt.NDArray[np.float64]
 
 
 def judge_historical(loop: Loop, *, orders: bool = False) -> dict[str, Any]:
     """Return what gains cost, what no controller can go below, and the gains; the cost is the plant's own.
 
-    The means are over x(0) ~ N(0, I) with a zero history in any phase. Means and bounds are known where turns follow a fixed
-    order, no packet is lost, and all nodes have one buffer and one delay; else they are None.
+    The means are over x(0) ~ N(0, I) with a zero history; slot 0 is any turn of a cycle, and drawn where turns are. The bound of
+    a causal controller is known where the schedule is a cycle or a chain that nobody's state or input changes: not with triggers,
+    clocks that draw, or delays that change.
 
     Args:
         loop: an experiment with gains over historical data.
@@ -24,9 +37,9 @@ def judge_historical(loop: Loop, *, orders: bool = False) -> dict[str, Any]:
     Raises:
         HilError: another controller or plant, or orders that cannot be tried.
     """
-    from design.historical_data.guaranteed_cost import average_start, cost, lower_bounds
+    from design.historical_data.cost_bounds import bounds, hearing_of, mean_full_state_bound
+    from design.historical_data.guaranteed_cost import cost
     from design.historical_data.lifted_loop import close
-    from design.historical_data.orders import orders_by_cost
 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
     plant = delayed_plant_of(loop.experiment.plant, loop.model)
@@ -40,29 +53,53 @@ def judge_historical(loop: Loop, *, orders: bool = False) -> dict[str, Any]:
         "experiment": name, "uses": controller.uses, "cost": loop.verdict.details["cost"], "mean_cost": None,
         "bound_full_state": None, "bound_causal": None, "gap": None, "verdict": loop.verdict.to_json(), "gains": K.tolist(),
     }  # fmt: skip
-    if controller.uses == "last-packets" or not _fixed_order(nodes):
-        if orders:
-            raise HilError(f"{name}: --orders: needs turns in a fixed order, no loss, and one buffer and delay for all nodes")
-        return found
-    from design.historical_data.information import Information
-
-    turns, start = nodes.turns, average_start(len(plant.A), len(K))
-    owner = {output: n for n, own in enumerate(nodes.outputs) for output in own}
-    info = Information(
-        nodes=tuple(owner[i] for i in range(len(plant.A))), order=turns.order if turns else (), buffer=nodes.buffers[0],
-        memory=max(K.shape[1] - 1, nodes.buffers[0] - 1 + (nodes.delays[0] or 0)), delay=nodes.delays[0] or 0,
-    )  # fmt: skip
-    bounds = lower_bounds(plant, info, start)
-    mean = cost(close(plant, K), start)
-    found |= {"mean_cost": mean, "bound_full_state": bounds.full_state, "bound_causal": bounds.causal}
-    found["gap"] = mean / bounds.causal - 1.0
+    start, chain, full = _any_start(nodes, controller.uses, K)
+    found["mean_cost"] = cost(close(plant, full, chain), start)
+    found["bound_full_state"] = mean_full_state_bound(plant, start.moment)
+    hearing = hearing_of(nodes, from_any_phase=True)
+    if hearing is not None:
+        found["bound_causal"] = bounds(plant, hearing, start.moment).causal
+        found["gap"] = found["mean_cost"] / found["bound_causal"] - 1.0
     if orders:
-        if Counter(info.order) != Counter(range(len(nodes.names))):
-            raise HilError(f"{name}: --orders: every node needs one turn in a cycle")
-        found["orders"] = [
-            {"nodes": [nodes.names[n] for n in each.order], "mean_cost": each.cost} for each in orders_by_cost(plant, info, start)
-        ]
+        found["orders"] = _orders(plant, nodes, K, name)
     return found
+
+
+def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, Gains | None, Gains]:
+    """Return a start from x(0) ~ N(0, I) in any turn, the chain of the phases and the gains of all of them."""
+    from design.historical_data.guaranteed_cost import Start
+    from design.historical_data.packet_windows import window_chain, window_start
+    from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
+
+    turns, moment = nodes.turns, np.eye(K.shape[-1])
+    begins = [turns]
+    if turns is not None and turns.cycle:
+        begins = [replace(turns, phase=phase) for phase in range(turns.phases)]
+    if uses == "last-packets" and turns is not None:
+        windows = [window_of(begin, len(K)) for begin in begins if begin is not None]
+        phases = np.mean([window_start(window) for window in windows], axis=0)
+        return Start(moment=moment, phases=phases), window_chain(windows[0]), K
+    full = with_lost_turns(K, nodes).astype(np.float64)
+    phases = np.mean([phases_at_start(replace(nodes, turns=begin), uses) for begin in begins], axis=0)
+    return Start(moment=moment, phases=phases), phase_chain(nodes), full
+
+
+def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Gains, name: str) -> list[dict[str, Any]]:
+    from design.historical_data.guaranteed_cost import average_start
+    from design.historical_data.information import Information
+    from design.historical_data.orders import orders_by_cost
+
+    turns = nodes.turns
+    if not _fixed_order(nodes) or turns is None or Counter(turns.order) != Counter(range(len(nodes.names))):
+        raise HilError(f"{name}: --orders: needs turns in a fixed order, one for every node, no loss, and one buffer and delay")
+    owner = {output: n for n, own in enumerate(nodes.outputs) for output in own}
+    delay = nodes.delays[0] or 0
+    info = Information(
+        nodes=tuple(owner[i] for i in range(len(plant.A))), order=turns.order, buffer=nodes.buffers[0],
+        memory=max(K.shape[1] - 1, nodes.buffers[0] - 1 + delay), delay=delay,
+    )  # fmt: skip
+    tried = orders_by_cost(plant, info, average_start(len(plant.A), len(turns.order)))
+    return [{"nodes": [nodes.names[n] for n in each.order], "mean_cost": each.cost} for each in tried]
 
 
 def _fixed_order(nodes: SensorNodes) -> bool:

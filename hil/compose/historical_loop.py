@@ -6,12 +6,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from design.controllers import HistoryGains, LoopModel, SensorNodes
 from design.controllers.packet_window import window_of
 from design.verdict import Kind, Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
-from hil.experiment.protocols import HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
+from hil.experiment.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.historical_data.lifted_loop import DelayedPlant
@@ -65,7 +66,8 @@ def mask_faults(controller: HistoryGains, nodes: SensorNodes) -> list[str]:
 def certify_historical(loop: LoopToCertify) -> Verdict | None:
     """Return the verdict on gains over historical data: stable or not, exactly, and what the loop costs; None for other loops.
 
-    The cost in the details is that of the run: from the plant's first state, in the schedule's first phase.
+    The cost in the details is that of the run: from the plant's first state, in the schedule's first phase. `bound_full_state`
+    beside it is what no controller goes below from there, over any network.
     """
     controller, nodes = loop.controller, loop.model.nodes
     if not isinstance(controller, HistoryGains):
@@ -77,6 +79,12 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     plant = delayed_plant_of(loop.plant, loop.model)
     if plant is None:
         return undecided(loop, KIND, "the theory knows a plant that does not jump and whose state is measured")
+    x0 = np.array(loop.plant.start(np.random.default_rng(0)).state)
+    if x0.shape != (len(plant.A),):
+        return undecided(loop, KIND, "the plant has states that it does not measure")
+    past = loop.plant.state_history() if isinstance(loop.plant, HasStateHistory) else np.zeros((0, len(x0)))
+    history = np.vstack([x0, past])
+    least = _least_cost(loop.plant, plant, history)
     unknown = undecided_because(nodes, controller.uses)
     window = None
     if controller.uses == "last-packets" and nodes.turns is not None:
@@ -85,25 +93,36 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     if nodes.silent:
         unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"
     if unknown:
-        return undecided(loop, KIND, unknown)
+        return undecided(loop, KIND, unknown, least)
     if loop.ca is None or loop.ca.max_delay:
-        return undecided(loop, KIND, "the theory covers an actuator that receives its command in the same slot, not later")
-    x0 = np.array(loop.plant.start(np.random.default_rng(0)).state)
-    if x0.shape != (len(plant.A),):
-        return undecided(loop, KIND, "the plant has states that it does not measure")
+        return undecided(loop, KIND, "the theory covers an actuator that receives its command in the same slot, not later", least)
     K = controller.history()
     if window is None:
         K = with_lost_turns(K, nodes).astype(np.float64)
     chain = phase_chain(nodes) if window is None else window_chain(window)
     phases = phases_at_start(nodes, controller.uses) if window is None else window_start(window)
-    past = loop.plant.state_history() if isinstance(loop.plant, HasStateHistory) else np.zeros((0, len(x0)))
     noise = loop.plant.sensor_noise() if isinstance(loop.plant, HasSensorNoise) else None
-    start, history = Start(moment=np.outer(x0, x0), phases=phases), np.vstack([x0, past])
+    start = Start(moment=np.outer(x0, x0), phases=phases)
     verdict = certify_cost(plant, K, start, chain, history=history, deviation=noise)
     lossless = nodes.turns is None or not nodes.turns.loss
     assumptions = tuple(
         said if lossless or said != "no packet is lost" else "packets are lost on the medium as it states, and nowhere else"
         for said in verdict.assumptions
     )
-    known = replace(verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest)
+    known = replace(
+        verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest, details={**verdict.details, **least}
+    )
     return limited_to_model(loop.plant, known, knows_state_delays=True)
+
+
+def _least_cost(plant: Plant, delayed: DelayedPlant, history: NDArray[np.float64]) -> dict[str, float]:
+    """Return what no controller goes below, whatever else is unknown; nothing where the plant is more than its model."""
+    from design.errors import Infeasible
+    from design.historical_data.cost_bounds import full_state_bound
+
+    if isinstance(plant, BeyondModel) and plant.beyond_model():
+        return {}
+    try:
+        return {"bound_full_state": full_state_bound(delayed, history)}
+    except Infeasible:
+        return {}  # no controller stabilises it

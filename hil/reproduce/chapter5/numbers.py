@@ -8,7 +8,8 @@ import numpy.typing as npt
 from design.as_printed.guaranteed_cost import printed_functional, stabilising_intervals
 from design.as_printed.historical_data import historical_gains, newest_gains
 from design.historical_data.block_diagonal import functional
-from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, lower_bounds, start_at, synthesise
+from design.historical_data.cost_bounds import lower_bounds
+from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, synthesise
 from design.historical_data.information import round_robin
 from design.historical_data.lifted_loop import DelayedPlant, close
 from hil.compose.loop import compose

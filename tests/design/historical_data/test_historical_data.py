@@ -11,12 +11,12 @@ from design.errors import Infeasible, NotStable
 from design.historical_data.block_diagonal import functional, largest_eigenvalue, tangent_scheme
 from design.historical_data.common_lyapunov import common_bound
 from design.historical_data.cone_complementarity import cone_complementarity
+from design.historical_data.cost_bounds import lower_bounds
 from design.historical_data.guaranteed_cost import (
     average_start,
     certify_cost,
     cost,
     cyclic_orders,
-    lower_bounds,
     start_at,
     synthesise,
 )

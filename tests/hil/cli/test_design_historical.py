@@ -42,14 +42,26 @@ def test_every_order_of_the_turns_is_tried() -> None:
     }
 
 
-def test_what_has_no_bound_says_so() -> None:
+def test_over_a_lossy_order_the_bound_is_known_and_the_orders_are_not_tried() -> None:
     gains = [[[[0.01 * (i == l) for l in range(4)]]] for i in range(4)]
     table = f"controller={{kind='historical', uses='current-packet', gains={gains}}}"
     lossy = compose(load_experiment("multisensor-ours", [table, *SHORT, "media.bus.loss=0.1"]))
     found = judge_historical(lossy)
-    assert found["cost"] > 0 and found["mean_cost"] is found["bound_causal"] is found["gap"] is None
+    assert found["cost"] > 0 and 1.78145 < found["bound_causal"] < found["mean_cost"]
+    assert found["gap"] == pytest.approx(found["mean_cost"] / found["bound_causal"] - 1.0)
     with pytest.raises(HilError, match="--orders: needs turns in a fixed order"):
         judge_historical(lossy, orders=True)
+
+
+def test_a_run_says_what_no_controller_goes_below_even_where_its_own_cost_is_undecided() -> None:
+    """54.756: the linear quadratic regulator with the whole state; a quarter of it from half of x(0)."""
+    for name, known in (("multisensor-published", True), ("multisensor-event", False)):
+        gains = "controller={kind='published-historical', gains='historical'}"
+        found = compose(load_experiment(name, [gains])).certificate
+        assert found is not None and found["bound_full_state"] == pytest.approx(54.7557, abs=1e-3)
+        assert ("cost" in found) == known and found["state"] == ("certified" if known else "undecided")
+    least = compose(load_experiment("multisensor-event", [gains, "plant.initial_state=[-2.0, 1.5, -3.0, 0.5]"])).certificate
+    assert least is not None and least["bound_full_state"] == pytest.approx(54.7557 / 4, abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,199 @@
+r"""What no controller can go below over scheduled sensors: with the whole state known, and with what its packets bring.
+
+The best causal controller is the linear quadratic regulator on the conditional mean of the stacked state: who is heard, and what
+is lost, depends neither on the state nor on the input, so that separation holds over a random schedule as over a cycle. It costs
+
+.. math:: J = \operatorname{tr} S W + \sum_k E \operatorname{tr} K^T (\Xi_u + B^T S B) K \, \Sigma(k)
+
+with S the regulator's cost-to-go, K its gain, and Sigma(k) the error covariance after the packets of slot k. The plant has no
+process noise: Sigma(k) = F F', and a packet that shows the entries y of X takes F to F Z, Z a basis of the kernel of F_y. Where
+the schedule is random the expectation is the sum over the tree of outcomes. A branch is left where nothing is unknown or where it
+hardly ever comes: every term is at least 0, so that the sum stays a lower bound.
+
+The full-state bound holds for any schedule, loss, trigger or delay: each only takes knowledge or freedom away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.sensor_nodes import SensorNodes
+from design.errors import Infeasible
+from design.historical_data.guaranteed_cost import Start
+from design.historical_data.information import Information
+from design.historical_data.lifted_loop import Array, DelayedPlant, cycle
+
+RARE: Final = 1e-5
+"""Branches of this probability are left."""
+
+BRANCHES: Final = 20_000
+KNOWN: Final = 1e-12
+"""A direction that the packets show with a smaller share of the spread is rounding, and counts as unseen."""
+
+Seen = tuple[tuple[int, int, int], ...]
+"""Of what a slot brings: (state, age of the newest sample, samples)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CostBounds:
+    """What no controller can go below.
+
+    Args:
+        full_state: with the whole state known in every slot.
+        causal: for any causal controller that knows what the packets have brought, and where x(0) comes from.
+    """
+
+    full_state: float
+    causal: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hearing:
+    """Who is heard when, as a Markov chain of phases.
+
+    Args:
+        transition: (phases, phases).
+        start: probability of each phase in slot 0.
+        seen: per phase, what its slot brings.
+        loss: probability that it brings nothing.
+    """
+
+    transition: Array
+    start: Array
+    seen: tuple[Seen, ...]
+    loss: float = 0.0
+
+
+def lower_bounds(plant: DelayedPlant, information: Information, start: Start) -> CostBounds:
+    """Return lower bounds of the cost over a fixed schedule without loss.
+
+    Args:
+        plant: the plant (5.1) and its weights.
+        information: who is heard in which phase.
+        start: what the cost is the mean over.
+    """
+    seen = tuple(
+        tuple((state, information.delay, information.buffer) for state, node in enumerate(information.nodes)
+              if node == information.order[(phase - information.delay) % information.phases])
+        for phase in range(information.phases)
+    )  # fmt: skip
+    return bounds(plant, Hearing(transition=cycle(information.phases), start=start.phases, seen=seen), start.moment)
+
+
+def hearing_of(nodes: SensorNodes, *, from_any_phase: bool = False) -> Hearing | None:
+    """Return who is heard when; None where this is no chain of its own: triggers, clocks that draw, delays that change.
+
+    Args:
+        nodes: the sensor nodes.
+        from_any_phase: whether slot 0 is any slot of a cycle, each as likely as another.
+    """
+    turns, delays = nodes.turns, [delay for delay in nodes.delays if delay is not None]
+    if nodes.mixed or nodes.unforeseen or nodes.silent or len(delays) < len(nodes.delays):
+        return None
+
+    def brought(node: int, age: int) -> Seen:
+        return tuple((state, age + delays[node], nodes.buffers[node]) for state in nodes.outputs[node])
+
+    if turns is None:
+        every = tuple(entry for node in range(len(nodes.names)) for entry in brought(node, 0))
+        return Hearing(transition=np.ones((1, 1)), start=np.ones(1), seen=(every,))
+    if len(set(delays)) > 1 or (turns.loss and any(len(slot) > 1 for slot in turns.cycle)):
+        return None
+    if turns.cycle:
+        phases = len(turns.cycle)
+        seen = tuple(
+            tuple(e for node, age in turns.cycle[(i - delays[0]) % phases] for e in brought(node, age)) for i in range(phases)
+        )
+        start = np.full(phases, 1.0 / phases) if from_any_phase else np.eye(phases)[turns.phase]
+        return Hearing(transition=cycle(phases), start=start, seen=seen, loss=turns.loss)
+    if delays[0] and not np.allclose(np.array(turns.initial) @ np.array(turns.transition), turns.initial, atol=1e-12):
+        return None
+    return Hearing(
+        transition=np.array(turns.transition), start=np.array(turns.initial),
+        seen=tuple(brought(node, 0) for node in range(len(nodes.names))), loss=turns.loss,
+    )  # fmt: skip
+
+
+def full_state_bound(plant: DelayedPlant, history: Array) -> float:
+    """Return the least cost from a known past, for any controller over any network: X(0)' S X(0).
+
+    Args:
+        plant: the plant (5.1) and its weights.
+        history: x(0), x(-1), ..., (h, n); zero before.
+    """
+    memory = max(plant.memory, len(history) - 1)
+    S = _regulator(plant, memory)[0]
+    X = np.zeros(len(S))
+    X[: history.size] = history.ravel()
+    return float(X @ S @ X)
+
+
+def mean_full_state_bound(plant: DelayedPlant, moment: Array) -> float:
+    """Return the least mean cost from E x(0) x(0)' = moment, (n, n), and a zero history, for any controller over any network."""
+    n = len(plant.A)
+    return float(np.trace(_regulator(plant, plant.memory)[0][:n, :n] @ moment))
+
+
+def bounds(plant: DelayedPlant, hearing: Hearing, moment: Array) -> CostBounds:
+    """Return lower bounds of the mean cost.
+
+    Args:
+        plant: the plant (5.1) and its weights.
+        hearing: who is heard when.
+        moment: E x(0) x(0)', (n, n); the history is zero.
+    """
+    n = len(plant.A)
+    memory = max(plant.memory, max((age + count - 1 for seen in hearing.seen for _, age, count in seen), default=0))
+    S, price = _regulator(plant, memory)
+    A = plant.matrices(memory)[0]
+    values, vectors = np.linalg.eigh(moment)
+    root = np.zeros((len(A), n))
+    root[:n] = vectors * np.sqrt(np.maximum(values, 0.0))
+    full, extra = float(np.trace(S[:n, :n] @ moment)), 0.0
+    rows = [np.array([j * n + i for i, age, count in seen for j in range(age, age + count)], int) for seen in hearing.seen]
+    live = [(float(share), i, root) for i, share in enumerate(hearing.start) if share > 0.0]
+    slots = 0
+    while live and slots < 10_000:
+        later: list[tuple[float, int, Array]] = []
+        for share, phase, F in live:
+            outcomes = [(1.0 - hearing.loss, _without(F, rows[phase])), *([(hearing.loss, F)] if hearing.loss else [])]
+            for chance, known in outcomes:
+                added = share * chance * float(np.vdot(known, price @ known))
+                extra += added
+                if not known.size or added <= 1e-10 * full:
+                    continue
+                moved = A @ known
+                later += [
+                    (share * chance * p, j, moved) for j, p in enumerate(hearing.transition[phase]) if share * chance * p > RARE
+                ]
+        live = sorted(later, key=lambda branch: -branch[0])[:BRANCHES]
+        slots += 1
+    return CostBounds(full_state=full, causal=full + float(extra))
+
+
+def _without(F: Array, rows: npt.NDArray[np.int_]) -> Array:
+    """Return F Z, with Z a basis of the kernel of F's rows: what is left unknown once they are seen."""
+    if not F.size or not len(rows):
+        return F
+    _, spread, basis = np.linalg.svd(F[rows])
+    rank = int((spread > KNOWN * np.abs(F).max()).sum())
+    return np.asarray(F @ basis[rank:].T)
+
+
+def _regulator(plant: DelayedPlant, memory: int) -> tuple[Array, Array]:
+    """Return the regulator's cost-to-go S on the stacked state and K'(Xi_u + B'SB)K, by value iteration: Xi_u may be zero."""
+    A, B, Q, R = plant.matrices(memory)
+    S = Q
+    for _ in range(100_000):
+        core = R + B.T @ S @ B
+        price = A.T @ S @ B @ np.linalg.pinv(core, hermitian=True) @ B.T @ S @ A
+        new = Q + A.T @ S @ A - price
+        new = 0.5 * (new + new.T)
+        if np.abs(new - S).max() <= 1e-13 * np.abs(new).max():
+            return np.asarray(new), np.asarray(price)
+        S = new
+    raise Infeasible("the regulator's Riccati equation has no solution: the plant cannot be stabilised")
