@@ -5,12 +5,14 @@
     session = hil.run("dc-motor-hinf", seed=3, **{"plant.gain": 150})
     session.metrics["sse"]                       # a number, session.summary["units"]["sse"] its unit
     session.arrays["/plant/measurement"]         # a structured numpy array per topic of the log
+    hil.run("dc-motor-hinf", plant=Cart(mass=2.0), controller=MyLaw())   # objects of your own, see hil guide
 
 ========================  =======================================================================
 `load_experiment`         a shipped name or a TOML file, checked: every fault is told at once
 `run`                     run it, in virtual or real time, with or without a log: a `Session`
 `simulate`                run it in virtual time, in memory only: a `Run`
 `read_run`                a log, read back: a `Run`
+`verify`                  run a log again, bit for bit, with the objects that no file holds
 `sweep`, `compare`        many seeds of one experiment; several experiments on the same delays
 `design`                  gains for a plant over a network, with their norms and bounds
 `assert_probability`      a condition holds with at least some probability: Wald's sequential test
@@ -33,7 +35,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from hil.errors import ExperimentError, HilError
     from hil.experiment import Experiment
-    from hil.face import assert_law, assert_probability, compare, design, load_experiment, run, simulate, sweep
+    from hil.face import assert_law, assert_probability, compare, design, load_experiment, run, simulate, sweep, verify
     from hil.log.read.run import Run, read_run
     from hil.session import Session
     from hil.sweeps.comparison import Comparison
@@ -56,6 +58,7 @@ _HOMES: Final = {
     "run": "hil.face",
     "simulate": "hil.face",
     "sweep": "hil.face",
+    "verify": "hil.face",
 }
 
 __all__ = [
@@ -75,6 +78,7 @@ __all__ = [
     "run",
     "simulate",
     "sweep",
+    "verify",
 ]
 
 

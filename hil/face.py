@@ -17,7 +17,11 @@ from hil.compose.design_problem import problem_for, tracking_target
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.log.read.run import Run
+from hil.experiment.objects import with_objects
+from hil.log.read.run import Run, read_run
+from hil.replay import Verdict as LogVerdict
+from hil.replay import experiment_of
+from hil.replay import verify as verify_run
 from hil.session import ClockName, Session, run_session
 from hil.session import simulate as simulate_loop
 from hil.sweeps.comparison import Comparison
@@ -30,6 +34,8 @@ if TYPE_CHECKING:
     from design.tracking.synthesis import Design
 
 Source = str | Path | Experiment
+OBJECTS = ("plant", "controller")
+"""Tables of an experiment for which an object may stand."""
 
 
 def load_experiment(
@@ -44,13 +50,39 @@ def load_experiment(
         duration: length of a run: seconds, or text such as "2 min".
         changes: path to value, as ``**{"plant.gain": 150, "links.sc.max_age": 4}``. ``plant`` takes a `control.StateSpace` or a
             `control.TransferFunction`, or what `plants.from_control` made of it; ``controller`` a fixed gain as one of them, a
-            matrix (m, p) or a number, or a model in discrete time that the error y - r drives and whose output adds to u*.
+            matrix (m, p) or a number, or a model in discrete time that the error y - r drives and whose output adds to u*. Both
+            take an object of any class, one of a notebook's cell too, that is a plant (`plants.Plant`) or a controller
+            (`design.controllers.Controller`); the log says so, and `verify` takes it again.
 
     Raises:
         HilError: with every fault found, each with the path of its field.
     """
-    said = [*sets, *(f"{path}={_toml(_table_of(path, value), path)}" for path, value in changes.items())]
-    return asked.load_experiment(source, said, seed=seed, duration=None if duration is None else str(duration))
+    tables = {path: _table_of(path, value) for path, value in changes.items()}
+    objects = {path: value for path, value in tables.items() if path in OBJECTS and not isinstance(value, str | Mapping)}
+    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in tables.items() if path not in objects)]
+    found = asked.load_experiment(source, said, seed=seed, duration=None if duration is None else str(duration))
+    return with_objects(found, **objects)
+
+
+def verify(
+    log: str | Path, *, plant: object = None, controller: object = None, folder: str | Path | None = None
+) -> LogVerdict:
+    """Run controller and plant of a log again on what was recorded; compare every record, bit for bit.
+
+    Args:
+        log: the file.
+        plant, controller: what ran, where it was built in Python.
+        folder: where the file of an own module or an FMU stands, which the log names and does not hold.
+
+    Returns:
+        ``difference``: the first sample that differs, None if all are identical; ``answers`` and ``states`` were compared.
+
+    Raises:
+        HilError: what ran cannot be made again, with what it takes.
+    """
+    run = read_run(Path(log))
+    where = None if folder is None else str(folder)
+    return verify_run(run, str(log), experiment_of(run, str(log), plant=plant, controller=controller, folder=where))
 
 
 def run(
@@ -73,7 +105,7 @@ def run(
         link: URI of the real link; the experiment's own by default.
         log: where to keep the log, a new file; without it none is kept.
         external: somebody else's controller answers on the link.
-        changes: path to value, as in `load_experiment`.
+        changes: path to value, as in `load_experiment`; of a loaded experiment plant and controller alone.
 
     Returns:
         the session: ``metrics``, ``arrays``, ``summary``, ``status``.
@@ -274,9 +306,11 @@ def _checked(source: Source, seed: int | None, duration: str | float | None, cha
     if not isinstance(source, Experiment):
         given = {"seed": seed, "duration": duration}
         return load_experiment(source, **{key: value for key, value in given.items() if value is not None} | dict(changes))
-    if duration is not None or changes:
-        raise HilError("a loaded experiment takes no changes: give them to load_experiment")
-    return source if seed is None else msgspec.structs.replace(source, seed=seed)
+    tables = [path for path, v in changes.items() if path not in OBJECTS or isinstance(_table_of(path, v), str | Mapping)]
+    if duration is not None or tables:
+        raise HilError("a loaded experiment takes no changes but a plant and a controller: give them to load_experiment")
+    found = with_objects(source, **changes)
+    return found if seed is None else msgspec.structs.replace(found, seed=seed)
 
 
 def _table_of(path: str, value: Any) -> Any:

@@ -19,7 +19,9 @@ from design.controllers import packet_samples
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
+from hil.experiment.absent import Absent
 from hil.experiment.can_frames import link_uri
+from hil.experiment.plugins import OBJECT
 from hil.log.growing import Growing, pieces, whole
 from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
 from hil.log.read.run import Run
@@ -51,11 +53,45 @@ class Verdict:
     difference: str | None
 
 
-def experiment_of(run: Run, source: str) -> Experiment:
-    """Return the experiment that a log carries."""
+def experiment_of(
+    run: Run, source: str, *, plant: object = None, controller: object = None, folder: str | None = None
+) -> Experiment:
+    """Return the experiment that a log carries.
+
+    Args:
+        run: the log.
+        source: its name, for messages.
+        plant, controller: what ran, where it was built in Python; no file holds it.
+        folder: where the file of an own module or an FMU stands; nothing of it is read without being asked to.
+
+    Raises:
+        HilError: what ran cannot be made again, with what it takes.
+    """
     if not run.resolved:
         raise HilError(f"{source}: the log carries no resolved experiment")
-    return experiment_from_resolved(run.resolved, run.experiment_text, source)
+    objects = {name: given for name, given in (("plant", plant), ("controller", controller)) if given is not None}
+    experiment = experiment_from_resolved(run.resolved, run.experiment_text, source, folder=folder, objects=objects)
+    absent = [part for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
+    if absent:
+        told = "; ".join(f"its {part.field} was {part.why}" for part in absent)
+        asked = ", ".join(f"{part.field}=..." for part in absent if part.kind.startswith(OBJECT))
+        helps = [f"in Python, hil.verify({source!r}, {asked}) takes what ran"] if asked else []
+        if any(not part.kind.startswith(OBJECT) for part in absent):
+            helps.append("--folder DIR (in Python folder=...) says where its file stands")
+        raise HilError(f"{source}: {told}; {'; '.join(helps)}")
+    return experiment
+
+
+def changed_files(run: Run, experiment: Experiment) -> list[str]:
+    """Return a sentence for every own module that is not, word for word, the one that ran.
+
+    Args:
+        run: the log.
+        experiment: made again from it.
+    """
+    now = experiment.origins()
+    pairs = {name: (run.metadata.get(name), now.get(name)) for name in ("plant", "controller")}
+    return [f"{name}: {was} ran; now it is {told}" for name, (was, told) in pairs.items() if was and told and was != told]
 
 
 def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
@@ -99,15 +135,20 @@ class Recorded:
             self.difference = (k, text)
 
 
-def verify(run: Run, source: str = "log") -> Verdict:
+def verify(run: Run, source: str = "log", experiment: Experiment | None = None) -> Verdict:
     """Run controller and rig again on the recorded control packets; compare every record, bit for bit.
 
     What is not compared: times measured (``/timing/tick``), late packets, events, and the packets of a foreign controller.
 
+    Args:
+        run: the log.
+        source: its name, for messages.
+        experiment: what `experiment_of` made of it, where it took more than the log.
+
     Raises:
         HilError: if the log has no slots.
     """
-    experiment = experiment_of(run, source)
+    experiment = experiment_of(run, source) if experiment is None else experiment
     loop = compose(experiment, certify=False)
     foreign = run.session.get("external_controller") == "True"
     applied = run.numbers("/actuator/applied")
@@ -141,14 +182,23 @@ def _words(data: bytes | None) -> str:
     return str(packet.rows) if isinstance(packet, ControlPacket) else "nothing"
 
 
-def what_if(run: Run, controller: Any, kind: str, source: str = "log") -> dict[str, NDArray[np.float64]]:
+def what_if(
+    run: Run, controller: Any, kind: str, source: str = "log", experiment: Experiment | None = None
+) -> dict[str, NDArray[np.float64]]:
     """Ask what another controller would have commanded on the recorded arrivals (the plant does not react).
+
+    Args:
+        run: the log.
+        controller: parameters of the other one.
+        kind: its name.
+        source: name of the log, for messages.
+        experiment: what `experiment_of` made of it, where it took more than the log.
 
     Returns:
         ``t_s``, and per input ``recorded_<name>`` (as applied) and ``<kind>_<name>`` (the row with the recorded d and selection
         history, NaN where nothing was applied).
     """
-    experiment = experiment_of(run, source)
+    experiment = experiment_of(run, source) if experiment is None else experiment
     other = compose(_with_controller(experiment, controller, kind), certify=False)
     if other.samples != (carried := packet_samples(experiment.controller)):
         raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")

@@ -127,7 +127,7 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     run = Run.from_memory(
         sink,
         summary=dict(rig.outcome()),
-        metadata={"experiment": experiment.name, "seed": str(seed), "clock": "virtual", "link": "memory:"},
+        metadata={"experiment": experiment.name, "seed": str(seed), "clock": "virtual", "link": "memory:"} | experiment.origins(),
         codes={"reason": list(REASONS), "selection": list(SELECTIONS)},
         experiment_text=experiment.text,
         resolved=experiment.resolved(),
@@ -180,6 +180,7 @@ def run_session(
         link=uri,
         codes={"reason": REASONS, "selection": SELECTIONS},
         channels=said_identifiers(experiment, uri),
+        origins=experiment.origins(),
         session={} if clock == "virtual" else {
             "started": wall_clock(), "external_controller": str(external), "who_commands": who_commands(uri),
         },

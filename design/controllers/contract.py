@@ -122,6 +122,7 @@ class FromSamples(Protocol):
         ...
 
 
+@runtime_checkable
 class Controller(Protocol):
     """Parameters of a controller: a frozen dataclass that an experiment's ``[controller]`` table fills."""
 

@@ -85,7 +85,7 @@ class SendAll:
 
     Args:
         gains: nested tuple [tau][row][m][p]. One gain matrix (m x p, input unit per output unit) for every measured tau and every
-            row.
+            row; one matrix for all of them is kind = "local".
         selection: which row the actuator applies; see the module's table.
         integral: the gains have p more columns, for the integral of the measured error (Remark 7.7).
         sojourns: how many tables belong to every tau, for 1, 2, ... slots that it has lasted (the last for all longer ones), over

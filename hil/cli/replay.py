@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+    from hil.log.read.run import Run
+
 ROWS = 1 << 15  # that are written at a time
 SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 
@@ -26,6 +28,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller.")
 @click.option("--onto", metavar="URI", help="Put the recorded frames on this link.")
 @click.option("--speed", type=float, default=1.0, show_default=True, help="With --onto: how many times faster.")
+@click.option("--folder", metavar="DIR", help="Where the files stand that the experiment names (own modules, an FMU).")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="With --controller: write the series as CSV.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
@@ -35,6 +38,7 @@ def command(
     sets: tuple[str, ...],
     onto: str | None,
     speed: float,
+    folder: str | None,
     output: Path | None,
     as_json: bool,
 ) -> None:
@@ -59,17 +63,21 @@ def command(
         check_output(output, fresh=True)
     run = read_run(file)
     if controller is not None:
-        _what_if(run, file, controller, sets, output, as_json)
+        _what_if(run, file, folder, controller, sets, output, as_json)
     elif onto is not None:
         _onto(run, onto, speed, as_json)
     else:
-        _verify(run, file, as_json)
+        _verify(run, file, folder, as_json)
 
 
-def _verify(run: object, file: Path, as_json: bool) -> None:
-    from hil.replay import verify
+def _verify(run: Run, file: Path, folder: str | None, as_json: bool) -> None:
+    from hil.cli.terminal import visible
+    from hil.replay import changed_files, experiment_of, verify
 
-    verdict = verify(run, str(file))  # type: ignore[arg-type]
+    experiment = experiment_of(run, str(file), folder=folder)
+    for sentence in changed_files(run, experiment):
+        print(f"hil: {visible(sentence)}", file=sys.stderr)
+    verdict = verify(run, str(file), experiment)
     if as_json:
         found = {"identical": verdict.difference is None, "difference": verdict.difference}
         print(json.dumps({**found, "answers": verdict.answers, "states": verdict.states}, indent=2))
@@ -80,13 +88,16 @@ def _verify(run: object, file: Path, as_json: bool) -> None:
     sys.exit(0 if verdict.difference is None else 1)
 
 
-def _what_if(run: object, file: Path, kind: str, sets: tuple[str, ...], output: Path | None, as_json: bool) -> None:
+def _what_if(
+    run: Run, file: Path, folder: str | None, kind: str, sets: tuple[str, ...], output: Path | None, as_json: bool
+) -> None:
     import numpy as np
 
     from hil.experiment import parse_plugin
-    from hil.replay import what_if
+    from hil.replay import experiment_of, what_if
 
-    series = what_if(run, parse_plugin("hil.controllers", kind, sets), kind, str(file))  # type: ignore[arg-type]
+    experiment = experiment_of(run, str(file), folder=folder)
+    series = what_if(run, parse_plugin("hil.controllers", kind, sets), kind, str(file), experiment)
     names = [name.removeprefix("recorded_") for name in series if name.startswith("recorded_")]
     differences = {}
     for name in names:
@@ -123,7 +134,7 @@ def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> N
             np.savetxt(file, rows, delimiter=",", fmt="%.9g")
 
 
-def _onto(run: object, uri: str, speed: float, as_json: bool) -> None:
+def _onto(run: Run, uri: str, speed: float, as_json: bool) -> None:
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import Progress
@@ -134,7 +145,7 @@ def _onto(run: object, uri: str, speed: float, as_json: bool) -> None:
     err = Console(stderr=True)
     with Progress(console=err, disable=not err.is_terminal) as bar:
         task = bar.add_task(escape(f"onto {visible(uri)}"), total=None)
-        done = onto(run, uri, speed, lambda i, n: bar.update(task, completed=i, total=n))  # type: ignore[arg-type]
+        done = onto(run, uri, speed, lambda i, n: bar.update(task, completed=i, total=n))
     if as_json:
         print(json.dumps({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us}, indent=2))
     else:

@@ -34,11 +34,15 @@ from hil.compose.law_files import with_law_files
 from hil.compose.port import Port, port_of
 from hil.compose.sensors import Sensor, Shared, node_faults, sensor_nodes, sensors_of, shared_media
 from hil.compose.time_line import time_line_faults
-from hil.errors import ExperimentError, ForeignVerdict
+from hil.errors import ExperimentError, ForeignVerdict, HilError
 from hil.experiment import Experiment
 from hil.experiment.can_frames import can_faults
 from hil.experiment.check import fault_at
-from hil.experiment.protocols import Designer, JumpPlant
+from hil.experiment.own_modules import is_own
+from hil.experiment.own_plugins import words
+from hil.experiment.plugin_checks import check_answers
+from hil.experiment.plugins import OBJECT
+from hil.experiment.protocols import Designer, JumpPlant, NamesField
 from hil.log.records import Channel, channels
 from plants.errors import PlantError
 from transport.laws.protocols import NetworkLaw, prepare
@@ -176,6 +180,9 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
             experiment = replace(experiment, controller=solved, kinds={**experiment.kinds, "controller": solved.kind})
         else:
             controller = experiment.controller
+        kind = experiment.kinds.get("controller", "")
+        if is_own(kind) or kind.startswith(OBJECT):
+            _check_own(controller, model)
         running = controller.start(model)
         sc, ca = delay_chains(experiment)
         samples = packet_samples(controller)
@@ -205,6 +212,18 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         verdict=verdict,
         port=port_of(plant),
     )
+
+
+def _check_own(controller: Controller, model: LoopModel) -> None:
+    """Refuse a controller of the user's own that does not answer as a loop asks: told now, and not in slot 17."""
+    try:
+        check_answers(controller, model)
+    except AssertionError as error:
+        raise FieldError("kind", f"check_controller: {error}") from error
+    except Exception as error:  # whatever a stranger's controller does when it runs
+        if isinstance(error, HilError | NamesField):  # it says itself what does not fit
+            raise
+        raise FieldError("kind", f"check_controller: {words(error)}") from error
 
 
 def _faults(e: Experiment) -> list[str]:

@@ -7,16 +7,22 @@ import difflib
 import math
 import re
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
 
 from hil.errors import HilError
 from hil.experiment import plugins as registry
+from hil.experiment.absent import Absent
+from hil.experiment.array_files import numbers_from_file
 from hil.experiment.nodes import Medium, Node
-from hil.experiment.protocols import NamesField
+from hil.experiment.own_modules import is_own
+from hil.experiment.own_plugins import own_controller_fault, own_plant_fault
+from hil.experiment.plugins import OBJECT
+from hil.experiment.protocols import NamesField, NamesFiles
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Links, Seconds, Table
+from plants.errors import PlantError
 from transport.laws.protocols import BoundedAge, load_files
 
 INFINITE = "is not a finite number"
@@ -45,15 +51,50 @@ def fault_at(path: str, error: BaseException) -> str:
     return f"{path}: {error}" if path else str(error)
 
 
-class Checker:
-    """Converts table by table and field by field, so that no fault hides another."""
+def _dimensions(hint: Any) -> int:
+    """Return of how many dimensions an array of numbers is that a field takes, 0 where it takes something else.
 
-    def __init__(self) -> None:
+    >>> _dimensions(tuple[tuple[float, ...], ...]), _dimensions(tuple[float, ...] | None), _dimensions(tuple[str, ...])
+    (2, 1, 0)
+    """
+    args = typing.get_args(hint)
+    if typing.get_origin(hint) is not tuple:
+        return max((_dimensions(each) for each in args if typing.get_origin(each) is tuple), default=0)
+    if len(args) != 2 or args[1] is not ...:
+        return 0
+    inner = _dimensions(args[0])
+    return 1 + inner if inner or args[0] in (float, int) else 0
+
+
+def _without_own_measures(raw: dict[str, Any]) -> dict[str, Any]:
+    """Return an experiment of a log without the measures whose modules it names: reading a log runs none."""
+    report = raw.get("report")
+    names = report.get("measures") if isinstance(report, dict) else None
+    if not isinstance(names, list):
+        return raw
+    return raw | {"report": {**report, "measures": [n for n in names if not (isinstance(n, str) and is_own(n))]}}  # type: ignore[dict-item]
+
+
+class Checker:
+    """Converts table by table and field by field, so that no fault hides another.
+
+    Args:
+        folder: where the files stand that the experiment names; None for one that a log carries: no file is read, and no module
+            run, because a log says so.
+        objects: what stands for the table of a plant or a controller, by its name.
+    """
+
+    def __init__(self, folder: str | None = ".", objects: Mapping[str, object] | None = None) -> None:
         self.faults: list[str] = []
         self.kinds: dict[str, str] = {}
+        self._folder = folder
+        self._objects = objects or {}
 
-    def experiment(self, raw: dict[str, Any], text: str, folder: str = ".") -> Experiment | None:
+    def experiment(self, raw: dict[str, Any], text: str) -> Experiment | None:
         self.finite(raw, "")
+        folder = self._folder or "."
+        if self._folder is None:
+            raw = _without_own_measures(raw)
         links = raw.get("links")
         given: dict[str, Any] = {
             "plant": self.plugin("hil.plants", raw.get("plant"), "plant"),
@@ -70,6 +111,8 @@ class Checker:
                 self.faults.append(f"{reserved}: unknown field")
         rest = {k: v for k, v in raw.items() if k not in given}
         experiment = self.table(Experiment, rest, "", given)
+        if isinstance(experiment, Experiment):
+            self._own_measures(experiment, folder)
         infinite = {fault.partition(": ")[0] for fault in self.faults if fault.endswith(INFINITE)}
         self.faults = [f for f in self.faults if f.endswith(INFINITE) or f.partition(": ")[0] not in infinite]  # say it once
         return experiment if not self.faults else None
@@ -152,16 +195,56 @@ class Checker:
             self.faults.append(f"{path}: missing table" if raw is None else f"{path}: expected a table, got {raw!r:.60}")
             return None
         kind = raw.get("kind")
+        if path in self._objects:
+            made = self._objects[path]
+            self.kinds[path] = registry.object_kind(type(made))
+            return made
         if not isinstance(kind, str):
             self.faults.append(f"{path}.kind: missing; one of {', '.join(registry.names(group))}")
             return None
+        rest = {k: v for k, v in raw.items() if k != "kind"}
+        if kind.startswith(OBJECT) or (self._folder is None and is_own(kind)):
+            return self._absent(path, kind, rest)
         try:
-            cls = registry.load(group, kind)
+            cls = registry.load(group, kind, self._folder or ".")
+            if is_own(kind) and not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
+                raise HilError(f"{kind!r} is no dataclass; the fields of one are the keys of this table")
         except HilError as e:
             self.faults.append(f"{path}.kind: {e}")
             return None
         self.kinds[path] = kind
-        return self.table(cls, {k: v for k, v in raw.items() if k != "kind"}, path, {})
+        made = self.table(cls, rest, path, {})
+        if isinstance(made, NamesFiles):
+            if self._folder is None:
+                return self._absent(path, kind, rest)
+            try:
+                made = made.with_files(self._folder)
+            except (ValueError, PlantError) as e:
+                self.faults.append(fault_at(path, e))
+                return None
+        if made is not None and is_own(kind):
+            checks = {"hil.plants": own_plant_fault, "hil.controllers": own_controller_fault}
+            fault = checks[group](made) if group in checks else None
+            if fault is not None:
+                self.faults.append(f"{path}: {kind!r}: {fault}")
+                return None
+        return made
+
+    def _absent(self, path: str, kind: str, said: dict[str, Any]) -> Absent | None:
+        """Return what stands for something that a log cannot make again."""
+        if self._folder is not None or path not in ("plant", "controller"):
+            self.faults.append(f"{path}.kind: {kind!r} cannot be made from a file; give the object in Python")
+            return None
+        self.kinds[path] = kind
+        why = f"{kind}, which the log does not hold"
+        return Absent(field=path, kind=kind, why=why, said=said)
+
+    def _own_measures(self, experiment: Experiment, folder: str) -> None:
+        for i, name in enumerate(experiment.report.measures):
+            try:
+                registry.load("hil.measures", name, folder)
+            except HilError as error:
+                self.faults.append(f"report.measures[{i}]: {error}")
 
     def table(self, cls: type, raw: dict[str, Any], path: str, given: dict[str, Any]) -> Any:
         """Convert one table into ``cls``; ``given`` holds fields that were made elsewhere (None: faulty there)."""
@@ -205,6 +288,12 @@ class Checker:
 
     def _value(self, hint: Any, value: Any, at: str) -> Any:
         args = typing.get_args(hint)
+        if isinstance(value, dict) and self._folder is not None and (dimensions := _dimensions(hint)):
+            try:
+                value = numbers_from_file(value, at.rpartition(".")[2], self._folder, dimensions)
+            except HilError as e:
+                self.faults.append(f"{at}: {e}")
+                return None
         kinds: list[type] = [kind for kind in (hint, *args) if isinstance(kind, type) and issubclass(kind, Table)]
         if isinstance(hint, type) and dataclasses.is_dataclass(hint):
             kinds = [hint]

@@ -79,9 +79,9 @@ def parse_experiment(
         raise HilError(f"{source}: not valid TOML: {e}") from e
     for change in sets:
         _apply(raw, change)
-    checker = Checker()
+    checker = Checker(folder)
     try:
-        experiment = checker.experiment(raw, text, folder)
+        experiment = checker.experiment(raw, text)
     except RecursionError as e:
         raise HilError(f"{source}: not valid TOML: nested too deeply") from e
     if checker.faults or experiment is None:
@@ -89,9 +89,30 @@ def parse_experiment(
     return experiment
 
 
-def experiment_from_resolved(resolved: typing.Mapping[str, Any], text: str, source: str) -> Experiment:
-    """Check the resolved form that a log carries, so that what ran can run again."""
-    checker = Checker()
+def experiment_from_resolved(
+    resolved: typing.Mapping[str, Any],
+    text: str,
+    source: str,
+    *,
+    folder: str | None = None,
+    objects: typing.Mapping[str, object] | None = None,
+) -> Experiment:
+    """Check the resolved form that a log carries, so that what ran can run again.
+
+    A plant or a controller that was built in Python, or stands in a file of its own, is `Absent` unless it is given, or the
+    folder of its file is: no file is read, and no module run, because a log says so.
+
+    Args:
+        resolved: the experiment with every default.
+        text: the file as it was written.
+        source: the log, for messages.
+        folder: where the files stand that the experiment names.
+        objects: "plant" and "controller" to what ran.
+
+    Raises:
+        ExperimentError: with every fault found.
+    """
+    checker = Checker(folder, objects)
     experiment = checker.experiment(with_new_names(_without_none(resolved)), text)
     if checker.faults or experiment is None:
         raise ExperimentError(f"{source}: resolved experiment", checker.faults)

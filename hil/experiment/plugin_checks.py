@@ -60,27 +60,7 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     m, p = model.B.shape[1], model.C.shape[0]
     seen = p * packet_samples(controller)
     assert pickle.loads(pickle.dumps(controller)) == controller, "parameters must survive pickling"
-
-    def answers() -> list[Any]:
-        rng = np.random.default_rng(3)
-        running = controller.start(model)
-        out = []
-        for k in range(60):
-            y = tuple(map(float, rng.normal(size=(seen,))))
-            if isinstance(running, FromSamples):
-                outputs = model.nodes.outputs
-                newest = [Sample(i, k - (k + i) % len(outputs), tuple(y[o] for o in own)) for i, own in enumerate(outputs)]
-                rows = running.rows(k, Known(tuple(s for s in newest if s.slot >= 0), (1.0,) * p))
-            else:
-                rows = running.rows(k, int(rng.integers(0, model.tau_max + 1)), y, (1.0,) * p)
-            expected = row_count(running.selection, model.d_max)
-            assert len(rows) == expected, f"{len(rows)} rows, expected {expected} for {running.selection!r}"
-            assert all(len(row) == m for row in rows), f"a row has not {m} inputs"
-            assert np.isfinite(rows).all(), "a row is not finite"
-            out.append(rows)
-        return out
-
-    assert answers() == answers(), "a fresh start must give the same answers"
+    check_answers(controller, model)
     said = [f"{name} is a Controller: it can run in a loop"]
     if isinstance(controller, GainTable):
         table = np.asarray(controller.table(model))
@@ -103,6 +83,37 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     if isinstance(controller, SeveralSamples):
         said.append(f"{name} takes SeveralSamples: {packet_samples(controller)} in one sensor packet")
     return said
+
+
+def check_answers(controller: Controller, model: LoopModel) -> None:
+    """Check what a controller answers: right number of rows and inputs, finite, reproducible from a fresh start.
+
+    Raises:
+        AssertionError: naming the first rule that is broken.
+    """
+    m, p = model.B.shape[1], model.C.shape[0]
+    seen = p * packet_samples(controller)
+
+    def answers() -> list[Any]:
+        rng = np.random.default_rng(3)
+        running = controller.start(model)
+        out = []
+        for k in range(60):
+            y = tuple(map(float, rng.normal(size=(seen,))))
+            if isinstance(running, FromSamples):
+                outputs = model.nodes.outputs
+                newest = [Sample(i, k - (k + i) % len(outputs), tuple(y[o] for o in own)) for i, own in enumerate(outputs)]
+                rows = running.rows(k, Known(tuple(s for s in newest if s.slot >= 0), (1.0,) * p))
+            else:
+                rows = running.rows(k, int(rng.integers(0, model.tau_max + 1)), y, (1.0,) * p)
+            expected = row_count(running.selection, model.d_max)
+            assert len(rows) == expected, f"{len(rows)} rows, expected {expected} for {running.selection!r}"
+            assert all(len(row) == m for row in rows), f"a row has not {m} inputs"
+            assert np.isfinite(rows).all(), "a row is not finite"
+            out.append(rows)
+        return out
+
+    assert answers() == answers(), "a fresh start must give the same answers"
 
 
 def check_law(law: NetworkLaw, slots: int = 400) -> list[str]:

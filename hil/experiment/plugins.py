@@ -1,15 +1,22 @@
-"""Plug-ins by entry point: plants, controllers and network laws, ours through the same door as a user's."""
+"""Plug-ins by entry point: plants, controllers and network laws, ours through the same door as a user's.
+
+A kind with a colon is no entry point but a class of the user's own file, see :mod:`hil.experiment.own_modules`.
+"""
 
 from __future__ import annotations
 
 import difflib
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Literal
+from typing import Final, Literal
 
 from hil.errors import HilError
+from hil.experiment.own_modules import is_own, load_own, written_in
 
 Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]
+
+OBJECT: Final = "object "
+"""How the kind of something begins that was built in Python and stands in no file."""
 
 
 @cache
@@ -26,12 +33,20 @@ def names(group: Group) -> list[str]:
     return sorted(_found(group))
 
 
-def load(group: Group, name: str) -> type:
+def load(group: Group, name: str, folder: str = ".") -> type:
     """Return the parameter class of one plug-in.
+
+    Args:
+        group: what it is.
+        name: its entry point, or ``module:Class`` of a file in the folder.
+        folder: where the experiment stands.
 
     Raises:
         HilError: if no such plug-in is installed (the message names the nearest), or its module cannot be imported.
     """
+    if is_own(name):
+        own: type = load_own(name, folder)
+        return own
     found = _found(group)
     if name not in found:
         near = difflib.get_close_matches(name, found, n=1)
@@ -46,5 +61,33 @@ def load(group: Group, name: str) -> type:
 
 def provider(group: Group, name: str) -> str:
     """Return the distribution that a plug-in comes from, for `hil doctor` and for provenance."""
+    if is_own(name):
+        return name.partition(":")[0].replace(".", "/") + ".py"
     dist = _found(group)[name].dist
     return dist.name if dist is not None else "?"
+
+
+def kind_of(group: Group, kind: str, made: object) -> str:
+    """Return the kind that a log may give an object: what its table said if that made it, else that it is an object of Python.
+
+    Args:
+        group: of the plug-in.
+        kind: what the table said.
+        made: what stands there now.
+    """
+    cls = type(made)
+    if is_own(kind):
+        return kind if written_in(cls) is not None and cls.__qualname__ == kind.partition(":")[2] else object_kind(cls)
+    named = load(group, kind) if kind in _found(group) else None
+    return object_kind(cls) if isinstance(named, type) and named is not cls else kind
+
+
+def object_kind(cls: type) -> str:
+    """Return the kind of an object that no table made: ``object my_module.Cart``."""
+    return f"{OBJECT}{cls.__module__}.{cls.__qualname__}"
+
+
+def kind_of_class(group: Group, cls: type) -> str | None:
+    """Return the entry point of a class, None if it has none."""
+    fits = (name for name, point in _found(group).items() if point.value.partition(":")[2] == cls.__qualname__)
+    return next((name for name in fits if load(group, name) is cls), None)

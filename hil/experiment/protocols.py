@@ -15,6 +15,7 @@ from plants.parts.protocols import (
     HasStateDelays,
     HasStateHistory,
     JumpPlant,
+    NamesFiles,
     Plant,
     PlantRun,
 )
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BeyondModel", "Designer", "HasCost", "HasSensorNoise", "HasStateDelays", "HasStateHistory", "JumpPlant",
-    "NamedController", "NamesField", "Plant", "PlantRun",
+    "NamedController", "NamesField", "NamesFiles", "Plant", "PlantRun",
 ]  # fmt: skip
 
 

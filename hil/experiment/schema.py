@@ -18,6 +18,19 @@ from hil.experiment.tables import HIDDEN, UNITS, Direction, Experiment, Seconds
 PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
 
 KEYS_OF_FAULT = dict(zip(Fault.__struct_fields__, Fault.__struct_encode_fields__))  # "for" is no name in Python
+FILE: dict[str, Any] = {
+    "type": "object",
+    "description": "The array of a file: .npz, .npy, .csv or .mat; key is its name in an .npz or .mat file.",
+    "properties": {"file": {"type": "string"}, "key": {"type": "string"}},
+    "required": ["file"],
+    "additionalProperties": False,
+}
+OWN: dict[str, Any] = {
+    "type": "object",
+    "description": "module:Class of a Python file beside the experiment.",
+    "properties": {"kind": {"type": "string", "pattern": ":"}},
+    "required": ["kind"],
+}
 
 
 def experiment_schema(plugins: Mapping[str, Mapping[str, type]] | None = None) -> dict[str, Any]:
@@ -48,10 +61,11 @@ def experiment_schema(plugins: Mapping[str, Mapping[str, type]] | None = None) -
         for name in kinds[group]:
             cls = classes[group, name]
             own = dict(definitions[cls.__name__])
-            own["properties"] = {"kind": {"const": name}, **own.get("properties", {})}
+            fields = {key: _or_file(field) for key, field in own.get("properties", {}).items()}
+            own["properties"] = {"kind": {"const": name}, **fields}
             own["required"] = ["kind", *own.get("required", [])]
             out.append(own)
-        return {"oneOf": out}
+        return {"oneOf": [*out, OWN]}
 
     experiment = definitions.pop("Experiment")
     for hidden in HIDDEN:
@@ -67,6 +81,17 @@ def experiment_schema(plugins: Mapping[str, Mapping[str, type]] | None = None) -
         **experiment,
         "$defs": definitions,
     }
+
+
+def _or_file(field: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a field; of an array of numbers one that takes a file of them too."""
+    inner = field
+    while inner.get("type") == "array" and isinstance(inner.get("items"), dict):
+        inner = inner["items"]
+    if inner is field or inner.get("type") not in ("number", "integer"):
+        return field
+    told = {key: field[key] for key in ("description", "default") if key in field}
+    return told | {"anyOf": [{key: value for key, value in field.items() if key not in told}, FILE]}
 
 
 def _explain(definition: dict[str, Any]) -> None:

@@ -7,12 +7,14 @@ import typing
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
+import numpy as np
 
-from hil.errors import HilError
 from hil.experiment import plugins
+from hil.experiment.absent import Absent
 from hil.experiment.faults import Fault
 from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from hil.experiment.nodes import Medium, Node
+from hil.experiment.own_modules import written_in
 from hil.experiment.table import LONGEST_S, UNITS, Seconds, Table
 from transport.links.can_identifiers import LARGEST
 from transport.links.link import TransportError
@@ -244,10 +246,6 @@ class Report(Table, frozen=True, kw_only=True):
         for i, name in enumerate(names):
             if name in names[:i]:
                 yield f"measures[{i}]: {name!r} is named twice"
-            try:
-                plugins.load("hil.measures", name)
-            except HilError as error:
-                yield f"measures[{i}]: {error}"
 
 
 class Experiment(Table, frozen=True, kw_only=True):
@@ -332,16 +330,35 @@ class Experiment(Table, frozen=True, kw_only=True):
         for f in self.__struct_fields__:
             value = getattr(self, f)
             if f not in HIDDEN and (value or f not in SPARSE):
-                out[f] = _plain(value)
+                plain = _plain(value)
+                out[f] = plain if isinstance(plain, dict) or f not in ("plant", "controller") else {}  # an object has no table
         for path, kind in self.kinds.items():
-            node = out
+            node, made = out, self
             for part in path.split("."):
-                node = node[part]
-            node["kind"] = kind
+                node, made = node[part], made[part] if isinstance(made, dict) else getattr(made, part)
+            node["kind"] = kind if isinstance(made, Absent) else plugins.kind_of(_group(path), kind, made)
         return out
+
+    def origins(self) -> dict[str, str]:
+        """Return where plant and controller come from, in words, where the experiment file alone does not make them."""
+        found = {}
+        for path, made in (("plant", self.plant), ("controller", self.controller)):
+            kind = self.kinds.get(path, "") if isinstance(made, Absent) else plugins.kind_of(_group(path), self.kinds[path], made)
+            own = written_in(type(made))
+            if kind.startswith(plugins.OBJECT):
+                found[path] = f"{kind} (not in the experiment file)"
+            elif own is not None:
+                found[path] = f"{kind} of {own[0]}, SHA-256 {own[1]}..."
+        return found
+
+
+def _group(path: str) -> plugins.Group:
+    return "hil.plants" if path == "plant" else "hil.controllers" if path == "controller" else "hil.laws"
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, Absent):
+        return dict(value.said)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
     if isinstance(value, msgspec.Struct):
@@ -353,4 +370,8 @@ def _plain(value: Any) -> Any:
         return [_plain(v) for v in value]
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
-    return float(value) if isinstance(value, Seconds) else value
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if value is None or isinstance(value, str | int | float):
+        return float(value) if isinstance(value, Seconds) else value
+    return f"{type(value).__module__}.{type(value).__qualname__}"  # of an object that was built in Python

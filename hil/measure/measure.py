@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from types import FunctionType
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment import plugins as registry
+from hil.experiment.own_plugins import words
 from hil.experiment.tables import Report
 from hil.measure.signals import Signals
-from hil.measure.view import RunView
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,12 +84,52 @@ def measures_of(experiment: Experiment | None) -> tuple[Measure, ...]:
     report = experiment.report if experiment is not None else Report()
     found = []
     for name in report.measures:
-        measure = registry.load("hil.measures", name)()
+        made = registry.load("hil.measures", name, experiment.folder if experiment is not None else ".")
+        measure = MeasureOfFunction(made) if isinstance(made, FunctionType) else made()
         if not isinstance(measure, Measure):
             lacks = "title, note, topics, quantities(signals) or of(view)"
             raise HilError(f"report.measures: {name!r} is no measure: it lacks {lacks}")
         found.append(measure)
     return tuple(found)
+
+
+class MeasureOfFunction:
+    """What a function of the user's own returns, under the function's name: ``hil sweep --metric module:function``.
+
+    Args:
+        function: takes a `RunView` and returns a number, or None where it is not defined.
+    """
+
+    topics: ClassVar[tuple[str, ...]] = (
+        "/plant/state", MEASUREMENT, REFERENCE, APPLIED, "/network/sc", "/network/ca", TIMING, "/events",
+    )  # fmt: skip
+    note: ClassVar[str] = ""
+
+    def __init__(self, function: Callable[[RunView], float | None]) -> None:
+        self._function, self._name = function, function.__name__
+
+    @property
+    def title(self) -> str:
+        """The function's name."""
+        return self._name.replace("_", " ")
+
+    def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
+        """Return its one number."""
+        note = (self._function.__doc__ or "").strip().partition("\n")[0]
+        return (Quantity(name=self._name, title=self.title, note=note, per_output=False),)
+
+    def of(self, view: RunView) -> dict[str, float | None]:
+        """Return its number for one run.
+
+        Raises:
+            HilError: it failed, or what it returned is no number.
+        """
+        try:
+            value = self._function(view)
+            found = None if value is None else float(value)
+        except Exception as error:  # whatever a stranger's function does
+            raise HilError(f"metric {self._name}: {words(error)}") from error
+        return {self._name: found if found is None or math.isfinite(found) else None}
 
 
 def quantities_of(measures: Sequence[Measure], signals: Signals) -> tuple[Quantity, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,4 +107,17 @@ class HasSensorNoise(Protocol):
 
     def sensor_noise(self) -> NDArray[np.float64]:
         """Return the standard deviations, (p,)."""
+        ...
+
+
+@runtime_checkable
+class NamesFiles(Protocol):
+    """A plant that names files, which are told from where the experiment stands."""
+
+    def with_files(self, folder: str) -> Self:
+        """Return the same plant with its files found and checked.
+
+        Raises:
+            PlantError: a file is missing or faulty.
+        """
         ...

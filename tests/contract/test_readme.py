@@ -11,6 +11,7 @@ import time
 import tomllib
 import types
 from collections.abc import Iterator
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 
@@ -60,9 +61,10 @@ def module_of(name: str, *code: str) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def shown() -> Iterator[dict[str, Any]]:
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     """The plug-ins of the guide, as written there."""
-    yield module_of("guide_plugins", *blocks(TEXT[PLUGINS], "python"))
+    with chdir(tmp_path_factory.mktemp("guide")):
+        yield module_of("guide_plugins", *blocks(TEXT[PLUGINS], "python"))
     del sys.modules["guide_plugins"]
 
 
@@ -94,6 +96,14 @@ def test_plug_ins_of_the_guide_pass_their_checks(shown: dict[str, Any]) -> None:
     (entries,) = blocks(TEXT[PLUGINS], "toml")
     for group in tomllib.loads(entries)["project"]["entry-points"].values():
         assert all(target.partition(":")[2] in shown for target in group.values())
+
+
+def test_the_file_of_the_guide_beside_an_experiment_is_a_plug_in(tmp_path: Path) -> None:
+    (tmp_path / "my_module.py").write_text(blocks(TEXT[PLUGINS], "python")[0])
+    (tmp_path / "mine.toml").write_text(shipped()["dc-motor-hinf"].read_text())
+    kinds = {"plant": {"kind": "my_module:Damped"}, "controller": {"kind": "my_module:Proportional"}}
+    changes = kinds | {"report.measures": ["tracking", "my_module:Effort"], "limits.state": {}, "duration": 2}
+    assert face.run(tmp_path / "mine.toml", **changes).metrics["effort"] > 0
 
 
 def test_the_experiment_of_the_guide_runs_and_is_certified(tmp_path: Path) -> None:

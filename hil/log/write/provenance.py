@@ -68,6 +68,7 @@ class Provenance:
         channels: topic to what its channel says of itself in the file, such as the CAN identifiers of its frames.
         session: what only a session in real time may say: start, host, scheduler. Leave empty in virtual time, or two runs of one
             experiment are no longer the same file.
+        origins: "plant" and "controller", where the experiment file alone does not make them: what they are, in words.
     """
 
     experiment: str
@@ -82,11 +83,12 @@ class Provenance:
     codes: Mapping[str, Sequence[str]] = field(default_factory=dict)
     channels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     session: Mapping[str, str] = field(default_factory=dict)
+    origins: Mapping[str, str] = field(default_factory=dict)
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata records by name, in the order of the file."""
         head = {"format": FORMAT, "experiment": self.experiment, "seed": str(self.seed), "clock": self.clock,
-                "link": self.link} | ({"commit": self.commit} if self.commit else {})
+                "link": self.link} | dict(self.origins) | ({"commit": self.commit} if self.commit else {})
         records = {
             "hilrig": head,
             "versions": dict(self.versions),

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol
 
 from hil.runtime.time.clock import monotonic_ns
 
@@ -33,9 +33,24 @@ class Endable(Protocol):
 
 
 class Child:
-    """One process of the session; ended by :func:`end_all`, whatever it does."""
+    """One process of the session; ended by :func:`end_all`, whatever it does.
 
-    def __init__(self, name: str, module: str, job: object, pass_fds: tuple[int, ...] = ()) -> None:
+    Args:
+        name: what messages call it.
+        module: what it runs.
+        job: what it reads, pickled, from its standard input.
+        pass_fds: what it inherits.
+        dump: pickles the job.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        module: str,
+        job: object,
+        pass_fds: tuple[int, ...] = (),
+        dump: Callable[[object, IO[bytes]], None] = pickle.dump,
+    ) -> None:
         self.name = name
         # A new session keeps the terminal's Ctrl-C away: this process ends its children in order.
         self._process = subprocess.Popen(
@@ -47,7 +62,7 @@ class Child:
         )
         assert self._process.stdin is not None
         try:
-            pickle.dump(job, self._process.stdin)
+            dump(job, self._process.stdin)
             self._process.stdin.close()
         except BrokenPipeError:
             pass  # it died on its first line; its status says so

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import pickle
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import IO
 
 from hil.compose.loop import Loop
 from hil.compose.time_line import time_line
 from hil.errors import HilError
+from hil.experiment.plugins import OBJECT
 from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.sinks import Put, Sink
 from hil.runtime.real import controller_process, rig_process
@@ -86,7 +89,8 @@ def run_real(
                 loop=loop, uri=uri, seed=seed, parent=parent, log_fd=write_fd,
                 hello_timeout_s=hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S),
             )  # fmt: skip
-            rig = Child("rig", "hil.runtime.real.rig_process", job, (write_fd,))
+            dump = _dump_of(loop)
+            rig = Child("rig", "hil.runtime.real.rig_process", job, (write_fd,), dump)
             children.append(rig)
             os.close(write_fd)
             write_fd = -1
@@ -94,7 +98,7 @@ def run_real(
             controller = None
             if not external and uri != LOCAL:
                 theirs = controller_process.Job(loop=loop, uri=uri, parent=parent)
-                controller = Child("controller", "hil.runtime.real.controller_process", theirs)
+                controller = Child("controller", "hil.runtime.real.controller_process", theirs, dump=dump)
                 children.append(controller)
             silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
             while rig.poll() is None and signals.seen is None:
@@ -104,7 +108,7 @@ def run_real(
                 if controller is not None and restarts and outcome.pump.records and outcome.pump.last_ns >= restarts[0]:
                     restarts.popleft()
                     controller.kill()  # a fault on the time line: it loses what it knew, and takes the time that a start takes
-                    controller = Child("controller", "hil.runtime.real.controller_process", theirs)
+                    controller = Child("controller", "hil.runtime.real.controller_process", theirs, dump=dump)
                     children.append(controller)
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
                     outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
@@ -128,3 +132,13 @@ def run_real(
         why = outcome.rig_silent or outcome.controller_lost or children[0].how()
         raise HilError(f"{why} before the run began; see its message above, if any")
     return outcome
+
+
+def _dump_of(loop: Loop) -> Callable[[object, IO[bytes]], None]:
+    """Return what pickles a loop: the class of an object that was built in Python goes with it, for no process can import it."""
+    if not any(told.startswith(OBJECT) for told in loop.experiment.origins().values()):
+        return pickle.dump
+    from cloudpickle import dump
+
+    by_value: Callable[[object, IO[bytes]], None] = dump
+    return by_value

@@ -47,7 +47,7 @@ class Effort:
 def effort(monkeypatch: pytest.MonkeyPatch) -> None:
     known = plugins.load
 
-    def load(group: plugins.Group, name: str) -> type:
+    def load(group: plugins.Group, name: str, folder: str = ".") -> type:
         return Effort if (group, name) == ("hil.measures", "effort") else known(group, name)
 
     monkeypatch.setattr(plugins, "load", load)

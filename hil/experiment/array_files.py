@@ -1,0 +1,158 @@
+"""Matrices and gains from files: ``A = { file = "cart.mat", key = "A" }`` in the place of the numbers.
+
+The files are a stranger's: nothing is unpickled, and no file makes more numbers than `MOST_NUMBERS`.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import HilError
+from hil.regular_file import read_regular
+
+MAX_BYTES: Final = 16_000_000
+MOST_NUMBERS: Final = 1_000_000
+SUFFIXES: Final = (".npz", ".npy", ".csv", ".mat")
+_MAT_HEADER: Final = 128
+_COMPRESSED: Final = 15
+_BROKEN: Final = (ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError, OSError, NotImplementedError,
+                  UnicodeError, SyntaxError, RecursionError, struct.error, zlib.error, zipfile.BadZipFile)  # fmt: skip
+
+
+def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions: int) -> list[Any]:
+    """Return the numbers that a table ``{file, key}`` names, as nested lists.
+
+    Args:
+        table: ``file``, relative to the folder, that ends in .npz, .npy, .csv or .mat; ``key``, the name of the array in an
+            .npz or .mat file, by default that of the field.
+        field: name of the field that takes them.
+        folder: where the experiment stands.
+        dimensions: how many the field takes; a vector may be one row or one column of a matrix.
+
+    Raises:
+        HilError: naming the file and the key.
+    """
+    unknown = [key for key in table if key not in ("file", "key")]
+    name, key = table.get("file"), table.get("key", field)
+    if unknown or not isinstance(name, str) or not isinstance(key, str):
+        raise HilError(f"expected numbers, or {{ file = \"name.npz\", key = {field!r} }} that holds them; got {table!r:.60}")
+    path, suffix = Path(folder, name), Path(name).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise HilError(f"{name!r:.80}: expected a name that ends in {', '.join(SUFFIXES)}")
+    if suffix in (".csv", ".npy") and "key" in table:
+        raise HilError(f"{name}: a {suffix} file holds one array, and no key {key!r}")
+    data = read_regular(path, MAX_BYTES, f"a file of numbers ({suffix})")
+    try:
+        if suffix == ".csv":
+            found = _of_csv(data)
+        elif suffix == ".npy":
+            found = _of_npy(data)
+        else:
+            found = (_of_npz if suffix == ".npz" else _of_mat)(data, key)
+    except HilError as error:
+        raise HilError(f"{path}: {error}") from error
+    except _BROKEN as error:
+        raise HilError(f"{path}: is no whole {suffix} file: {error}") from error
+    if found.dtype.kind not in "fiub":
+        raise HilError(f"{path}: key {key!r}: holds {found.dtype}, expected real numbers")
+    if found.size > MOST_NUMBERS:
+        raise HilError(f"{path}: key {key!r}: {found.size} numbers; at most {MOST_NUMBERS}")
+    if dimensions == 1 and max(found.shape, default=1) == found.size:
+        found = found.ravel()
+    if found.ndim != dimensions:
+        raise HilError(f"{path}: key {key!r}: an array of shape {found.shape}; this field takes {dimensions} dimensions")
+    listed: list[Any] = found.astype(np.float64).tolist()
+    return listed
+
+
+def _of_csv(data: bytes) -> NDArray[Any]:
+    rows = []
+    for number, line in enumerate(data.decode().splitlines(), 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            rows.append([float(cell) for cell in line.split(",")])
+        except ValueError:
+            raise HilError(f"line {number}: {line!r:.60} is no row of numbers") from None
+        if len(rows[-1]) != len(rows[0]):
+            raise HilError(f"line {number}: {len(rows[-1])} numbers, the first row has {len(rows[0])}")
+    if not rows:
+        raise HilError("holds no numbers")
+    return np.array(rows)
+
+
+def _of_npy(data: bytes) -> NDArray[Any]:
+    head = io.BytesIO(data)
+    version = np.lib.format.read_magic(head)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(head)
+    _bounded(shape, dtype.kind)  # before memory is taken for it
+    found: NDArray[Any] = np.load(io.BytesIO(data), allow_pickle=False)
+    return found
+
+
+def _of_npz(data: bytes, key: str) -> NDArray[Any]:
+    with zipfile.ZipFile(io.BytesIO(data)) as file:
+        names = [name.removesuffix(".npy") for name in file.namelist()]
+        if key not in names:
+            raise HilError(f"has no key {key!r}; it has {_listed(names)}")
+        with file.open(file.namelist()[names.index(key)]) as member:
+            held = member.read(MAX_BYTES + 1)
+    if len(held) > MAX_BYTES:
+        raise HilError(f"key {key!r}: more than {MAX_BYTES} bytes")
+    try:
+        return _of_npy(held)
+    except HilError as error:
+        raise HilError(f"key {key!r}: {error}") from error
+
+
+def _of_mat(data: bytes, key: str) -> NDArray[Any]:
+    from scipy.io import loadmat, whosmat
+
+    if data[:10] == b"MATLAB 7.3":
+        raise HilError("is a MATLAB 7.3 file; save it with -v7")
+    _refuse_bomb(data)
+    there = {name: (shape, kind) for name, shape, kind in whosmat(io.BytesIO(data))}  # type: ignore[arg-type]
+    if key not in there:
+        raise HilError(f"has no key {key!r}; it has {_listed(list(there))}")
+    shape, kind = there[key]
+    if not kind.startswith(("double", "single", "int", "uint", "logical")):
+        raise HilError(f"key {key!r}: holds {kind}, expected a full matrix of real numbers")
+    _bounded(shape, "f")
+    found: NDArray[Any] = np.asarray(loadmat(io.BytesIO(data), variable_names=[key])[key])  # type: ignore[arg-type]
+    return found
+
+
+def _refuse_bomb(data: bytes) -> None:
+    """Refuse a file of version 5 to 7 whose compressed elements hold more than a file of numbers may."""
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    at, size = _MAT_HEADER, 0
+    while order is not None and at + 8 <= len(data):
+        kind, count = struct.unpack_from(f"{order}II", data, at)
+        if kind == _COMPRESSED:
+            size += len(zlib.decompressobj().decompress(data[at + 8 : at + 8 + count], MAX_BYTES + 1))
+            if size > MAX_BYTES:
+                raise HilError(f"unpacks to more than {MAX_BYTES} bytes")
+        at += 8 + count
+
+
+def _bounded(shape: tuple[int, ...], kind: str) -> None:
+    if kind not in "fiub":
+        raise HilError(f"holds an array of kind {kind!r}, expected real numbers")
+    count = 1
+    for length in shape:
+        count *= int(length)
+    if count > MOST_NUMBERS or any(length < 0 for length in shape):
+        raise HilError(f"an array of shape {tuple(shape)}; at most {MOST_NUMBERS} numbers")
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(repr(name)[:40] for name in names[:20]) or "none"

@@ -1,0 +1,113 @@
+"""Plug-ins without packaging: ``kind = "my_module:Cart"`` is the class of a Python file beside the experiment.
+
+The module runs under a name that holds the digest of its text: two experiments may have modules of one name, a file that was
+changed is another module, and a verdict on its class is a verdict on that text.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import io
+import os
+import pickle
+import re
+import sys
+import traceback
+from hashlib import sha256
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any, Final
+
+from hil.errors import HilError
+from hil.regular_file import read_regular
+
+MAX_BYTES: Final = 1_000_000
+_PREFIX: Final = "hil_own_"
+_DIGITS: Final = 16
+_SHAPE: Final = re.compile(r"([A-Za-z_]\w*):([A-Za-z_]\w*)", re.ASCII)
+
+
+def is_own(kind: str) -> bool:
+    """Return whether a kind names a class of the user's own file, and no installed plug-in."""
+    return ":" in kind
+
+
+def load_own(kind: str, folder: str | os.PathLike[str]) -> Any:
+    """Return what a kind names, from the experiment's folder, else from the working folder.
+
+    Args:
+        kind: ``module:Name``.
+        folder: where the experiment stands.
+
+    Raises:
+        HilError: no such file, a file that cannot be run, or nothing of that name in it.
+    """
+    said = _SHAPE.fullmatch(kind)
+    if said is None:
+        raise HilError(f"{kind!r:.80}: expected module:Class, such as my_module:Cart for the class Cart of my_module.py")
+    file, name = f"{said[1]}.py", said[2]
+    folders = list(dict.fromkeys(Path(base).resolve() for base in (folder, ".")))
+    path = next((base / file for base in folders if (base / file).is_file()), None)
+    if path is None:
+        raise HilError(f"{kind!r}: there is no {file} in {' or '.join(map(str, folders))}")
+    module = _module(path)
+    if name not in vars(module):
+        there = sorted(key for key, value in vars(module).items() if _made_in(value, module))
+        raise HilError(f"{kind!r}: {path} has no {name!r}; it has {', '.join(there) or 'no class or function'}")
+    return vars(module)[name]
+
+
+def written_in(cls: object) -> tuple[str, str] | None:
+    """Return file name and first digits of the SHA-256 of the own module that a class was written in, None for any other."""
+    module = sys.modules.get(cls.__module__) if isinstance(cls, type) else None
+    if module is None or not module.__name__.startswith(_PREFIX) or module.__file__ is None:
+        return None
+    return Path(module.__file__).name, module.__name__.removeprefix(_PREFIX)[:_DIGITS]
+
+
+def _module(path: Path, expected: str | None = None) -> ModuleType:
+    """Return the module of a file, run once for every text of it."""
+    text = read_regular(path, MAX_BYTES, "a Python module")
+    name = f"{_PREFIX}{sha256(text).hexdigest()[:_DIGITS]}_{path.stem}"
+    if expected is not None and name != expected:
+        raise HilError(f"{path}: was changed since the run was composed")
+    if name in sys.modules:
+        return sys.modules[name]
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))  # behind everything that is installed: what it imports from its own folder
+    sys.modules[name] = module  # dataclasses look their module up while it runs
+    try:
+        exec(compile(text, str(path), "exec"), vars(module))
+    except (Exception, SystemExit) as error:  # whatever a stranger's module does when it runs
+        del sys.modules[name]
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = lines[-1] if lines else error.lineno if isinstance(error, SyntaxError) else None
+        where = f"{path}, line {line}" if line else str(path)
+        told = error.msg if isinstance(error, SyntaxError) else error
+        raise HilError(f"{where}: {type(error).__name__}: {told}") from error
+    for value in vars(module).values():
+        if isinstance(value, type) and _made_in(value, module):
+            copyreg.pickle(value, _reduce)  # another process has to find the file before the class
+    return module
+
+
+def _made_in(value: object, module: ModuleType) -> bool:
+    return isinstance(value, type | FunctionType) and value.__module__ == module.__name__
+
+
+def _reduce(made: Any) -> tuple[Any, ...]:
+    module = sys.modules[type(made).__module__]
+    kept = io.BytesIO()
+    pickler = pickle.Pickler(kept)
+    pickler.dispatch_table = {}  # the plain way from here on: `_revive` has brought the module by then
+    pickler.dump(made)
+    path = Path(str(module.__file__))
+    return _revive, (str(path), module.__name__, kept.getvalue())
+
+
+def _revive(path: str, name: str, kept: bytes) -> Any:
+    if name not in sys.modules:
+        _module(Path(path), name)
+    return pickle.loads(kept)

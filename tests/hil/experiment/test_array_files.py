@@ -1,0 +1,101 @@
+"""Matrices and gains from files: the numbers, and what a stranger's file may not do."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+import hil
+from hil.errors import HilError
+from hil.experiment import array_files, shipped
+from hil.experiment.array_files import numbers_from_file
+
+A = np.array([[0.0, 1.0], [0.0, -2.0]])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    np.savez(tmp_path / "cart.npz", A=A, B=[[0.0], [1.0]], flag=np.array(["x"], dtype=object))
+    savemat(tmp_path / "cart.mat", {"C": [[1.0, 0.0]], "words": "abc", "cells": np.array([1, "a"], dtype=object)})
+    savemat(tmp_path / "packed.mat", {"K": np.full((1, 1), -0.25)}, do_compression=True)
+    savemat(tmp_path / "old.mat", {"K": np.full((1, 1), -0.25)}, format="4")
+    np.save(tmp_path / "K.npy", np.array([[-0.25]]))
+    (tmp_path / "K.csv").write_text("# gain\n-0.25\n")
+    (tmp_path / "exp.toml").write_text(shipped()["dc-motor-hinf"].read_text())
+    return tmp_path
+
+
+def test_the_numbers_of_files_run_and_stand_in_the_log(folder: Path) -> None:
+    plant = {"kind": "state-space"} | {name: {"file": file} for name, file in (("A", "cart.npz"), ("B", "cart.npz"))}
+    plant["C"] = {"file": "cart.mat", "key": "C"}
+    gains = []
+    for gain in ({"file": "K.csv"}, {"file": "K.npy"}, {"file": "packed.mat", "key": "K"}, {"file": "old.mat", "key": "K"}):
+        controller = {"kind": "local", "gain": gain}
+        changes: dict[str, Any] = {"plant": plant, "controller": controller, "duration": 1, "limits.state": {}}
+        experiment = hil.load_experiment(folder / "exp.toml", **changes)
+        gains.append(experiment.resolved()["controller"]["gain"])
+        assert experiment.resolved()["plant"]["A"] == A.tolist()
+    assert gains == [[[-0.25]]] * 4
+    log = folder / "a.mcap"
+    assert hil.run(experiment, log=log).summary["certificate"]["state"] == "certified"
+    assert hil.verify(log).difference is None  # the log needs no file but itself
+
+
+def _bomb(path: Path) -> None:
+    inside = struct.pack("<II", 14, 40_000_000) + bytes(40_000_000)
+    packed = zlib.compress(inside, 9)
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    path.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+
+
+def _huge_npz(path: Path) -> None:
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("A.npy", head.getvalue())
+
+
+HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
+    "bomb.mat": (_bomb, "unpacks to more than 16000000 bytes"),
+    "huge.npz": (_huge_npz, r"key 'A': an array of shape \(1000000000000,\); at most 1000000 numbers"),
+    "pickle.npz": (lambda p: np.savez(p, A=np.array([{}], dtype=object)), "key 'A': holds an array of kind 'O', expected real"),
+    "complex.npz": (lambda p: np.savez(p, A=np.array([1j])), "key 'A': holds an array of kind 'c'"),
+    "other.npz": (lambda p: np.savez(p, B=A), "has no key 'A'; it has 'B'"),
+    "torn.npz": (lambda p: p.write_bytes(b"PK\3\4 no zip"), r"is no whole \.npz file"),
+    "text.mat": (lambda p: savemat(p, {"A": "abc"}), "key 'A': holds char, expected a full matrix"),
+    "other.mat": (lambda p: savemat(p, {"B": A}), "has no key 'A'; it has 'B'"),
+    "torn.mat": (lambda p: p.write_bytes(b"MATLAB 5.0".ljust(126) + b"IM\x0e\0\0\0"), r"is no whole \.mat file|has no key 'A'"),
+    "new.mat": (lambda p: p.write_bytes(b"MATLAB 7.3 MAT-file"), "is a MATLAB 7.3 file; save it with -v7"),
+    "ragged.csv": (lambda p: p.write_text("1,2\n3\n"), "line 2: 1 numbers, the first row has 2"),
+    "words.csv": (lambda p: p.write_text("1,x\n"), "line 1: '1,x' is no row of numbers"),
+    "empty.csv": (lambda p: p.write_text("\n"), "holds no numbers"),
+    "large.csv": (lambda p: p.write_bytes(b"1\n" * (array_files.MAX_BYTES // 2 + 1)), "more than 16000000 bytes"),
+    "matrix.txt": (lambda p: p.write_text("1"), r"expected a name that ends in \.npz, \.npy, \.csv, \.mat"),
+    "missing.npz": (lambda p: None, "cannot be read: No such file"),
+    "folder.npz": (lambda p: p.mkdir(), "is a folder"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_file_that_is_none_is_refused_by_its_name_and_key(tmp_path: Path, name: str) -> None:
+    make, told = HOSTILE[name]
+    make(tmp_path / name)
+    with pytest.raises(HilError, match=rf"{name}.*: {told}|'{name}': {told}"):
+        numbers_from_file({"file": name}, "A", str(tmp_path), 2)
+
+
+def test_a_fault_of_a_file_stands_with_its_field(folder: Path) -> None:
+    wrong = {"plant": {"kind": "state-space", "A": {"file": "cart.npz", "key": "Q"}, "B": {"fil": 1}, "C": [[1.0]]}}
+    with pytest.raises(HilError, match=r"plant\.A: .*: has no key 'Q'; it has 'A', 'B', 'flag'\n.*plant\.B: expected numb"):
+        hil.load_experiment(folder / "exp.toml", **wrong)
+    with pytest.raises(HilError, match=r"controller\.gains: .*shape \(1, 1\); this field takes 4 dimensions"):
+        hil.load_experiment(folder / "exp.toml", controller={"kind": "send-all", "gains": {"file": "K.csv"}})

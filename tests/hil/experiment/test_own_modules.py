@@ -1,0 +1,210 @@
+"""Plug-ins without packaging: a file beside the experiment, and objects of Python."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+import pytest
+
+import hil
+from hil.compose.loop import compose
+from hil.experiment import shipped
+from hil.experiment.own_modules import load_own, written_in
+from hil.log.read.run import read_run
+from hil.measure.view import view_of
+from hil.replay import changed_files, experiment_of
+from hil.session import simulate
+from plants import DCMotor, LinearRun, Signal, StateSpace
+
+MODULE = '''
+from __future__ import annotations
+from dataclasses import dataclass
+from typing import ClassVar
+import numpy as np
+from beside import HALF
+from plants import LinearRun, Signal, StateSpace
+
+@dataclass(frozen=True, kw_only=True)
+class Cart:
+    mass: float = 1.0
+    inputs: ClassVar = (Signal("force", "N"),)
+    outputs: ClassVar = (Signal("speed", "m/s"),)
+    states: ClassVar = (Signal("speed", "m/s"),)
+
+    def model(self):
+        return StateSpace(A=[[-HALF / self.mass]], B=[[1.0 / self.mass]], C=[[1.0]])
+
+    def start(self, rng):
+        return LinearRun(self.model(), (0.0,))
+
+@dataclass(frozen=True, kw_only=True)
+class Lying(Cart):
+    def start(self, rng):
+        return LinearRun(self.model(), (rng.standard_normal(), 2.0))
+
+@dataclass(frozen=True, kw_only=True)
+class Failing(Cart):
+    def start(self, rng):
+        return {}["nothing"]
+
+@dataclass(frozen=True, kw_only=True)
+class Proportional:
+    gain: float = -0.3
+    selection: ClassVar = "constant"
+    rows_sent: int = 1
+
+    def table(self, model):
+        return np.full((model.tau_max + 1, 1, 1, 1), self.gain)
+
+    def start(self, model):
+        return self
+
+    def rows(self, k, tau, y, r):
+        return ((self.gain * (y[0] - r[0]),),) * self.rows_sent
+
+class NoDataclass:
+    pass
+
+def fastest(view):
+    """The highest speed."""
+    return float(np.abs(view.tracking()[1]).max())
+'''
+OWN: dict[str, Any] = {"plant": {"kind": "cart:Cart"}, "duration": 2, "limits.state": {}}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "cart.py").write_text(MODULE)
+    (tmp_path / "beside.py").write_text("HALF = 0.5\n")
+    (tmp_path / "exp.toml").write_text(shipped()["dc-motor-hinf"].read_text())
+    return tmp_path
+
+
+def test_a_class_beside_the_experiment_is_a_plant_a_controller_and_a_metric(folder: Path) -> None:
+    changes = OWN | {"controller": {"kind": "cart:Proportional"}, "report.measures": ["tracking", "cart:fastest"]}
+    session = hil.run(folder / "exp.toml", log=folder / "a.mcap", **changes)
+    assert session.summary["certificate"]["state"] == "certified"  # judged like ours: by the one door
+    assert session.metrics["fastest"] == np.abs(session.arrays["/plant/measurement"]["speed"]).max()
+    run = read_run(folder / "a.mcap")
+    assert run.resolved["plant"] == {"kind": "cart:Cart", "mass": 1.0}
+    assert run.metadata["plant"].startswith("cart:Cart of cart.py, SHA-256 ")
+    with pytest.raises(hil.HilError, match=r"a\.mcap: its plant was cart:Cart, .*; its controller .* --folder DIR"):
+        hil.verify(folder / "a.mcap")
+    assert hil.verify(folder / "a.mcap", folder=folder).difference is None
+    known = view_of(run).experiment  # a log runs no module; what it says of the rest is known all the same
+    assert known is not None and known.links.sc.max_age == 2 and known.report.measures == ("tracking",)
+
+
+def test_a_module_that_was_changed_is_told(folder: Path) -> None:
+    hil.run(folder / "exp.toml", log=folder / "a.mcap", **OWN)
+    (folder / "cart.py").write_text(MODULE.replace("1.0 / self.mass", "2.0 / self.mass"))
+    run = read_run(folder / "a.mcap")
+    assert "ran; now it is cart:Cart of cart.py" in changed_files(run, experiment_of(run, "a", folder=str(folder)))[0]
+    assert hil.verify(folder / "a.mcap", folder=folder).difference is not None
+
+
+def test_another_process_finds_the_file_before_the_class(folder: Path) -> None:
+    cart = load_own("cart:Cart", folder)(mass=2.0)
+    told = f"import pickle; print(pickle.loads({pickle.dumps(cart)!r}).model().B.tolist())"
+    assert subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout == "[[0.5]]\n"
+    assert written_in(type(cart)) is not None and written_in(DCMotor) is None
+
+
+@pytest.mark.parametrize(
+    ("plant", "told"),
+    [
+        ("kart:Cart", r"plant\.kind: 'kart:Cart': there is no kart\.py in .*"),
+        ("cart:Car", r"has no 'Car'; it has Cart, Failing, Lying, NoDataclass, Proportional, fastest"),
+        ("cart:NoDataclass", r"plant\.kind: 'cart:NoDataclass' is no dataclass"),
+        ("cart:Proportional", r"plant: 'cart:Proportional': is no plant: Proportional lacks inputs, outputs, states, model"),
+        ("cart:Lying", r"plant: 'cart:Lying': check_plant: "),
+        ("cart:Failing", r"check_plant: KeyError: 'nothing' \(.*cart\.py, line \d+\)"),
+        ("broken:Cart", r"broken\.py, line 2: ZeroDivisionError: division by zero"),
+        ("wordy:Cart", r"wordy\.py, line 1: SyntaxError: "),
+        ("leaving:Cart", r"leaving\.py, line 1: SystemExit: 3"),
+        ("../cart:Cart", r"plant\.kind: '\.\./cart:Cart': expected module:Class"),
+    ],
+)
+def test_what_is_no_plant_is_refused_in_a_sentence(folder: Path, plant: str, told: str) -> None:
+    (folder / "broken.py").write_text("x = 1\n1 / 0\n")
+    (folder / "wordy.py").write_text("this is no Python\n")
+    (folder / "leaving.py").write_text("raise SystemExit(3)\n")
+    with pytest.raises(hil.HilError, match=told):
+        hil.load_experiment(folder / "exp.toml", **OWN | {"plant": {"kind": plant}})
+
+
+def test_a_controller_that_answers_wrongly_is_refused_before_slot_0(folder: Path) -> None:
+    changes = OWN | {"controller": {"kind": "cart:Proportional", "rows_sent": 2}}
+    with pytest.raises(hil.HilError, match=r"controller\.kind: check_controller: 2 rows, expected 1"):
+        compose(hil.load_experiment(folder / "exp.toml", **changes))
+
+
+class Cart:
+    """No dataclass: as the cell of a notebook would write it."""
+
+    inputs: ClassVar = (Signal("force", "N"),)
+    outputs: ClassVar = (Signal("speed", "m/s"),)
+    states: ClassVar = (Signal("speed", "m/s"),)
+
+    def __init__(self, mass: float) -> None:
+        self.mass = mass
+
+    def model(self) -> StateSpace:
+        return StateSpace(A=[[-1.0 / self.mass]], B=[[1.0 / self.mass]], C=[[1.0]])
+
+    def start(self, rng: np.random.Generator) -> LinearRun:
+        return LinearRun(self.model(), (0.0,))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law:
+    gain: float = -0.3
+    selection: ClassVar = "constant"
+
+    def start(self, model: object) -> Law:
+        return self
+
+    def rows(self, k: int, tau: int, y: tuple[float, ...], r: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+        return ((self.gain * (y[0] - r[0]),),)
+
+
+def test_objects_are_named_in_the_log_and_taken_again(tmp_path: Path) -> None:
+    changes: dict[str, Any] = {"limits.state": {}, "duration": 2, "allow_uncertified": True}
+    log = tmp_path / "a.mcap"
+    session = hil.run("dc-motor-hinf", plant=Cart(2.0), controller=Law(gain=-0.2), log=log, **changes)
+    run = read_run(log)
+    assert run.metadata["plant"] == f"object {Cart.__module__}.Cart (not in the experiment file)"
+    assert run.resolved["controller"] == {"kind": f"object {Law.__module__}.Law", "gain": -0.2}
+    assert "<svg" in session._repr_html_() and session.metrics["sse"] > 0
+    with pytest.raises(hil.HilError, match=r"was object .*Cart, .* hil\.verify\('.*', plant=\.\.\., controller=\.\.\.\)"):
+        hil.verify(log)
+    assert hil.verify(log, plant=Cart(2.0), controller=Law(gain=-0.2)).difference is None
+    assert hil.verify(log, plant=Cart(2.1), controller=Law(gain=-0.2)).difference is not None
+
+
+def test_an_object_of_an_installed_plugin_is_what_its_table_would_make() -> None:
+    experiment = hil.load_experiment("dc-motor-hinf", duration=1)
+    run = hil.simulate(experiment, plant=DCMotor(gain=160.0))
+    same = hil.simulate("dc-motor-hinf", duration=1, **{"plant.gain": 160})
+    assert (run.arrays["/plant/state"] == same.arrays["/plant/state"]).all()
+    assert hil.load_experiment("dc-motor-hinf", plant=DCMotor(gain=160.0)).resolved()["plant"]["kind"] == "dc-motor"
+
+
+def test_a_plant_that_was_replaced_is_never_logged_as_the_one_of_the_file() -> None:
+    replaced = msgspec.structs.replace(hil.load_experiment("dc-motor-hinf"), plant=Cart(1.0))
+    assert replaced.resolved()["plant"] == {"kind": f"object {Cart.__module__}.Cart"}
+
+
+def test_what_is_no_plant_and_no_controller_says_what_it_lacks() -> None:
+    with pytest.raises(hil.HilError, match=r"plant: builtins\.int: is no plant: int lacks inputs.*\n.*controller: .*lacks start"):
+        hil.run(hil.load_experiment("dc-motor-hinf"), plant=3, controller=object())
+    with pytest.raises(hil.HilError, match="takes no changes but a plant and a controller"):
+        hil.run(hil.load_experiment("dc-motor-hinf"), **{"plant.gain": 3})
+    simulate(compose(hil.load_experiment("dc-motor-hinf", duration=1, controller=Law(), allow_uncertified=True)), 0)
