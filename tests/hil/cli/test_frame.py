@@ -49,6 +49,11 @@ def test_doctor_gives_a_remedy_for_all_that_is_missing(cli: Hil) -> None:
     assert out.count("missing") <= out.count("remedy:")
 
 
+def test_doctor_says_in_one_line_who_could_command(cli: Hil) -> None:
+    (line,) = (check for check in json.loads(cli("doctor", "--link", "can:socketcan:can0", "--json")[1]) if "who" in str(check))
+    assert "who could command a rig" in line.values() and "anyone on the CAN bus can0" in str(line)
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
