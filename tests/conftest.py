@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from hil.pytest_plugin import REQUIREMENTS, Requirement, has_vcan
 
@@ -40,9 +40,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Register our markers and what they require of the machine; a property has 40 examples where slow tests do not run."""
     config.stash[REQUIREMENTS] |= NEEDS
-    settings.register_profile("short", max_examples=40)
-    if not config.getoption("--hil-slow"):
-        settings.load_profile("short")
+    # How long an example takes says how busy the machine is, and nothing of us.
+    settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.register_profile("short", settings.get_profile("any machine"), max_examples=40)
+    settings.load_profile("any machine" if config.getoption("--hil-slow") else "short")
     for name, need in NEEDS.items():
         config.addinivalue_line("markers", f"{name}: skipped, or failed with --hil-require={name}, where there is {need.remedy}")
     for name, what in LONG.items():

@@ -17,9 +17,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, cast
 
-from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from hil.runtime.real.scheduling import Affinity, cpu_for, die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport import ControlPacket, Link, SensorPacket, TransportError, encode_control, encode_sensor, open_link
 
@@ -38,7 +38,11 @@ PATIENCE_NS: Final = 50_000_000  # then a round trip is lost
 MEETING_NS: Final = 10_000_000_000
 GRACE_S: Final = 0.4
 
+AFFINITIES: Final[tuple[Affinity, ...]] = ("free", "shared")
+
 Row = dict[str, Any]
+Way = tuple[str, Affinity]
+"""A link, and on which CPUs its two processes run."""
 
 
 def bench_links(
@@ -46,50 +50,60 @@ def bench_links(
     duration_s: float = 10.0,
     *,
     links: Sequence[str] = LINKS,
+    floor: bool = True,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Row]:
     """Measure round trips, 20 bytes there and 48 back, over every link and over plain UDP in C, all in one run.
+
+    Over zenoh twice: with both processes where the scheduler puts them, and on one CPU (`timing.affinity`).
 
     Args:
         rate_hz: round trips per second.
         duration_s: length for each link, s.
         links: URIs; ``{port}``, ``{pid}`` and ``{folder}`` are filled in.
+        floor: whether UDP in C is measured, too.
         progress: told what is running.
 
     Returns:
-        One row per link, the floor first: `link`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio of the p50), `lost` and
-        `note`, which says what was missing where there are no numbers.
+        One row per link and affinity, the floor first: `link`, `affinity`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio
+        of the p50), `lost` and `note`, which says what was missing where there are no numbers.
     """
     number = max(round(SLICE_S * rate_hz), 1)
     slices = max(round(duration_s * rate_hz / number), 1)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-bench-")))
-        pairs: list[tuple[str, _Pair | str]] = [(FLOOR, _open(stack, lambda: _floor(folder, rate_hz)))]
+        pairs: list[tuple[Way, _Pair | str]] = []
+        if floor:
+            pairs.append(((FLOOR, "free"), _open(stack, lambda: _floor(folder, rate_hz))))
         for template in links:
-            uri = template.format(port=_free_port(), pid=os.getpid(), folder=folder)
-            pairs.append((template.partition("?")[0].format(port="*", pid="*", folder="*"), _open(stack, _python(uri, rate_hz))))
-        taken: dict[str, list[int]] = {name: [] for name, _ in pairs}
+            for how in AFFINITIES if template.startswith("zenoh:") else AFFINITIES[:1]:
+                (folder / how).mkdir(exist_ok=True)
+                uri = template.format(port=_free_port(), pid=os.getpid(), folder=folder / how)
+                way = template.partition("?")[0].format(port="*", pid="*", folder="*"), how
+                pairs.append((way, _open(stack, _python(uri, how, rate_hz))))
+        taken: dict[Way, list[int]] = {way: [] for way, _ in pairs}
         for turn in range(slices + 1):
             progress(f"turn {turn} of {slices}")
-            for i, (name, pair) in enumerate(pairs):
+            for i, (way, pair) in enumerate(pairs):
                 if isinstance(pair, str):
                     continue
                 try:
                     trips = pair.drive(number)
                 except (OSError, ValueError) as error:
-                    pairs[i] = (name, f"ended in mid-run: {error}")
+                    pairs[i] = (way, f"ended in mid-run: {error}")
                     continue
                 if turn:  # the first turn warms up
-                    taken[name] += trips
-    floor = _percentile(taken[FLOOR], 0.5)
-    return [_row(name, taken[name], floor, pair if isinstance(pair, str) else "") for name, pair in pairs]
+                    taken[way] += trips
+    lowest = _percentile(taken.get((FLOOR, "free"), []), 0.5)
+    return [_row(way, taken[way], lowest, pair if isinstance(pair, str) else "") for way, pair in pairs]
 
 
-def _row(name: str, taken: list[int], floor_us: float, note: str) -> Row:
+def _row(way: Way, taken: list[int], floor_us: float, note: str) -> Row:
     p50, p99, p99_9 = (_percentile(taken, q) for q in (0.5, 0.99, 0.999))
     lost = sum(trip < 0 for trip in taken)
     return {
-        "link": name,
+        "link": way[0],
+        "affinity": way[1],
         "p50_us": p50,
         "p99_us": p99,
         "p99_9_us": p99_9,
@@ -164,9 +178,9 @@ def _open(stack: ExitStack, make: Callable[[], _Pair]) -> _Pair | str:
     return pair
 
 
-def _python(uri: str, rate_hz: float) -> Callable[[], _Pair]:
+def _python(uri: str, affinity: Affinity, rate_hz: float) -> Callable[[], _Pair]:
     command = [sys.executable, "-m", "hil.bench.links"]
-    return lambda: _Pair([*command, "echo", uri], [*command, "drive", uri, str(rate_hz)])
+    return lambda: _Pair([*command, "echo", uri, affinity], [*command, "drive", uri, affinity, str(rate_hz)])
 
 
 def _floor(folder: Path, rate_hz: float) -> _Pair:
@@ -193,10 +207,10 @@ def _free_port() -> int:
 # What follows runs in the processes of a pair.
 
 
-def echo(uri: str) -> None:
+def echo(uri: str, affinity: Affinity) -> None:
     """Answer every packet with a control packet of the same sequence number (its lowest byte), until killed."""
     answers = [encode_control(ControlPacket(seq, 0, 0, 0, 1, ((1.0, 2.0), (3.0, 4.0)))) for seq in range(256)]
-    go_real_time(PRIORITY - 1, None, awake=True)
+    go_real_time(PRIORITY - 1, cpu_for(affinity, "controller", uri), awake=True)
     with open_link(uri, "controller") as link:
         print("ready", flush=True)  # noqa: T201 (this is the process's interface)
         while True:
@@ -205,10 +219,11 @@ def echo(uri: str) -> None:
                 link.send(answers[packet[4]])
 
 
-def drive(uri: str, rate_hz: float) -> None:
+def drive(uri: str, affinity: Affinity, rate_hz: float) -> None:
     """Make as many round trips as each line of standard input says, and print how long each took, ns."""
     questions = [encode_sensor(SensorPacket(seq, 0, 0, (1.0,))) for seq in range(256)]
-    go_real_time(PRIORITY, None, awake=True)  # before the link is opened, as in a session: its threads inherit the priority
+    # Before the link is opened, as in a session: its threads inherit priority and CPU.
+    go_real_time(PRIORITY, cpu_for(affinity, "rig", uri), awake=True)
     with open_link(uri, "rig") as link:
         limit = monotonic_ns() + MEETING_NS
         while _trip(link, questions, 0) < 0:
@@ -244,9 +259,9 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     try:
         if sys.argv[1] == "echo":
-            echo(sys.argv[2])
+            echo(sys.argv[2], cast(Affinity, sys.argv[3]))
         else:
-            drive(sys.argv[2], float(sys.argv[3]))
+            drive(sys.argv[2], cast(Affinity, sys.argv[3]), float(sys.argv[4]))
     except TransportError as error:
         print(error, flush=True)  # noqa: T201
         raise SystemExit(1) from error

@@ -86,7 +86,7 @@ def _turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequence[s
     return _Turn(float(experiment.period), session.run.arrays["/timing/tick"], cyclictest_us, missed, session.summary)
 
 
-def _row(name: str, uri: str, turns: Sequence[_Turn]) -> dict[str, Any]:
+def _row(name: str, uri: str, affinity: str, turns: Sequence[_Turn]) -> dict[str, Any]:
     ticks = np.concatenate([turn.ticks for turn in turns])
     columns = [ticks[name] for name in ("lateness_us", "round_trip_us", "late", "overrun")]
     timing = timing_metrics(*columns, period_s=turns[0].period_s)
@@ -96,6 +96,7 @@ def _row(name: str, uri: str, turns: Sequence[_Turn]) -> dict[str, Any]:
         "experiment": name,
         "period_s": turns[0].period_s,
         "link": uri,
+        "affinity": affinity,
         "ticks": len(ticks),
         "turns": len(turns),
         "lateness_us": lateness,
@@ -106,6 +107,7 @@ def _row(name: str, uri: str, turns: Sequence[_Turn]) -> dict[str, Any]:
         "overrun_share": timing["overruns"] / len(ticks),
         "cyclictest_missed_share": sum(turn.missed for turn in turns) / len(beside_us),
         "late": timing["late"],
+        "late_share": timing["late"] / len(ticks),
         "dropped_records": sum(turn.summary["log"]["dropped"] for turn in turns),
         "valid": timing["valid"],
         "scheduler": turns[0].summary["timing"]["scheduler"],
@@ -119,6 +121,7 @@ def bench_timing(
     links: Sequence[str] = LINKS,
     experiments: Sequence[str] = (EXPERIMENT,),
     sets: Sequence[str] = (),
+    affinities: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[dict[str, Any]]:
     """Run experiments over each link with cyclictest beside them; return one row per experiment and link.
@@ -132,6 +135,7 @@ def bench_timing(
         links: URIs.
         experiments: names or paths; they take turns too, so that two of them are measured in the same minute.
         sets: changes ``path=value`` of the experiments, for instance ``timing.affinity=pinned``.
+        affinities: of `timing.affinity`; every experiment runs with each over each link, in turns [the experiment's].
         progress: told what is running.
 
     Raises:
@@ -141,15 +145,18 @@ def bench_timing(
     if fixed:
         raise HilError(f"--set {min(fixed)}: this bench runs at the rate of the experiment, for as long as --duration says")
     rates = {name: 1.0 / float(load_experiment(name, sets).period) for name in experiments}
-    taken: dict[tuple[str, str], list[_Turn]] = {(name, uri): [] for name in experiments for uri in links}
+    tried = {name: affinities or [load_experiment(name, sets).timing.affinity] for name in experiments}
+    taken: dict[tuple[str, str, str], list[_Turn]] = {
+        (name, uri, how): [] for name in experiments for uri in links for how in tried[name]
+    }
     session_s = duration_s / turns
     with tempfile.TemporaryDirectory(prefix="hil-bench-") as folder:
         for turn in range(turns):
-            for name, uri in taken:
-                said = f"{name} at {rates[name]:g} Hz for {session_s:g} s over {uri}, cyclictest beside it"
+            for name, uri, how in taken:
+                said = f"{name} at {rates[name]:g} Hz for {session_s:g} s over {uri} ({how}), cyclictest beside it"
                 progress(f"turn {turn + 1} of {turns}: {said}")
-                taken[name, uri].append(_turn(name, uri, session_s, Path(folder), sets))
-    rows = [_row(name, uri, of_link) for (name, uri), of_link in taken.items()]
+                taken[name, uri, how].append(_turn(name, uri, session_s, Path(folder), [*sets, f"timing.affinity={how}"]))
+    rows = [_row(*of, found) for of, found in taken.items()]
     for row in rows:
         row["round_trip_ratio"] = row["round_trip_us"]["p50"] / rows[-1]["round_trip_us"]["p50"]
     return rows

@@ -48,11 +48,14 @@ def _table(title: str, rows: list[dict[str, Any]]) -> None:
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
 @click.option("--experiment", "experiments", multiple=True, metavar="NAME|FILE",
               help="Experiment; several are measured in turns [dc-motor-1khz].")  # fmt: skip
-@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change it, e.g. timing.affinity=pinned.")
+@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change it, e.g. timing.idle=awake.")
+@click.option("--affinity", "affinities", multiple=True, type=click.Choice(["auto", "free", "pinned", "shared"]),
+              help="CPUs of rig and controller; several are measured in turns.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True)
 def timing(
-    duration: float, turns: int, links: tuple[str, ...], experiments: tuple[str, ...], sets: tuple[str, ...], as_json: bool
-) -> None:
+    duration: float, turns: int, links: tuple[str, ...], experiments: tuple[str, ...], sets: tuple[str, ...],
+    affinities: tuple[str, ...], as_json: bool,
+) -> None:  # fmt: skip
     """Run the rig (by default at 1 kHz) beside cyclictest at the same priority."""
     from hil.bench.timing import EXPERIMENT, LINKS, bench_timing
 
@@ -60,7 +63,7 @@ def timing(
     _check("--duration over --turns", duration / turns, *SECONDS)
     rows = bench_timing(
         duration_s=duration, turns=turns, links=links or LINKS, experiments=experiments or (EXPERIMENT,), sets=sets,
-        progress=_status,
+        affinities=affinities, progress=_status,
     )  # fmt: skip
     if as_json:
         print(json.dumps(rows, indent=2))
@@ -78,9 +81,10 @@ def timing(
     _table("wake-up lateness", flat)
     of = f"of {rows[-1]['link']}"
     _table("round trips and overruns", [
-        {"experiment": row["experiment"], "link": row["link"], **{f"{q} us": v for q, v in row["round_trip_us"].items()},
+        {"experiment": row["experiment"], "link": row["link"], "affinity": row["affinity"],
+         **{f"{q} us": v for q, v in row["round_trip_us"].items()},
          f"p50 {of}": row["round_trip_ratio"],
-         "late": row["late"], "overruns": f"{row['overrun_share']:.3%}",
+         "late": f"{row['late_share']:.3%}", "overruns": f"{row['overrun_share']:.3%}",
          "missed by cyclictest": f"{row['cyclictest_missed_share']:.3%}", "records dropped": row["dropped_records"]}
         for row in rows
     ])  # fmt: skip

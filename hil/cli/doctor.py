@@ -44,6 +44,22 @@ def _zenoh() -> Check:
     return "zenoh", True, f"eclipse-zenoh {importlib.metadata.version('eclipse-zenoh')}", ""
 
 
+def _zenoh_cpus() -> Check:
+    """Measure round trips over zenoh with rig and controller on one CPU and on any."""
+    from hil.bench.links import bench_links
+
+    what = "zenoh round trip"
+    rows = bench_links(500.0, 0.5, links=["zenoh:unixsock-stream/{folder}/doctor"], floor=False)
+    failed = [row["note"] for row in rows if row["note"]]
+    if failed:
+        return what, False, failed[0], "hil run uses can:hil: unless told otherwise"
+    free, shared = (row["p50_us"] for row in rows)
+    finding = f"{shared:.0f} us (median) on one CPU, {free:.0f} us on any"
+    if shared <= free:
+        return what, True, f"{finding}: timing.affinity = auto takes one CPU", ""
+    return what, True, finding, 'timing.affinity = "free" is faster here over zenoh'
+
+
 def _scheduler() -> Check:
     try:
         old, param = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -121,7 +137,7 @@ def command(link: str | None, as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
     import json
 
-    checks = [_who(link), _packages(), _hil_can(), _vcan(), _zenoh(), _scheduler(), _idle(), _clock(), _cpus(),
+    checks = [_who(link), _packages(), _hil_can(), _vcan(), _zenoh(), _zenoh_cpus(), _scheduler(), _idle(), _clock(), _cpus(),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     if as_json:

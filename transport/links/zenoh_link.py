@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 QUEUE_LIMIT: Final = 256
 """Packets that wait for `receive`; what comes on top is dropped and counted."""
 
+_ONE_THREAD: Final = "({})".format(", ".join(f"{part}: (worker_threads: 1)" for part in ("app", "acc", "net", "tx", "rx")))
 _NETWORKED: Final = ("tcp", "tls", "udp", "ws")
 _LOCAL: Final = ("unixsock-stream",)
 _LOOPBACK: Final = re.compile(r"(127\.\d+\.\d+\.\d+|\[::1\]|localhost)")
@@ -58,6 +59,7 @@ class ZenohLink(Closing):
     __slots__ = ("_closed", "_error", "_get", "_publish", "_queue", "_session", "counters", "uri")
 
     def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access) -> None:
+        os.environ.setdefault("ZENOH_RUNTIME", _ONE_THREAD)  # read at zenoh's first use; a packet wakes fewer threads
         import zenoh
 
         self.uri = uri

@@ -13,7 +13,7 @@ from types import FrameType
 
 from hil.compose.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from transport.links.link import TransportError
 from transport.links.opening import open_link
 
@@ -62,7 +62,7 @@ def main() -> None:
     try:
         stop_on_sigterm()
         die_with_parent(job.parent)
-        go_real_time(max(timing.priority - 1, 1), 1 if timing.affinity == "pinned" else None)
+        go_real_time(max(timing.priority - 1, 1), cpu_for(timing.affinity, "controller", job.uri))
         serve(job.loop, job.uri)
     except Stopped:
         pass

@@ -22,7 +22,7 @@ from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
-from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
@@ -139,7 +139,7 @@ def main() -> None:
     sink = PipeSink(job.log_fd, job.loop.channels())
     timing = job.loop.experiment.timing
     # Before the link is opened, so that the threads of a link inherit the priority.
-    scheduler = go_real_time(timing.priority, 0 if timing.affinity == "pinned" else None, timing.idle == "awake")
+    scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.uri), timing.idle == "awake")
     wire = VERSION_1 if wire_version(job.uri) == 1 else session_wire(os.urandom(KEY_BYTES))
     local = job.uri == LOCAL
     with LocalLink(ControlNode(job.loop)) if local else open_link(job.uri, "rig") as link:

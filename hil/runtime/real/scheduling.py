@@ -8,6 +8,9 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from typing import Literal
+
+Affinity = Literal["auto", "free", "pinned", "shared"]
 
 MCL_CURRENT, MCL_FUTURE, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 2, 1, 29
 
@@ -50,6 +53,26 @@ def go_real_time(priority: int, cpu: int | None, awake: bool = False) -> str:
     gc.disable()
     got.append("gc frozen")
     return ", ".join(got)
+
+
+def cpu_for(affinity: Affinity, role: Literal["rig", "controller"], uri: str) -> int | None:
+    """Return the CPU of a process, counted from the last; None leaves the choice to the scheduler.
+
+    Args:
+        affinity: what the experiment asks for; ``auto`` is ``shared`` over zenoh, ``free`` over other links.
+        role: whose CPU.
+        uri: the link between the two.
+
+    >>> [cpu_for("auto", "controller", uri) for uri in ("can:hil:rig0", "zenoh:")]
+    [None, 0]
+    >>> [cpu_for("pinned", role, "zenoh:") for role in ("rig", "controller")]
+    [0, 1]
+    """
+    if affinity == "auto":
+        affinity = "shared" if uri.partition(":")[0] == "zenoh" else "free"
+    if affinity == "free":
+        return None
+    return 1 if affinity == "pinned" and role == "controller" else 0
 
 
 def go_ahead_of_others() -> None:

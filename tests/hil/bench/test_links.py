@@ -25,7 +25,9 @@ def bus_directory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @needs_compiler
 def test_every_link_gets_a_row_with_its_ratio_to_the_floor_and_nothing_stays_behind(bus_directory: Path) -> None:
     rows = bench_links(500.0, 0.5, links=("can:hil:bench", "zenoh:tcp/127.0.0.1:{port}"))
-    assert [row["link"] for row in rows] == [FLOOR, "can:hil:bench", "zenoh:tcp/127.0.0.1:*"]
+    assert [(row["link"], row["affinity"]) for row in rows] == [
+        (FLOOR, "free"), ("can:hil:bench", "free"), ("zenoh:tcp/127.0.0.1:*", "free"), ("zenoh:tcp/127.0.0.1:*", "shared"),
+    ]  # fmt: skip
     for row in rows:
         assert row["note"] == "" and 0 <= row["lost"] < 250
         assert 0 < row["p50_us"] <= row["p99_us"] <= row["p99_9_us"]

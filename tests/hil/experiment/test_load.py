@@ -77,7 +77,7 @@ FAULTS: list[tuple[str, str, str]] = [
      "links.sc.law.initial: invalid enum value 'foo', expected one of stationary, uniform"),
     ("three samples per packet", changed('kind = "hinf"', 'kind = "designed"\nsamples = 3'),
      "controller.samples: invalid enum value 3, expected one of 1, 2"),
-    ("affinity that nobody has", GOOD + '\n[timing]\naffinity = "cpu0"\n', "expected one of free, pinned"),
+    ("affinity that nobody has", GOOD + '\n[timing]\naffinity = "cpu0"\n', "expected one of auto, free, pinned, shared"),
     ("law that nobody has", law('{ kind = "poisson" }'), "links.sc.law.kind: no law plug-in"),
     ("negative age", law('{ kind = "constant", age = -1 }'), "links.sc.law.age"),
     ("delay that nobody can cover", law('{ kind = "constant", age = 64 }'), "links.sc.law: its largest delay 64 is above 63"),
