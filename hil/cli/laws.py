@@ -26,8 +26,8 @@ NEGLIGIBLE = 1e-6
 def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
     from hil.compose.law_files import with_law_files
-    from hil.compose.sensors import sensors_of
     from hil.experiment import load_experiment
+    from hil.experiment.sensor_list import sensors_of
     from transport.laws.analysis import analyse_law
     from transport.laws.modes import mode_transitions
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, ages_told, sojourns_told
 from design.errors import FieldError
-from hil.compose.sensors import sensors_of, shared_media
+from hil.compose.sensors import shared_media
 from hil.experiment import Experiment
+from hil.experiment.sensor_list import sensors_of
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import NetworkLaw, SemiMarkovLaw
 

@@ -32,7 +32,7 @@ from hil.compose.historical_loop import delayed_plant_of, mask_faults
 from hil.compose.jump_plant import process_of, system_of
 from hil.compose.law_files import with_law_files
 from hil.compose.port import Port, port_of
-from hil.compose.sensors import Sensor, Shared, node_faults, sensor_nodes, sensors_of, shared_media
+from hil.compose.sensors import Shared, node_faults, sensor_nodes, shared_media
 from hil.compose.time_line import time_line_faults
 from hil.errors import ExperimentError, ForeignVerdict, HilError
 from hil.experiment import Experiment
@@ -43,6 +43,7 @@ from hil.experiment.own_plugins import words
 from hil.experiment.plugin_checks import check_answers
 from hil.experiment.plugins import OBJECT
 from hil.experiment.protocols import Designer, JumpPlant, NamesField
+from hil.experiment.sensor_list import Sensor, sensors_of
 from hil.log.records import Channel, channels
 from plants.errors import PlantError
 from transport.laws.protocols import NetworkLaw, prepare
@@ -248,7 +249,7 @@ def _faults(e: Experiment) -> list[str]:
                 "limits.passivity: needs a device that takes one force and measures the position that it acts on; "
                 f"this plant takes {', '.join(taken)} and measures {', '.join(measured)}"
             )
-    return faults + node_faults(e) + can_faults(e) + time_line_faults(e)
+    return faults + (node_faults(e) or can_faults(e)) + time_line_faults(e)
 
 
 def _task(e: Experiment, model: LoopModel) -> DesignTask:

@@ -1,55 +1,21 @@
-"""The sensor nodes of an experiment as one list, which rig, controller, theory and measures read; and what is wrong with them."""
+"""The sensor nodes of an experiment: what is wrong with them, who shares what, and what the theory takes of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from design.controllers import SensorNodes, Turns, packet_samples
+from design.controllers import SensorNodes, Turns
 from hil.compose.bus_schedule import bus_cycle
 from hil.experiment import Experiment
-from hil.experiment.nodes import ClockTable, Medium, TriggerTable
-from hil.experiment.sensor_order import first_identifiers, ordered_names
+from hil.experiment.nodes import Medium
+from hil.experiment.sensor_list import Sensor, sensors_of
+from hil.experiment.sensor_order import ordered_names
 from transport.laws.delay_states import delay_states
-from transport.laws.protocols import BoundedAge, NetworkLaw, prepare
+from transport.laws.protocols import BoundedAge, NetworkLaw
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
 
 MOST_NODES = 255
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sensor:
-    """One sensor node.
-
-    Args:
-        name: of the node.
-        outputs: indices of the plant's outputs, in the order of its packets.
-        buffer: samples in one packet.
-        trigger: when it sends.
-        clock: in which slots it has something to send.
-        law: network from it to the controller.
-        law_kind: name of the law's plug-in.
-        stream: name of the random stream of its channel.
-        repeats: the newest packet goes to the controller again in a slot in which no new one has come.
-        numbered: the log says of each draw that it is of this node.
-        can_id: CAN identifier of its first frame: the lower one wins on a medium with arbitration.
-    """
-
-    name: str
-    outputs: tuple[int, ...]
-    buffer: int
-    trigger: TriggerTable
-    clock: ClockTable
-    law: NetworkLaw
-    law_kind: str
-    stream: str
-    repeats: bool
-    numbered: bool
-    can_id: int = 0
-
-    def prepared(self) -> Sensor:
-        """Return the same node, its law tabulated: no process that keeps time computes it."""
-        return replace(self, law=prepare(self.law))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,33 +69,6 @@ def node_faults(e: Experiment) -> list[str]:
             elif on.setdefault(node_name, name) != name:
                 faults.append(f"media.{name}.nodes[{i}]: node {node_name!r} is on medium {on[node_name]!r} already")
     return faults
-
-
-def sensors_of(e: Experiment) -> tuple[Sensor, ...]:
-    """Return the sensor nodes by number: the named ones, or the only one that `links.sc` stands for.
-
-    Args:
-        e: checked.
-    """
-    kind = e.kinds.get("links.sc.law", "?")
-    if not e.nodes:  # the short form; whoever reads the list need not know it
-        return (
-            Sensor(
-                name="sensor", outputs=tuple(range(len(e.plant.outputs))), buffer=packet_samples(e.controller),
-                trigger=TriggerTable(), clock=ClockTable(), law=e.links.sc.law, law_kind=kind,
-                stream="link.sc", repeats=True, numbered=False,
-            ),
-        )  # fmt: skip
-    names, index = ordered_names(e), {s.name: i for i, s in enumerate(e.plant.outputs)}
-    return tuple(
-        Sensor(
-            name=name, outputs=tuple(index[output] for output in node.outputs), buffer=node.buffer,
-            trigger=node.trigger, clock=node.clock, law=e.links.sc.law if node.law is None else node.law,
-            law_kind=kind if node.law is None else e.kinds.get(f"nodes.{name}.law", "?"),
-            stream=f"link.sc.{name}", repeats=False, numbered=True, can_id=can_id,
-        )
-        for name, node, can_id in zip(names, map(e.nodes.__getitem__, names), first_identifiers(e), strict=True)
-    )  # fmt: skip
 
 
 def shared_media(e: Experiment) -> tuple[Shared, ...]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.compose.sensors import sensors_of
 from hil.experiment import Experiment
 from hil.experiment.faults import RESTART, Fault
+from hil.experiment.sensor_list import sensors_of
 from transport.medium.faulted import Spell
 
 

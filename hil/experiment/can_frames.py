@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from design.controllers import packet_samples, row_count
+from design.controllers import row_count
 from hil.errors import ExperimentError
-from hil.experiment.sensor_order import first_identifiers, framing, ordered_names
+from hil.experiment.sensor_list import Sensor, sensors_of
+from hil.experiment.sensor_order import first_identifiers, framing
 from hil.experiment.tables import Experiment
 from transport.dbc import LONGEST_NAME, Talker, dbc_text
 from transport.links.can_identifiers import FRAGMENTS, LARGEST, Identifiers, derived, identifiers_of, said
@@ -88,14 +89,14 @@ def experiment_dbc(e: Experiment, link: str | None = None) -> str:
     """
     uri = link_uri(e, link)
     own, (_, fd) = identifiers_on(e, uri), framing(uri)
-    names = ordered_names(e) or [""]
-    short = all(len(name) <= LONGEST_NAME - 12 for name in names)
+    sensors = sensors_of(e)
+    short = all(len(sensor.name) <= LONGEST_NAME - 12 for sensor in sensors)
     units = {signal.name: signal.unit for signal in e.plant.outputs}
     references = tuple((f"ref_{name}"[:LONGEST_NAME], unit) for name, unit in units.items())
     talkers = []
-    for number, (name, identifiers) in enumerate(zip(names, own.sensors, strict=True)):
-        outputs, samples = (e.nodes[name].outputs, e.nodes[name].buffer) if name else (tuple(units), packet_samples(e.controller))
-        values = tuple((f"{output[: LONGEST_NAME - 4]}_{j}", units[output]) for j in range(samples) for output in outputs)
+    for number, (sensor, identifiers) in enumerate(zip(sensors, own.sensors, strict=True)):
+        outputs, name = [list(units)[i] for i in sensor.outputs], sensor.name if sensor.numbered else ""
+        values = tuple((f"{output[: LONGEST_NAME - 4]}_{j}", units[output]) for j in range(sensor.buffer) for output in outputs)
         talkers.append(
             Talker(
                 name=f"Sensor_{name if short else number}_" if name else "Sensor", identifiers=identifiers,
@@ -136,9 +137,12 @@ def said_identifiers(e: Experiment, uri: str) -> dict[str, dict[str, str]]:
         own = identifiers_on(e, uri)
     except (TransportError, ExperimentError):
         return {}  # more nodes than a CAN link has identifiers for
-    names = ordered_names(e) or ["sensor"]
-    told = {f"can_id.{name}": said(ids) for name, ids in zip(names, own.sensors, strict=True)}
+    told = {f"can_id.{sensor.name}": said(ids) for sensor, ids in zip(sensors_of(e), own.sensors, strict=True)}
     return {"/link/sensor": told, "/link/control": {"can_id.control": said(own.control)}}
+
+
+def _path(sensor: Sensor) -> str:
+    return f"{sensor.path}.can_id" if sensor.numbered else sensor.path  # links.sc has no key for it
 
 
 def _explicit(e: Experiment) -> bool:
@@ -147,12 +151,11 @@ def _explicit(e: Experiment) -> bool:
 
 def _ranges(e: Experiment, uri: str) -> dict[str, range]:
     """Return path to identifiers; where some are set, all take as many as their packets have frames."""
-    (base, fd), names = framing(uri), ordered_names(e)
-    paths = [f"nodes.{name}.can_id" for name in names] or ["links.sc"]
-    below = derived(base, fd, max(len(names), 1)) if len(names) <= FRAGMENTS else derived(base, fd)
+    (base, fd), paths = framing(uri), [_path(sensor) for sensor in sensors_of(e)]
+    below = derived(base, fd, len(paths)) if len(paths) <= FRAGMENTS else derived(base, fd)
     if not _explicit(e):
         return dict(zip((*paths, CONTROL), (*below.sensors, below.control), strict=True))
-    first = dict(zip(paths, first_identifiers(e, uri) or [below.sensors[0][0]], strict=True))
+    first = dict(zip(paths, first_identifiers(e, uri), strict=True))
     first[CONTROL] = below.control[0] if e.links.control_can_id is None else e.links.control_can_id
     return {path: range(start, start + _needed(e, uri)[path]) for path, start in first.items()}
 
@@ -160,8 +163,7 @@ def _ranges(e: Experiment, uri: str) -> dict[str, range]:
 def _needed(e: Experiment, uri: str) -> dict[str, int]:
     """Return path to the frames of its longest packet."""
     step, tagged, outputs = 64 if framing(uri)[1] else 8, e.links.auth is not None or "auth=" in uri, len(e.plant.outputs)
-    values = {f"nodes.{name}.can_id": len(e.nodes[name].outputs) * e.nodes[name].buffer for name in ordered_names(e)}
-    values = values or {"links.sc": outputs * packet_samples(e.controller)}
+    values = {_path(sensor): len(sensor.outputs) * sensor.buffer for sensor in sensors_of(e)}
     needed = {path: -(-sensor_length(own + outputs, tagged) // step) for path, own in values.items()}
     control = control_length(_rows(e, uri) * len(e.plant.inputs), tagged)
     return needed | {CONTROL: min(-(-control // step), FRAGMENTS)}

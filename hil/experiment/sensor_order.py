@@ -16,15 +16,17 @@ def ordered_names(e: Experiment) -> list[str]:
 def first_identifiers(e: Experiment, uri: str | None = None) -> list[int]:
     """Return the CAN identifier of each node's first frame, by number: that of the experiment, else that of the link's base.
 
+    Where no node is named there is one all the same.
+
     Args:
         e: the experiment.
         uri: of a link; the experiment's own by default. One that is no CAN link, or says no base, has the base 0x100.
     """
     base, fd = framing(e.links.uri if uri is None else uri)
-    names = ordered_names(e)
-    count = len(names)
-    below = derived(base, fd, count).sensors if 0 < count <= FRAGMENTS else [range(base + n, base + n + 1) for n in range(count)]
-    return [own[0] if (told := e.nodes[name].can_id) is None else told for name, own in zip(names, below)]
+    given = [e.nodes[name].can_id for name in ordered_names(e)] or [None]
+    count = len(given)
+    below = derived(base, fd, count).sensors if count <= FRAGMENTS else [range(base + n, base + n + 1) for n in range(count)]
+    return [own[0] if told is None else told for told, own in zip(given, below)]
 
 
 def framing(uri: str) -> tuple[int, bool]:

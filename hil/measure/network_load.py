@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hil.compose.sensors import sensors_of
+from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import pieces
 from hil.measure.network_paths import draws_of
 from hil.measure.view import MEASUREMENT, RunView

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hil.compose.sensors import sensors_of
+from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import Growing, pieces
 from hil.measure.view import RunView
 from transport.laws.protocols import NetworkLaw

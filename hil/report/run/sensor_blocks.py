@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from hil.compose.sensors import sensors_of
+from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import pieces
 from hil.measure.network_load import loads
 from hil.measure.view import RunView

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.compose.loop import Loop
-from hil.compose.sensors import Sensor, Shared
+from hil.compose.sensors import Shared
+from hil.experiment.sensor_list import Sensor
 from hil.runtime.streams import rng_for
 from transport.medium.arbitration import ArbitratedBus
 from transport.medium.draws import DELIVERED, DISORDERED, DUPLICATED

@@ -17,9 +17,9 @@ from design.historical_data.sensor_schedule import phase_chain, phases_at_start,
 from design.historical_data.state_moments import StateMoments, state_moments
 from hil.compose.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
-from hil.compose.sensors import sensors_of
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
+from hil.experiment.sensor_list import sensors_of
 from hil.measure.cost import Cost
 from hil.measure.network_load import loads
 from hil.measure.summary import summarise
