@@ -138,30 +138,3 @@ def printed_section(
         margin=result.found.margin, matrices=result.found.matrices, scale=result.scale, solver=result.found.solver,
         assumptions=("C'C and B'P may stand in X coordinates (false)", "sections need no link (false)"),
     )  # fmt: skip
-
-
-def printed_delayed(
-    system: DelayedJumpSystem,
-    process: SemiMarkov,
-    sections: Partition,
-    gain: ScheduledGain | None,
-    *,
-    reading: Reading = "consistent",
-    gain_bound: float = math.inf,
-    gamma: float | None = None,
-) -> JumpCertificate:
-    """All sections of Corollary 3.2 together: the worst section's gamma, and the gains U X^-1 where none are given."""
-    count = min(len(row) for row in sections)
-    parts = [
-        printed_section(system, process, sections, m, gain, reading=reading, gain_bound=gain_bound, gamma=gamma)
-        for m in range(count)
-    ]
-    worst = max(parts, key=lambda part: math.inf if part.gamma is None else part.gamma)
-    if worst.certified and gain is None:
-        table = [
-            [part.matrices[f"U[{i}]"] @ np.linalg.inv(part.matrices[f"X[{i}]"]) for part in parts]
-            for i in range(system.modes)
-        ]
-        starts = np.array([row[:count] for row in sections])
-        return worst.renamed(gain=ScheduledGain(gain=np.array(table), starts_s=starts))
-    return worst

@@ -15,8 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import FieldError, Infeasible
+from design.errors import Infeasible
 from design.lmi.attenuation import at_gamma, smallest_gamma
 from design.lmi.program import Array, LmiProgram, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.processes.partitions import Partition
@@ -129,37 +128,3 @@ def printed_section(
         margin=result.found.margin, matrices=result.found.matrices, scale=result.scale, solver=result.found.solver,
         assumptions=("the controller measures the fault (false)", "both clocks share one section, sections need no link (false)"),
     )  # fmt: skip
-
-
-def printed_fault_tolerant(
-    system: JumpSystem,
-    process: FaultDetection,
-    gain: ScheduledGain | None,
-    *,
-    eta_sections: Partition,
-    r_sections: Partition,
-    gain_bound: float = math.inf,
-    gamma: float | None = None,
-) -> JumpCertificate:
-    """All sections of (4.27) together: the worst section's gamma, and the gains K_ik,m where none are given.
-
-    Raises ValueError unless the gains are over ("eta", "r"), which is all that the printed conditions know.
-    """
-    detections = process.detection[0].modes
-    if gain is not None and gain.measured != ("eta", "r"):
-        raise FieldError("measured", f"{gain.measured!r}; the printed conditions give K_ik, which is ('eta', 'r')")
-    count = min(len(row) for row in (*eta_sections, *r_sections))
-    parts = []
-    for m in range(count):
-        known = None
-        if gain is not None:
-            rows = [gain.at(mode, r_sections[mode % detections][m]) for mode in range(gain.modes)]
-            known = np.array(rows).reshape(system.modes, detections, system.inputs, system.states)
-        parts.append(printed_section(system, process, eta_sections, r_sections, m, known, gain_bound=gain_bound, gamma=gamma))
-    worst = max(parts, key=lambda part: math.inf if part.gamma is None else part.gamma)
-    if gain is not None or not worst.certified:
-        return worst.renamed(gain=gain)
-    pairs = list(itertools.product(range(system.modes), range(detections)))
-    table = [[part.matrices[f"R[{i},{k}]"] @ np.linalg.inv(part.matrices[f"X[{i},{k}]"]) for part in parts] for i, k in pairs]
-    starts = np.array([r_sections[k][:count] for _, k in pairs])
-    return worst.renamed(gain=ScheduledGain(gain=np.array(table), starts_s=starts, measured=("eta", "r")))

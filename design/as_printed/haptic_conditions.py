@@ -1,10 +1,9 @@
 """The conditions of Chapter 6 as printed, each with ``method = "printed"`` and ``sound = False``, whatever it says.
 
 - (6.9): the coupler's condition, which has no delay in it.
-- (6.12): the distortion against a wall without delay, by which no wall at all can be the most transparent one.
 - (6.17): the attenuation of (6.14), in which nothing drives the weight; it does not know how long the delay is.
 
-Reference: Chapter 6, (6.9), (6.12)-(6.17); ERRATA 22, 23, 26.
+Reference: Chapter 6, (6.9), (6.14)-(6.17); ERRATA 22, 26.
 """
 
 from __future__ import annotations
@@ -17,14 +16,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.coupler import DELAY, PERIOD_S, meets_printed_condition
+from design.as_printed.coupler import PERIOD_S, meets_printed_condition
 from design.controllers.coupler import Coupler
 from design.controllers.wall import Material
 from design.errors import FieldError
-from design.jump_linear.bounded_real import hinf_norm
 from design.lmi.decision import decide
 from design.lmi.program import LmiProgram, symmetric_blocks
-from design.passivity.transparency import distortion, low_pass
+from design.passivity.transparency import low_pass
 
 Array = npt.NDArray[np.float64]
 
@@ -59,27 +57,6 @@ def printed_stability(coupler: Coupler, damping_n_s_per_m: float) -> PrintedVerd
         condition="(6.9)", holds=meets_printed_condition(coupler, damping_n_s_per_m), number=PERIOD_S / (2.0 * damping_n_s_per_m),
         quantity="T/(2 b), m/N",
     )  # fmt: skip
-
-
-def printed_transparency(
-    materials: Sequence[Material], coupler: Coupler, *, cutoff_hz: float, delay: int = DELAY
-) -> PrintedVerdict:
-    """Return (6.12): the largest distortion of any material, beside that of no wall at all (max K_i).
-
-    Args:
-        materials: of the wall, each for itself.
-        coupler: C, without an integrator.
-        cutoff_hz: of the weight W, a first-order low-pass, in Hz.
-        delay: nd in samples.
-
-    Returns:
-        ``holds`` says whether the rendered wall is, by (6.12), more transparent than none.
-    """
-    found = max(
-        hinf_norm(distortion([m], [[1.0]], coupler, period_s=PERIOD_S, delay=delay, cutoff_hz=cutoff_hz)) for m in materials
-    )
-    none = max(m.stiffness_n_per_m for m in materials)
-    return PrintedVerdict(condition="(6.12)", holds=found < none, number=found, quantity="distortion, N/m")
 
 
 def printed_attenuation(

@@ -27,7 +27,6 @@ from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, 
 from design.historical_data.measurement_noise import cost_from, stationary_cost
 from design.verdict import Verdict
 
-STARTS = (0.0, 1.0)
 EASIER = 0.97  # the matrices of a loop that is not stable yet are scaled until they are, and this much less with every round
 ROUNDS = 400
 

@@ -36,8 +36,8 @@ class SequentialTest:
         ValueError: unless 0 < p0 < p1 < 1 and both errors lie between 0 and 1; the message starts with the field.
 
     >>> test = SequentialTest(p0=0.95, p1=0.975, alpha=1e-3, beta=1e-3)
-    >>> test.decide(100, 100), test.decide(266, 266), test.decide(266, 300), test.fewest()
-    (None, 'at least p1', 'at most p0', 266)
+    >>> test.decide(265, 265), test.decide(266, 266), test.decide(266, 300)
+    (None, 'at least p1', 'at most p0')
     """
 
     p0: float
@@ -58,7 +58,3 @@ class SequentialTest:
         if ratio >= -math.log(self.alpha):
             return "at least p1"
         return "at most p0" if ratio <= math.log(self.beta) else None
-
-    def fewest(self) -> int:
-        """Return the number of runs after which "at least p1" is decided if every one succeeds."""
-        return math.ceil(-math.log(self.alpha) / math.log(self.p1 / self.p0))

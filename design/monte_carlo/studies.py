@@ -165,7 +165,8 @@ def trajectories(
 class MeanStates(NamedTuple):
     """Means over ``runs`` runs on the grid.
 
-    ``time_s`` (G,), ``mean`` E x (G, n), ``second`` E x x' (G, n, n), ``fourth`` E |x|^4 (G,).
+    ``time_s`` (G,), ``mean`` E x (G, n), ``second`` E x x' (G, n, n), ``fourth`` E |x|^4 (G,), for
+    the standard error of ``square``.
     """
 
     time_s: FloatArray
@@ -178,11 +179,6 @@ class MeanStates(NamedTuple):
     def square(self) -> FloatArray:
         """E |x(t)|^2, shape (G,)."""
         return np.asarray(np.trace(self.second, axis1=1, axis2=2))
-
-    @property
-    def square_error(self) -> FloatArray:
-        """Standard error of ``square``, shape (G,)."""
-        return np.asarray(np.sqrt(np.maximum(self.fourth - self.square**2, 0.0) / self.runs))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -67,10 +67,6 @@ class RunView:
         """Return the same run with one tracked output."""
         return replace(self, signals=self.signals.only(name))
 
-    def stepped(self) -> bool:
-        """Return whether the reference changed during the run."""
-        return any(mark.label == REFERENCE_STEP for mark in self.marks)
-
     def disturbed_at_s(self) -> float | None:
         """Return when the first input disturbance began as the experiment states it, s; None without one."""
         if self.experiment is not None:

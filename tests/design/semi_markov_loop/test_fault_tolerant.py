@@ -12,7 +12,7 @@ from design.as_printed.examples import (
     chapter4_seen_gain,
     chapter4_system,
 )
-from design.as_printed.fault_tolerant import printed_fault_tolerant, printed_section
+from design.as_printed.fault_tolerant import printed_section
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import Infeasible
 from design.lmi.exact import prove
@@ -92,16 +92,9 @@ def test_printed_levels_are_loose_and_speak_against_the_partition() -> None:
     assert second.gamma == pytest.approx(0.1468, abs=5e-4)
 
 
-def test_printed_conditions_carry_its_flag_and_needs_the_fault() -> None:
-    made = printed_fault_tolerant(SYSTEM, PROCESS, None, gain_bound=5.0, eta_sections=ONE, r_sections=ONE)
+def test_printed_conditions_carry_their_flag_in_synthesis() -> None:
+    made = printed_section(SYSTEM, PROCESS, ONE, ONE, 0, None, gain_bound=5.0)
     assert made.gamma == pytest.approx(0.52, abs=0.02) and not made.sound
-    assert made.gain is not None and made.gain.measured == ("eta", "r")
-    again = printed_fault_tolerant(SYSTEM, PROCESS, made.gain, eta_sections=ONE, r_sections=ONE)
-    assert again.gamma is not None and again.gamma <= (made.gamma or 0) * 1.05
-    with pytest.raises(ValueError, match="measured"):
-        printed_fault_tolerant(
-            SYSTEM, PROCESS, chapter4_seen_gain(partitioned=True), eta_sections=ONE, r_sections=DETECTION
-        )
 
 
 def test_printed_sections_miss_the_pair_of_clocks_that_diverges() -> None:
