@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from plants.errors import FieldError
-from plants.parts.linear import LinearRun, Signal, StateSpace
+from plants.parts.linear import Signal, StateSpace
 from plants.parts.linear_many import LinearRuns
+from plants.parts.protocols import PlantRun
 from plants.state_space import LinearPlant
 
 INPUT: Final = Signal("u", "1")
@@ -82,10 +83,10 @@ class TransferFunction:
         """Return the realisation."""
         return self._realised().model()
 
-    def start(self, rng: np.random.Generator) -> LinearRun:
+    def start(self, rng: np.random.Generator) -> PlantRun:
         """Return the plant at time 0. It draws nothing from ``rng``."""
         return self._realised().start(rng)
 
-    def start_many(self, runs: int) -> LinearRuns:
+    def start_many(self, runs: int) -> LinearRuns | None:
         """Return so many of them at time 0."""
         return self._realised().start_many(runs)

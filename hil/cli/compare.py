@@ -24,6 +24,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
 
     Streams of random numbers are named, so experiments with the same network laws meet the same delays.
     """
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import Progress
@@ -72,18 +73,23 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
         return
     for name in experiments[1:]:
         print(visible(comparison.verdict(name)))
+    title = f"mean of {runs} runs; below it the difference from {visible(first)}, 95 % interval"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("metric")
+    for name in experiments:
+        table.add_column(cell(name), justify="right")
     for quantity in comparison.quantities:
         metric = quantity.name
-        table = Table(title=with_unit(metric, quantity.unit))
-        for head in ("experiment", "runs", "mean", "sd", "difference", "95 % interval"):
-            table.add_column(head, justify="left" if head == "experiment" else "right")
-        for name, values in out.items():
-            s, d = values["metrics"][metric], values["difference"][metric]
-            gap = name != first and d["mean"] is not None
-            table.add_row(
-                cell(name), str(s["n"]), *("-" if v is None else f"{v:.5g}" for v in (s["mean"], s["sd"])),
-                f"{d['mean']:+.4g}" if gap else "", f"{d['low']:.4g} to {d['high']:.4g}" if gap else "",
-            )  # fmt: skip
-        print_table(table)
+        table.add_row(with_unit(metric, quantity.unit), *(_entry(values, metric) for values in out.values()))
+    print_table(table)
     if output is not None:
         print(f"page: {visible(output)}")
+
+
+def _entry(values: dict[str, Any], metric: str) -> str:
+    """Return mean and, below it, difference and interval of one metric of one experiment."""
+    found, gap = values["metrics"][metric], values["difference"][metric]
+    mean = "-" if found["mean"] is None else f"{found['mean']:.5g}"
+    if values["verdict"] is None or gap["mean"] is None:
+        return mean
+    return f"{mean}\n{gap['mean']:+.4g} ({gap['low']:.4g} to {gap['high']:.4g})"

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 )
 @click.option("--level", type=float, default=0.95, show_default=True, help="Confidence of that interval at the stop.")
 @click.option("--resume", type=click.Path(path_type=Path), help="Keep finished runs in this file, go on from it.")
+@click.option("--metric", "own", multiple=True, metavar="MODULE:FUNCTION", help="A number of your own: a function of a RunView.")
 @click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True)
 @click.option("--scheduler", metavar="ADDRESS", help="The dask scheduler, e.g. tcp://10.0.0.1:8786.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
@@ -52,6 +53,7 @@ def command(
     until: str | None,
     level: float,
     resume: Path | None,
+    own: tuple[str, ...],
     backend: str,
     scheduler: str | None,
     jobs: int,
@@ -86,6 +88,9 @@ def command(
     check_jobs(jobs)
     if (scheduler is None) == (backend == "dask"):
         raise HilError("--scheduler: --backend dask needs the address of its scheduler; no other backend takes one")
+    if own:
+        sets = (*sets, measures_with(experiment, sets, own))
+        print("hil: --metric reads whole runs: they are computed one by one, not in lockstep", file=sys.stderr)
     if grids or ranges or points is not None:
         if until is not None:
             raise HilError("--until: not with --grid or --range, where every point has the same runs")
@@ -144,6 +149,22 @@ def command(
         sys.exit(found.interrupted)
     if rule is not None and not found.reached:
         sys.exit(1)
+
+
+def measures_with(experiment: str, sets: tuple[str, ...], own: tuple[str, ...]) -> str:
+    """Return the change that adds functions of the user's own to what an experiment is judged by.
+
+    Raises:
+        HilError: one that is no ``module:function``.
+    """
+    from hil.experiment import load_experiment
+    from hil.experiment.own_modules import is_own
+
+    for name in own:
+        if not is_own(name):
+            raise HilError(f"--metric {name!r:.60}: expected module:function, such as my_module:peak of my_module.py")
+    measures = [*load_experiment(experiment, sets).report.measures, *own]
+    return f"report.measures={json.dumps(measures)}"
 
 
 def check_jobs(jobs: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from design.monte_carlo.confidence import Interval, StopRule
 from design.monte_carlo.parallel import Workers, spread
 from hil.compose.loop import Loop, compose
 from hil.experiment import Experiment
-from hil.measure.many import MeasureOfMany
+from hil.measure.many import ManyView, MeasureOfMany
 from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics
@@ -27,12 +28,25 @@ WORTH_WORKERS = 3_000_000
 
 
 def quantities_in(experiment: Experiment) -> tuple[Quantity, ...]:
-    """Return what the experiment's measures give per run."""
-    return quantities_of(measures_of(experiment), signals_of(experiment.plant))
+    """Return what the experiment's measures give per run; ``sse.angle`` is that of one output, where several are tracked."""
+    measures, signals = measures_of(experiment), signals_of(experiment.plant)
+    found = quantities_of(measures, signals)
+    if len(signals.tracked) < 2:
+        return found
+    return found + tuple(
+        replace(q, name=f"{q.name}.{name}", title=f"{q.title} of {name.replace('_', ' ')}", better="")
+        for name in signals.tracked
+        for q in quantities_of(measures, signals.only(name))
+        if q.per_output
+    )
 
 
 def columns_of(experiment: Experiment) -> tuple[str, ...]:
-    """Return the columns of a sweep besides ``seed``: whether safety stopped the run, and every number of the measures."""
+    """Return the columns of a sweep besides ``seed``: whether safety stopped the run, and every number of the measures.
+
+    Args:
+        experiment: what is run.
+    """
     return ("stopped", *(quantity.name for quantity in quantities_in(experiment)))
 
 
@@ -54,7 +68,7 @@ def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     if together.known.any():
         for measure in measures_of(loop.experiment):
             if isinstance(measure, MeasureOfMany):
-                found |= measure.of_many(view)
+                found |= _of_many(measure, view)
     columns = columns_of(loop.experiment)[1:]
     lists = [found[name].tolist() for name in columns] if found else [[]] * len(columns)
     known = iter(zip(*lists))
@@ -62,6 +76,15 @@ def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
         dict(zip(columns, next(known))) | {"seed": seed, "stopped": 0.0} if fits else run_one_by_one(loop, [seed])[0]
         for seed, fits in zip(seeds, together.known.tolist())
     ]
+
+
+def _of_many(measure: MeasureOfMany, view: ManyView) -> dict[str, NDArray[np.float64]]:
+    found = dict(measure.of_many(view))
+    names = view.signals.tracked
+    for c, name in enumerate(names if len(names) > 1 else ()):
+        alone = replace(view, outputs=(view.outputs[c],), reference=view.reference[:, c : c + 1], signals=view.signals.only(name))
+        found |= {f"{key}.{name}": value for key, value in measure.of_many(alone).items()}
+    return found
 
 
 def run_one_by_one(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
@@ -72,6 +95,8 @@ def run_one_by_one(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     for seed in seeds:
         run = simulate(loop, seed, topics)
         found = run_metrics(run, loop.experiment)
+        for output, numbers in found.pop("outputs", {}).items():
+            found |= {f"{name}.{output}": value for name, value in numbers.items()}
         row = {name: float("nan") if found[name] is None else float(found[name]) for name in names}
         row["seed"] = seed
         row["stopped"] = float(any(e["kind"] == "safety" for e in run.events))

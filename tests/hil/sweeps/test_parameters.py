@@ -8,13 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import hil
 from design.monte_carlo.parallel import Workers
 from hil.cli import main
+from hil.cli.sweep import command
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.sweeps import parameters
 from hil.sweeps.parameters import grid, latin_hypercube, sweep_parameters
+from hil.sweeps.seeds import run_one_by_one, run_seeds
 
 HERE = Workers(backend="serial")
 
@@ -105,3 +109,29 @@ def test_options_that_do_not_fit_are_refused(options: list[str], says: str, caps
     with pytest.raises(SystemExit) as end:
         main(["sweep", "dc-motor-hinf", *options])
     assert end.value.code == 2 and says in capsys.readouterr().err
+
+
+def test_numbers_of_single_outputs_are_columns_the_same_in_lockstep_and_one_by_one() -> None:
+    two = {"kind": "state-space", "A": [[-1.0, 0.0], [1.0, -2.0]], "B": [[1.0], [0.0]], "C": [[1.0, 0.0], [0.0, 1.0]]}
+    changes = {"plant": two, "controller": {"kind": "local", "gain": [[-0.2, 0.0]]}, "reference": [], "limits.state": {}}
+    experiment = hil.load_experiment("dc-motor-hinf", duration=2, **changes | {"disturbance.0.at": 0.5})
+    loop = compose(experiment)
+    rows, alone = run_seeds(loop, [0, 1]), run_one_by_one(loop, [0, 1])
+    assert {"sse", "sse.y1", "sse.y2", "steady_state_error.y2"} <= set(rows[0]) and "max_abs_u.y1" not in rows[0]
+    assert json.dumps(rows, sort_keys=True) == json.dumps(alone, sort_keys=True)  # NaN too
+    assert rows[0]["sse"] == pytest.approx(rows[0]["sse.y1"] + rows[0]["sse.y2"])
+
+
+def test_a_metric_of_ones_own_stands_in_table_store_and_csv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mine.py").write_text("def peak(view): return float(view.tracking()[1].max())\ndef bad(view): return 1 / 0\n")
+    monkeypatch.chdir(tmp_path)
+    asked = ["dc-motor-hinf", "--runs", "2", "--jobs", "1", "--set", "duration=2", "--grid", "plant.gain=150,170"]
+    found = CliRunner().invoke(command, [*asked, "--metric", "mine:peak", "--csv", "a.csv", "--resume", "kept"])
+    assert found.exit_code == 0 and "one by one, not in lockstep" in found.stderr
+    table = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    assert len(table) == 4 and all(float(row["peak"]) > 3.0 for row in table)
+    assert all('"peak"' in path.read_text() for path in (tmp_path / "kept").iterdir())
+    faults = {"mine:bad": "metric bad: ZeroDivisionError", "mine:gone": "has no 'gone'", "peak": "expected module:function"}
+    for metric, told in faults.items():
+        failed = CliRunner().invoke(command, [*asked, "--metric", metric])
+        assert isinstance(failed.exception, HilError) and told in str(failed.exception)
