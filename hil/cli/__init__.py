@@ -31,6 +31,7 @@ COMMANDS = {
     "identify": "Estimate a plant from logs.",
     "stiffness-map": "Map how stiff a virtual wall may be, certified.",
     "reproduce": "Put the thesis's numbers beside computed ones.",
+    "discover": "Say which rigs and controllers are there on zenoh links.",
     "keys": "Make keys and certificates for a link that lets one controller command.",
     "bench": "Measure timing, links and designs on this machine.",
     "schema": "Print the JSON Schema of experiment files.",

@@ -126,6 +126,15 @@ def identifiers_on(e: Experiment, uri: str) -> Identifiers:
     return identifiers_of(uri, split_uri(uri)[2], framing(uri)[1])
 
 
+def about_rig(e: Experiment) -> dict[str, object]:
+    """Return what a rig tells whoever asks: experiment, period, nodes, and the DBC, which is the layout of its frames."""
+    try:
+        dbc = experiment_dbc(e)
+    except (TransportError, ExperimentError):
+        dbc = ""  # more nodes than a CAN link has identifiers for
+    return {"experiment": e.name, "period_ns": e.period_ns, "slots": e.ticks, "nodes": ordered_names(e), "dbc": dbc}
+
+
 def said_identifiers(e: Experiment, uri: str) -> dict[str, dict[str, str]]:
     """Return what the log says of its frames: topic to the CAN identifiers of each talker, as ``hil dbc`` has them too.
 

@@ -18,7 +18,7 @@ from tests.ports import free_port
 from tests.waiting import until
 from transport import Link, TransportError, open_link
 from transport.links.contract import control, expect, meet, sensor
-from transport.links.zenoh_link import _config, zenoh_directory
+from transport.links.zenoh_link import config, zenoh_directory
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def stranger(port: int, entries: dict[str, Any], protocol: str = "tls") -> Itera
     """A zenoh program without any list of its own, that writes both keys and reads both."""
     entries.pop("access_control", None)
     heard: list[bytes] = []
-    with zenoh.open(_config("controller", f"{protocol}/127.0.0.1:{port}", entries)) as session:
+    with zenoh.open(config("controller", f"{protocol}/127.0.0.1:{port}", entries)) as session:
         for key in ("hil/**", "hil/rig0/sensor"):
             took = zenoh.handlers.Callback(lambda sample: heard.append(sample.payload.to_bytes()), indirect=False)
             session.declare_subscriber(key, took, allowed_origin=zenoh.Locality.REMOTE)  # not what it says itself

@@ -7,6 +7,7 @@ first colon is the scheme, a plug-in found in the entry point group ``hil.links`
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Literal, Protocol, Self, runtime_checkable
@@ -87,6 +88,19 @@ class Link(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+@runtime_checkable
+class Tells(Protocol):
+    """A link that can tell others who asks what runs on it."""
+
+    def tell(self, about: Mapping[str, object]) -> None:
+        """Answer questions of what runs here.
+
+        Args:
+            about: plain values.
+        """
+        ...
 
 
 class Closing:

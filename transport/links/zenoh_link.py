@@ -2,7 +2,10 @@
 
 The rig listens at the endpoint and the controller connects to it; there is no router, no multicast and no gossip. Sensor
 packets are published under ``hil/<name>/sensor``, control packets under ``hil/<name>/control``, so that any zenoh program
-that is let in at the rig's endpoint can watch, or be the controller.
+that is let in at the rig's endpoint can watch, or be the controller. A peer of the rig does not see what another peer
+publishes, so the rig says again under ``hil/<name>/heard`` what control packets it hears. Every packet has the encoding
+`ENCODING` and an attachment ``slot=K;session=S``. A liveliness token ``hil/<name>/rig`` or ``hil/<name>/controller`` says who is
+there, and the rig answers queries for ``hil/<name>/info``. Certificates and passwords keep all of that from everybody else.
 
 Without an endpoint the link is a Unix socket in a directory of mode 0700 (`zenoh_directory`): who is not this user cannot
 reach it. ``tls/`` takes certificates of both ends, and only the one called *controller* is heard: see
@@ -17,6 +20,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -34,6 +38,9 @@ QUEUE_LIMIT: Final = 256
 """Packets that wait for `receive`; what comes on top is dropped and counted."""
 
 _ONE_THREAD: Final = "({})".format(", ".join(f"{part}: (worker_threads: 1)" for part in ("app", "acc", "net", "tx", "rx")))
+ENCODING: Final = "application/octet-stream;hilrig"
+"""Encoding of every packet; its version stands in the packet."""
+
 _NETWORKED: Final = ("tcp", "tls", "udp", "ws")
 _LOCAL: Final = ("unixsock-stream",)
 _LOOPBACK: Final = re.compile(r"(127\.\d+\.\d+\.\d+|\[::1\]|localhost)")
@@ -56,7 +63,8 @@ class ZenohLink(Closing):
         zenoh.ZError: the endpoint cannot be had.
     """
 
-    __slots__ = ("_closed", "_error", "_get", "_publish", "_queue", "_session", "counters", "uri")
+    __slots__ = ("_closed", "_error", "_get", "_name", "_publish", "_queue", "_say_again", "_session", "_session_id", "_token",
+                 "counters", "uri")  # fmt: skip
 
     def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access) -> None:
         os.environ.setdefault("ZENOH_RUNTIME", _ONE_THREAD)  # read at zenoh's first use; a packet wakes fewer threads
@@ -69,18 +77,24 @@ class ZenohLink(Closing):
         # A queue in C: the callback runs in a thread of zenoh, whose waking of ours is most of a round trip.
         self._queue: SimpleQueue[bytes] = SimpleQueue()
         self._get = self._queue.get
-        self._session = zenoh.open(_config(role, endpoint, who.config(name)))
+        self._session_id, self._name = os.urandom(8).hex(), name
+        self._session = zenoh.open(config(role, endpoint, who.config(name)))
         says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
         try:
             if who.tls:
                 met = zenoh.handlers.Callback(partial(_meet, who.peer, self.counters), indirect=False)
                 self._session.info.declare_link_events_listener(met, history=True)
-            publisher = self._session.declare_publisher(
-                f"hil/{name}/{says}",
-                express=True,  # no batching
-                priority=zenoh.Priority.REAL_TIME,
-                congestion_control=zenoh.CongestionControl.DROP,
+            publisher, again = (
+                self._session.declare_publisher(
+                    f"hil/{name}/{key}",
+                    encoding=ENCODING,
+                    express=True,  # no batching
+                    priority=zenoh.Priority.REAL_TIME,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                )
+                for key in (says, "heard")
             )
+            self._token = self._session.liveliness().declare_token(f"hil/{name}/{role}")  # it lives as long as it is held
             # indirect=False: no Python thread in between, which would keep the process alive for ever if left open.
             heard = zenoh.handlers.Callback(partial(_take, self._queue, self.counters), indirect=False)
             self._session.declare_subscriber(f"hil/{name}/{hears}", heard)
@@ -88,13 +102,14 @@ class ZenohLink(Closing):
             self._session.close()  # type: ignore[no-untyped-call]
             raise
         self._publish = publisher.put
+        self._say_again = again.put if role == "rig" else None
 
     def send(self, packet: bytes) -> None:
         if self._closed:
             self.counters.dropped += 1
             return
         try:
-            self._publish(packet)
+            self._publish(packet, attachment=self._about(packet))
         except self._error:
             self.counters.errors += 1
             self.counters.dropped += 1
@@ -109,7 +124,25 @@ class ZenohLink(Closing):
         except Empty:
             return None
         self.counters.received += 1
+        if self._say_again is not None:
+            with suppress(self._error):
+                self._say_again(packet, attachment=self._about(packet))
         return packet
+
+    def _about(self, packet: bytes) -> str:
+        return f"slot={int.from_bytes(packet[4:8], 'little')};session={self._session_id}"
+
+    def tell(self, about: Mapping[str, object]) -> None:
+        """Answer queries for ``hil/<name>/info`` with this, and the session, as JSON.
+
+        Args:
+            about: plain values.
+        """
+        import zenoh
+
+        key, text = f"hil/{self._name}/info", json.dumps({**about, "session": self._session_id})
+        answer = zenoh.handlers.Callback(partial(_answer, key, text), indirect=False)
+        self._session.declare_queryable(key, answer)
 
     def close(self) -> None:
         if not self._closed:
@@ -131,12 +164,23 @@ def _meet(peer: str, counters: LinkCounters, event: zenoh.LinkEvent) -> None:
         counters.refused += 1
 
 
+def _answer(key: str, text: str, query: zenoh.Query) -> None:
+    query.reply(key, text, encoding="application/json")
+
+
 def zenoh_directory() -> Path:
     """Return the directory of the Unix sockets of ``zenoh:`` links of this user."""
     return Path(os.environ.get("HIL_ZENOH_DIR") or f"/tmp/hil-zenoh-{os.geteuid()}")
 
 
-def _config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
+def config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
+    """Return the configuration of one end: a peer that nobody finds by itself.
+
+    Args:
+        role: the rig listens, the controller connects.
+        endpoint: zenoh's.
+        entries: further ones, which replace ours.
+    """
     import zenoh
 
     config = zenoh.Config()

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 from types import FrameType
 
 from hil.compose.loop import Loop
+from hil.experiment.can_frames import about_rig
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import ControlNode
@@ -27,7 +28,7 @@ from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
 from hil.runtime.virtual import DirectExchange
-from transport.links.link import Link, TransportError, wire_version
+from transport.links.link import Link, Tells, TransportError, wire_version
 from transport.links.local import LOCAL
 from transport.links.opening import open_link
 from transport.packets import SELECTIONS, ControlPacket, encode_control
@@ -144,6 +145,8 @@ def main() -> None:
     local = job.uri == LOCAL
     with LocalLink(ControlNode(job.loop)) if local else open_link(job.uri, "rig") as link:
         warm_up(job.loop, wire, local)
+        if isinstance(link, Tells):
+            link.tell(about_rig(job.loop.experiment))
         greeting = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire).greet()
         if not greeting.answered:
             if greeting.foreign:

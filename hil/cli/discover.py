@@ -1,0 +1,50 @@
+"""``hil discover``: which rigs and controllers are there on zenoh links, and what runs on them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from hil.errors import HilError
+
+NOBODY = 1  # exit status: nobody is there
+
+
+@click.command()
+@click.argument("links", nargs=-1, metavar="[LINK]...")
+@click.option("--wait", default=1.0, show_default=True, type=click.FloatRange(0.1, 60), help="How long to wait for answers, s.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
+    """Say which rigs and controllers are on zenoh LINKs: by default on those of this user on this machine.
+
+    LINK is zenoh:tcp/HOST:PORT and the like. A link with certificates or passwords tells nobody but its own ends.
+
+    Exit status: 0 somebody is there, 1 nobody, 2 bad input.
+    """
+    from transport.links.zenoh_discover import discover, own_endpoints
+
+    for link in links:
+        if not link.startswith("zenoh:") or "/" not in link:
+            raise HilError(f"{link}: expected a link of zenoh, as in zenoh:tcp/127.0.0.1:7447")
+    endpoints = [link.removeprefix("zenoh:").partition("?")[0] for link in links] or own_endpoints()
+    found = [found for endpoint in endpoints for found in discover(endpoint, wait)]
+    if as_json:
+        click.echo(json.dumps(found))
+    for each in () if as_json else found:
+        _show(each)
+    if not found:
+        if not as_json:
+            click.echo("nobody is there")
+        raise SystemExit(NOBODY)
+
+
+def _show(found: dict[str, Any]) -> None:
+    from hil.cli.terminal import visible
+
+    about = found["info"]
+    runs = "tells nothing"
+    if about:
+        runs = f"{about['experiment']}, period {about['period_ns'] / 1e6:g} ms, session {about['session']}"
+    click.echo(visible(f"{found['name']} at {found['endpoint']}: {' and '.join(found['alive'])}; {runs}"))
