@@ -132,7 +132,8 @@ def about_rig(e: Experiment) -> dict[str, object]:
         dbc = experiment_dbc(e)
     except (TransportError, ExperimentError):
         dbc = ""  # more nodes than a CAN link has identifiers for
-    return {"experiment": e.name, "period_ns": e.period_ns, "slots": e.ticks, "nodes": ordered_names(e), "dbc": dbc}
+    nodes = [sensor.name for sensor in sensors_of(e)]
+    return {"experiment": e.name, "period_ns": e.period_ns, "slots": e.ticks, "nodes": nodes, "dbc": dbc}
 
 
 def said_identifiers(e: Experiment, uri: str) -> dict[str, dict[str, str]]:
