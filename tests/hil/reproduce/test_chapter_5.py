@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,10 @@ from design.historical_data.information import round_robin
 from design.historical_data.lifted_loop import DelayedPlant
 from design.historical_data.matched_peak import PeakMatch
 from design.historical_data.orders import OrderCost
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
 from hil.reproduce import chapters
+from hil.reproduce.chapter5 import equation_rows as equations
 from hil.reproduce.chapter5.further import (
     Printed,
     any_order_row,
@@ -23,8 +28,9 @@ from hil.reproduce.chapter5.further import (
     tangent_row,
     variant_plant,
 )
-from hil.reproduce.chapter5.numbers import cost_rows, figures, published_plant, theorem_rows
+from hil.reproduce.chapter5.numbers import cost_rows, especially_row, figures, published_plant, theorem_rows
 from hil.reproduce.judgement import Row
+from hil.session import simulate
 
 PLANT = published_plant()
 BETTER = "5.5: the proposed controller outperforms the conventional technique"
@@ -79,6 +85,34 @@ def test_rows_beyond_the_chapter_turn_with_their_numbers() -> None:
     proof = tangent_scheme(variant, round_robin(4, buffer=3).mask(), x0, iterations=0)
     assert tangent_row(variant, proof, x0).verdict == "not reproduced"
     assert tangent_row(variant, proof._replace(bounds=(14.57,)), x0).verdict == "reproduced"
+
+
+def test_every_equation_has_a_row_and_every_row_turns_with_its_number() -> None:
+    """Each row is judged as it is, and once more with one thing wrong: a node, a gain, a weight, an entry, a path."""
+    said = verdicts(equations.equation_rows(PLANT))
+    claims = {item for item in said if item.startswith(("the controller has 24", "Remark 5.3"))}
+    assert {item for item, verdict in said.items() if verdict != "reproduced"} == claims and len(said) == 11
+    assert {said[item] for item in claims} == {"claim false"}
+    info, wrong = round_robin(4, buffer=3), "not reproduced"
+    assert equations.schedule_row([0, 1, 2, 3, 0]).verdict == "reproduced"
+    assert equations.schedule_row([0, 1, 3, 3, 0]).verdict == wrong
+    loop = compose(load_experiment("multisensor-published", ["duration=1"]))
+    x = np.column_stack([simulate(loop, 0).arrays["/plant/state"][f"x{i + 1}"] for i in range(4)])
+    assert equations.loop_row(PLANT, historical_gains(), x).verdict == "reproduced"
+    assert equations.loop_row(PLANT, np.roll(historical_gains(), 1, axis=0), x).verdict == wrong
+    assert equations.rig_cost_row(220.3).verdict == equations.rig_cost_row(None).verdict == wrong
+    assert equations.memory_row(replace(info, memory=6)).verdict == wrong
+    assert equations.mask_row(info.mask()[1]).verdict == wrong
+    assert equations.mask_row(round_robin(4, buffer=2, memory=5).mask()[2]).verdict == wrong
+    assert equations.earlier_row(round_robin(4, buffer=5)).verdict == wrong
+    assert equations.shape_row(np.zeros((4, 6, 4, 1))).verdict == "reproduced"
+    assert equations.shape_row(np.zeros((4, 5, 1, 4))).verdict == "claim false"
+    assert equations.path_row(np.full((4, 4), 0.25)).verdict == "reproduced"
+    assert equations.plant_row(replace(PLANT, weight=np.eye(4))).verdict == wrong
+    assert equations.conventional_row(PLANT, -9.0 * newest_gains()).verdict == wrong
+    assert equations.random_row(1.01, 2.3).verdict == equations.random_row(0.7, 2.49).verdict == wrong
+    assert especially_row(np.array([0.5, 0.3, 0.9, 0.2])).verdict == "reproduced"
+    assert especially_row(np.array([0.5, 0.3, 0.9, 0.6])).verdict == wrong
 
 
 @pytest.mark.slow
