@@ -63,14 +63,15 @@ class GainsOrWall(click.Command):
               help="Design for the plant without a network, by python-control, and judge it over the network.")
 @click.option("--noise", type=float, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
 @click.option("--orders", is_flag=True, help="Several sensor nodes: try every order of their turns.")
+@click.option("--spread", is_flag=True, help="Several sensor nodes: the standard deviation of the cost over runs, too.")
 @click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
-    seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, path: Path | None,
-    force: bool, as_json: bool,
+    seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, spread: bool,
+    path: Path | None, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -93,11 +94,11 @@ def command(
 
     experiment = with_nodes(subject)
     if experiment is not None:
-        _refuse_others({"subject", "orders", "as_json"}, "with several sensor nodes, whose gains [controller] asks for")
-        historical(experiment, orders, as_json)
+        _refuse_others({"subject", "orders", "spread", "as_json"}, "with several sensor nodes, whose gains [controller] asks for")
+        historical(experiment, orders, spread, as_json)
         return
-    if orders:
-        raise HilError("--orders: belongs to an experiment with several sensor nodes")
+    if orders or spread:
+        raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with several sensor nodes")
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if path is not None:

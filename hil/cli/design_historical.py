@@ -22,13 +22,13 @@ def with_nodes(subject: str) -> Experiment | None:
     return experiment if experiment.nodes else None
 
 
-def command(experiment: Experiment, orders: bool, as_json: bool) -> None:
+def command(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -> None:
     """Print what gains over historical data cost."""
     from hil.compose.historical_bounds import judge_historical
     from hil.compose.loop import compose
 
     try:
-        found = judge_historical(compose(experiment), orders=orders)
+        found = judge_historical(compose(experiment), orders=orders, spread=spread)
     except ValueError as error:
         raise HilError(f"{experiment.name}: {error}") from error
     if as_json:
@@ -41,6 +41,8 @@ def command(experiment: Experiment, orders: bool, as_json: bool) -> None:
 def lines(found: dict[str, Any]) -> list[str]:
     """Return a judgement as lines for people."""
     said = [f"{found['experiment']}, uses {found['uses']}", f"cost from the plant's start   {found['cost']:.6g}"]
+    if "cost_sd" in found:
+        said.append(f"  standard deviation of runs  {found['cost_sd']:.6g}")
     said.append(f"mean cost, x(0) ~ N(0, I)     {found['mean_cost']:.6g}")
     if found["bound_causal"] is None:
         said.append("bound, any causal controller  undecided: who is heard when is no chain of its own")

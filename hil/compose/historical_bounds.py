@@ -15,15 +15,16 @@ from design.controllers.sensor_nodes import Uses
 from hil.compose.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop
 from hil.errors import HilError
+from hil.experiment.protocols import HasStateHistory
 
 if TYPE_CHECKING:
     from design.historical_data.guaranteed_cost import Start
-    from design.historical_data.lifted_loop import DelayedPlant
+    from design.historical_data.lifted_loop import DelayedPlant, LiftedLoop
 
 Gains = npt.NDArray[np.float64]
 
 
-def judge_historical(loop: Loop, *, orders: bool = False) -> dict[str, Any]:
+def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) -> dict[str, Any]:
     """Return what gains cost, what no controller can go below, and the gains; the cost is the plant's own.
 
     The means are over x(0) ~ N(0, I) with a zero history; slot 0 is any turn of a cycle, and drawn where turns are. The bound of
@@ -33,6 +34,7 @@ def judge_historical(loop: Loop, *, orders: bool = False) -> dict[str, Any]:
     Args:
         loop: an experiment with gains over historical data.
         orders: whether every cyclic order of the nodes is tried, each with gains of its own of least mean cost.
+        spread: whether the standard deviation of `cost` over the runs is computed, too, as `cost_sd`.
 
     Raises:
         HilError: another controller or plant, or orders that cannot be tried.
@@ -60,6 +62,8 @@ def judge_historical(loop: Loop, *, orders: bool = False) -> dict[str, Any]:
     if hearing is not None:
         found["bound_causal"] = bounds(plant, hearing, start.moment).causal
         found["gap"] = found["mean_cost"] / found["bound_causal"] - 1.0
+    if spread:
+        found["cost_sd"] = 0.0 if chain is None else _spread(loop, close(plant, full, chain))
     if orders:
         found["orders"] = _orders(plant, nodes, K, name)
     return found
@@ -82,6 +86,22 @@ def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, Gains |
     full = with_lost_turns(K, nodes).astype(np.float64)
     phases = np.mean([phases_at_start(replace(nodes, turns=begin), uses) for begin in begins], axis=0)
     return Start(moment=moment, phases=phases), phase_chain(nodes), full
+
+
+def _spread(loop: Loop, closed: LiftedLoop) -> float:
+    """Return the standard deviation of the cost over runs from the plant's own start, in the schedule's first phase."""
+    from design.historical_data.cost_moments import cost_moments
+    from design.historical_data.packet_windows import window_start
+    from design.historical_data.sensor_schedule import phases_at_start
+
+    controller, nodes, plant = loop.controller, loop.model.nodes, loop.experiment.plant
+    if not isinstance(controller, HistoryGains) or nodes.turns is None:
+        raise TypeError(f"{type(controller).__name__}: no gains over scheduled nodes")
+    last = controller.uses == "last-packets"
+    phases = window_start(window_of(nodes.turns, len(controller.history()))) if last else phases_at_start(nodes, controller.uses)
+    x0 = np.array(plant.start(np.random.default_rng(0)).state)
+    past = plant.state_history() if isinstance(plant, HasStateHistory) else np.zeros((0, len(x0)))
+    return float(np.sqrt(cost_moments(closed, np.vstack([x0, past]), phases).variance))
 
 
 def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Gains, name: str) -> list[dict[str, Any]]:
