@@ -45,7 +45,7 @@ def make_keys(folder: Path, hosts: Sequence[str] = (), days: int = 365) -> list[
         if any(folder.iterdir()):
             raise HilError(f"{folder}: is not empty; keys are made in a new folder")
         if status.st_mode & 0o077 or status.st_uid != os.geteuid():
-            raise HilError(f"{folder}: others may enter it; chmod 700 it, or choose another one")
+            raise HilError(f"{folder}: other users can enter it; chmod 700 it, or choose another one")
         return _write(folder, hosts, days)
     except OSError as error:
         raise HilError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error

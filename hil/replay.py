@@ -9,19 +9,19 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import packet_samples
+from design.controllers import Controller, packet_samples
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.experiment.absent import Absent
 from hil.experiment.can_frames import link_uri
 from hil.experiment.plugins import OBJECT
+from hil.experiment.protocols import Designer
 from hil.log.growing import Growing, pieces, whole
 from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
 from hil.log.read.run import Run
@@ -183,7 +183,7 @@ def _words(data: bytes | None) -> str:
 
 
 def what_if(
-    run: Run, controller: Any, kind: str, source: str = "log", experiment: Experiment | None = None
+    run: Run, controller: Controller | Designer, kind: str, source: str = "log", experiment: Experiment | None = None
 ) -> dict[str, NDArray[np.float64]]:
     """Ask what another controller would have commanded on the recorded arrivals (the plant does not react).
 
@@ -244,7 +244,7 @@ class _Recent:
         return self._packets.get(g)
 
 
-def _with_controller(experiment: Experiment, controller: Any, kind: str) -> Experiment:
+def _with_controller(experiment: Experiment, controller: Controller | Designer, kind: str) -> Experiment:
     return replace(experiment, controller=controller, kinds={**experiment.kinds, "controller": kind}, allow_uncertified=True)
 
 

@@ -84,9 +84,9 @@ class Omni:
                 ("encoder_step_m", self.encoder_step_m > 0.0), ("coulomb_n", self.coulomb_n > 0.0),
             ):  # fmt: skip
                 if given:
-                    raise FieldError(name, "is of the held device; give it a hand")
+                    raise FieldError(name, "belongs to the held device; add the table hand")
         elif self.encoder_noise_rad:
-            raise FieldError("encoder_noise_rad", "is of the bare joint; a held device has an encoder_step_m")
+            raise FieldError("encoder_noise_rad", "belongs to the bare joint; a held device has encoder_step_m")
         elif self.coulomb_n and (self.hand.stiffness_n_per_m or self.hand.reach_m):
             raise FieldError("coulomb_n", f"{self.coulomb_n!r}; with a spring in the hand the motion through stick and slip has "
                              "no closed form, expected 0")  # fmt: skip

@@ -76,14 +76,14 @@ class Historical:
             raise FieldError("gains", "over historical data need all nodes on one medium, or none on any")
         if self.uses == "last-packets":
             if nodes.turns is None or len(set(nodes.delays)) != 1 or None in nodes.delays:
-                raise FieldError("uses", "the last packets are defined where nodes take turns and all have one constant delay")
+                raise FieldError("uses", "the last packets need nodes that take turns and have one constant delay")
             return HistoricalRun(K, nodes, self.uses, window_of(nodes.turns, len(K)))
         phases = phase_count(nodes.turns)
         if len(K) != phases:
             raise FieldError("gains", f"{len(K)} phases, but the schedule has {phases}")
         alone = nodes.turns is not None and not nodes.turns.heard  # one packet in a slot
         if self.uses == "current-packet" and (not alone or len(set(nodes.delays)) != 1 or None in nodes.delays):
-            raise FieldError("uses", "the current packet is defined where nodes take turns and all have one constant delay")
+            raise FieldError("uses", "the current packet needs nodes that take turns and have one constant delay")
         if nodes.turns is not None and nodes.turns.transition and self.uses == "history":
             raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
         return HistoricalRun(K, nodes, self.uses)
@@ -114,10 +114,10 @@ class HistoricalRun:
         self._inputs, self._uses, self._turns = K.shape[2], uses, nodes.turns
         self._delay = nodes.delays[0] or 0
         self._buffers, self._outputs = nodes.buffers, nodes.outputs
-        # Per phase the entries that are not zero: (input, age, node, place in the node's sample, gain).
-        place = {output: (n, at) for n, own in enumerate(nodes.outputs) for at, output in enumerate(own)}
+        # Per phase the entries that are not zero: (input, age, node, position in the node's sample, gain).
+        position = {output: (n, at) for n, own in enumerate(nodes.outputs) for at, output in enumerate(own)}
         self._entries = [
-            [(int(i), int(j), *place[int(l)], float(phase[j, i, l])) for j, i, l in np.argwhere(phase != 0.0)] for phase in K
+            [(int(i), int(j), *position[int(l)], float(phase[j, i, l])) for j, i, l in np.argwhere(phase != 0.0)] for phase in K
         ]
 
     def rows(self, k: int, known: Known) -> Rows:
@@ -127,10 +127,10 @@ class HistoricalRun:
             at.setdefault(node, {})[slot] = values
         phase = self._phase(k, at)
         u = [0.0] * self._inputs
-        for i, j, node, place, gain in self._entries[phase] if phase is not None else ():
+        for i, j, node, position, gain in self._entries[phase] if phase is not None else ():
             value = self._held(at.get(node), k - j)
             if value is not None:
-                u[i] += gain * value[place]
+                u[i] += gain * value[position]
         return (tuple(u),)
 
     def _phase(self, k: int, at: dict[int, dict[int, tuple[float, ...]]]) -> int | None:

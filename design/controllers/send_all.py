@@ -110,7 +110,7 @@ class SendAll:
         if self.ages and (min(self.ages) < 1 or prod(self.ages) != len(self.gains)):
             raise FieldError("ages", f"{list(self.ages)}, expected counts whose product is {len(self.gains)}, one per table")
         if self.ages and self.sojourns:
-            raise FieldError("sojourns", "of one sensor node only; with ages the tables belong to the ages of several")
+            raise FieldError("sojourns", "needs one sensor node; with ages the tables belong to the ages of several nodes")
         try:
             shape = np.asarray(self.gains, dtype=float).shape
         except ValueError:

@@ -44,4 +44,4 @@ def common_bound(loop: LiftedLoop, X0: Array) -> tuple[float, Array]:
         worst = float(np.linalg.eigvalsh(0.5 * (gaps + gaps.transpose(0, 2, 1))).max())
         if worst <= 0.0 < float(np.linalg.eigvalsh(found)[0]):
             return float(X0 @ found @ X0), found
-    raise Infeasible("the solver's Lyapunov matrix does not meet its inequalities", value=worst)
+    raise Infeasible("the Lyapunov matrix of the solver does not satisfy the inequalities", value=worst)

@@ -204,7 +204,7 @@ def _stable_scale(value: Callable[[Array, float], tuple[float, Array]], v: Array
     while not np.isfinite(value(v, scale)[0]):
         scale *= EASIER
         if scale < 1e-6:
-            raise Infeasible("no scaling stabilises the loop: the initial gains are too large", value=scale)
+            raise Infeasible("no scaling of the loop is stable: the initial gains are too large", value=scale)
     return scale
 
 

@@ -35,7 +35,7 @@ def mask_of(nodes: SensorNodes, memory: int, uses: Uses) -> Mask:
     outputs = sum(map(len, nodes.outputs))
     delays = [delay for delay in nodes.delays if delay is not None]
     if len(delays) < len(nodes.delays):
-        raise FieldError("nodes", "which samples are known is stated where every node has a constant delay")
+        raise FieldError("nodes", "the theory knows which samples have arrived only where every node has a constant delay")
     for name, buffer, delay in zip(nodes.names, nodes.buffers, delays):
         if buffer + delay > memory + 1:
             raise FieldError(

@@ -54,7 +54,7 @@ class HistoricalDesigned:
             if not (np.isfinite(self.peak_input) and self.peak_input > 0):
                 raise FieldError("peak_input", f"{self.peak_input}, expected a finite number > 0")
             if self.start != "given" or self.uses == "last-packets":
-                raise FieldError("peak_input", "is that of one run: start = 'given', and uses other than 'last-packets'")
+                raise FieldError("peak_input", "bounds one run: it needs start = 'given', and uses other than 'last-packets'")
             if self.input_weight:
                 raise FieldError("peak_input", "sets the input weight itself: leave out input_weight")
 
@@ -114,7 +114,7 @@ class HistoricalDesigned:
         chain = phase_chain(nodes)
         if self.peak_input is not None:
             if chain is not None:
-                raise FieldError("peak_input", "is matched where turns follow a cycle and no packet is lost")
+                raise FieldError("peak_input", "needs turns in a cycle, and a medium that loses no packet")
             matched = match_peak(problem, full, task.initial_state, int(at.argmax()), self.peak_input)
             return historical_of(matched.gains, uses)
         K = cached_history((problem, full, start, chain), lambda: synthesise(problem, full, start, transition=chain))
@@ -126,7 +126,7 @@ class HistoricalDesigned:
         from design.historical_data.sensor_schedule import undecided_because
 
         if nodes.turns is None:
-            raise FieldError("uses", "the last packets are defined where nodes take turns")
+            raise FieldError("uses", "the last packets need nodes that take turns")
         window = PacketWindow(turns=nodes.turns, length=self.window)
         unknown = undecided_because(nodes, "last-packets") or window_undecided(nodes, window)
         if unknown:

@@ -40,7 +40,7 @@ class DesignedFollowing:
             if not (math.isfinite(value) and value > 0.0):
                 raise FieldError(name, f"{value!r}, expected a finite number above 0")
         if self.wall.chain is not None:
-            raise FieldError("wall.chain", "the target follows the place of the hand; give a pattern or one material")
+            raise FieldError("wall.chain", "the target depends on where the hand is; give a pattern or one material")
         count = len(self.wall.materials)
         for i, row in enumerate(self.material_chain or ()):
             if len(row) != count or len(self.material_chain or ()) != count or min(row) < 0.0 or abs(sum(row) - 1.0) > 1e-9:

@@ -109,7 +109,7 @@ class Designed:
             raise FieldError("kind", said + (", and nodes that send in every slot" if several else ""))
         ages: tuple[int, ...] = ()
         if several and self.sojourns > 1:
-            raise FieldError("sojourns", "of one sensor node only; over several the gain depends on their ages")
+            raise FieldError("sojourns", "needs one sensor node; with several nodes the gain depends on their ages")
         if several and self.node_ages == "each":
             from design.processes.product_chain import product_chain
 

@@ -153,7 +153,7 @@ class JumpSystem(_Sized):
 
     @property
     def vertices(self) -> list[int | None]:
-        """The vertices of its uncertainty; one None where it is not given by vertices."""
+        """The vertices of its uncertainty; one None where it has no vertices."""
         uncertainty = self.uncertainty
         return list(range(uncertainty.da.shape[0])) if isinstance(uncertainty, VertexUncertainty) else [None]
 
@@ -164,7 +164,7 @@ class JumpSystem(_Sized):
     def at_vertex(self, vertex: int) -> JumpSystem:
         """The certain system at one vertex of its uncertainty (constant, the same in all modes)."""
         if not isinstance(self.uncertainty, VertexUncertainty):
-            raise FieldError("uncertainty", "is not given by vertices")
+            raise FieldError("uncertainty", "has no vertices")
         da, db = self.uncertainty.da[vertex], self.uncertainty.db[vertex]
         return replace(self, a=self.a + da, b=self.b + db, uncertainty=None)
 

@@ -186,7 +186,7 @@ def _python(uri: str, affinity: Affinity, rate_hz: float) -> Callable[[], _Pair]
 def _floor(folder: Path, rate_hz: float) -> _Pair:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
-        raise OSError("no C compiler, hence no floor: apt-get install gcc")
+        raise OSError("no C compiler is installed, so the floor cannot be measured: apt-get install gcc")
     program = folder / "udp_echo"
     source = Path(__file__).with_name("udp_echo.c")
     subprocess.run([compiler, "-O2", "-o", program, source], check=True, capture_output=True)

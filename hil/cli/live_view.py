@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.cli.terminal import visible
 from hil.log.events import decode_event
-from hil.log.records import CDR_HEADER, EVENTS_TOPIC, channels
+from hil.log.records import CDR_HEADER, EVENTS_TOPIC, SignalLike, channels
 from hil.measure.signals import PURE, tracked_among
 from hil.report.html.numbers import text_of
 
@@ -227,7 +227,7 @@ class LiveView:
         self._events.append(decode_event(payload))
 
 
-def _quantity(value: float, signal: Any) -> str:
+def _quantity(value: float, signal: SignalLike) -> str:
     unit = "" if signal.unit in PURE else f" {signal.unit}"
     return f"{text_of(value):>8}{unit}"
 

@@ -33,9 +33,9 @@ def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy:
         raise HilError(f"{path}: cannot be written: {e.strerror}") from e
     target = _target(path)
     if target.is_dir():
-        raise HilError(f"{path}: cannot be written: is a folder")
+        raise HilError(f"{path}: cannot be written: it is a folder")
     if target.exists() and not target.is_file():
-        raise HilError(f"{path}: cannot be written: is no regular file")
+        raise HilError(f"{path}: cannot be written: it is no regular file")
     if found and fresh:
         raise HilError(f"{path}: exists already; {remedy}")
     if not target.parent.is_dir():
@@ -65,7 +65,7 @@ def write_output(path: Path, text: str, *, replace: bool = True) -> None:
     """
     target = _target(path)
     if target.exists() and not target.is_file():
-        raise HilError(f"{path}: cannot be written: is no regular file")
+        raise HilError(f"{path}: cannot be written: it is no regular file")
     with written_whole(target, replace=replace) as part, open(part, "w", encoding="utf-8") as file:
         file.write(text)
 

@@ -58,7 +58,7 @@ def command(
     companions = (("--set", sets, "--controller"), ("-o", output, "--controller"), ("--speed", speed != 1, "--onto"))
     for name, given, needed in companions:
         if given and not ways[needed]:
-            raise HilError(f"{name}: has no meaning without {needed}")
+            raise HilError(f"{name}: needs {needed}")
     if output is not None:
         check_output(output, fresh=True)
     run = read_run(file)

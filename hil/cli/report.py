@@ -32,7 +32,7 @@ def command(file: Path, output: Path | None, figures: Path | None, show: bool) -
     run = read_run(file)
     target = output or file.with_suffix(".html")
     if target.resolve() == file.resolve():
-        raise HilError(f"{target}: is the log itself; choose another -o")
+        raise HilError(f"{target} is the log itself; choose another -o")
     check_output(target, page=True)
     view = view_of(run)
     found = (wall_section(view), theory_section(view))

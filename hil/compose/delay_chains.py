@@ -89,9 +89,11 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayCha
     if most == 1 or stays is None:
         return DelayChain(transition=states.matrix, delays=states.ages, between=between)
     if len(set(stays.mode_ages)) < len(stays.mode_ages):
-        raise FieldError("sojourns", f"modes share a delay (ages {list(stays.mode_ages)}), whose length of stay is not theirs")
+        said = f"several modes have one delay (ages {list(stays.mode_ages)}): the stay at a delay is not that of a mode"
+        raise FieldError("sojourns", said)
     if states.has_gaps:
-        raise FieldError("sojourns", "this delay may grow by more than one per slot, and the receiver measures another stay")
+        said = "this delay may grow by more than one per slot: the receiver measures other stays than the law draws"
+        raise FieldError("sojourns", said)
     delays, slots = states.ages, states.slots
     longest = [int(slots[delays == d].max(initial=0)) for d in range(int(delays.max()) + 1)]
     counts = [min(n, most) for n in longest] if isinstance(sojourns, int) else list(sojourns)

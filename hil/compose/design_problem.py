@@ -61,7 +61,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
     of_experiment = name not in names("hil.plants")
     if not of_experiment:
         if sojourns > 1:
-            raise HilError(f"--sojourns: the sojourn time over the Markov network of {name} adds nothing; name an experiment")
+            raise HilError(f"--sojourns: over the Markov network of {name} it adds no information; name an experiment")
         plant = load("hil.plants", name)()
         period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)

@@ -27,7 +27,7 @@ def certify_model_following(loop: LoopToCertify) -> Verdict | None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
     sides = [None if chain is None else {int(d) for d in chain.delay} for chain in (loop.sc, loop.ca)]
     if any(side is None or len(side) > 1 for side in sides):
-        return undecided(loop, "passivity", "model following is judged for delays that stay")
+        return undecided(loop, "passivity", "no certificate covers model following with delays that change")
     from design.passivity.device import HeldDevice
     from design.passivity.model_following import contact_matrices
 

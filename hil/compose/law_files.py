@@ -32,5 +32,6 @@ def _loaded_law(e: Experiment, law: NetworkLaw, path: str) -> NetworkLaw:
         raise ExperimentError(e.name, [fault_at(f"{path}.law", error)]) from error
     served = slots_served(loaded)
     if served is not None and served < e.ticks:
-        raise ExperimentError(e.name, [f"{path}.law: the recording serves {served} slots, the run has {e.ticks}; it can repeat"])
+        said = f"the recording has {served} slots, the run has {e.ticks}; past_end = 'repeat' repeats the recording"
+        raise ExperimentError(e.name, [f"{path}.law: {said}"])
     return loaded

@@ -106,10 +106,10 @@ def _turns(shared: Shared, sensors: Sequence[Sensor]) -> Turns | str:
         return heard if isinstance(heard, str) else Turns(heard=heard, loss=table.loss)
     if table.kind == "round-robin":
         return Turns(order=shared.nodes, phase=table.phase, loss=table.loss)
-    place = {node: i for i, node in enumerate(shared.nodes)}
-    every, matrix, shares = range(len(place)), table.transition(), table.shares()
-    transition = tuple(tuple(matrix[place[a]][place[b]] for b in every) for a in every)
-    return Turns(transition=transition, initial=tuple(shares[place[a]] for a in every), loss=table.loss)
+    position = {node: i for i, node in enumerate(shared.nodes)}
+    every, matrix, shares = range(len(position)), table.transition(), table.shares()
+    transition = tuple(tuple(matrix[position[a]][position[b]] for b in every) for a in every)
+    return Turns(transition=transition, initial=tuple(shares[position[a]] for a in every), loss=table.loss)
 
 
 def _constant_delay(law: NetworkLaw) -> int | None:

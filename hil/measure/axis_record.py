@@ -107,7 +107,7 @@ def _of_run(path: Path, run: Run, plant: dict[str, Any], u_name: str, y_name: st
     if f"w_{u_name}" in (applied.dtype.names or ()):
         u = u + applied[f"w_{u_name}"]
     y = np.full(slots, math.nan)
-    place = measured["tick"] - first
-    kept = (place >= 0) & (place < slots)
-    y[place[kept]] = measured[y_name][kept]
+    row = measured["tick"] - first
+    kept = (row >= 0) & (row < slots)
+    y[row[kept]] = measured[y_name][kept]
     return AxisRecord(path=str(path), period_s=view_of(run).period_s, u=u, y=y, plant=plant)

@@ -190,8 +190,8 @@ def test_no_bytes_make_the_reader_of_tags_raise() -> None:
 @pytest.mark.parametrize(
     ("contents", "mode", "says"),
     [
-        ("00" * 16, 0o644, r"others may read it \(mode 644\); chmod 600"),
-        ("00" * 16, 0o640, "others may read it"),
+        ("00" * 16, 0o644, r"other users can read it \(mode 644\); chmod 600"),
+        ("00" * 16, 0o640, "other users can read it"),
         ("00" * 15, 0o600, "expected a key of 32 or 64 hexadecimal digits"),
         ("no key", 0o600, "expected a key of 32 or 64"),
         ("0" * 70_000, 0o600, "more than 65536 bytes"),

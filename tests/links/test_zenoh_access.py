@@ -134,10 +134,10 @@ def test_a_password_lets_the_controller_in_and_nobody_else(users: Path) -> None:
 
 def test_a_secret_that_others_may_read_is_refused(keys: Path, users: Path) -> None:
     (keys / "rig.key").chmod(0o644)
-    with pytest.raises(TransportError, match=r"others may read it \(mode 644\); chmod 600 it"):
+    with pytest.raises(TransportError, match=r"other users can read it \(mode 644\); chmod 600 it"):
         open_link(f"zenoh:tls/127.0.0.1:{free_port()}?keys={keys}", "rig")
     users.chmod(0o640)
-    with pytest.raises(TransportError, match=r"others may read it \(mode 640\)"):
+    with pytest.raises(TransportError, match=r"other users can read it \(mode 640\)"):
         open_link(f"zenoh:tcp/127.0.0.1:{free_port()}?users={users}", "rig")
 
 

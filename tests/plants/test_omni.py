@@ -118,7 +118,7 @@ def test_encoder_limit_and_friction_do_what_they_say():
         (lambda: Push(tremor_n=-1.0), "tremor_n: "),
         (lambda: Slide(way="jump"), "way: 'jump'"),
         (lambda: Slide(turn_s=0.0), "turn_s: "),
-        (lambda: Omni(lever_m=0.135), "lever_m: is of the held device"),
+        (lambda: Omni(lever_m=0.135), "lever_m: belongs to the held device"),
         (lambda: Omni(hand=Hand(stiffness_n_per_m=1.0), coulomb_n=0.1), "coulomb_n: "),
         (lambda: Omni(hand=Hand(), force_limit_n=0.0), "force_limit_n: "),
     ],

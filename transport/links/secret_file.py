@@ -29,7 +29,7 @@ def read_secret(path: str, what: str) -> bytes:
             if not stat.S_ISREG(status.st_mode):
                 raise TransportError(f"{path}: is no regular file, not {what}")
             if stat.S_IMODE(status.st_mode) & 0o077:
-                raise TransportError(f"{path}: others may read it (mode {stat.S_IMODE(status.st_mode):o}); chmod 600 it")
+                raise TransportError(f"{path}: other users can read it (mode {stat.S_IMODE(status.st_mode):o}); chmod 600 it")
             data = os.read(descriptor, MOST_BYTES + 1)
         finally:
             os.close(descriptor)

@@ -34,7 +34,7 @@ class SampleClock:
         if phase is not None and not 0 <= phase < every:
             raise FieldError("phase", f"{phase}, expected 0 to every - 1 = {every - 1}")
         if rng is None and (jitter or phase is None):
-            raise FieldError("rng", "a clock that draws needs a random stream")
+            raise FieldError("rng", "a clock with jitter or a random phase needs a random stream")
         self._every, self._jitter, self._rng = every, jitter, rng
         self._base = int(rng.integers(every)) if phase is None and rng is not None else phase or 0
         self._next = self._base + self._drawn()

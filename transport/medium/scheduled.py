@@ -111,7 +111,7 @@ class ScheduledMedium:
             ValueError: it is not the node's turn.
         """
         if not self.may_send(node, k):
-            raise FieldError("node", f"{node} sends in slot {k}, which is another's turn")
+            raise FieldError("node", f"{node} sends in slot {k}, which belongs to another node")
         shared = self._shared.get(node)
         if shared is not None and self._now[shared][1]:
             self._lost.append((node, Draw(k, k, NO_MODE, 0, nan, LOST)))

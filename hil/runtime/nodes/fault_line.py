@@ -50,7 +50,7 @@ class FaultLine:
             if packet_size(wrong) == packet_size(frame):
                 return wrong
 
-    def tell(self, t_ns: int, k: int, journal: Journal) -> None:
+    def log_events(self, t_ns: int, k: int, journal: Journal) -> None:
         """Log the faults that begin or end in slot k.
 
         Args:

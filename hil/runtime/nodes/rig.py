@@ -133,7 +133,7 @@ class Rig:
         """
         k, state, journal = self.k, self._plant.state, self._journal
         if self._faults is not None:
-            self._faults.tell(t_ns, k, journal)
+            self._faults.log_events(t_ns, k, journal)
         journal.slot_asked(t_ns, k, state, self._y, self._r, self._sent, frames)
         self._note_trip(t_ns, self.actuator.watch(state))
         if self._port is not None:

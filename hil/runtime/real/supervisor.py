@@ -71,7 +71,7 @@ def run_real(
         raise HilError(f"{LOCAL} runs our controller in the rig's process: an external one needs a link")
     restarts = deque(first * loop.experiment.period_ns for first, _ in time_line(loop.experiment).restarts)
     if external and restarts:
-        raise HilError("fault: controller-restart: an external controller is not ours to restart; end and start it by hand")
+        raise HilError("fault: controller-restart: hil cannot restart an external controller; end and start it by hand")
     outcome = RealOutcome()
     read_fd, write_fd = os.pipe()
     parent = os.getpid()

@@ -87,7 +87,7 @@ def test_gains_keep_to_the_published_largest_input_and_cost_less() -> None:
     found = Cost().of(view_of(simulate(loop, 0), loop.experiment))
     assert found["peak_input"] is not None and 0.97 * 15.93 < found["peak_input"] <= 15.93 * (1 + 1e-6)
     assert found["cost"] is not None and found["cost"] < 149.47
-    with pytest.raises(HilError, match=r"controller\.peak_input: is matched where turns follow a cycle"):
+    with pytest.raises(HilError, match=r"controller\.peak_input: needs turns in a cycle"):
         compose(load_experiment("multisensor-ours", ["controller.start=given", "controller.peak_input=3", "media.bus.loss=0.1",
                                                      "controller.uses=newest"]))  # fmt: skip
 
@@ -96,7 +96,7 @@ def test_gains_keep_to_the_published_largest_input_and_cost_less() -> None:
     ("given", "says"),
     [
         ({"peak_input": -1.0, "start": "given"}, "peak_input: -1.0, expected a finite number > 0"),
-        ({"peak_input": 2.0}, "peak_input: is that of one run"),
+        ({"peak_input": 2.0}, "peak_input: bounds one run"),
         ({"peak_input": 2.0, "start": "given", "input_weight": 1.0}, "peak_input: sets the input weight itself"),
     ],
 )

@@ -142,5 +142,5 @@ def test_faults_of_the_table_are_told_by_their_path() -> None:
 
 def test_somebody_else_s_controller_is_not_restarted() -> None:
     loop = loop_of(faulty("controller-restart", ""))
-    with pytest.raises(HilError, match="an external controller is not ours to restart"):
+    with pytest.raises(HilError, match="hil cannot restart an external controller"):
         run_real(loop, 0, "can:hil:nobody", MemorySink(loop.channels()), external=True)
