@@ -181,7 +181,14 @@ class Link:
             raise ValueError(f"href: {self.href!r}, expected a file name beside the page")
 
 
-Cell: TypeAlias = str | int | float | bool | Badge | Link | None
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """A cell of several lines, such as a list of assumptions."""
+
+    lines: tuple[str, ...]
+
+
+Cell: TypeAlias = str | int | float | bool | Badge | Link | Lines | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,22 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.report.html.decimation import BUCKETS, WHOLE, bucket_extremes, step_ends
-from hil.report.html.figures import Badge, Bars, Block, Cell, Figure, Histogram, Link, Matrix, Scene, Series, Table, Text, Tile
+from hil.report.html.figures import (
+    Badge,
+    Bars,
+    Block,
+    Cell,
+    Figure,
+    Histogram,
+    Lines,
+    Link,
+    Matrix,
+    Scene,
+    Series,
+    Table,
+    Text,
+    Tile,
+)
 from hil.report.html.numbers import text_of
 from hil.report.html.scene import draw_scene, scene_legend
 from hil.report.html.svg import draw_bars, draw_histogram
@@ -241,7 +256,8 @@ def _table(table: Table) -> str:
         lines.append(f"<tr{' class=highlight' if i in table.highlight else ''}>{cells}</tr>")
     # The last column takes what the others leave, unless they hold sentences too: then all of them wrap.
     widest = max((len(_words(cell)) for row in table.rows for cell in row[:-1]), default=0)
-    kind = ' class="prose-last"' if len(table.columns) > 2 and not numeric[-1] and widest <= SHORT_CELL else ""
+    kind = "" if numeric[-1] or widest > SHORT_CELL else ' class="prose-last"' if len(table.columns) > 2 else ""
+    kind = ' class="pairs"' if len(table.columns) == 2 and not numeric[-1] else kind
     scroll = "scroll long" if len(table.rows) > LONG_TABLE else "scroll"
     body = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
     return _panel(table.title, f'<div class="{scroll}">{body}</div>', table.note, "panel wide" if table.wide else "panel")
@@ -250,6 +266,8 @@ def _table(table: Table) -> str:
 def _words(cell: Cell) -> str:
     if isinstance(cell, Link):
         return cell.label
+    if isinstance(cell, Lines):
+        return " ".join(cell.lines)
     return f"{cell.label} {cell.detail}" if isinstance(cell, Badge) else str(cell)
 
 
@@ -262,6 +280,8 @@ def _cell(cell: Cell) -> str:
         return badge_html(cell)
     if isinstance(cell, Link):
         return f'<a href="{escape(cell.href, quote=True)}">{escape(cell.label)}</a>'
+    if isinstance(cell, Lines):
+        return "".join(f"<p>{escape(line)}</p>" for line in cell.lines)
     return escape(text_of(cell, 6) if isinstance(cell, float) else text_of(cell))
 
 

@@ -12,7 +12,7 @@ from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.network_paths import network_paths
 from hil.measure.signals import with_unit
 from hil.measure.view import RunView
-from hil.report.html.figures import Badge, Block, Cell, Section, State, Table, Text, Tile
+from hil.report.html.figures import Badge, Block, Cell, Lines, Section, State, Table, Text, Tile
 from hil.report.html.numbers import text_of
 from hil.report.html.page import render_page
 from hil.report.run.sensor_blocks import sensor_blocks
@@ -89,6 +89,7 @@ def run_sections(view: RunView, summary: Mapping[str, Any], predicted: Mapping[s
     return [section for section in found if section.blocks]
 
 
+_UNITS: Mapping[str, str] = {"_n_s_per_m": "N s/m", "_n_per_m": "N/m", "_m_per_n": "m/N"}
 _COLOURS: Mapping[str, State] = {"certified": "good", "refused": "bad"}
 
 
@@ -147,6 +148,18 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
+def _quantity(name: str) -> str:
+    """Return the name of a number as a person reads it, its unit behind it.
+
+    >>> _quantity("ceiling_n_per_m"), _quantity("worst_delay")
+    ('ceiling (N/m)', 'worst delay')
+    """
+    for ending, unit in _UNITS.items():
+        if name.endswith(ending):
+            return with_unit(_words(name.removesuffix(ending)), unit)
+    return _words(name)
+
+
 def _rounded(value: float | None) -> float | str | None:
     # Below a millionth the digits say nothing; "1e-8" set large would look like a finding.
     return value if value is None or value == 0.0 or abs(value) >= 1e-6 else "≈ 0"
@@ -189,18 +202,19 @@ def _summary_tables(view: RunView, summary: Mapping[str, Any]) -> list[Table]:
                 note=measure.note + (" The unit is that of the column." if several else ""),
             )
         )
+    log = summary.get("log")
+    if log:
+        tables.append(Table(title="Log", columns=["what", "value"], rows=[[k, _cell(v)] for k, v in log.items()]))
     certificate = summary.get("certificate")
     if certificate:
         tables.append(
             Table(
                 title="Certificate, from the gains that ran",
                 columns=["quantity", "value"],
-                rows=[[str(k).replace("_", " "), _cell(v)] for k, v in certificate.items() if v is not None],
+                rows=[[_quantity(str(k)), _cell(v)] for k, v in certificate.items() if v is not None],
+                wide=True,
             )
         )
-    log = summary.get("log")
-    if log:
-        tables.append(Table(title="Log", columns=["what", "value"], rows=[[k, _cell(v)] for k, v in log.items()]))
     return tables
 
 
@@ -251,4 +265,21 @@ def _about(run: Run) -> list[Section]:
 
 
 def _cell(value: Any) -> Cell:
-    return value if value is None or isinstance(value, str | int | float | bool) else json.dumps(plain(value))
+    """Return a value of a summary as a person reads it: sentences one below the other, numbers in one line."""
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    if isinstance(value, Mapping):
+        return Lines(tuple(f"{_words(str(name))}: {_in_line(v)}" for name, v in value.items()))
+    items = list(value)
+    if any(isinstance(item, str) and " " in item for item in items):
+        return Lines(tuple(map(_in_line, items)))
+    return _in_line(items) or "none"
+
+
+def _in_line(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{_words(str(name))} {_in_line(v)}" for name, v in value.items())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        within = [f"({_in_line(v)})" if isinstance(v, Sequence) and not isinstance(v, str) else _in_line(v) for v in value]
+        return ", ".join(within)
+    return text_of(value)

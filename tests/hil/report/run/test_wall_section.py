@@ -12,8 +12,10 @@ from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.report.html.figures import Figure, Scene, Shape
 from hil.report.html.scene import draw_scene, scene_legend
+from hil.report.run.run_page import render_report
 from hil.report.run.wall_section import wall_section
 from hil.session import simulate
+from tests.hil.report.runs import run_of
 
 
 def section(name, *changes):
@@ -38,6 +40,19 @@ def test_a_slide_shows_depth_force_energy_margin_and_both_ways():
     corners = np.vstack([np.asarray(shape.points) for shape in areas])
     assert corners[:, 0].min() <= y.min() and corners[:, 1].max() >= z.max()  # the way lies on the map
     assert "first" in way.note and len(areas) < 200
+
+
+def test_the_certificate_is_read_as_sentences_and_numbers_with_units():
+    """Lists were shown as JSON, in one line that was cut."""
+    run = run_of("omni-push", "duration=2")
+    page = render_report(run)
+    table = page[page.index("Certificate, from the gains that ran") :]
+    table = table[: table.index("</table>")]
+    for assumption in run.certificate["assumptions"]:
+        assert f"<p>{assumption}</p>" in table
+    assert "<td>delays</td><td>6</td>" in table and "[" not in table and "quot" not in table
+    assert "<td>ceiling (N/m)</td>" in table and "<td>static compliance (m/N)</td>" in table
+    assert run.certificate["digest"] in table and 'class="pairs"' in table
 
 
 def test_the_margin_of_the_printed_coupler_ends_where_it_must():
