@@ -14,6 +14,7 @@ from types import FrameType
 from hil.compose.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
+from hil.runtime.real.warm_up import warm_up_controller
 from transport.links.link import TransportError
 from transport.links.opening import open_link
 
@@ -45,6 +46,7 @@ def stop_on_sigterm() -> None:
 
 def serve(loop: Loop, uri: str) -> None:
     """Answer sensor frames on a link until stopped."""
+    warm_up_controller(loop)
     node = ControlNode(loop)
     with open_link(uri, "controller") as link:
         while True:

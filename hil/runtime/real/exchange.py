@@ -51,7 +51,7 @@ class Greeting:
 class Greeter:
     """Asks "is anybody there" until a controller answers, rehearses the exchange, and empties the link.
 
-    The rehearsals make sure that slot 0 finds no cold link and no sleeping thread on its way.
+    The rehearsals make sure that slot 0 finds no cold link, no sleeping thread and no cold cache on its way.
 
     Args:
         link: the rig's end.
@@ -59,12 +59,19 @@ class Greeter:
         stopped: whether the run was ended from outside.
         now: monotonic time, ns.
         wire: version and nonces of the session.
+        meanwhile: what a rig does while a question is on its way; called in every rehearsal.
+        pause: waits as long as between two slots; called after every rehearsal.
     """
 
-    def __init__(self, link: Link, timeout_s: float, stopped: Callable[[], bool], now: Now, wire: Wire) -> None:
+    def __init__(
+        self, link: Link, timeout_s: float, stopped: Callable[[], bool], now: Now, wire: Wire,
+        meanwhile: Callable[[], None] = lambda: None, pause: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
+        self._meanwhile, self._pause = meanwhile, pause
         self._link, self._stopped, self._now = link, stopped, now
         self._limit = now() + round(timeout_s * 1e9)
         self._questions = self._answers = self._foreign = 0
+        self._due = 0  # answers that may still come
         self._echo = wire.version, wire.nonce(HELLO)
         self._hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=wire.nonce(HELLO), version=wire.version))
 
@@ -75,19 +82,23 @@ class Greeter:
             answered = self._ask()
         if answered:
             self._drain()
+            self._due = 0  # what was asked before a controller was there has no answer: the last drain is not to wait for it
             for _ in range(REHEARSALS):
-                if not self._ask():
+                if not self._ask(self._meanwhile):
                     break
+                self._pause()
             self._drain()
         return Greeting(answered=answered, questions=self._questions, foreign=self._foreign)
 
     def _open(self, limit: int) -> bool:
         return not self._stopped() and self._now() < limit
 
-    def _ask(self) -> bool:
+    def _ask(self, meanwhile: Callable[[], None] = lambda: None) -> bool:
         """Ask once; return whether an answer came within `HELLO_S`."""
         self._questions += 1
+        self._due += 1
         self._link.send(self._hello)
+        meanwhile()
         limit = min(self._now() + round(HELLO_S * 1e9), self._limit)
         while self._open(limit):
             if self._take((limit - self._now()) / 1e9):
@@ -98,7 +109,7 @@ class Greeter:
         """Empty the link. Where answers are still due, wait until none has come for twice `HELLO_S`, or the time is up."""
         silent_from = self._now()
         while self._open(limit := min(silent_from + round(2 * HELLO_S * 1e9), self._limit)):
-            due = self._answers < self._questions
+            due = self._due > 0
             seen = self._answers + self._foreign
             if self._take((limit - self._now()) / 1e9 if due else 0.0):
                 silent_from = self._now()
@@ -111,9 +122,10 @@ class Greeter:
         packet = decode(data) if data is not None else None
         answer = (
             isinstance(packet, ControlPacket) and packet.seq == HELLO and (packet.version, packet.nonce) == self._echo
-            and self._answers < self._questions
+            and self._due > 0
         )  # fmt: skip
         self._answers += answer
+        self._due -= answer
         self._foreign += data is not None and not answer
         return answer
 

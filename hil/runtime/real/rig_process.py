@@ -10,30 +10,31 @@ import os
 import pickle
 import signal
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from types import FrameType
 
 from hil.compose.loop import Loop
 from hil.experiment.can_frames import about_rig
 from hil.log.write.pipe import PipeSink
-from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
-from hil.runtime.slot import Hear, Slot
+from hil.runtime.real.warm_up import RehearsedRig
+from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
-from hil.runtime.virtual import DirectExchange
 from transport.links.link import Link, Tells, TransportError, wire_version
 from transport.links.local import LOCAL
 from transport.links.opening import open_link
-from transport.packets import SELECTIONS, ControlPacket, encode_control
 
-SETTLE_NS = 5_000_000
+PACE_NS = 2_000_000
+"""Longest pause between two rehearsals, ns."""
+
+SETTLE_NS = 1_000_000
+"""From the end of the rehearsals to slot 0: no longer than between two slots, so that caches and threads stay awake."""
 NOBODY = 3  # exit status: no controller answered
 
 
@@ -55,9 +56,7 @@ class RealLoop:
     def __init__(self, job: Job, link: Link, sink: PipeSink, wire: Wire) -> None:
         e = job.loop.experiment
         channels = job.loop.channels()
-        start_ns = monotonic_ns() + SETTLE_NS
-        self.clock = RealClock(start_ns)
-        sink.begin(wall_clock_ns(start_ns))
+        self.clock = RealClock(0)  # until the session begins
         self.kernel = Kernel(self.clock)
         self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire)
         self.overruns = 0
@@ -71,6 +70,16 @@ class RealLoop:
         )
         self._slot = Slot(self.rig, self._exchange, self._commit, lambda: self.kernel.stopped)
         self.kernel.every(e.period_ns, e.ticks, self._run)
+
+    def pause(self) -> None:
+        """Wait as long as between two slots, `PACE_NS` at most."""
+        self.clock.wait_until(self.clock.now() + min(self._period_ns, PACE_NS))
+
+    def begin(self) -> None:
+        """Let session time be 0 in `SETTLE_NS`."""
+        start_ns = monotonic_ns() + SETTLE_NS
+        self.clock.begin(start_ns)
+        self._sink.begin(wall_clock_ns(start_ns))
 
     def _run(self, t_ns: int) -> None:
         self._woken_ns = self.clock.now()
@@ -87,39 +96,6 @@ class RealLoop:
             late = rig.answers.late - self._late
             self._put(t_ns, self._pack(lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun))
         self._sink.commit()
-
-
-class Rehearsal:
-    """A link without a link: every question is answered with zeros, so that no line of a controller runs in this process."""
-
-    def __init__(self, loop: Loop, wire: Wire) -> None:
-        self._version = wire.version
-        self._period_ns = loop.experiment.period_ns
-        self._selection = SELECTIONS.index(loop.selection)
-        self._rows = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
-
-    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
-        """Let the frames go."""
-
-    def answer(self, t_ns: int, hear: Hear) -> None:
-        """Answer with zeros."""
-        k = t_ns // self._period_ns
-        hear(encode_control(ControlPacket(k, 0, 0, 0, self._selection, self._rows, version=self._version)))
-
-
-def warm_up(loop: Loop, wire: Wire, local: bool = False) -> None:
-    """Run a rig through a few slots without a link, so that slot 0 does not pay for what is done once (tables, first calls).
-
-    Args:
-        loop: the composed experiment.
-        wire: what the session will speak.
-        local: the controller will run in this process: it takes part.
-    """
-    e = loop.experiment
-    rig = Rig(loop, 0, MemorySink(loop.channels()), loop.channels(), lambda: None, wire)
-    slot = Slot(rig, DirectExchange(ControlNode(loop)) if local else Rehearsal(loop, wire))
-    for k in range(min(e.ticks, 50)):
-        slot.run(k * e.period_ns)
 
 
 def main() -> None:
@@ -144,19 +120,21 @@ def main() -> None:
     wire = VERSION_1 if wire_version(job.uri) == 1 else session_wire(os.urandom(KEY_BYTES))
     local = job.uri == LOCAL
     with LocalLink(ControlNode(job.loop)) if local else open_link(job.uri, "rig") as link:
-        warm_up(job.loop, wire, local)
+        rehearsed = RehearsedRig(job.loop, wire, local).warm_up()
         if isinstance(link, Tells):
             link.tell(about_rig(job.loop.experiment))
-        greeting = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire).greet()
+        real = RealLoop(job, link, sink, wire)  # before the greeting: nothing stands between its last rehearsal and slot 0
+        loops.append(real)
+        greeter = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, rehearsed.run, real.pause)
+        greeting = greeter.greet()
         if not greeting.answered:
             if greeting.foreign:
                 sys.stderr.write(f"hil: {greeting.foreign} frames that are no answer came on {job.uri} meanwhile\n")
             sink.close()
             raise SystemExit(NOBODY)
-        real = RealLoop(job, link, sink, wire)
+        real.begin()
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
         sink.commit()
-        loops.append(real)
         if not stopped:
             real.kernel.run()
         sink.event(

@@ -54,9 +54,13 @@ class RealClock:
     """
 
     def __init__(self, start_ns: int) -> None:
-        self._start_ns = start_ns
+        self.begin(start_ns)
         self._sleep = _libc.clock_nanosleep
         self._spec = _Timespec()
+
+    def begin(self, start_ns: int) -> None:
+        """Let session time be 0 at another instant."""
+        self._start_ns = start_ns
 
     def wait_until(self, t_ns: int) -> None:
         at = self._start_ns + t_ns

@@ -152,6 +152,27 @@ def test_controller_that_joins_late_and_then_answers_everything_leaves_an_empty_
     assert greeting.answered and not link.inbox
 
 
+def test_nothing_lies_between_the_last_rehearsal_and_slot_0() -> None:
+    """Questions from before the controller was there have no answer; the link was left alone for 0.1 s after the rehearsals."""
+    link, done = Bench(), []
+
+    def answer_from_the_fourth_on() -> None:
+        done.append("asked")
+        if len(link.asked) >= 4:
+            link.arrive(MS, hello())
+
+    def pause() -> None:
+        done.append("paused")
+        link.t_ns += MS
+
+    link.on_question = answer_from_the_fourth_on
+    greeter = Greeter(link, 15.0, lambda: False, link.now, VERSION_1, lambda: done.append("meanwhile"), pause)
+    assert greeter.greet().answered
+    assert done == ["asked"] * 4 + ["asked", "meanwhile", "paused"] * REHEARSALS
+    begin = 3 * 50 * MS + 100 * MS  # three questions without an answer, and the wait for what may still come
+    assert link.t_ns < begin + (2 * REHEARSALS + 3) * MS
+
+
 @pytest.mark.parametrize("answers", [True, False])
 def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_counted(answers: bool) -> None:
     """Ten foreign frames a second made a session of 1 s last 46 s."""

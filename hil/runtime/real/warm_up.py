@@ -1,0 +1,84 @@
+"""What a process does once before its session begins, so that slot 0 does not pay for it: tables, caches, first calls."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+
+from hil.compose.loop import Loop
+from hil.log.write.pipe import PipeSink
+from hil.log.write.sinks import MemorySink
+from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.rig import Rig
+from hil.runtime.nodes.wire import VIRTUAL, Wire
+from hil.runtime.slot import Hear, Slot
+from hil.runtime.time.clock import monotonic_ns
+from hil.runtime.virtual import DirectExchange
+from transport.packets import SELECTIONS, ControlPacket, encode_control
+
+SLOTS = 50
+MOST_S = 0.5
+"""Longest warm-up of a control law, s."""
+
+
+class Rehearsal:
+    """A link without a link: every question is answered with zeros, so that no line of a controller runs in this process."""
+
+    def __init__(self, loop: Loop, wire: Wire) -> None:
+        self._wire = wire
+        self._period_ns = loop.experiment.period_ns
+        self._selection = SELECTIONS.index(loop.selection)
+        self._rows = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Let the frames go."""
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
+        """Answer with zeros."""
+        k, version = t_ns // self._period_ns, self._wire.version
+        hear(encode_control(ControlPacket(k, 0, 0, 0, self._selection, self._rows, self._wire.nonce(k), version=version)))
+
+
+class RehearsedRig:
+    """A rig that runs through slots without a link; its records go nowhere.
+
+    Args:
+        loop: the composed experiment.
+        wire: version and nonces of the session.
+        local: the controller will run in this process: it takes part.
+    """
+
+    def __init__(self, loop: Loop, wire: Wire, local: bool = False) -> None:
+        self._k, self._period_ns, channels = 0, loop.experiment.period_ns, loop.channels()
+        self._sink = PipeSink(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), channels)
+        rig = Rig(loop, 0, self._sink, channels, lambda: None, wire)
+        exchange = DirectExchange(ControlNode(loop)) if local else Rehearsal(loop, wire)
+        self._slot = Slot(rig, exchange, lambda t_ns: self._sink.commit())
+
+    def run(self) -> None:
+        """Run the next slot."""
+        self._slot.run(self._k * self._period_ns)
+        self._k += 1
+
+    def warm_up(self) -> RehearsedRig:
+        """Run so many slots that every table and cache is filled."""
+        for _ in range(SLOTS):
+            self.run()
+        return self
+
+
+def warm_up_controller(loop: Loop) -> None:
+    """Run a control law of its own through a few slots of a rig, within `MOST_S`.
+
+    Args:
+        loop: the composed experiment.
+    """
+    e, limit = loop.experiment, monotonic_ns() + round(MOST_S * 1e9)
+    with suppress(Exception):  # a law that fails is to fail in the session, where it is reported
+        rig = Rig(loop, 0, MemorySink(loop.channels(), ()), loop.channels(), lambda: None, VIRTUAL)
+        slot = Slot(rig, DirectExchange(ControlNode(loop)))
+        for k in range(min(e.ticks, SLOTS)):
+            if monotonic_ns() > limit:
+                break
+            slot.run(k * e.period_ns)
