@@ -25,6 +25,7 @@ from hil.report.html.figures import Figure, Series
 from hil.reproduce.chapter import Chapter, Part, Plot, ReportProgress, Stage
 from hil.reproduce.chapter6.equation_rows import equation_rows
 from hil.reproduce.chapter6.rig_rows import identification_rows, slide_part
+from hil.reproduce.chapter6.statement_rows import statement_rows
 from hil.reproduce.chapter6.wall_rows import wall_rows
 from hil.reproduce.judgement import Row, above, below, near, row, says, within
 from plants.omni import Omni
@@ -44,6 +45,10 @@ def _identification(report_progress: ReportProgress) -> Part:
 
 def _equations(report_progress: ReportProgress) -> Part:
     return Part(rows=tuple(equation_rows(published_device())))
+
+
+def _statements(report_progress: ReportProgress) -> Part:
+    return Part(rows=tuple(statement_rows(published_device())))
 
 
 def _slide(report_progress: ReportProgress) -> Part:
@@ -216,6 +221,7 @@ CHAPTER = Chapter(
     stages=(
         Stage("identification", _identification),
         Stage("equations", _equations),
+        Stage("statements", _statements),
         Stage("mixed wall", _mixed_wall, 2),
         Stage("passivity", _passivity),
         Stage("transparency", _transparency),

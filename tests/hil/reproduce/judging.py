@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from hil.reproduce import Check, Row
+from hil.reproduce.judgement import Is
 
 FACTORS = (-1e6, -10.0, -1.0, 0.0, 0.1, 0.5, 0.9, 0.99, 1.01, 1.1, 2.0, 10.0, 1e6)
 WORDS = ("certified", "refused", "undecided", "feasible", "found", "not found")
@@ -15,7 +16,8 @@ WORDS = ("certified", "refused", "undecided", "feasible", "found", "not found")
 def others(check: Check) -> Iterator[Check]:
     """The check with another value: words for words, and numbers from near to far, also around its limits."""
     if isinstance(check.value, str):
-        yield from (replace(check, value=word, interval=()) for word in WORDS if word != check.value)
+        words = (*WORDS, check.rule.word) if isinstance(check.rule, Is) else WORDS
+        yield from (replace(check, value=word, interval=()) for word in words if word != check.value)
         return
     start = check.value if math.isfinite(check.value) else 1.0
     limits = [float(v) for v in (getattr(check.rule, n, math.nan) for n in ("printed", "low", "high")) if math.isfinite(v)]

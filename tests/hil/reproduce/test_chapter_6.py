@@ -19,7 +19,9 @@ from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion
 from hil.reproduce import chapters, reproduce
 from hil.reproduce.chapter6.numbers import passivity_rows, push_rows
+from hil.reproduce.chapter6.statement_rows import statement_rows
 from hil.reproduce.pages import chapter_page
+from tests.hil.reproduce.judging import assert_every_number_decides
 
 DEVICE = HeldDevice(mass_kg=0.7943, damping_n_s_per_m=1.9857)
 
@@ -35,13 +37,16 @@ def test_the_chapter_with_its_page():
     assert "radius at one sample 1.083" in found["Theorem 6.1: (6.9) makes the networked system oscillation free"].computed
     assert found["Figure 6.8: materials 2 and 3 end at one depth"].verdict == "reproduced"
     assert found["Figure 6.10: the modes {2, 3, 2, 3, 2, 1}"].verdict == "reproduced"
-    assert len(result.rows) >= 28
+    assert len(result.rows) >= 37
+    told = {"Remark 6.1", "6.2.2", "6.3", "6.6", "(6.15), (6.16)", "6.5.2"}
+    assert told <= set(verdicts)
     told = {"(6.1)", "(6.8)", "(6.4) to (6.6), tau1 = tau2 = 3 T = 0.15 s", "Remark 6.2", "Figures 6.5, 6.6"}
     assert {verdicts[item] for item in told} == {"reproduced"} and verdicts["(6.17)"] == "claim false"
     assert "certifies" in found["(6.17): a level gamma that it certifies bounds the distortion"].computed
     assert found["(6.2): m and b from a square wave of 0.4545 Hz and 0.02"].verdict == "reproduced"
     assert verdicts["(6.14), of which (6.17) speaks"] == "claim false"
     assert found["Figure 6.9: the avatar's displacement along x is very small"].verdict == "reproduced"
+    assert_every_number_decides(result.rows)
     page = chapter_page(result)
     assert "Figure 6.8" in page and "Figures 6.9 and 6.10" in page and page.startswith("<!doctype html>")
 
@@ -53,6 +58,17 @@ def test_a_verdict_turns_with_its_number():
     printed = {r.item: r.verdict for r in passivity_rows(DEVICE)}
     condition = "6.3: without a coupler b > K T/2 + |B| cannot be guaranteed"
     assert printed[condition] == "reproduced" and turned[condition] == "not reproduced"
+
+
+def test_statements_with_the_number_that_decides_each():
+    found = statement_rows(DEVICE)
+    assert_every_number_decides(found)
+    rows = {r.item.partition(":")[0]: r for r in found}
+    verdicts = {item: r.verdict for item, r in rows.items()}
+    assert verdicts["(6.7)"] == verdicts["6.4"] == "claim false"
+    assert {v for item, v in verdicts.items() if item not in ("(6.7)", "6.4")} == {"reproduced"}
+    assert rows["(6.7)"].witness[0].value == pytest.approx(0.478, abs=0.01)
+    assert 0.5 < rows["(6.15), (6.16)"].checks[0].value < 1.0  # not by far: the bound is a close one
 
 
 def test_the_printed_statements_and_their_counterexamples():
