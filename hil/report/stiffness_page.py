@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,9 +43,17 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
         x = [float(c.delay) for c in mine]
         curves.append(Series(label=f"certified, hand {hand:g}", x=x, y=[c.certified_n_per_m for c in mine], colour=i))
         curves.append(Series(label=f"ceiling, hand {hand:g}", x=x, y=[c.ceiling_n_per_m for c in mine], colour=i, style="dashed"))
+        delayed = [c.gil_hulin_n_per_m for c in mine]
+        curves.append(Series(label=f"Gil-Hulin, hand {hand:g}", x=x, y=delayed, colour=i, style="points"))
+        undelayed = [math.nan if c.colgate_n_per_m is None else c.colgate_n_per_m for c in mine]
+        curves.append(Series(label=f"Colgate, hand {hand:g}", x=x, y=undelayed, colour=i, style="points"))
     alone = [c for c in cells if c.hand_damping_n_s_per_m == hands[0]]
     bare = Series(
-        label="no coupler, no hand (exact)", x=[float(c.delay) for c in alone], y=[c.exact_n_per_m for c in alone], style="points"
+        label="no coupler, no hand (exact)",
+        x=[float(c.delay) for c in alone],
+        y=[c.exact_n_per_m for c in alone],
+        colour=len(hands),
+        style="points",
     )
     blocks: list[Block] = []
     if len(delays) > 1:
@@ -59,6 +68,7 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
             Figure(
                 title=f"Stiffness at T = {rate}", series=(*curves, bare), x_label="largest delay", x_unit="samples",
                 y_label="stiffness", y_unit="N/m", y_log=True, sync=None,
+                note="Points: what the field quotes for a wall without a coupler. Colgate's b > K T/2 knows no delay.",
             ),
         ]  # fmt: skip
     columns = ("delay", "hand N s/m", "certified N/m", "ceiling N/m", "Colgate N/m", "Gil-Hulin N/m", "exact, no hand N/m")
