@@ -9,6 +9,7 @@ import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.report.html.figures import Figure, Scene, Shape
 from hil.report.html.scene import draw_scene, scene_legend
@@ -45,7 +46,8 @@ def test_a_slide_shows_depth_force_energy_margin_and_both_ways():
 def test_the_certificate_is_read_as_sentences_and_numbers_with_units():
     """Lists were shown as JSON, in one line that was cut."""
     run = run_of("omni-push", "duration=2")
-    page = render_report(run)
+    view = view_of(run)
+    page = render_report(view, summarise(view))
     table = page[page.index("Certificate, from the gains that ran") :]
     table = table[: table.index("</table>")]
     for assumption in run.certificate["assumptions"]:
