@@ -48,7 +48,7 @@ def render_page(
     """
     payload = Payload()
     body = "".join(_section(i, section, payload) for i, section in enumerate(sections))
-    library, script = _asset("uPlot.iife.min.js"), _asset("page.js")
+    library, script = _asset("uPlot.iife.min.js"), f"{_asset('save.js')}\n{_asset('page.js')}"
     policy = (
         "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
         f"script-src {_digest(library)} {_digest(script)}"

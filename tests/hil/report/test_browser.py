@@ -1,6 +1,7 @@
 """The page in a real browser: it draws, it zooms all panels together, it asks the network for nothing."""
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -148,3 +149,37 @@ def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_des
     with chromium.Page(width=1400, height=900) as page:
         page.open(file)
         assert page.evaluate("(s => s.scrollWidth <= s.clientWidth)(document.querySelector('.wide .scroll'))")
+
+
+SAVE = """(kind => new Promise(done => {
+  HTMLAnchorElement.prototype.click = function () { fetched(this.download, this.href); };
+  const make = URL.createObjectURL;
+  let blob;
+  URL.createObjectURL = made => { blob = made; return make(made); };
+  const fetched = name => blob.slice(0, 4).arrayBuffer().then(
+    head => blob.text().then(text => done([name, text, [...new Uint8Array(head)]])));
+  [...document.querySelectorAll('.plot')][0].querySelectorAll('.save button').forEach(b => b.textContent === kind && b.click());
+}))('%s')"""
+
+
+def test_every_plot_can_be_saved_as_svg_png_and_csv(tmp_path: Path) -> None:
+    file = tmp_path / "page.html"
+    file.write_text(page_of_panels(), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert page.evaluate("document.querySelectorAll('.save').length") == 3
+        name, csv, _ = page.evaluate(SAVE % "CSV")
+        head, *rows = csv.splitlines()
+        assert name.endswith("-1.csv") and head == 'time (s),"spread, upper","spread, lower",angle,coarse'
+        numbers = np.genfromtxt(rows, delimiter=",")
+        known = ~np.isnan(numbers[:, 3])
+        assert known.sum() > 500 and np.allclose(numbers[known, 3], np.sin(numbers[known, 0]), atol=1e-3)
+        name, svg, _ = page.evaluate(SAVE % "SVG")
+        drawn = ElementTree.fromstring(svg)
+        tags = [element.tag.rpartition("}")[2] for element in drawn.iter()]
+        assert name.endswith("-1.svg") and tags.count("path") == 3 and tags.count("circle") > 50 and tags.count("line") == 1
+        texts = [element.text for element in drawn.iter() if element.tag.endswith("text")]
+        assert {"angle", "coarse", "spread", "time (s)", "10"} <= set(texts)
+        name, _, head_of_png = page.evaluate(SAVE % "PNG")
+        assert name.endswith("-1.png") and head_of_png == [0x89, *b"PNG"]
+        assert not page.problems and page.requests[0] == file.resolve().as_uri()

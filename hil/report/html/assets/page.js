@@ -205,6 +205,7 @@
     peers.plots.push(plot);
     if (group == null) groups.set(plot, peers);
     plots.push(plot);
+    hilSave(place, figure, curves, table, plot, +place.dataset.figure);
     for (const th of place.querySelectorAll(".u-legend .u-series th")) {
       th.tabIndex = 0;
       th.addEventListener("keydown", (e) => { if (e.key === "Enter" || e.key === " ") { e.preventDefault(); th.click(); } });

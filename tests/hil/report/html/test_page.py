@@ -122,7 +122,7 @@ def test_not_finite_values_become_gaps() -> None:
 @pytest.mark.parametrize("x_log", [False, True])
 def test_histogram_draws_every_filled_bin(x_log: bool, y_log: bool) -> None:
     histogram = Histogram(title="h", edges=[1.0, 2.0, 3.0, 40.0], counts=[3, 0, 400], x_log=x_log, y_log=y_log)
-    assert render_page("t", [Section(title="s", blocks=(histogram,))]).count("<rect") == 2
+    assert render_page("t", [Section(title="s", blocks=(histogram,))]).partition("<script")[0].count("<rect") == 2
 
 
 def test_empty_blocks_are_drawn_empty() -> None:
