@@ -59,7 +59,7 @@ test-vcan: $(INSTALLED) ## the tests that need a real vcan0, in this kernel or a
 	tests/with_vcan -v --timeout 600 -- $(PYTEST_VCAN) -m "$(VCAN)" $(VCAN_TESTS)
 
 test-hostile: export OMP_NUM_THREADS = 1
-test-hostile: $(INSTALLED) ## the attacks at length: a million inputs at every boundary, ten floods; an hour or more
+test-hostile: $(INSTALLED) ## the attacks at length: a million inputs over all boundaries, ten floods; some hours
 	$(BIN)/pytest -n 0 --hil-hostile -m hostile tests/hostile $(PYTEST_ARGS)
 
 sbom: $(INSTALLED) ## what is installed, and under which licence

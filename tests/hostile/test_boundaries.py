@@ -33,8 +33,8 @@ from hil.sweeps.store import SweepStore
 from tests.hil.log.recording import TABLE, provenance, record
 from transport.laws.trace import read_ages
 
-FEW, MANY = 60, 110_000
-"""Inputs for each of nine boundaries."""
+FEW, MANY = 60, 112_000
+"""Inputs for each of nine boundaries: a million in all."""
 
 GOOD = shipped()["dc-motor-hinf"].read_text()
 DESIGN = json.loads((shipped()["dc-motor-ours-bursty"].parent / "designs" / "dc-motor-bursty-h2-sojourns.json").read_text())
