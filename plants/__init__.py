@@ -8,6 +8,7 @@ nanoseconds under a held input, and measures.
 from plants.dc_motor import DCMotor, DCMotorRun, LoadTorque
 from plants.delayed_states import DelayedStates
 from plants.errors import PlantError
+from plants.fmu import FMU, FMURun
 from plants.omni import Omni
 from plants.parts.actuators import Driver
 from plants.parts.check import check_plant
@@ -21,6 +22,7 @@ from plants.parts.protocols import (
     HasStateDelays,
     HasStateHistory,
     JumpPlant,
+    NamesFiles,
     Plant,
     PlantRun,
 )
@@ -35,6 +37,7 @@ from plants.vtol_delayed import DelayedVTOL, DelayedVTOLRun
 from plants.vtol_fault import FaultyVTOL, FaultyVTOLRun
 
 __all__ = [
+    "FMU",
     "VTOL",
     "BeyondModel",
     "DCMotor",
@@ -45,6 +48,7 @@ __all__ = [
     "DiscreteStateSpace",
     "Driver",
     "Encoder",
+    "FMURun",
     "FaultyVTOL",
     "FaultyVTOLRun",
     "Friction",
@@ -59,6 +63,7 @@ __all__ = [
     "LinearPlant",
     "LinearRun",
     "LoadTorque",
+    "NamesFiles",
     "Omni",
     "Plant",
     "PlantError",

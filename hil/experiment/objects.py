@@ -10,7 +10,9 @@ import msgspec
 from hil.errors import ExperimentError
 from hil.experiment import plugins as registry
 from hil.experiment.own_plugins import own_controller_fault, own_plant_fault
+from hil.experiment.protocols import NamesFiles
 from hil.experiment.tables import Experiment
+from plants.errors import PlantError
 
 
 def with_objects(experiment: Experiment, **objects: object) -> Experiment:
@@ -34,6 +36,11 @@ def with_objects(experiment: Experiment, **objects: object) -> Experiment:
         fault = None
         if installed is None:
             fault = own_plant_fault(made) if path == "plant" else own_controller_fault(made)
+        if isinstance(made, NamesFiles):
+            try:
+                made = made.with_files(experiment.folder)
+            except (ValueError, PlantError) as error:
+                fault = str(error)
         if fault is not None:
             faults.append(f"{path}: {cls.__module__}.{cls.__qualname__}: {fault}")
         changes[path], kinds[path] = made, installed or registry.object_kind(cls)
