@@ -68,6 +68,7 @@ def slope(t: Floats, y: Floats) -> tuple[float, float]:
     """
     if len(t) < 2 * BATCHES:
         raise ValueError(f"{len(t)} samples, expected {2 * BATCHES} at least")
+    y = y - y[0]  # what is constant has no slope, not one of rounding
     t_of, y_of = (np.array([part.mean() for part in np.array_split(v, BATCHES)]) for v in (t, y))
     from_mean = t_of - t_of.mean()
     spread = float(from_mean @ from_mean)
