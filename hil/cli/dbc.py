@@ -77,7 +77,7 @@ def _write_codec(database: Any, folder: Path, force: bool) -> None:
 
 
 def _decode(database: Any, log: Path) -> None:
-    import can
+    from transport.links.python_can import can
 
     if log.suffix not in (".log", ".blf"):
         raise HilError(f"{log}: the ending {log.suffix!r} names no CAN log, expected .log or .blf (see `hil export`)")

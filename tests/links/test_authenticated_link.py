@@ -223,8 +223,7 @@ def test_wire_version_1_has_no_room_for_a_code() -> None:
 
 def test_no_process_of_a_loop_imports_cryptography_without_a_key(tmp_path: Path) -> None:
     program = (
-        "import sys\nfrom hil.runtime.real.scheduling import read_no_files\nread_no_files()\nfrom transport import open_link\n"
-        "import hil.runtime.real.rig_process, hil.runtime.real.controller_process\n"
+        "import sys\nfrom transport import open_link\nimport hil.runtime.real.rig_process, hil.runtime.real.controller_process\n"
         "with open_link(sys.argv[1], 'rig'):\n    print('cryptography' in sys.modules)"
     )
     key = tmp_path / "k"

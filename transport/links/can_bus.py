@@ -18,9 +18,8 @@ from struct import Struct
 from time import time
 from typing import TYPE_CHECKING, Any, Final
 
-import can
-
 from transport.links.link import TransportError
+from transport.links.python_can import can
 from transport.links.unix_mesh import Mesh
 
 if TYPE_CHECKING:

@@ -166,8 +166,8 @@ def identifiers_of(uri: str, options: dict[str, str], fd: bool) -> Identifiers:
     Raises:
         TransportError: an option that says none, or identifiers with two owners.
 
-    >>> identifiers_of("can:hil:rig0", {"ids": "0x141,0x150-0x151"}, True).sensors
-    (range(321, 322), range(336, 338))
+    >>> identifiers_of("can:hil:rig0", {"ids": "0x201,0x210-0x211"}, True).sensors
+    (range(513, 514), range(528, 530))
     """
     base = base_of(uri, options)
     options.pop("base", None)

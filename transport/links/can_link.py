@@ -22,11 +22,10 @@ from errno import EBADF, ENODEV, ENXIO
 from time import monotonic
 from typing import Final, Protocol
 
-import can
-
 from transport.links.can_bus import ERROR, EXTENDED, REMOTE, HilBus
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
 from transport.links.link import Closing, LinkCounters, Role
+from transport.links.python_can import can
 from transport.packets import decode, frame_length, node_of, packet_size
 
 _FAULTS: Final = (can.CanError, OSError, ValueError)

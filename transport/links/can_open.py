@@ -14,12 +14,11 @@ from inspect import Parameter, signature
 from pathlib import Path
 from typing import Any, Final
 
-import can
-
 from transport.links.can_bus import bus_directory
 from transport.links.can_identifiers import filters, identifiers_of
 from transport.links.can_link import CanLink
 from transport.links.link import Role, TransportError, split_uri
+from transport.links.python_can import can
 
 OPTIONS: Final = ("fd", "pad", "base", "nodes", "ids", "control")
 """What a CAN link's URI may say of its frames; the rest is the interface's."""

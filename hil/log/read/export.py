@@ -146,7 +146,7 @@ def _of_fields(piece: StructuredArray, dtype: np.dtype[Any]) -> StructuredArray:
 
 
 def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
-    import can
+    from transport.links.python_can import can, with_mf4
 
     target = paths[0]
 
@@ -157,7 +157,8 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
         raise HilError(f"{target}: python-can writes classic frames only as .trc, and this link has CAN FD; export .asc instead")
     if target.suffix == ".mf4" and find_spec("asammdf") is None:
         raise HilError(f"{target}: .mf4 needs asammdf: pip install 'hilrig[mf4]'")
-    with written_whole(target, replace=replace) as part, can.Logger(part) as writer:  # picks the writer by the ending
+    make = with_mf4() if target.suffix == ".mf4" else can.Logger  # which picks the writer by the ending
+    with written_whole(target, replace=replace) as part, make(part) as writer:
         for message in _can_messages(run, wanted):
             writer.on_message_received(message)
 

@@ -13,7 +13,7 @@ from types import FrameType
 
 from hil.compose.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, read_no_files
+from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.real.warm_up import warm_up_controller
 from transport.links.link import TransportError
 from transport.links.opening import open_link
@@ -59,7 +59,6 @@ def serve(loop: Loop, uri: str) -> None:
 
 def main() -> None:
     """Run one job from standard input."""
-    read_no_files()
     job: Job = pickle.load(sys.stdin.buffer)
     timing = job.loop.experiment.timing
     try:

@@ -21,7 +21,7 @@ from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
-from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, read_no_files
+from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.real.warm_up import RehearsedRig
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
@@ -100,7 +100,6 @@ class RealLoop:
 
 def main() -> None:
     """Run one job from standard input; exit status `NOBODY` if no controller answered."""
-    read_no_files()
     job: Job = pickle.load(sys.stdin.buffer)
     die_with_parent(job.parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -55,14 +55,6 @@ def go_real_time(priority: int, cpu: int | None, awake: bool = False) -> str:
     return ", ".join(got)
 
 
-def read_no_files() -> None:
-    """Keep python-can from importing asammdf, where it is installed, and with it pandas and cryptography.
-
-    A process of a loop reads no recordings; this import alone would take longer than all its others.
-    """
-    sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]
-
-
 def cpu_for(affinity: Affinity, role: Literal["rig", "controller"], uri: str) -> int | None:
     """Return the CPU of a process, counted from the last; None leaves the choice to the scheduler.
 
