@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
+
+BROKEN: Final = ("cut", "corrupted", "off-bus")
+"""What became of packets under a fault on the time line."""
 
 
 def show(summary: dict[str, Any]) -> None:
@@ -40,7 +43,8 @@ def show(summary: dict[str, Any]) -> None:
         row(
             name,
             f"{n['law']}, modes {n['mode_counts']}, p = {number(n['p_value'])}, "
-            f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}",
+            f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}"
+            + "".join(f", {fate} {n['fates'][fate]}" for fate in BROKEN if n["fates"].get(fate)),
         )
     if summary["clock"] == "real":
         for name, value in timing_rows(summary["timing"]):

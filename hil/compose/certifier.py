@@ -100,5 +100,6 @@ def limited_to_sound(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     """Return a verdict on a loop without the faults on its time line as one on the loop: no proof knows what they break."""
     if not loop.faults or verdict.state == "undecided":
         return verdict
-    reason = f"{verdict.state} without the {loop.faults} faults on the time line; undecided with them ({verdict.reason})"
+    faults = "1 fault" if loop.faults == 1 else f"{loop.faults} faults"
+    reason = f"{verdict.state} without what happens on the time line ({faults}); undecided with it: {verdict.reason}"
     return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
