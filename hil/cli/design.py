@@ -62,8 +62,8 @@ class GainsOrWall(click.Command):
 @click.option("--local", type=click.Choice(["lqr", "lqg", "hinf"]),
               help="Design for the plant without a network, by python-control, and judge it over the network.")
 @click.option("--noise", type=float, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
-@click.option("--orders", is_flag=True, help="Several sensor nodes: try every order of their turns.")
-@click.option("--spread", is_flag=True, help="Several sensor nodes: the standard deviation of the cost over runs, too.")
+@click.option("--orders", is_flag=True, help="Gains over historical data: try every order of the nodes' turns.")
+@click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
 @click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -75,8 +75,8 @@ def command(
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
-    ``hil design wall --help``: the coupler of a virtual wall. For an experiment with several sensor nodes: its gains over
-    historical data, what they cost, and what no controller can go below.
+    ``hil design wall --help``: the coupler of a virtual wall. For an experiment with gains over historical data:
+    the gains, what they cost, and what no controller can go below.
 
     Exit status 2 where no gains meet the request; the message has the number that decides it.
     """
@@ -86,19 +86,19 @@ def command(
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
     from hil.cli.design_historical import command as historical
-    from hil.cli.design_historical import with_nodes
+    from hil.cli.design_historical import experiment_over_history
     from hil.cli.outputs import check_output, write_output
     from hil.compose.design_problem import problem_for, tracking_target, verdict_on
     from hil.compose.plant_uncertainty import interval, judge_uncertain
     from hil.log.write.provenance import package_versions
 
-    experiment = with_nodes(subject)
+    experiment = experiment_over_history(subject)
     if experiment is not None:
-        _refuse_others({"subject", "orders", "spread", "as_json"}, "with several sensor nodes, whose gains [controller] asks for")
+        _refuse_others({"subject", "orders", "spread", "as_json"}, "with gains over historical data, which [controller] asks for")
         historical(experiment, orders, spread, as_json)
         return
     if orders or spread:
-        raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with several sensor nodes")
+        raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with gains over historical data")
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if path is not None:

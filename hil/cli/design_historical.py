@@ -1,25 +1,34 @@
-"""``hil design EXPERIMENT`` for several sensor nodes: the gains, what they cost, and how far that is from the best possible."""
+"""``hil design EXPERIMENT`` of gains over historical data: what they cost, and how far that is from the best possible."""
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from hil.errors import HilError
 
 if TYPE_CHECKING:
+    from design.controllers.sensor_nodes import Uses
     from hil.experiment import Experiment
 
 
-def with_nodes(subject: str) -> Experiment | None:
-    """Return the experiment of a name that has several sensor nodes, None for every other name."""
+@runtime_checkable
+class OverHistory(Protocol):
+    """A controller, or the request for one, that says which of the samples its gains use."""
+
+    uses: Uses
+
+
+def experiment_over_history(subject: str) -> Experiment | None:
+    """Return the experiment of a name with several sensor nodes, or with gains over historical data; None for any other name."""
     from hil.experiment import load_experiment
     from hil.experiment.plugins import names
+    from hil.experiment.sensor_list import sensors_of
 
     if subject in names("hil.plants"):
         return None
     experiment = load_experiment(subject)
-    return experiment if experiment.nodes else None
+    return experiment if len(sensors_of(experiment)) > 1 or isinstance(experiment.controller, OverHistory) else None
 
 
 def command(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -> None:

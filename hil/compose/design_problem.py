@@ -68,9 +68,10 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
     else:
         from hil.compose.delay_chains import delay_chain, node_chains
         from hil.experiment import load_experiment
+        from hil.experiment.sensor_list import sensors_of
 
         experiment = load_experiment(name)
-        if len(experiment.nodes) > 1:
+        if len(sensors_of(experiment)) > 1:
             raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
         plant = experiment.plant
         period = period_s if period_s is not None else float(experiment.period)

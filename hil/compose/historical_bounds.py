@@ -46,8 +46,10 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
     plant = delayed_plant_of(loop.experiment.plant, loop.model)
     if not isinstance(controller, HistoryGains) or plant is None:
-        raise HilError(f"{name}: several sensor nodes; hil design judges gains over historical data, of a plant that measures "
-                       "its state; hil run solves others by kind = 'designed'")  # fmt: skip
+        raise HilError(
+            f"{name}: hil design judges gains over historical data of a plant that measures its state; "
+            "other gains over several sensor nodes hil run solves, by kind = 'designed'"
+        )
     if loop.verdict is None or not loop.verdict.certified:
         raise HilError(f"{name}: {'no verdict' if loop.verdict is None else loop.verdict.reason}")
     K = controller.history()

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from design.requests.historical import HistoricalDesigned
 from hil.cli import cli
+from hil.cli.design_historical import experiment_over_history
+from hil.compose.design_problem import tracking_target
 from hil.compose.historical_bounds import judge_historical
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.experiment.load import shipped
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.session import simulate
@@ -32,6 +37,20 @@ def test_cost_bounds_and_gains_are_printed() -> None:
     shown = CliRunner().invoke(cli, ["design", "multisensor-newest", "--spread"]).stdout
     assert "standard deviation of runs  0\n" in shown  # one order has none; tests/hil/runtime/nodes has that of random turns
     assert "bound, any causal controller  1.78145 (ours is 113.97 % above)" in shown and "[3][0]" in shown
+
+
+def test_gains_over_history_of_the_only_node_are_judged_and_others_are_designed(tmp_path: Path) -> None:
+    """`links.sc` is one node, and a node with a name is no reason to ask for gains over historical data."""
+    text = shipped()["multisensor-newest"].read_text()
+    one = text[: text.index("[nodes.first]")] + text[text.index("[links]") :]
+    one = one.replace('kind = "published-historical"\ngains = "newest"', 'kind = "historical-designed"\nuses = "history"')
+    (tmp_path / "one.toml").write_text(one)
+    found = json.loads(CliRunner().invoke(cli, ["design", str(tmp_path / "one.toml"), "--json"]).stdout)
+    assert found["uses"] == "history" and 0.0 <= found["gap"] < 0.5 and np.array(found["gains"]).shape[:2] == (1, 1)
+    motor = shipped()["dc-motor-h2"].read_text() + '\n[nodes.encoder]\noutputs = ["angle"]\n'
+    (tmp_path / "motor.toml").write_text(motor)
+    assert tracking_target(str(tmp_path / "motor.toml")).plant == "dc-motor"
+    assert experiment_over_history(str(tmp_path / "motor.toml")) is None
 
 
 def test_every_order_of_the_turns_is_tried() -> None:
@@ -68,10 +87,10 @@ def test_a_run_says_what_no_controller_goes_below_even_where_its_own_cost_is_und
 @pytest.mark.parametrize(
     ("args", "says"),
     [
-        (["multisensor-ours", "--gain-bound", "3"], "--gain-bound: not with several sensor nodes"),
-        (["multisensor-ours", "-o", "x.json"], "--file: not with several sensor nodes"),
-        (["dc-motor", "--orders"], "--orders: belongs to an experiment with several sensor nodes"),
-        (["dc-motor", "--spread"], "--spread: belongs to an experiment with several sensor nodes"),
+        (["multisensor-ours", "--gain-bound", "3"], "--gain-bound: not with gains over historical data"),
+        (["multisensor-ours", "-o", "x.json"], "--file: not with gains over historical data"),
+        (["dc-motor", "--orders"], "--orders: belongs to an experiment with gains over historical data"),
+        (["dc-motor", "--spread"], "--spread: belongs to an experiment with gains over historical data"),
         (["dc-motor-two-nodes"], "hil design judges gains over historical data"),
     ],
 )
