@@ -8,6 +8,9 @@ Y(k) = (y(k), ..., y(k - tau)), y(k) = x(k) + v(k) from slot 0 on and 0 before, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import islice
+
 import numpy as np
 import numpy.typing as npt
 
@@ -60,26 +63,23 @@ def cost_from(plant: DelayedPlant, gains: Array, history: npt.ArrayLike, phases:
 
 
 def noise_costs(
-    plant: DelayedPlant, gains: Array, deviation: npt.ArrayLike, phases: Array, slots: int, transition: Array | None = None
-) -> Array:
-    """Return what the noise adds to E x(k)' Xi x(k) + u(k)' Xi_u u(k) in each slot of a run, (slots,).
+    plant: DelayedPlant, gains: Array, deviation: npt.ArrayLike, phases: Array, transition: Array | None = None
+) -> Iterator[float]:
+    """Yield what the noise adds to E x(k)' Xi x(k) + u(k)' Xi_u u(k) in slot 0, 1, ..., without end.
 
     Args:
         plant: the plant and its weights.
         gains: (phases, memory + 1, p, n).
         deviation: standard deviation of the noise, one number or one for each state, in its unit; independent over slots.
         phases: probability of each phase in slot 0.
-        slots: how many, slot 0 included.
         transition: chain of the phases; default the cycle.
     """
-    loop, fresh = close_heard(plant, gains, transition), _fresh(plant, gains, deviation)
-    share, found = np.asarray(phases, dtype=float), np.empty(slots)
+    loop, fresh, share = close_heard(plant, gains, transition), _fresh(plant, gains, deviation), phases
     P = share[:, None, None] * fresh
-    for k in range(slots):
-        found[k] = np.einsum("iab,iab->", loop.Q, P)
+    while True:
+        yield float(np.einsum("iab,iab->", loop.Q, P))
         share = share @ loop.transition
         P = forward(loop.L, loop.transition, P) + share[:, None, None] * fresh
-    return found
 
 
 def stationary_cost(
@@ -99,16 +99,15 @@ def stationary_cost(
     """
     if close(plant, gains, transition).radius() >= 1.0:
         raise NotStable("the noise has no stationary covariance: the loop is not stable")
-    loop, fresh, count = close_heard(plant, gains, transition), _fresh(plant, gains, deviation), len(gains)
+    count = len(gains)
+    chain = cycle(count) if transition is None else transition
     start = np.full(count, 1.0 / count) if phases is None else np.asarray(phases, dtype=float)
-    share = start @ np.linalg.matrix_power(0.5 * (np.eye(count) + loop.transition), 2**20)  # a lazy chain has the same mean
-    added = (share / share.sum())[:, None, None] * fresh
-    P, before = added, -np.inf
-    for k in range(SLOTS):
-        total = float(np.einsum("iab,iab->", loop.Q, P))
+    share = start @ np.linalg.matrix_power(0.5 * (np.eye(count) + chain), 2**20)  # a lazy chain has the same mean
+    before = -np.inf
+    for k, total in enumerate(islice(noise_costs(plant, gains, deviation, share / share.sum(), transition), SLOTS)):
         if total - before <= TOLERANCE * total and k > gains.shape[1] + plant.memory:
             return total
-        P, before = forward(loop.L, loop.transition, P) + added, total
+        before = total
     raise NotStable("the covariance of the noise has not settled")
 
 

@@ -55,7 +55,7 @@ def test_noise_costs_what_is_predicted() -> None:
     assert cost_of(loop, 7) == pytest.approx(float(literal_costs(loop, draws)[0]), rel=1e-5)
     plant, K = delayed_plant_of(loop.experiment.plant, loop.model), loop.controller.history()  # type: ignore[attr-defined]
     assert plant is not None and loop.verdict is not None
-    said = noise_costs(plant, K, sd, np.eye(4)[1], 400)
+    said = np.fromiter(noise_costs(plant, K, sd, np.eye(4)[1]), float, 400)
     costs = literal_costs(loop, sd[:, None] * np.random.default_rng(2).standard_normal((slots, 4, 2000)))
     error = costs.std(ddof=1) / np.sqrt(len(costs))
     assert abs(costs.mean() - said[:slots].sum()) < 4.4 * error and 8.8 * error < 0.2 * said[:slots].sum()
@@ -73,7 +73,7 @@ def test_noise_over_random_turns_costs_what_its_slots_come_to() -> None:
     assert plant is not None
     lost = np.concatenate([K, np.zeros_like(K)])
     chain = np.kron([[0.9, 0.1]] * 2, np.full((4, 4), 0.25))
-    said = noise_costs(plant, lost, [0.1, 0.2, 0.0, 0.3], chain[0], 300, chain)
+    said = np.fromiter(noise_costs(plant, lost, [0.1, 0.2, 0.0, 0.3], chain[0], chain), float, 300)
     assert said[-1] == pytest.approx(loop.verdict.details["noise_cost_per_slot"], rel=1e-9)
 
 
