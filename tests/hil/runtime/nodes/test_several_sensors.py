@@ -15,7 +15,6 @@ from design.controllers import Historical, HistoryGains, Known, LoopModel, Rows,
 from design.historical_data.cost_moments import CostMoments, cost_moments
 from design.historical_data.lifted_loop import LiftedLoop, close
 from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
-from design.historical_data.state_moments import StateMoments, state_moments
 from hil.compose.historical_bounds import judge_historical
 from hil.compose.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
@@ -32,6 +31,7 @@ from hil.runtime.nodes.triggers import DeadBand, Error, Magnitude
 from hil.session import simulate
 from plants.delayed_states import START_5_4
 from tests.hil.runtime.nodes.many_runs import states_of_many
+from tests.hil.runtime.nodes.state_moments import StateMoments, state_moments
 from transport.packets import EMPTY, SensorPacket, decode
 
 
