@@ -56,22 +56,3 @@ class Followed:
             if len(found) >= most:
                 break
         return found[:most]
-
-
-def followed(t: Array, y: Array, r: Array) -> Followed:
-    """Return what arrays hold: times (n,), outputs and reference (n,) or (n, p) each; the shortest says how many slots.
-
-    Args:
-        t: s.
-        y, r: in the unit of the outputs.
-    """
-    def of(i: int, j: int) -> tuple[Array, Array, Array]:
-        return np.asarray(t[i:j], dtype=np.float64), as_columns(y[i:j]), as_columns(r[i:j])
-
-    return Followed(slots=min(len(t), len(y), len(r)), of=of)
-
-
-def as_columns(values: Array) -> Array:
-    """Return values (n,) or (n, p) as (n, p) in double precision."""
-    array = np.asarray(values, dtype=np.float64)
-    return array[:, None] if array.ndim == 1 else array

@@ -9,10 +9,10 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hil.measure.followed import Followed, as_columns, followed
+from hil.measure.followed import Followed
 from hil.measure.many import Many, ManyView
 from hil.measure.measure import Quantity
-from hil.measure.pairwise_sum import LEAF, pairwise_sum
+from hil.measure.pairwise_sum import pairwise_sum
 from hil.measure.signals import Signals
 from hil.measure.step_response import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE
 from hil.measure.tracking_many import tracking_of_many
@@ -49,7 +49,7 @@ class Tracking:
 
     def of(self, view: RunView) -> dict[str, float | None]:
         """Return the numbers of one run; what would add or compare outputs (or inputs) of several units is None."""
-        found = metrics_of(view.followed(), _largest(view.inputs()), view.period_s, disturbed_at_s=view.disturbed_at_s())
+        found = tracking_metrics(view.followed(), view.inputs(), view.period_s, disturbed_at_s=view.disturbed_at_s())
         return found | dict.fromkeys(without_sense(view.signals))
 
     def of_many(self, view: ManyView) -> dict[str, Many]:
@@ -83,7 +83,7 @@ def squared_unit(signals: Signals) -> str:
 
 
 def tracking_metrics(
-    t: Array, y: Array, r: Array, u: Array, period_s: float, *, disturbed_at_s: float | None = None
+    run: Followed, inputs: Iterable[Array], period_s: float, *, disturbed_at_s: float | None = None
 ) -> dict[str, float | None]:
     """Return the numbers of Table 7.2 and the usual marks of a step response.
 
@@ -97,9 +97,8 @@ def tracking_metrics(
     runs from it to the next change of the reference, to `disturbed_at_s` or to the end, whichever comes first.
 
     Args:
-        t: session time of the samples in s, (n,).
-        y, r: outputs and reference, (n,) or (n, p).
-        u: applied input, (n_u,) or (n_u, m); only its largest absolute value is used.
+        run: outputs and reference, read in blocks.
+        inputs: blocks of the applied input, (., m); only its largest absolute value is used.
         period_s: sample period T in s.
         disturbed_at_s: begin of the first input disturbance in s, None if there is none.
 
@@ -113,30 +112,14 @@ def tracking_metrics(
 
     Reference: section 7.5, Table 7.2.
 
-    >>> t = np.arange(0.0, 10.0, 0.5)
+    >>> t = np.arange(0.0, 10.0, 0.5)[:, None]
     >>> r = np.where(t < 1.0, 0.0, 3.0)
-    >>> perfect = tracking_metrics(t, r, r, np.zeros(20), 0.5)
+    >>> perfect = tracking_metrics(Followed(slots=20, of=lambda i, j: (t[i:j, 0], r[i:j], r[i:j])), [], 0.5)
     >>> perfect["sse"], perfect["overshoot"], perfect["settling_time_s"]
     (9.0, 0.0, 0.0)
     """
-    u = np.asarray(u, dtype=np.float64)
-    largest = _largest(u[i : i + LEAF] for i in range(0, len(u), LEAF))
-    return metrics_of(followed(t, as_columns(y), as_columns(r)), largest, period_s, disturbed_at_s=disturbed_at_s)
-
-
-def metrics_of(
-    run: Followed, max_abs_u: float | None, period_s: float, *, disturbed_at_s: float | None = None
-) -> dict[str, float | None]:
-    """Return `tracking_metrics` of what is read in blocks.
-
-    Args:
-        run: outputs and reference.
-        max_abs_u: largest |u|.
-        period_s: sample period T in s.
-        disturbed_at_s: begin of the first input disturbance in s, None if there is none.
-    """
     none = dict.fromkeys(("sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error"))
-    found: dict[str, float | None] = {**none, "max_abs_u": max_abs_u}
+    found: dict[str, float | None] = {**none, "max_abs_u": _largest(inputs)}
     n = run.slots
     if n == 0:
         return found

@@ -8,10 +8,11 @@ import pytest
 from hil.log.growing import ROWS
 from hil.log.read.run import Run
 from hil.log.records import Field, Schema
-from hil.measure import followed, pairwise_sum, tracking
+from hil.measure import followed, pairwise_sum
 from hil.measure.cost import STATE, Cost
 from hil.measure.step_response import target_of
 from hil.measure.view import APPLIED, DISTURBANCE, MEASUREMENT, REFERENCE, REFERENCE_STEP, view_of
+from tests.hil.measure.whole_arrays import tracking_of_arrays
 
 TOPICS = (MEASUREMENT, REFERENCE, APPLIED)
 
@@ -20,7 +21,7 @@ BLOCK = 256  # the smallest that keeps numpy's halving: it adds up to 128 entrie
 
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (followed, pairwise_sum, tracking):
+    for module in (followed, pairwise_sum):
         monkeypatch.setattr(module, "LEAF", BLOCK)
 
 
@@ -40,7 +41,7 @@ def test_errors_in_blocks_are_those_of_whole_arrays(outputs: int, change: int | 
         r[change:] += 3.0
     y = r * (1.0 - np.exp(-(t - t[change or 0]).clip(0.0) / 2.0))[:, None] + 1e-3 * rng.standard_normal((n, outputs))
     u = rng.standard_normal((n - 1, 1))
-    found = tracking.tracking_metrics(t, y, r, u, period_s)
+    found = tracking_of_arrays(t, y, r, u, period_s)
     error = y - target_of(r)
     squared = np.sum(error**2, axis=1)
     assert found["sse"] == period_s * float(np.sum(squared))

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.measure.tracking import tracking_metrics
 from plants.dc_motor import DCMotor
+from tests.hil.measure.whole_arrays import tracking_of_arrays
 
 T = 0.05
 
@@ -27,7 +27,7 @@ def motor_step(gain: float = -0.1, duration_s: float = 50.0, step_s: float = 1.0
 
 def test_error_counts_against_the_final_reference_before_the_step_too() -> None:
     t, y, r, u = motor_step()
-    found = tracking_metrics(t, y, r, u, T)
+    found = tracking_of_arrays(t, y, r, u, T)
     assert found["sse"] == pytest.approx(T * np.sum((y - 3.0) ** 2), rel=1e-12)
     before = T * np.sum((y[t < 1.0 - 1e-9] - 3.0) ** 2)
     assert before == pytest.approx(9.0), "9 of the 11.29 of Table 7.2 is the second before the step"
@@ -37,7 +37,7 @@ def test_error_counts_against_the_final_reference_before_the_step_too() -> None:
 
 def test_step_response_marks_are_those_of_the_curve() -> None:
     t, y, r, u = motor_step(gain=-0.1)
-    found = tracking_metrics(t, y, r, u, T)
+    found = tracking_of_arrays(t, y, r, u, T)
     assert found["overshoot"] == pytest.approx(y.max() / 3.0 - 1.0)
     settled = found["settling_time_s"]
     assert settled is not None
@@ -49,24 +49,24 @@ def test_step_response_marks_are_those_of_the_curve() -> None:
 def test_settling_is_judged_before_the_disturbance() -> None:
     t, y, r, u = motor_step()
     y[600:640] += 0.5
-    whole = tracking_metrics(t, y, r, u, T)["settling_time_s"]
-    window = tracking_metrics(t, y, r, u, T, disturbed_at_s=30.0)
+    whole = tracking_of_arrays(t, y, r, u, T)["settling_time_s"]
+    window = tracking_of_arrays(t, y, r, u, T, disturbed_at_s=30.0)
     assert whole is not None and whole > 29.0
-    assert window["settling_time_s"] == tracking_metrics(*motor_step(), T)["settling_time_s"]
-    assert window["overshoot"] == tracking_metrics(*motor_step(), T)["overshoot"]
+    assert window["settling_time_s"] == tracking_of_arrays(*motor_step(), T)["settling_time_s"]
+    assert window["overshoot"] == tracking_of_arrays(*motor_step(), T)["overshoot"]
 
 
 def test_downward_step_overshoots_downward() -> None:
     t, y, r, u = motor_step()
-    down = tracking_metrics(t, -y, -r, -u, T)
-    assert down == pytest.approx(tracking_metrics(t, y, r, u, T) | {"steady_state_error": down["steady_state_error"]})
+    down = tracking_of_arrays(t, -y, -r, -u, T)
+    assert down == pytest.approx(tracking_of_arrays(t, y, r, u, T) | {"steady_state_error": down["steady_state_error"]})
 
 
 def test_several_outputs_add_their_errors_and_show_their_worst() -> None:
     t, y, r, u = motor_step()
     slow = 3.0 * (1.0 - np.exp(-np.maximum(t - 1.0, 0.0) / 4.0))
-    both = tracking_metrics(t, np.column_stack((y, slow)), np.column_stack((r, r)), u, T)
-    one, two = tracking_metrics(t, y, r, u, T), tracking_metrics(t, slow, r, u, T)
+    both = tracking_of_arrays(t, np.column_stack((y, slow)), np.column_stack((r, r)), u, T)
+    one, two = tracking_of_arrays(t, y, r, u, T), tracking_of_arrays(t, slow, r, u, T)
     assert both["sse"] == pytest.approx(one["sse"] + two["sse"])  # type: ignore[operator]
     assert both["settling_time_s"] == two["settling_time_s"]
     assert both["overshoot"] == one["overshoot"]
@@ -75,13 +75,13 @@ def test_several_outputs_add_their_errors_and_show_their_worst() -> None:
 def test_later_steps_count_against_their_own_value() -> None:
     t = np.arange(0.0, 4.0, 0.5)
     r = np.array([0, 0, 1, 1, 2, 2, 2, 2], dtype=float)
-    found = tracking_metrics(t, r, r, np.zeros(8), 0.5)
+    found = tracking_of_arrays(t, r, r, np.zeros(8), 0.5)
     assert found["sse"] == pytest.approx(1.0), "only the second before the first step"
 
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_too_few_samples_leave_marks_undefined(n: int) -> None:
-    found = tracking_metrics(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), T)
+    found = tracking_of_arrays(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), T)
     assert found["overshoot"] is None and found["settling_time_s"] is None
     assert found["sse"] == (0.0 if n else None) and found["sse_after_5s"] is None
 
@@ -89,7 +89,7 @@ def test_too_few_samples_leave_marks_undefined(n: int) -> None:
 def test_run_that_never_settles_says_so() -> None:
     t = np.arange(0.0, 20.0, T)
     r = np.where(t >= 1.0, 3.0, 0.0)
-    assert tracking_metrics(t, np.sin(t), r, t, T)["settling_time_s"] is None
+    assert tracking_of_arrays(t, np.sin(t), r, t, T)["settling_time_s"] is None
 
 
 @settings(max_examples=100, deadline=None)
@@ -99,7 +99,7 @@ def test_metrics_are_finite_or_undefined_for_any_values(seed: int, n: int) -> No
     pool = np.array([0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324])
     y, u = rng.choice(pool, (n, 2)), rng.choice(pool, n)
     r = rng.choice(np.array([0.0, 3.0]), (n, 2))
-    for value in tracking_metrics(np.arange(n) * T, y, r, u, T, disturbed_at_s=1.0).values():
+    for value in tracking_of_arrays(np.arange(n) * T, y, r, u, T, disturbed_at_s=1.0).values():
         assert value is None or math.isfinite(value)
 
 
@@ -107,14 +107,14 @@ def test_the_steady_state_error_is_that_of_the_last_tenth() -> None:
     t = np.arange(100) * 0.1
     y, r = np.where(t >= 9.0 - 1e-9, 1.5, 1.0), np.ones(100)
     y[80:90] = 3.0  # in the last fifth, and not in the last tenth
-    assert tracking_metrics(t, y, r, np.zeros(100), 0.1)["steady_state_error"] == pytest.approx(0.5)
+    assert tracking_of_arrays(t, y, r, np.zeros(100), 0.1)["steady_state_error"] == pytest.approx(0.5)
 
 
 def test_a_run_that_only_crosses_the_band_at_its_end_has_not_settled() -> None:
     t = np.arange(0.0, 10.0, T)
     r, y = np.where(t >= 1.0, 3.0, 0.0), 3.0 * (t - 1.0) / 9.0  # a ramp that reaches the band 0.18 s before the end
     assert abs(y[-1] - 3.0) < 0.06
-    assert tracking_metrics(t, y, r, y, T)["settling_time_s"] is None
+    assert tracking_of_arrays(t, y, r, y, T)["settling_time_s"] is None
 
 
 @pytest.mark.parametrize("inside, settled", [(9, False), (10, True)])
@@ -122,7 +122,7 @@ def test_the_last_tenth_of_the_window_must_lie_in_the_band(inside: int, settled:
     t = np.arange(101) * 1.0
     r = np.where(t >= 1.0, 1.0, 0.0)
     y = np.where(np.arange(101) > 100 - inside, 1.0, 0.5)
-    found = tracking_metrics(t, y, r, np.zeros(101), 1.0)["settling_time_s"]
+    found = tracking_of_arrays(t, y, r, np.zeros(101), 1.0)["settling_time_s"]
     assert found == (100.0 - inside if settled else None)
 
 
