@@ -52,3 +52,11 @@ class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         """Yield ``field: what is wrong``."""
         yield from ()
+
+
+def not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
+    """Yield what is wrong with a time that is negative, or longer than a run can be."""
+    if values.get(field, 0.0) < 0:
+        yield f"{field}: {values[field]:g} s is negative"
+    elif values.get(field, 0.0) > LONGEST_S:
+        yield f"{field}: {values[field]:g} s is above {LONGEST_S:g} s"

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
 import typing
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
-import numpy as np
 
 from hil.experiment import plugins
 from hil.experiment.absent import Absent
 from hil.experiment.faults import Fault
+from hil.experiment.limits import Limits
 from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.own_modules import written_in
-from hil.experiment.table import LONGEST_S, UNITS, Seconds, Table
+from hil.experiment.plain_form import plain
+from hil.experiment.table import UNITS, Seconds, Table, not_negative
 from transport.links.can_identifiers import LARGEST
 from transport.links.link import TransportError
 from transport.links.opening import find_link
 
 __all__ = [
-    "HIDDEN", "UNITS", "Direction", "Experiment", "Limits", "Links", "Passivity", "Pulse", "Report", "Seconds", "Step",
+    "HIDDEN", "UNITS", "Direction", "Experiment", "Links", "Pulse", "Report", "Seconds", "Step",
     "Table", "Timing",
 ]  # fmt: skip
 if TYPE_CHECKING:
@@ -40,13 +40,6 @@ HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys
 SPARSE = ("nodes", "media", "fault")  # fields that the resolved form leaves out where they are empty
 
 
-def _not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
-    if values.get(field, 0.0) < 0:
-        yield f"{field}: {values[field]:g} s is negative"
-    elif values.get(field, 0.0) > LONGEST_S:
-        yield f"{field}: {values[field]:g} s is above {LONGEST_S:g} s"
-
-
 class Step(Table, frozen=True, kw_only=True):
     """A step of the reference.
 
@@ -60,7 +53,7 @@ class Step(Table, frozen=True, kw_only=True):
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
-        yield from _not_negative(values, "at")
+        yield from not_negative(values, "at")
 
 
 class Pulse(Table, frozen=True, kw_only=True):
@@ -78,7 +71,7 @@ class Pulse(Table, frozen=True, kw_only=True):
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
-        yield from _not_negative(values, "at")
+        yield from not_negative(values, "at")
         if values.get("samples", 1) < 1:
             yield f"samples: {values['samples']} is below 1"
 
@@ -142,66 +135,6 @@ class Links(Table, frozen=True, kw_only=True):
             find_link(secured_uri(uri, ".", values.get("auth"), None, None))
         except TransportError as error:
             yield f"uri: {error}"
-
-
-class Passivity(Table, frozen=True, kw_only=True):
-    """A passivity controller at the rig: it observes the energy that the motor gives, at the device, without the network.
-
-    Counted is what the motor gives beyond what the damping of device and hand takes, as their model says; it needs a plant that
-    takes one force and measures the position that it acts on.
-
-    Args:
-        damping_n_s_per_m: largest damping that it injects while too much was given, in the plant's unit; 0 for none. A damper
-            that is held over a sample period T is no damper beyond about 2 m/T.
-        energy_j: what may be given before it damps, in J; the rounding of packets feigns less than a microjoule.
-        trip_j: what trips the safe state when given, in J; never by default.
-    """
-
-    damping_n_s_per_m: float = 0.0
-    energy_j: float = 1e-6
-    trip_j: float | None = None
-
-    @staticmethod
-    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
-        damping, trip = values.get("damping_n_s_per_m", 0.0), values.get("trip_j")
-        if damping < 0:
-            yield f"damping_n_s_per_m: {damping:g} is negative"
-        elif damping == 0 and trip is None:
-            yield "damping_n_s_per_m: the passivity controller neither damps nor trips; give a damping, or trip_j"
-        if values.get("energy_j", 0.0) < 0:
-            yield f"energy_j: {values['energy_j']:g} is negative"
-        if trip is not None and trip <= 0:
-            yield f"trip_j: {trip:g} is not positive"
-
-
-class Limits(Table, frozen=True, kw_only=True):
-    """What the rig allows, whatever the controller does; a violation latches the safe state (zero input).
-
-    Args:
-        watchdog_slots: so many slots in a row without a usable command trip the watchdog.
-        input: largest absolute command per input, in the input's unit.
-        state: largest absolute value of named states, in the state's unit.
-        after_trip: how long the rig goes on in the safe state before the run ends.
-        passivity: damping, or a trip, on the energy that the motor gives; off without the table.
-    """
-
-    watchdog_slots: int = 3
-    input: tuple[float, ...] | None = None
-    state: dict[str, float] = msgspec.field(default_factory=dict)
-    after_trip: Seconds = typing.cast(Seconds, 1.0)  # a plain float, for the JSON Schema
-    passivity: Passivity | None = None
-
-    @staticmethod
-    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
-        if values.get("watchdog_slots", 1) < 1:
-            yield f"watchdog_slots: {values['watchdog_slots']} is below 1"
-        for i, bound in enumerate(values.get("input") or ()):
-            if bound <= 0:
-                yield f"input[{i}]: {bound:g} is not positive"
-        for name, bound in values.get("state", {}).items():
-            if bound <= 0:
-                yield f"state.{name}: {bound:g} is not positive"
-        yield from _not_negative(values, "after_trip")
 
 
 class Timing(Table, frozen=True, kw_only=True):
@@ -332,8 +265,8 @@ class Experiment(Table, frozen=True, kw_only=True):
         for f in self.__struct_fields__:
             value = getattr(self, f)
             if f not in HIDDEN and (value or f not in SPARSE):
-                plain = _plain(value)
-                out[f] = plain if isinstance(plain, dict) or f not in ("plant", "controller") else {}  # an object has no table
+                table = plain(value)
+                out[f] = table if isinstance(table, dict) or f not in ("plant", "controller") else {}  # an object has no table
         for path, kind in self.kinds.items():
             node, made = out, self
             for part in path.split("."):
@@ -356,24 +289,3 @@ class Experiment(Table, frozen=True, kw_only=True):
 
 def _group(path: str) -> plugins.Group:
     return "hil.plants" if path == "plant" else "hil.controllers" if path == "controller" else "hil.laws"
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Absent):
-        return dict(value.said)
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
-    if isinstance(value, msgspec.Struct):
-        config = value.__struct_config__
-        tag = {config.tag_field: config.tag} if config.tag_field else {}
-        names = zip(value.__struct_encode_fields__, value.__struct_fields__)
-        return tag | {key: _plain(getattr(value, f)) for key, f in names}
-    if isinstance(value, tuple | list):
-        return [_plain(v) for v in value]
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if value is None or isinstance(value, str | int | float):
-        return float(value) if isinstance(value, Seconds) else value
-    return f"{type(value).__module__}.{type(value).__qualname__}"  # of an object that was built in Python
