@@ -13,12 +13,9 @@ from threadpoolctl import threadpool_limits
 from design.controllers import (
     Controller,
     FromSamples,
-    GainTable,
     HistoryGains,
     LoopModel,
     RunningController,
-    held_exactly,
-    integrates,
     packet_samples,
     row_count,
 )
@@ -28,21 +25,18 @@ from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify
 from hil.compose.certify import certify, digest_of
 from hil.compose.delay_chains import delay_chains, node_chains
+from hil.compose.fit import check_own, check_references, size_faults
 from hil.compose.historical_loop import delayed_plant_of, mask_faults
 from hil.compose.jump_plant import process_of, system_of
 from hil.compose.law_files import with_law_files
 from hil.compose.port import Port, port_of
-from hil.compose.sensors import Shared, node_faults, sensor_nodes, shared_media
-from hil.compose.time_line import time_line_faults
-from hil.errors import ExperimentError, ForeignVerdict, HilError
+from hil.compose.sensors import Shared, sensor_nodes, shared_media
+from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
-from hil.experiment.can_frames import can_faults
 from hil.experiment.check import fault_at
 from hil.experiment.own_modules import is_own
-from hil.experiment.own_plugins import words
-from hil.experiment.plugin_checks import check_answers
 from hil.experiment.plugins import OBJECT
-from hil.experiment.protocols import Designer, JumpPlant, NamesField
+from hil.experiment.protocols import Designer, JumpPlant
 from hil.experiment.sensor_list import Sensor, sensors_of
 from hil.log.records import Channel, channels
 from plants.errors import PlantError
@@ -156,7 +150,7 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
 
 
 def _compose(experiment: Experiment, certify: bool) -> Loop:
-    faults = _faults(experiment)
+    faults = size_faults(experiment)
     if faults:
         raise ExperimentError(experiment.name, faults)
     experiment = with_law_files(experiment)
@@ -183,11 +177,11 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
             controller = experiment.controller
         kind = experiment.kinds.get("controller", "")
         if is_own(kind) or kind.startswith(OBJECT):
-            _check_own(controller, model)
+            check_own(controller, model)
         running = controller.start(model)
         sc, ca = delay_chains(experiment)
         samples = packet_samples(controller)
-        _check_references(experiment, controller, model)
+        check_references(experiment, controller, model)
         sensors = tuple(sensor.prepared() for sensor in sensors_of(experiment))
         if samples > 1 and (len(sensors) > 1 or sensors[0].buffer < samples):
             raise FieldError("samples", f"{samples} in one packet, but no node alone sends so many samples of every output")
@@ -215,43 +209,6 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
     )
 
 
-def _check_own(controller: Controller, model: LoopModel) -> None:
-    """Refuse a controller of the user's own that does not answer as a loop asks: told now, and not in slot 17."""
-    try:
-        check_answers(controller, model)
-    except AssertionError as error:
-        raise FieldError("kind", f"check_controller: {error}") from error
-    except Exception as error:  # whatever a stranger's controller does when it runs
-        if isinstance(error, HilError | NamesField):  # it says itself what does not fit
-            raise
-        raise FieldError("kind", f"check_controller: {words(error)}") from error
-
-
-def _faults(e: Experiment) -> list[str]:
-    faults = []
-    p, m, names = len(e.plant.outputs), len(e.plant.inputs), [s.name for s in e.plant.states]
-    for i, step in enumerate(e.reference):
-        if len(step.value) != p:
-            faults.append(f"reference[{i}].value: {len(step.value)} entries, but the plant has {p} outputs")
-    for i, pulse in enumerate(e.disturbance):
-        if len(pulse.value) != m:
-            faults.append(f"disturbance[{i}].value: {len(pulse.value)} entries, but the plant has {m} inputs")
-    if e.limits.input is not None and len(e.limits.input) != m:
-        faults.append(f"limits.input: {len(e.limits.input)} entries, but the plant has {m} inputs")
-    for name in e.limits.state:
-        if name not in names:
-            faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
-    if e.limits.passivity is not None:
-        port = port_of(e.plant)
-        if port is None or port.output is None:
-            taken, measured = ([f"{s.name} in {s.unit}" for s in signals] for signals in (e.plant.inputs, e.plant.outputs))
-            faults.append(
-                "limits.passivity: needs a device that takes one force and measures the position that it acts on; "
-                f"this plant takes {', '.join(taken)} and measures {', '.join(measured)}"
-            )
-    return faults + (node_faults(e) or can_faults(e)) + time_line_faults(e)
-
-
 def _task(e: Experiment, model: LoopModel) -> DesignTask:
     """Return what a design has to solve: the loop with the plant's own matrices and rates."""
     plant, (sc, ca) = e.plant, delay_chains(e)
@@ -267,26 +224,6 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
         model=model, sc=sc, sc_nodes=node_chains(e) or (), ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial,
         **jumps,
     )  # fmt: skip
-
-
-def _check_references(e: Experiment, controller: Controller, model: LoopModel) -> None:
-    """Refuse what a table of gains cannot follow: with more outputs than inputs a reference must be one that some input holds.
-
-    Raises:
-        ExperimentError: with every step that no input holds.
-    """
-    n_inputs, n_outputs = model.B.shape[1], model.C.shape[0]
-    if not isinstance(controller, GainTable) or n_outputs <= n_inputs:
-        return
-    faults = [
-        f"reference[{i}].value: no input holds the {n_outputs} outputs at {list(step.value)}"
-        for i, step in enumerate(e.reference)
-        if not held_exactly(model, step.value)
-    ]
-    if integrates(controller):
-        faults.append(f"controller.integral: {n_inputs} inputs cannot bring the mean errors of {n_outputs} outputs to zero")
-    if faults:
-        raise ExperimentError(e.name, faults)
 
 
 def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: DelayChain | None, ca: DelayChain | None) -> Verdict:
