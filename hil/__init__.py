@@ -33,9 +33,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from hil.assertions import assert_law, assert_probability
     from hil.errors import ExperimentError, HilError
     from hil.experiment import Experiment
-    from hil.face import assert_law, assert_probability, compare, design, load_experiment, run, simulate, sweep, verify
+    from hil.experiment_source import load_experiment
+    from hil.face import compare, design, run, simulate, sweep, verify
     from hil.log.read.run import Run, read_run
     from hil.session import Session
     from hil.sweeps.comparison import Comparison
@@ -49,11 +51,11 @@ _HOMES: Final = {
     "Run": "hil.log.read.run",
     "Session": "hil.session",
     "Sweep": "hil.sweeps.seeds",
-    "assert_law": "hil.face",
-    "assert_probability": "hil.face",
+    "assert_law": "hil.assertions",
+    "assert_probability": "hil.assertions",
     "compare": "hil.face",
     "design": "hil.face",
-    "load_experiment": "hil.face",
+    "load_experiment": "hil.experiment_source",
     "read_run": "hil.log.read.run",
     "run": "hil.face",
     "simulate": "hil.face",

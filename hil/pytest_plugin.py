@@ -128,7 +128,7 @@ class Runner:
         from hil.own_packages import require_own_packages
 
         require_own_packages()
-        from hil.face import load_experiment
+        from hil.experiment_source import load_experiment
         from hil.session import run_session
 
         checked = load_experiment(experiment, set, seed=seed, duration=duration, **changes)

@@ -1,0 +1,99 @@
+"""Which experiment a program asks for: a name, a file or one that was loaded, with changes, and objects in place of tables."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from hil.errors import HilError
+from hil.experiment import Experiment
+from hil.experiment import load_experiment as read_experiment
+from hil.experiment.objects import with_objects
+from plants import LinearPlant, from_control
+
+Source = str | Path | Experiment
+OBJECTS = ("plant", "controller")
+"""Tables of an experiment for which an object may stand."""
+
+
+def load_experiment(
+    source: str | Path, sets: Sequence[str] = (), *, seed: int | None = None, duration: str | float | None = None, **changes: Any
+) -> Experiment:
+    """Read and check an experiment.
+
+    Args:
+        source: name of a shipped experiment, or path of a TOML file.
+        sets: changes ``path=value`` in TOML notation, as ``hil run --set`` takes them.
+        seed: root of all random streams.
+        duration: length of a run: seconds, or text such as "2 min".
+        changes: path to value, as ``**{"plant.gain": 150, "links.sc.max_age": 4}``. ``plant`` takes a `control.StateSpace` or a
+            `control.TransferFunction`, or what `plants.from_control` made of it; ``controller`` a fixed gain as one of them, a
+            matrix (m, p) or a number, or a model in discrete time that the error y - r drives and whose output adds to u*. Both
+            take an object of any class, one of a notebook's cell too, that is a plant (`plants.Plant`) or a controller
+            (`design.controllers.Controller`); the log says so, and `verify` takes it again.
+
+    Raises:
+        HilError: with every fault found, each with the path of its field.
+    """
+    tables = {path: _table_of(path, value) for path, value in changes.items()}
+    objects = {path: value for path, value in tables.items() if path in OBJECTS and not isinstance(value, str | Mapping)}
+    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in tables.items() if path not in objects)]
+    found = read_experiment(source, said, seed=seed, duration=None if duration is None else str(duration))
+    return with_objects(found, **objects)
+
+
+def checked_experiment(source: Source, seed: int | None, duration: str | float | None, changes: Mapping[str, Any]) -> Experiment:
+    """Return the experiment of a source with its changes; see `load_experiment`."""
+    if not isinstance(source, Experiment):
+        given = {"seed": seed, "duration": duration}
+        return load_experiment(source, **{key: value for key, value in given.items() if value is not None} | dict(changes))
+    tables = [path for path, v in changes.items() if path not in OBJECTS or isinstance(_table_of(path, v), str | Mapping)]
+    if duration is not None or tables:
+        raise HilError("a loaded experiment takes no changes but a plant and a controller: give them to load_experiment")
+    found = with_objects(source, **changes)
+    return found if seed is None else msgspec.structs.replace(found, seed=seed)
+
+
+def _table_of(path: str, value: Any) -> Any:
+    """Return the table of an experiment that a model, a plant or a gain stands for; anything else as it is."""
+    control = sys.modules.get("control")  # who has a model of python-control has imported it
+    model = control is not None and isinstance(value, control.StateSpace | control.TransferFunction)
+    if path == "plant":
+        plant = from_control(value) if model else value
+        if isinstance(plant, LinearPlant):
+            fields = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
+            return {"kind": "state-space", **fields}
+    if path == "controller":
+        if control is not None and model:
+            found = control.ss(value)
+            if found.nstates and not found.isdtime(strict=True):
+                raise HilError("controller: a model with states in continuous time is no fixed gain; sample it first")
+            if found.nstates:
+                return {"kind": "output-feedback", "A": found.A, "B": found.B, "C": found.C, "D": found.D}
+            value = found.D
+        if isinstance(value, np.ndarray | list | tuple | float | int):
+            return {"kind": "local", "gain": np.atleast_2d(np.asarray(value, dtype=np.float64))}
+    return value
+
+
+def _toml(value: Any, path: str) -> str:
+    """Return a value in TOML notation."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(v, path) for v in value)}]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_toml(str(k), path)} = {_toml(v, path)}" for k, v in value.items()) + "}"
+    raise HilError(f"{path}: {type(value).__name__} is not a value of an experiment; expected a number, text, a list or a table")
