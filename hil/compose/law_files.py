@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
-from hil.experiment.check import fault_at
+from hil.experiment.table_check import fault_at
 from transport.laws.protocols import NetworkLaw, load_files, slots_served
 
 

@@ -33,11 +33,11 @@ from hil.compose.port import Port, port_of
 from hil.compose.sensors import Shared, sensor_nodes, shared_media
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
-from hil.experiment.check import fault_at
 from hil.experiment.own_modules import is_own
 from hil.experiment.plugins import OBJECT
 from hil.experiment.protocols import Designer, JumpPlant
 from hil.experiment.sensor_list import Sensor, sensors_of
+from hil.experiment.table_check import fault_at
 from hil.log.records import Channel, channels
 from plants.errors import PlantError
 from transport.laws.protocols import NetworkLaw, prepare

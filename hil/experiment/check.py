@@ -1,12 +1,9 @@
-"""Raw TOML to checked tables: table by table and field by field, so that no fault hides another."""
+"""Raw TOML to a checked experiment: table by table, plug-in by plug-in, so that no fault hides another."""
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import math
 import re
-import typing
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -15,55 +12,18 @@ import msgspec
 from hil.errors import HilError
 from hil.experiment import plugins as registry
 from hil.experiment.absent import Absent
-from hil.experiment.array_files import numbers_from_file
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.own_modules import is_own
 from hil.experiment.own_plugins import own_controller_fault, own_plant_fault
 from hil.experiment.plugins import OBJECT
-from hil.experiment.protocols import NamesField, NamesFiles
-from hil.experiment.tables import HIDDEN, Direction, Experiment, Links, Seconds, Table
+from hil.experiment.protocols import NamesFiles
+from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
+from hil.experiment.tables import HIDDEN, Direction, Experiment, Links
 from plants.errors import PlantError
 from transport.laws.protocols import BoundedAge, load_files
 
-INFINITE = "is not a finite number"
 OLDEST = 63  # slots
 NODE_NAME = re.compile(r"[a-z][a-z0-9_]{0,40}")
-
-
-def _hook(kind: type, value: object) -> object:
-    if kind is Seconds:
-        return Seconds.parse(value)
-    raise NotImplementedError(kind)
-
-
-def _join(path: str, rest: str) -> str:
-    return f"{path}.{rest}" if path and not rest.startswith("[") else path + rest
-
-
-def fault_at(path: str, error: BaseException) -> str:
-    """Return the fault with its path: that of the field, where the error names one.
-
-    >>> fault_at("plant", ValueError("is too large"))
-    'plant: is too large'
-    """
-    if isinstance(error, NamesField):
-        return f"{_join(path, error.field)}: {error.message}"
-    return f"{path}: {error}" if path else str(error)
-
-
-def _dimensions(hint: Any) -> int:
-    """Return of how many dimensions an array of numbers is that a field takes, 0 where it takes something else.
-
-    >>> _dimensions(tuple[tuple[float, ...], ...]), _dimensions(tuple[float, ...] | None), _dimensions(tuple[str, ...])
-    (2, 1, 0)
-    """
-    args = typing.get_args(hint)
-    if typing.get_origin(hint) is not tuple:
-        return max((_dimensions(each) for each in args if typing.get_origin(each) is tuple), default=0)
-    if len(args) != 2 or args[1] is not ...:
-        return 0
-    inner = _dimensions(args[0])
-    return 1 + inner if inner or args[0] in (float, int) else 0
 
 
 def _without_own_measures(raw: dict[str, Any]) -> dict[str, Any]:
@@ -76,7 +36,7 @@ def _without_own_measures(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 class Checker:
-    """Converts table by table and field by field, so that no fault hides another.
+    """Makes an experiment table by table, so that no fault hides another.
 
     Args:
         folder: where the files stand that the experiment names; None for one that a log carries: no file is read, and no module
@@ -85,13 +45,14 @@ class Checker:
     """
 
     def __init__(self, folder: str | None = ".", objects: Mapping[str, object] | None = None) -> None:
-        self.faults: list[str] = []
+        self._tables = TableCheck(folder)
+        self.faults = self._tables.faults
         self.kinds: dict[str, str] = {}
         self._folder = folder
         self._objects = objects or {}
 
     def experiment(self, raw: dict[str, Any], text: str) -> Experiment | None:
-        self.finite(raw, "")
+        self.faults += infinite_faults(raw, "")
         folder = self._folder or "."
         if self._folder is None:
             raw = _without_own_measures(raw)
@@ -110,11 +71,11 @@ class Checker:
             if reserved in raw:
                 self.faults.append(f"{reserved}: unknown field")
         rest = {k: v for k, v in raw.items() if k not in given}
-        experiment = self.table(Experiment, rest, "", given)
+        experiment = self._tables.table(Experiment, rest, "", given)
         if isinstance(experiment, Experiment):
             self._own_measures(experiment, folder)
         infinite = {fault.partition(": ")[0] for fault in self.faults if fault.endswith(INFINITE)}
-        self.faults = [f for f in self.faults if f.endswith(INFINITE) or f.partition(": ")[0] not in infinite]  # say it once
+        self.faults[:] = [f for f in self.faults if f.endswith(INFINITE) or f.partition(": ")[0] not in infinite]  # say it once
         return experiment if not self.faults else None
 
     def _links(self, raw: Any, folder: str) -> Links | None:
@@ -134,7 +95,7 @@ class Checker:
             law = self._law(table.get("law"), f"links.{side}.law", folder)
             bound = law.max_age if isinstance(law, BoundedAge) else None
             default = 3 if bound is None else int(bound)
-            direction = self.table(
+            direction = self._tables.table(
                 Direction, {"max_age": default} | {k: v for k, v in table.items() if k != "law"}, f"links.{side}", {"law": law}
             )
             if direction is not None and law is not None:
@@ -146,7 +107,7 @@ class Checker:
                     field = "max_age:" if "max_age" in table else "law: its largest delay"
                     self.faults.append(f"links.{side}.{field} {direction.max_age} is above {OLDEST}")
             given[side] = direction
-        links: Links | None = self.table(Links, {k: v for k, v in raw.items() if k not in given}, "links", given)
+        links: Links | None = self._tables.table(Links, {k: v for k, v in raw.items() if k not in given}, "links", given)
         return links
 
     def _nodes(self, raw: Any, folder: str) -> dict[str, Any] | None:
@@ -178,7 +139,7 @@ class Checker:
                 self.faults.append(f"{path}: expected a table, got {table!r:.60}")
             else:
                 given = made(table, path)
-                found[name] = self.table(cls, {k: v for k, v in table.items() if k not in given}, path, given)
+                found[name] = self._tables.table(cls, {k: v for k, v in table.items() if k not in given}, path, given)
         return found
 
     def _law(self, raw: Any, path: str, folder: str) -> Any:
@@ -213,7 +174,7 @@ class Checker:
             self.faults.append(f"{path}.kind: {e}")
             return None
         self.kinds[path] = kind
-        made = self.table(cls, rest, path, {})
+        made = self._tables.table(cls, rest, path, {})
         if isinstance(made, NamesFiles):
             if self._folder is None:
                 return self._absent(path, kind, rest)
@@ -245,85 +206,3 @@ class Checker:
                 registry.load("hil.measures", name, folder)
             except HilError as error:
                 self.faults.append(f"report.measures[{i}]: {error}")
-
-    def table(self, cls: type, raw: dict[str, Any], path: str, given: dict[str, Any]) -> Any:
-        """Convert one table into ``cls``; ``given`` holds fields that were made elsewhere (None: faulty there)."""
-        hints = typing.get_type_hints(cls)
-        if issubclass(cls, msgspec.Struct):
-            required = {f.encode_name for f in msgspec.structs.fields(cls) if f.required}
-            known = list(cls.__struct_encode_fields__)
-            fields = dict(zip(known, cls.__struct_fields__))
-        else:
-            fs = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
-            required = {f.name for f in fs if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
-            known = [f.name for f in fs]
-            fields = dict(zip(known, known))
-        before, values, broken = len(self.faults), dict(given), set(given)
-        for key, value in raw.items():
-            at = _join(path, key)
-            if key not in known:
-                near = difflib.get_close_matches(key, known, n=1)
-                names = [name for name in known if cls is not Experiment or name not in HIDDEN]
-                hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(names)}" if names else "; it has none"
-                self.faults.append(f"{at}: unknown field{hint}")
-                continue
-            count = len(self.faults)
-            converted = self._value(hints[fields[key]], value, at)
-            if len(self.faults) == count:
-                values[fields[key]] = converted
-            else:
-                broken.add(key)
-        for key in known:
-            if key in required and fields[key] not in values and key not in broken:
-                self.faults.append(f"{_join(path, key)}: missing")
-        if issubclass(cls, Table):
-            self.faults += [_join(path, fault) for fault in cls.faults(values)]
-        if len(self.faults) > before or any(v is None for v in given.values()):
-            return None
-        try:
-            return cls(**values)
-        except (ValueError, TypeError) as e:
-            self.faults.append(fault_at(path, e))
-            return None
-
-    def _value(self, hint: Any, value: Any, at: str) -> Any:
-        args = typing.get_args(hint)
-        if isinstance(value, dict) and self._folder is not None and (dimensions := _dimensions(hint)):
-            try:
-                value = numbers_from_file(value, at.rpartition(".")[2], self._folder, dimensions)
-            except HilError as e:
-                self.faults.append(f"{at}: {e}")
-                return None
-        kinds: list[type] = [kind for kind in (hint, *args) if isinstance(kind, type) and issubclass(kind, Table)]
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
-            kinds = [hint]
-        if kinds and isinstance(value, dict):  # a table, or one that may be left out
-            return self.table(kinds[0], value, at, {})
-        if typing.get_origin(hint) is tuple and isinstance(value, list) and len(args) == 2 and args[1] is ...:
-            return tuple(self._value(args[0], v, f"{at}[{i}]") for i, v in enumerate(value))
-        try:
-            return msgspec.convert(value, hint, dec_hook=_hook)
-        except (msgspec.ValidationError, ValueError) as e:
-            message, _, where = str(e).partition(" - at `$")
-            if message.startswith("Invalid enum value"):
-                words = [w for part in (hint, *args) if typing.get_origin(part) is typing.Literal for w in typing.get_args(part)]
-                message += f", expected one of {', '.join(map(str, words))}" if words else ""
-            at += where.rstrip("`")
-            cause = e.__cause__  # what a class of its own said of its values
-            self.faults.append(
-                fault_at(at, cause) if isinstance(cause, NamesField) else f"{at}: {message[0].lower()}{message[1:]}"
-            )
-            return None
-
-    def finite(self, value: Any, at: str) -> None:
-        """Refuse numbers that are not finite, or beyond what any field holds, wherever they stand."""
-        if isinstance(value, float) and not math.isfinite(value):
-            self.faults.append(f"{at}: {value} {INFINITE}")
-        elif isinstance(value, int) and value.bit_length() > 64:
-            self.faults.append(f"{at}: an integer of {value.bit_length()} bits, at most 64 are allowed")
-        elif isinstance(value, dict):
-            for k, v in value.items():
-                self.finite(v, _join(at, str(k)))
-        elif isinstance(value, list):
-            for i, v in enumerate(value):
-                self.finite(v, f"{at}[{i}]")

@@ -13,6 +13,7 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import plugins as registry
 from hil.experiment.check import Checker
 from hil.experiment.old_names import new_path, with_new_names
+from hil.experiment.table_check import infinite_faults
 from hil.experiment.tables import Experiment, Seconds
 from hil.experiment.toml_text import DEEPEST, parse_toml
 from hil.regular_file import read_regular
@@ -125,7 +126,7 @@ def parse_plugin(group: registry.Group, kind: str, sets: typing.Sequence[str] = 
     for change in sets:
         _apply(raw, change)
     checker = Checker()
-    checker.finite(raw, "")
+    checker.faults += infinite_faults(raw, "")
     made = checker.plugin(group, {"kind": kind, **raw}, group.removeprefix("hil.").removesuffix("s"))
     if checker.faults:
         raise HilError("\n".join(checker.faults))

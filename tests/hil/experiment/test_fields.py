@@ -13,7 +13,7 @@ import pytest
 import design.errors
 import plants.errors
 import transport.errors
-from hil.experiment.check import Checker, fault_at
+from hil.experiment.table_check import TableCheck, fault_at
 
 ROOT = Path(__file__).parents[3]
 FIRST_WORD = re.compile(r"""f?["'](?:[\w.\[\]-]|\{[^{}:"']+\})+: """)
@@ -46,7 +46,7 @@ class Tanks:
     ],
 )
 def test_a_fault_stands_at_its_field_and_a_sentence_with_a_colon_is_no_field(raw: dict[str, object], fault: str) -> None:
-    checker = Checker()
+    checker = TableCheck()
     assert checker.table(Tanks, raw, "plant", {}) is None
     assert checker.faults == [fault]
 

@@ -1,0 +1,151 @@
+"""One table of TOML to the class that it fills, field by field, every fault with its path."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import typing
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from hil.errors import HilError
+from hil.experiment.array_files import numbers_from_file
+from hil.experiment.protocols import NamesField
+from hil.experiment.tables import HIDDEN, Experiment, Seconds, Table
+
+INFINITE = "is not a finite number"
+
+
+def _hook(kind: type, value: object) -> object:
+    if kind is Seconds:
+        return Seconds.parse(value)
+    raise NotImplementedError(kind)
+
+
+def joined(path: str, rest: str) -> str:
+    """Return the path of a field below a table."""
+    return f"{path}.{rest}" if path and not rest.startswith("[") else path + rest
+
+
+def fault_at(path: str, error: BaseException) -> str:
+    """Return the fault with its path: that of the field, where the error names one.
+
+    >>> fault_at("plant", ValueError("is too large"))
+    'plant: is too large'
+    """
+    if isinstance(error, NamesField):
+        return f"{joined(path, error.field)}: {error.message}"
+    return f"{path}: {error}" if path else str(error)
+
+
+def _dimensions(hint: Any) -> int:
+    """Return of how many dimensions an array of numbers is that a field takes, 0 where it takes something else.
+
+    >>> _dimensions(tuple[tuple[float, ...], ...]), _dimensions(tuple[float, ...] | None), _dimensions(tuple[str, ...])
+    (2, 1, 0)
+    """
+    args = typing.get_args(hint)
+    if typing.get_origin(hint) is not tuple:
+        return max((_dimensions(each) for each in args if typing.get_origin(each) is tuple), default=0)
+    if len(args) != 2 or args[1] is not ...:
+        return 0
+    inner = _dimensions(args[0])
+    return 1 + inner if inner or args[0] in (float, int) else 0
+
+
+def infinite_faults(value: Any, at: str) -> Iterator[str]:
+    """Yield the numbers that are not finite, or beyond what any field holds, wherever they stand."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield f"{at}: {value} {INFINITE}"
+    elif isinstance(value, int) and value.bit_length() > 64:
+        yield f"{at}: an integer of {value.bit_length()} bits, at most 64 are allowed"
+    elif isinstance(value, dict):
+        for k, v in value.items():
+            yield from infinite_faults(v, joined(at, str(k)))
+    elif isinstance(value, list):
+        for i, v in enumerate(value):
+            yield from infinite_faults(v, f"{at}[{i}]")
+
+
+class TableCheck:
+    """Fills classes from tables, and keeps the faults of all of them.
+
+    Args:
+        folder: where the files of numbers stand that fields name; None: no file is read.
+    """
+
+    def __init__(self, folder: str | None = ".") -> None:
+        self.faults: list[str] = []
+        self._folder = folder
+
+    def table(self, cls: type, raw: dict[str, Any], path: str, given: dict[str, Any]) -> Any:
+        """Convert one table into ``cls``; ``given`` holds fields that were made elsewhere (None: faulty there)."""
+        hints = typing.get_type_hints(cls)
+        if issubclass(cls, msgspec.Struct):
+            required = {f.encode_name for f in msgspec.structs.fields(cls) if f.required}
+            known = list(cls.__struct_encode_fields__)
+            fields = dict(zip(known, cls.__struct_fields__))
+        else:
+            fs = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
+            required = {f.name for f in fs if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
+            known = [f.name for f in fs]
+            fields = dict(zip(known, known))
+        before, values, broken = len(self.faults), dict(given), set(given)
+        for key, value in raw.items():
+            at = joined(path, key)
+            if key not in known:
+                near = difflib.get_close_matches(key, known, n=1)
+                names = [name for name in known if cls is not Experiment or name not in HIDDEN]
+                hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(names)}" if names else "; it has none"
+                self.faults.append(f"{at}: unknown field{hint}")
+                continue
+            count = len(self.faults)
+            converted = self._value(hints[fields[key]], value, at)
+            if len(self.faults) == count:
+                values[fields[key]] = converted
+            else:
+                broken.add(key)
+        for key in known:
+            if key in required and fields[key] not in values and key not in broken:
+                self.faults.append(f"{joined(path, key)}: missing")
+        if issubclass(cls, Table):
+            self.faults += [joined(path, fault) for fault in cls.faults(values)]
+        if len(self.faults) > before or any(v is None for v in given.values()):
+            return None
+        try:
+            return cls(**values)
+        except (ValueError, TypeError) as e:
+            self.faults.append(fault_at(path, e))
+            return None
+
+    def _value(self, hint: Any, value: Any, at: str) -> Any:
+        args = typing.get_args(hint)
+        if isinstance(value, dict) and self._folder is not None and (dimensions := _dimensions(hint)):
+            try:
+                value = numbers_from_file(value, at.rpartition(".")[2], self._folder, dimensions)
+            except HilError as e:
+                self.faults.append(f"{at}: {e}")
+                return None
+        kinds: list[type] = [kind for kind in (hint, *args) if isinstance(kind, type) and issubclass(kind, Table)]
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+            kinds = [hint]
+        if kinds and isinstance(value, dict):  # a table, or one that may be left out
+            return self.table(kinds[0], value, at, {})
+        if typing.get_origin(hint) is tuple and isinstance(value, list) and len(args) == 2 and args[1] is ...:
+            return tuple(self._value(args[0], v, f"{at}[{i}]") for i, v in enumerate(value))
+        try:
+            return msgspec.convert(value, hint, dec_hook=_hook)
+        except (msgspec.ValidationError, ValueError) as e:
+            message, _, where = str(e).partition(" - at `$")
+            if message.startswith("Invalid enum value"):
+                words = [w for part in (hint, *args) if typing.get_origin(part) is typing.Literal for w in typing.get_args(part)]
+                message += f", expected one of {', '.join(map(str, words))}" if words else ""
+            at += where.rstrip("`")
+            cause = e.__cause__  # what a class of its own said of its values
+            self.faults.append(
+                fault_at(at, cause) if isinstance(cause, NamesField) else f"{at}: {message[0].lower()}{message[1:]}"
+            )
+            return None
