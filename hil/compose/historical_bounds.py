@@ -48,7 +48,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     if not isinstance(controller, HistoryGains) or plant is None:
         raise HilError(
             f"{name}: hil design judges gains over historical data of a plant that measures its state; "
-            "other gains over several sensor nodes hil run solves, by kind = 'designed'"
+            "hil run solves other gains over several sensor nodes, with kind = 'designed'"
         )
     if loop.verdict is None or not loop.verdict.certified:
         raise HilError(f"{name}: {'no verdict' if loop.verdict is None else loop.verdict.reason}")
