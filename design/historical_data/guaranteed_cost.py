@@ -78,6 +78,7 @@ def certify_cost(
     *,
     history: Array | None = None,
     deviation: Array | None = None,
+    renewed: npt.NDArray[np.bool_] | None = None,
 ) -> Verdict:
     """Return the verdict on scheduled gains: the growth of E|X|^2 per slot, and the cost.
 
@@ -89,8 +90,9 @@ def certify_cost(
         history: x(0), x(-1), ... of the run, (h, n): the cost is then from there, whatever the start's moment; default zero.
         deviation: standard deviation of the noise on every state, (n,); default none. The cost is without it, and its own
             long-run cost per slot is beside.
+        renewed: (phases, n), as of `design.historical_data.lifted_loop.close`; the gains then have a column more.
     """
-    loop = close(plant, gains, transition)
+    loop = close(plant, gains, transition, renewed=renewed)
     past, noisy = history is not None and bool(np.any(history[1:])), deviation is not None and bool(np.any(deviation))
     radius = loop.radius()
     margin = 64 * loop.L.shape[-1] * float(np.finfo(float).eps)
@@ -98,16 +100,15 @@ def certify_cost(
     details: dict[str, object] = {"phases": len(gains), "order": loop.L.shape[-1]}
     if stable:
         try:
-            S = loop.cost_to_go()
-        except NotStable:
-            stable = False
-        else:
+            S = loop.stable_cost_to_go()
             details["cost"] = float(np.einsum("iab,iab->", S, start.lifted(loop.L.shape[-1])))
             details["residual"] = _residual(loop, S)
             if past and history is not None:
-                details["cost"] = cost_from(plant, gains, history, start.phases, transition)
+                details["cost"] = cost_from(plant, gains, history, start.phases, transition, renewed)
             if noisy and deviation is not None:
-                details["noise_cost_per_slot"] = stationary_cost(plant, gains, deviation, transition, start.phases)
+                details["noise_cost_per_slot"] = stationary_cost(plant, gains, deviation, transition, start.phases, renewed)
+        except NotStable:
+            stable = False
     return Verdict(
         kind="guaranteed cost",
         state="certified" if stable else "refused" if radius > 1.0 + margin else "undecided",

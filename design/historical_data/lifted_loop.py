@@ -13,11 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError, NotStable
-from design.jump_linear.second_moment import forward, mean_square_radius
+from design.jump_linear.periodic_chain import periodic_cost, periodic_radius
+from design.jump_linear.second_moment import forward
 
 Array = npt.NDArray[np.float64]
 SWEEPS = 20_000
 TOLERANCE = 1e-13
+LARGE = 64  # phases from which a Krylov method is quicker than sweeps
 LOOKS = 4  # sweeps from one look at what they change to the next
 
 
@@ -92,7 +94,7 @@ class LiftedLoop:
         """Return the growth of E|X|^2 per slot: below 1 the loop is (mean-square) stable, and only then."""
         if self.cyclic:
             return float(np.abs(np.linalg.eigvals(self._monodromy())).max() ** (2.0 / len(self.L)))
-        return mean_square_radius(self.L, self.transition)
+        return periodic_radius(self.L, self.transition)
 
     def _monodromy(self) -> Array:
         product = np.eye(self.L.shape[-1])
@@ -120,6 +122,14 @@ class LiftedLoop:
         for i in range(phases - 1, 0, -1):
             S[i] = self.Q[i] + self.L[i].T @ S[(i + 1) % phases] @ self.L[i]
         return S
+
+    def stable_cost_to_go(self) -> Array:
+        """Return what `cost_to_go` does, where the radius is known to be below 1: over many phases it is found sooner.
+
+        Raises:
+            NotStable: the radius is so near 1 that it was not found.
+        """
+        return periodic_cost(self.L, self.transition, self.Q) if len(self.L) >= LARGE and not self.cyclic else self.cost_to_go()
 
     def gramian(self, start: Array, guess: Array | None = None) -> Array:
         """Return G_i, the sum over all slots of phase i of E X X'.
@@ -160,21 +170,38 @@ class LiftedLoop:
         raise NotStable("the cost has no finite sum: the loop is not mean-square stable")
 
 
-def close(plant: DelayedPlant, gains: Array, transition: Array | None = None) -> LiftedLoop:
+def close(
+    plant: DelayedPlant, gains: Array, transition: Array | None = None, *, renewed: npt.NDArray[np.bool_] | None = None
+) -> LiftedLoop:
     """Return the loop (5.5) of a plant under gains.
 
     Args:
         plant: the plant.
-        gains: K, (phases, memory + 1, p, n): u(k) = sum_j K[i, j] x(k - j).
+        gains: K, (phases, memory + 1, p, n): u(k) = sum_j K[i, j] x(k - j), and K[i, memory + 1] h(k) where ``renewed`` is given.
         transition: chain of the phases; default the cycle (5.2).
+        renewed: (phases, n), whether a held sample h_l becomes x_l(k - memory), the last entries of the state; default none held.
     """
     phases, columns, p, n = gains.shape
+    columns -= renewed is not None
     A, B, weight, input_weight = plant.matrices(max(columns - 1, plant.memory))
     K = np.zeros((phases, p, A.shape[0]))
-    K[:, :, : n * columns] = gains.transpose(0, 2, 1, 3).reshape(phases, p, n * columns)
+    K[:, :, : n * columns] = gains[:, :columns].transpose(0, 2, 1, 3).reshape(phases, p, n * columns)
+    if renewed is not None:
+        A, more = with_held(A, renewed, n * (columns - 1)), ((0, n), (0, 0))
+        B, weight, K = np.pad(B, more), np.pad(weight, (0, n)), np.concatenate([K, gains[:, columns]], axis=2)
     L = A + B @ K
     Q = weight + K.transpose(0, 2, 1) @ input_weight @ K
     return LiftedLoop(L=L, Q=Q, transition=cycle(phases) if transition is None else np.asarray(transition, dtype=float))
+
+
+def with_held(A: Array, renewed: npt.NDArray[np.bool_], oldest: int) -> Array:
+    """Return A with n entries below that stay, or become those from ``oldest`` on where renewed: (phases, N + n, N + n)."""
+    (phases, n), size = renewed.shape, A.shape[-1]
+    found = np.zeros((phases, size + n, size + n))
+    found[:, :size, :size] = A
+    i, l = np.indices(renewed.shape)
+    found[i, size + l, np.where(renewed, oldest + l, size + l)] = 1.0
+    return found
 
 
 def cycle(phases: int) -> Array:

@@ -101,7 +101,7 @@ def _stationary(turns: Turns | None) -> bool:
     return bool(np.allclose(np.array(turns.initial) @ np.array(turns.transition), turns.initial, atol=1e-12))
 
 
-def undecided_because(nodes: SensorNodes, uses: Uses) -> str:
+def undecided_because(nodes: SensorNodes) -> str:
     """Return what about the nodes the theory does not know, empty if nothing; a trigger is the caller's to look at."""
     if nodes.mixed:
         return "the theory knows nodes that all share one medium, or that all send when they will"
@@ -111,6 +111,4 @@ def undecided_because(nodes: SensorNodes, uses: Uses) -> str:
         return "the theory knows constant delays of sensor packets only"
     if any(nodes.delays) and not _stationary(nodes.turns):
         return "the theory knows late packets of random turns where slot 0 is drawn from the chain's stationary distribution"
-    if uses == "history" and lossy(nodes.turns):
-        return "the theory knows lost packets for the current packet and the last packets, not for a history with gaps"
     return ""

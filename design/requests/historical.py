@@ -68,6 +68,7 @@ class HistoricalDesigned:
         from design.historical_data.lifted_loop import DelayedPlant
         from design.historical_data.matched_peak import match_peak
         from design.historical_data.sensor_schedule import (
+            lossy,
             mask_of,
             phase_chain,
             phases_at_start,
@@ -86,9 +87,11 @@ class HistoricalDesigned:
         uses: Literal["history", "current-packet"] = "history" if self.uses == "history" else "current-packet"
         if self.uses == "history" and nodes.turns is not None and nodes.turns.transition:
             raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
-        unknown = undecided_because(nodes, uses)
+        unknown = undecided_because(nodes)
         if unknown:
             raise FieldError("kind", unknown)
+        if uses == "history" and lossy(nodes.turns):
+            raise FieldError("uses", "over lost packets gains are designed for uses = 'current-packet' or 'last-packets'")
         if self.uses != "history" and (nodes.turns is None or nodes.turns.heard):
             raise FieldError("uses", "where several packets come in a slot, gains are over all that has come: uses = 'history'")
         late = max(delay or 0 for delay in nodes.delays)
@@ -128,7 +131,7 @@ class HistoricalDesigned:
         if nodes.turns is None:
             raise FieldError("uses", "the last packets need nodes that take turns")
         window = PacketWindow(turns=nodes.turns, length=self.window)
-        unknown = undecided_because(nodes, "last-packets") or window_undecided(nodes, window)
+        unknown = undecided_because(nodes) or window_undecided(nodes, window)
         if unknown:
             raise FieldError("kind", unknown)
         memory = self.window + max(nodes.buffers) - 2 if self.memory is None else self.memory

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import HistoryGains, SensorNodes
-from design.controllers.packet_window import window_of
 from design.controllers.sensor_nodes import Uses
 from hil.compose.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop
@@ -20,6 +19,7 @@ from hil.experiment.protocols import HasStateHistory
 if TYPE_CHECKING:
     from design.historical_data.guaranteed_cost import Start
     from design.historical_data.lifted_loop import DelayedPlant, LiftedLoop
+    from design.historical_data.phase_gains import PhaseGains
 
 Gains = npt.NDArray[np.float64]
 
@@ -40,7 +40,6 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
         HilError: another controller or plant, or orders that cannot be tried.
     """
     from design.historical_data.cost_bounds import bounds, hearing_of, mean_full_state_bound
-    from design.historical_data.guaranteed_cost import cost
     from design.historical_data.lifted_loop import close
 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
@@ -57,50 +56,45 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
         "experiment": name, "uses": controller.uses, "cost": loop.verdict.details["cost"], "mean_cost": None,
         "bound_full_state": None, "bound_causal": None, "gap": None, "verdict": loop.verdict.to_json(), "gains": K.tolist(),
     }  # fmt: skip
-    start, chain, full = _any_start(nodes, controller.uses, K)
-    found["mean_cost"] = cost(close(plant, full, chain), start)
+    start, each = _any_start(nodes, controller.uses, K)
+    closed = close(plant, each.gains, each.transition, renewed=each.renewed)
+    found["mean_cost"] = float(np.einsum("iab,iab->", closed.stable_cost_to_go(), start.lifted(closed.L.shape[-1])))
     found["bound_full_state"] = mean_full_state_bound(plant, start.moment)
     hearing = hearing_of(nodes, from_any_phase=True)
     if hearing is not None:
         found["bound_causal"] = bounds(plant, hearing, start.moment).causal
         found["gap"] = found["mean_cost"] / found["bound_causal"] - 1.0
     if spread:
-        found["cost_sd"] = 0.0 if chain is None else _spread(loop, close(plant, full, chain))
+        if each.renewed is not None:
+            raise HilError(f"{name}: --spread: not over a history with lost packets: its {len(each.gains)} phases are too many")
+        found["cost_sd"] = 0.0 if each.transition is None else _spread(loop, closed)
     if orders:
         found["orders"] = _orders(plant, nodes, K, name)
     return found
 
 
-def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, Gains | None, Gains]:
-    """Return a start from x(0) ~ N(0, I) in any turn, the chain of the phases and the gains of all of them."""
+def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, PhaseGains]:
+    """Return a start from x(0) ~ N(0, I) in any turn, and the gains of all phases."""
     from design.historical_data.guaranteed_cost import Start
-    from design.historical_data.packet_windows import window_chain, window_start
-    from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
+    from design.historical_data.phase_gains import phase_gains
 
-    turns, moment = nodes.turns, np.eye(K.shape[-1])
+    turns = nodes.turns
     begins = [turns]
     if turns is not None and turns.cycle:
         begins = [replace(turns, phase=phase) for phase in range(turns.phases)]
-    if uses == "last-packets" and turns is not None:
-        windows = [window_of(begin, len(K)) for begin in begins if begin is not None]
-        phases = np.mean([window_start(window) for window in windows], axis=0)
-        return Start(moment=moment, phases=phases), window_chain(windows[0]), K
-    full = with_lost_turns(K, nodes).astype(np.float64)
-    phases = np.mean([phases_at_start(replace(nodes, turns=begin), uses) for begin in begins], axis=0)
-    return Start(moment=moment, phases=phases), phase_chain(nodes), full
+    each = [phase_gains(K, replace(nodes, turns=begin), uses) for begin in begins]
+    return Start(moment=np.eye(K.shape[-1]), phases=np.mean([one.start for one in each], axis=0)), each[0]
 
 
 def _spread(loop: Loop, closed: LiftedLoop) -> float:
     """Return the standard deviation of the cost over runs from the plant's own start, in the schedule's first phase."""
     from design.historical_data.cost_moments import cost_moments
-    from design.historical_data.packet_windows import window_start
-    from design.historical_data.sensor_schedule import phases_at_start
+    from design.historical_data.phase_gains import phase_gains
 
     controller, nodes, plant = loop.controller, loop.model.nodes, loop.experiment.plant
     if not isinstance(controller, HistoryGains) or nodes.turns is None:
         raise TypeError(f"{type(controller).__name__}: no gains over scheduled nodes")
-    last = controller.uses == "last-packets"
-    phases = window_start(window_of(nodes.turns, len(controller.history()))) if last else phases_at_start(nodes, controller.uses)
+    phases = phase_gains(controller.history(), nodes, controller.uses).start
     x0 = np.array(plant.start(np.random.default_rng(0)).state)
     past = plant.state_history() if isinstance(plant, HasStateHistory) else np.zeros((0, len(x0)))
     return float(np.sqrt(cost_moments(closed, np.vstack([x0, past]), phases).variance))

@@ -73,8 +73,7 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     if not isinstance(controller, HistoryGains):
         return None
     from design.historical_data.guaranteed_cost import Start, certify_cost
-    from design.historical_data.packet_windows import window_chain, window_start, window_undecided
-    from design.historical_data.sensor_schedule import phase_chain, phases_at_start, undecided_because, with_lost_turns
+    from design.historical_data.phase_gains import gains_undecided, phase_gains
 
     plant = delayed_plant_of(loop.plant, loop.model)
     if plant is None:
@@ -85,25 +84,18 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     past = loop.plant.state_history() if isinstance(loop.plant, HasStateHistory) else np.zeros((0, len(x0)))
     history = np.vstack([x0, past])
     least = _least_cost(loop.plant, plant, history)
-    unknown = undecided_because(nodes, controller.uses)
-    window = None
-    if controller.uses == "last-packets" and nodes.turns is not None:
-        window = window_of(nodes.turns, len(controller.history()))
-        unknown = unknown or window_undecided(nodes, window)
+    K = controller.history()
+    unknown = gains_undecided(K, nodes, controller.uses, plant.memory)
     if nodes.silent:
         unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"
     if unknown:
         return undecided(loop, KIND, unknown, least)
     if loop.ca is None or loop.ca.max_delay:
         return undecided(loop, KIND, "the theory covers an actuator that receives its command in the same slot, not later", least)
-    K = controller.history()
-    if window is None:
-        K = with_lost_turns(K, nodes).astype(np.float64)
-    chain = phase_chain(nodes) if window is None else window_chain(window)
-    phases = phases_at_start(nodes, controller.uses) if window is None else window_start(window)
+    each = phase_gains(K, nodes, controller.uses)
     noise = loop.plant.sensor_noise() if isinstance(loop.plant, HasSensorNoise) else None
-    start = Start(moment=np.outer(x0, x0), phases=phases)
-    verdict = certify_cost(plant, K, start, chain, history=history, deviation=noise)
+    start = Start(moment=np.outer(x0, x0), phases=each.start)
+    verdict = certify_cost(plant, each.gains, start, each.transition, history=history, deviation=noise, renewed=each.renewed)
     lossless = nodes.turns is None or not nodes.turns.loss
     assumptions = tuple(
         said if lossless or said != "no packet is lost" else "packets are lost on the medium as it states, and nowhere else"

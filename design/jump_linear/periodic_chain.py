@@ -1,0 +1,112 @@
+"""Second moments over a chain that is periodic, such as turns in an order beside what is random: by one class of modes.
+
+With the modes in d classes, each followed by the next, the operator L carries families on one class to those on another, so that
+
+    rho(L)^d = rho(L^d on the families of one class)
+
+which has 1/d of the unknowns, and no d eigenvalues of equal size on a circle, which a Krylov method cannot tell apart. So has
+the cost to go of one class; those of the others follow from it.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from math import gcd
+
+import numpy as np
+import numpy.typing as npt
+
+from design.errors import NotStable
+from design.jump_linear import krylov
+from design.jump_linear.second_moment import EIG_DENSE_LIMIT, mean_square_radius, to_matrix, to_vector
+
+Array = npt.NDArray[np.float64]
+
+
+def cyclic_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
+    """Return the modes in classes of which each is followed by the next, as many as there can be; one for an aperiodic chain.
+
+    Args:
+        transition: (N, N) row-stochastic matrix; all modes in one class if some cannot be reached from mode 0.
+
+    >>> [each.tolist() for each in cyclic_classes(np.array([[0, 0.5, 0.5], [1, 0, 0], [1, 0, 0]]))]
+    [[0], [1, 2]]
+    """
+    level, edges = np.full(len(transition), -1), transition > 0.0
+    level[0], front = 0, np.zeros(1, dtype=np.intp)
+    while len(front):
+        ahead = np.flatnonzero(edges[front].any(axis=0) & (level < 0))
+        level[ahead], front = level[front[0]] + 1, ahead
+    if (level < 0).any():
+        return [np.arange(len(transition))]
+    i, j = np.nonzero(edges)
+    period = gcd(*np.abs(level[i] + 1 - level[j]).tolist())
+    return [np.flatnonzero(level % period == c) for c in range(period)]
+
+
+def periodic_radius(A: Array, transition: Array) -> float:
+    """Return what `mean_square_radius` does, sooner where the chain is periodic and large.
+
+    Args:
+        A: (N, n, n) mode matrices.
+        transition: (N, N) row-stochastic matrix.
+    """
+    n = A.shape[-1]
+    classes = cyclic_classes(transition)
+    first, size = classes[0], len(classes[0]) * n * (n + 1) // 2
+    if len(classes) == 1 or size <= EIG_DENSE_LIMIT:
+        return mean_square_radius(A, transition)
+    from scipy.sparse.linalg import LinearOperator, eigs
+
+    product = partial(_around, _steps(A, transition, classes), n)
+    start = to_vector(np.broadcast_to(np.eye(n), (len(first), n, n))).ravel()
+    operator = LinearOperator((size, size), matvec=product, dtype=np.float64)
+    values: npt.NDArray[np.complex128] = eigs(operator, k=2, v0=start, ncv=20, return_eigenvectors=False, tol=1e-12)
+    return float(np.abs(values).max() ** (1.0 / len(classes)))
+
+
+def periodic_cost(A: Array, transition: Array, Q: Array) -> Array:
+    """Return S with S_i = Q_i + A_i' E_i(S) A_i, where the radius is known to be below 1.
+
+    Args:
+        A: (N, n, n) mode matrices.
+        transition: (N, N) row-stochastic matrix.
+        Q: (N, n, n), symmetric.
+
+    Raises:
+        NotStable: the radius is so near 1 that S was not found.
+    """
+    n, classes = A.shape[-1], cyclic_classes(transition)
+    steps, S = _steps(A, transition, classes), np.zeros_like(Q)
+    once = _back(steps, [Q[now] for now in classes], np.zeros_like(Q[classes[0]]))[0]
+    found = krylov.solve(lambda vector: vector - _around(steps, n, vector), to_vector(once).ravel())
+    if found is None:
+        raise NotStable("the cost was not found: the loop is too near to one that is not mean-square stable")
+    each = _back(steps, [Q[now] for now in classes], to_matrix(found.reshape(len(classes[0]), -1), n))
+    for now, part in zip(classes, each):
+        S[now] = part
+    return S
+
+
+_Steps = list[tuple[Array, Array]]
+
+
+def _steps(A: Array, transition: Array, classes: list[npt.NDArray[np.intp]]) -> _Steps:
+    return [(A[now], transition[np.ix_(now, later)]) for now, later in zip(classes, [*classes[1:], classes[0]])]
+
+
+def _around(steps: _Steps, n: int, vector: Array) -> Array:
+    """L^d on the families of the first class, in coordinates."""
+    S = to_matrix(vector.reshape(len(steps[0][0]), -1), n)
+    for matrices, chances in reversed(steps):
+        S = matrices.transpose(0, 2, 1) @ np.tensordot(chances, S, axes=1) @ matrices
+    return to_vector(S).ravel()
+
+
+def _back(steps: _Steps, Q: list[Array], S: Array) -> list[Array]:
+    """The cost to go of every class, from that of the first class once round."""
+    found = []
+    for (matrices, chances), cost in zip(reversed(steps), reversed(Q)):
+        S = cost + matrices.transpose(0, 2, 1) @ np.tensordot(chances, S, axes=1) @ matrices
+        found.append(S)
+    return found[::-1]

@@ -1,0 +1,40 @@
+"""Radius and cost by one class of a periodic chain are those of all modes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from design.errors import NotStable
+from design.jump_linear.periodic_chain import cyclic_classes, periodic_cost, periodic_radius
+from design.jump_linear.second_moment import backward, mean_square_radius
+
+
+def in_turn(classes: int, each: int, n: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Random modes in shuffled classes, each followed by the next."""
+    rng = np.random.default_rng(3)
+    of, transition = rng.permutation(np.repeat(range(classes), each)), np.zeros((classes * each, classes * each))
+    for i, own in enumerate(of):
+        transition[i, of == (own + 1) % classes] = rng.dirichlet(np.ones(each))
+    return size * rng.normal(size=(classes * each, n, n)), transition
+
+
+def test_radius_and_cost_are_those_of_all_modes() -> None:
+    A, transition = in_turn(3, 14, 6, 0.35)
+    classes = cyclic_classes(transition)
+    assert sorted(map(len, classes)) == [14, 14, 14]
+    following = [*classes[1:], classes[0]]
+    assert all(transition[np.ix_(now, later)].sum() == pytest.approx(14) for now, later in zip(classes, following))
+    radius = periodic_radius(A, transition)
+    assert radius == pytest.approx(mean_square_radius(A, transition), rel=1e-9) and 0.5 < radius < 1
+    Q = np.broadcast_to(np.eye(6), A.shape)
+    S = periodic_cost(A, transition, Q)
+    np.testing.assert_allclose(S, Q + backward(A, transition, S), rtol=0, atol=1e-10 * np.abs(S).max())
+
+
+def test_a_cost_on_the_edge_is_not_found_and_an_aperiodic_chain_is_one_class() -> None:
+    A, transition = in_turn(3, 14, 6, 0.35)
+    with pytest.raises(NotStable, match="too near to one that is not mean-square stable"):
+        periodic_cost(A / np.sqrt(periodic_radius(A, transition)), transition, np.broadcast_to(np.eye(6), A.shape))
+    transition[0, 0] = 0.5
+    assert len(cyclic_classes(transition)) == 1 and len(cyclic_classes(np.eye(3))) == 1
