@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain as DelayChain
     from design.processes.lifetimes import BathtubRate as BathtubRate
     from design.processes.rates import ScaledRate as ScaledRate
-    from design.processes.rates import UserRate as UserRate
     from design.processes.semi_markov import FaultDetection as FaultDetection
     from design.processes.semi_markov import SemiMarkov as SemiMarkov
+    from design.processes.user_rate import UserRate as UserRate
     from design.semi_markov_loop.certificate import JumpCertificate as JumpCertificate
     from design.semi_markov_loop.delayed_hinf import analyse_delayed as analyse_delayed
     from design.semi_markov_loop.delayed_hinf import delayed_hinf as delayed_hinf
@@ -88,7 +88,7 @@ _EXPORTS = {
     "FaultDetection": "design.processes.semi_markov",
     "BathtubRate": "design.processes.lifetimes",
     "ScaledRate": "design.processes.rates",
-    "UserRate": "design.processes.rates",
+    "UserRate": "design.processes.user_rate",
     "expected_errors": "design.identification.excitation",
     "square_wave": "design.identification.excitation",
     "JumpSystem": "design.semi_markov_loop.system",

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.laws.age import mean_holding
 from transport.laws.protocols import LongRunLaw, MarkovModes, RecordedLaw, SemiMarkovLaw
 from transport.laws.sojourn import mean_sojourn
-from transport.laws.stochastic_matrix import stationary_row
+from transport.laws.stochastic_matrix import mean_holding, stationary_row
 
 Numbers = NDArray[np.float64]
 

@@ -14,9 +14,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
-from transport.laws.age import mean_holding
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
-from transport.laws.stochastic_matrix import BLOCK, cumulative, stationary_row
+from transport.laws.stochastic_matrix import BLOCK, cumulative, mean_holding, stationary_row
 from transport.medium.draws import COPIED, LOST, NO_MODE, SENT, Draw
 
 SLOT_TOLERANCE = 1e-9

@@ -125,3 +125,8 @@ def stationary_row(matrix: Sequence[Sequence[float]] | NDArray[np.float64]) -> N
     law = np.zeros(len(matrix))
     law[members] = weights / weights.sum()
     return law
+
+
+def mean_holding(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean number of slots that every mode of a chain lasts, (n,): 1/(1 - p_ii)."""
+    return np.array([1.0 / (1.0 - p) if p < 1.0 else np.inf for p in np.diag(matrix).tolist()])
