@@ -8,7 +8,7 @@ right side. ``refused``: dual matrices prove (weak duality) that no solution of 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -69,10 +69,6 @@ class JumpCertificate:
         if self.rebuild is None:
             raise FieldError("certificate", f"method {self.method!r} has no inequalities to check")
         return min(verify(self.rebuild(as_float), self.matrices))
-
-    def renamed(self, **changes: object) -> JumpCertificate:
-        """A copy with some fields replaced."""
-        return replace(self, **changes)  # type: ignore[arg-type]
 
     def to_json(self) -> dict[str, object]:
         """The verdict and its numbers as a dictionary that ``json.dumps`` takes, without the matrices."""
