@@ -76,13 +76,15 @@ def bench_design(
         certificate = design.certificate
         norm = certificate.hinf_norm if goal.objective == "hinf" else certificate.h2_norm
         bounded = goal.hinf_bound is None or (certificate.hinf_norm or float("inf")) <= goal.hinf_bound
+        reached = bool(norm is not None and norm <= goal.norm and bounded and certificate.stable)
         row: dict[str, Any] = {
             "design": name,
             "norm": norm,
             "goal": goal.norm,
             "s": round(spent, 3),
             "limit_s": goal.limit_s,
-            "met": bool(norm is not None and norm <= goal.norm and bounded and certificate.stable and spent <= goal.limit_s),
+            "reached": reached,
+            "met": reached and spent <= goal.limit_s,
         }
         row |= _iterated(problem, spent, programmes)
         rows.append(row)
