@@ -59,7 +59,7 @@ def test_a_recording_that_just_suffices_is_taken(slots: int, suffices: bool) -> 
     if suffices:
         assert compose(experiment).experiment.ticks == 40
     else:
-        with pytest.raises(HilError, match="serves 39 slots, the run has 40"):
+        with pytest.raises(HilError, match="the recording has 39 slots, the run has 40"):
             compose(experiment)
 
 
