@@ -3,9 +3,10 @@
 The rig listens at the endpoint and the controller connects to it; there is no router, no multicast and no gossip. Sensor
 packets are published under ``hil/<name>/sensor``, control packets under ``hil/<name>/control``, so that any zenoh program
 that is let in at the rig's endpoint can watch, or be the controller. A peer of the rig does not see what another peer
-publishes, so the rig says again under ``hil/<name>/heard`` what control packets it hears. Every packet has the encoding
-`ENCODING` and an attachment ``slot=K;session=S``. A liveliness token ``hil/<name>/rig`` or ``hil/<name>/controller`` says who is
-there, and the rig answers queries for ``hil/<name>/info``. Certificates and passwords keep all of that from everybody else.
+publishes, so the rig says again under ``hil/<name>/heard`` what control packets it hears, once somebody listens there. Every
+packet has the encoding `ENCODING` and an attachment ``slot=K;session=S``. A liveliness token ``hil/<name>/rig`` or
+``hil/<name>/controller`` says who is there, and the rig answers queries for ``hil/<name>/info``. Certificates and passwords keep
+all of that from everybody else.
 
 Without an endpoint the link is a Unix socket in a directory of mode 0700 (`zenoh_directory`): who is not this user cannot
 reach it. ``tls/`` takes certificates of both ends, and only the one called *controller* is heard: see
@@ -20,11 +21,12 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
@@ -63,8 +65,8 @@ class ZenohLink(Closing):
         zenoh.ZError: the endpoint cannot be had.
     """
 
-    __slots__ = ("_closed", "_error", "_get", "_name", "_publish", "_queue", "_say_again", "_session", "_session_id", "_token",
-                 "counters", "uri")  # fmt: skip
+    __slots__ = ("_closed", "_error", "_get", "_listened_to", "_name", "_publish", "_queue", "_say_again", "_session",
+                 "_session_id", "_token", "counters", "uri")  # fmt: skip
 
     def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access) -> None:
         os.environ.setdefault("ZENOH_RUNTIME", _ONE_THREAD)  # read at zenoh's first use; a packet wakes fewer threads
@@ -78,22 +80,26 @@ class ZenohLink(Closing):
         self._queue: SimpleQueue[bytes] = SimpleQueue()
         self._get = self._queue.get
         self._session_id, self._name = os.urandom(8).hex(), name
+        self._say_again: Callable[..., None] | None = None
+        self._listened_to = Event()
         self._session = zenoh.open(config(role, endpoint, who.config(name)))
         says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
         try:
             if who.tls:
                 met = zenoh.handlers.Callback(partial(_meet, who.peer, self.counters), indirect=False)
                 self._session.info.declare_link_events_listener(met, history=True)
-            publisher, again = (
-                self._session.declare_publisher(
-                    f"hil/{name}/{key}",
-                    encoding=ENCODING,
-                    express=True,  # no batching
-                    priority=zenoh.Priority.REAL_TIME,
-                    congestion_control=zenoh.CongestionControl.DROP,
-                )
-                for key in (says, "heard")
+            declared = partial(
+                self._session.declare_publisher,
+                encoding=ENCODING,
+                express=True,  # no batching
+                priority=zenoh.Priority.REAL_TIME,
+                congestion_control=zenoh.CongestionControl.DROP,
             )
+            publisher = declared(f"hil/{name}/{says}")
+            if role == "rig":  # what nobody listens to is not said again: it would come before an answer is looked at
+                again = declared(f"hil/{name}/heard")
+                again.declare_matching_listener(zenoh.handlers.Callback(partial(_note, self._listened_to), indirect=False))
+                self._say_again = again.put
             self._token = self._session.liveliness().declare_token(f"hil/{name}/{role}")  # it lives as long as it is held
             # indirect=False: no Python thread in between, which would keep the process alive for ever if left open.
             heard = zenoh.handlers.Callback(partial(_take, self._queue, self.counters), indirect=False)
@@ -102,7 +108,6 @@ class ZenohLink(Closing):
             self._session.close()  # type: ignore[no-untyped-call]
             raise
         self._publish = publisher.put
-        self._say_again = again.put if role == "rig" else None
 
     def send(self, packet: bytes) -> None:
         if self._closed:
@@ -124,7 +129,7 @@ class ZenohLink(Closing):
         except Empty:
             return None
         self.counters.received += 1
-        if self._say_again is not None:
+        if self._say_again is not None and self._listened_to.is_set():
             with suppress(self._error):
                 self._say_again(packet, attachment=self._about(packet))
         return packet
@@ -162,6 +167,10 @@ def _meet(peer: str, counters: LinkCounters, event: zenoh.LinkEvent) -> None:
     """Count who connects with a certificate of our authority, but another's name: the access-control list keeps it silent."""
     if str(event.kind).endswith("PUT") and event.link.auth_identifier != peer:
         counters.refused += 1
+
+
+def _note(listened_to: Event, status: zenoh.MatchingStatus) -> None:
+    (listened_to.set if status.matching else listened_to.clear)()
 
 
 def _answer(key: str, text: str, query: zenoh.Query) -> None:
