@@ -19,6 +19,7 @@ import numpy as np
 from plants.errors import FieldError, PlantError
 from plants.parts.exponential import Rows
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
+from plants.parts.validation import require_rows
 
 MOST_BYTES: Final = 500_000_000
 MOST_FILES: Final = 10_000
@@ -85,8 +86,7 @@ class FMU:
 
     def __post_init__(self) -> None:
         for name, rows in (("A", self.A), ("B", self.B), ("C", self.C)):
-            if len({len(row) for row in rows}) != 1:
-                raise FieldError(name, "expected rows of one length, and at least one")
+            require_rows(name, rows)
         self.model()
 
     def with_files(self, folder: str) -> FMU:

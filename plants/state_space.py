@@ -16,7 +16,7 @@ from plants.parts.linear import LinearRun, Signal, StateSpace
 from plants.parts.linear_many import LinearRuns
 from plants.parts.noisy import NoisyRun
 from plants.parts.protocols import PlantRun
-from plants.parts.validation import require_not_negative, require_positive, require_whole_nanoseconds
+from plants.parts.validation import require_not_negative, require_positive, require_rows, require_whole_nanoseconds
 
 SHORTEST_STEP_S: Final = 1e-5
 
@@ -63,8 +63,7 @@ class LinearPlant:
 
     def __post_init__(self) -> None:
         for name, rows in (("A", self.A), ("B", self.B), ("C", self.C)):
-            if len({len(row) for row in rows}) != 1:
-                raise FieldError(name, "expected rows of one length, and at least one")
+            require_rows(name, rows)
         model = self.model()
         n, m, p = model.A.shape[0], model.B.shape[1], model.C.shape[0]
         for field, given, size in (("inputs", self.inputs, m), ("outputs", self.outputs, p), ("states", self.states, n)):

@@ -19,7 +19,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Final, cast
 
-from hil.runtime.real.scheduling import Affinity, cpu_for, die_with_parent, go_real_time
+from hil.experiment.tables import Affinity
+from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport import ControlPacket, Link, SensorPacket, TransportError, encode_control, encode_sensor, open_link
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any
+from typing import Any, get_args
 
 import click
+
+from hil.experiment.tables import Affinity
 
 SECONDS = (0.001, 86_400)
 
@@ -49,7 +51,7 @@ def _table(title: str, rows: list[dict[str, Any]]) -> None:
 @click.option("--experiment", "experiments", multiple=True, metavar="NAME|FILE",
               help="Experiment; several are measured in turns [dc-motor-1khz].")  # fmt: skip
 @click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change it, e.g. timing.idle=awake.")
-@click.option("--affinity", "affinities", multiple=True, type=click.Choice(["auto", "free", "pinned", "shared"]),
+@click.option("--affinity", "affinities", multiple=True, type=click.Choice(get_args(Affinity)),
               help="CPUs of rig and controller; several are measured in turns.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True)
 def timing(

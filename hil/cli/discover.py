@@ -32,19 +32,17 @@ def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
     found = [found for endpoint in endpoints for found in discover(endpoint, wait)]
     if as_json:
         click.echo(json.dumps(found))
-    for each in () if as_json else found:
-        _show(each)
+    else:
+        click.echo("\n".join(map(_line, found)) or "nobody is there")
     if not found:
-        if not as_json:
-            click.echo("nobody is there")
         raise SystemExit(NOBODY)
 
 
-def _show(found: dict[str, Any]) -> None:
+def _line(found: dict[str, Any]) -> str:
     from hil.cli.terminal import visible
 
     about = found["info"]
     runs = "tells nothing"
     if about:
         runs = f"{about['experiment']}, period {about['period_ns'] / 1e6:g} ms, session {about['session']}"
-    click.echo(visible(f"{found['name']} at {found['endpoint']}: {' and '.join(found['alive'])}; {runs}"))
+    return visible(f"{found['name']} at {found['endpoint']}: {' and '.join(found['alive'])}; {runs}")

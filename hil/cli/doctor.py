@@ -9,6 +9,8 @@ import shutil
 import socket
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import click
@@ -28,17 +30,22 @@ def _vcan() -> Check:
         return "SocketCAN", False, f"no vcan0: {e.strerror}", remedy
 
 
-def _hil_can() -> Check:
-    what = "CAN without a kernel"
+def _ours(what: str, found: Callable[[], tuple[bool, str, str]]) -> Check:
+    """Return a check that imports more of ours: where somebody else's package has its name, "package ownership" tells of it."""
     try:
-        from transport.links.python_can import can
-    except ImportError as e:  # somebody else's package of that name; "package ownership" tells of it
+        return what, *found()
+    except ImportError as e:
         return what, False, str(e), "see package ownership"
+
+
+def _hil_can() -> tuple[bool, str, str]:
+    from transport.links.python_can import can
+
     try:
         with can.Bus(interface="hil", channel=f"doctor{os.getpid()}", fd=True):
-            return what, True, "can.Bus(interface='hil') opens", ""
+            return True, "can.Bus(interface='hil') opens", ""
     except (can.CanError, OSError, ValueError) as e:
-        return what, False, str(e), "set HIL_CAN_DIR to a private folder that can be written"
+        return False, str(e), "set HIL_CAN_DIR to a private folder that can be written"
 
 
 def _zenoh() -> Check:
@@ -47,22 +54,19 @@ def _zenoh() -> Check:
     return "zenoh", True, f"eclipse-zenoh {importlib.metadata.version('eclipse-zenoh')}", ""
 
 
-def _zenoh_cpus() -> Check:
+def _zenoh_cpus() -> tuple[bool, str, str]:
     """Measure round trips over zenoh with rig and controller on one CPU and on any."""
-    what = "zenoh round trip"
-    try:
-        from hil.bench.links import bench_links
-    except ImportError as e:  # somebody else's package of that name; "package ownership" tells of it
-        return what, False, str(e), "see package ownership"
+    from hil.bench.links import bench_links
+
     rows = bench_links(500.0, 0.5, links=["zenoh:unixsock-stream/{folder}/doctor"], floor=False)
     failed = [row["note"] for row in rows if row["note"]]
     if failed:
-        return what, False, failed[0], "hil run uses can:hil: unless told otherwise"
+        return False, failed[0], "hil run uses can:hil: unless told otherwise"
     free, shared = (row["p50_us"] for row in rows)
     finding = f"{shared:.0f} us (median) on one CPU, {free:.0f} us on any"
     if shared <= free:
-        return what, True, f"{finding}: timing.affinity = auto takes one CPU", ""
-    return what, True, finding, 'timing.affinity = "free" is faster here over zenoh'
+        return True, f"{finding}: timing.affinity = auto takes one CPU", ""
+    return True, finding, 'timing.affinity = "free" is faster here over zenoh'
 
 
 def _scheduler() -> Check:
@@ -121,13 +125,11 @@ def _packages() -> Check:
     return "package ownership", True, f"hil, plants, transport, design are hilrig's, Python {sys.version.split()[0]}", ""
 
 
-def _who(uri: str | None) -> Check:
-    try:
-        from transport.links.who_commands import who_commands
-    except ImportError as e:  # somebody else's package of that name; "package ownership" tells of it
-        return "who could command a rig", False, str(e), "see package ownership"
+def _who(uri: str | None) -> tuple[bool, str, str]:
+    from transport.links.who_commands import who_commands
+
     links = ("can:hil:rig0", "zenoh:") if uri is None else (uri,)
-    return "who could command a rig", True, "; ".join(f"over {link} {who_commands(link)}" for link in links), ""
+    return True, "; ".join(f"over {link} {who_commands(link)}" for link in links), ""
 
 
 def _tool(program: str, package: str, why: str) -> Check:
@@ -142,7 +144,8 @@ def command(link: str | None, as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
     import json
 
-    checks = [_who(link), _packages(), _hil_can(), _vcan(), _zenoh(), _zenoh_cpus(), _scheduler(), _idle(), _clock(), _cpus(),
+    checks = [_ours("who could command a rig", partial(_who, link)), _packages(), _ours("CAN without a kernel", _hil_can),
+              _vcan(), _zenoh(), _ours("zenoh round trip", _zenoh_cpus), _scheduler(), _idle(), _clock(), _cpus(),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     if as_json:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-BROKEN: Final = ("cut", "corrupted", "off-bus")
+from transport.medium.draws import CORRUPTED, CUT, OFF_BUS, REASONS
+
+BROKEN: Final = tuple(REASONS[code] for code in (CUT, CORRUPTED, OFF_BUS))
 """What became of packets under a fault on the time line."""
 
 

@@ -89,17 +89,18 @@ def limited_to_undamped(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     )
 
 
+def limited_to_sound(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on a loop without the faults on its time line as one on the loop: no proof knows what they break."""
+    if not loop.faults:
+        return verdict
+    faults = "1 fault" if loop.faults == 1 else f"{loop.faults} faults"
+    return _undecide(
+        verdict, f"{verdict.state} without what happens on the time line ({faults}); undecided with it: {verdict.reason}"
+    )
+
+
 def _undecide(verdict: Verdict, reason: str) -> Verdict:
     """Return a verdict that nothing is known after all; one that knew nothing keeps its own reason."""
     if verdict.state == "undecided":
         return verdict
-    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
-
-
-def limited_to_sound(loop: LoopToCertify, verdict: Verdict) -> Verdict:
-    """Return a verdict on a loop without the faults on its time line as one on the loop: no proof knows what they break."""
-    if not loop.faults or verdict.state == "undecided":
-        return verdict
-    faults = "1 fault" if loop.faults == 1 else f"{loop.faults} faults"
-    reason = f"{verdict.state} without what happens on the time line ({faults}); undecided with it: {verdict.reason}"
     return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})

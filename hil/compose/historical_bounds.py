@@ -11,14 +11,13 @@ import numpy.typing as npt
 
 from design.controllers import HistoryGains, SensorNodes
 from design.controllers.sensor_nodes import Uses
-from hil.compose.historical_loop import delayed_plant_of
+from hil.compose.historical_loop import delayed_plant_of, known_past
 from hil.compose.loop import Loop
 from hil.errors import HilError
-from hil.experiment.protocols import HasStateHistory
 
 if TYPE_CHECKING:
     from design.historical_data.guaranteed_cost import Start
-    from design.historical_data.lifted_loop import DelayedPlant, LiftedLoop
+    from design.historical_data.lifted_loop import DelayedPlant
     from design.historical_data.phase_gains import PhaseGains
 
 Gains = npt.NDArray[np.float64]
@@ -40,7 +39,9 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
         HilError: another controller or plant, or orders that cannot be tried.
     """
     from design.historical_data.cost_bounds import bounds, hearing_of, mean_full_state_bound
+    from design.historical_data.cost_moments import cost_moments
     from design.historical_data.lifted_loop import close
+    from design.historical_data.phase_gains import phase_gains
 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
     plant = delayed_plant_of(loop.experiment.plant, loop.model)
@@ -67,7 +68,10 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     if spread:
         if each.renewed is not None:
             raise HilError(f"{name}: --spread: not over a history with lost packets: its {len(each.gains)} phases are too many")
-        found["cost_sd"] = 0.0 if each.transition is None else _spread(loop, closed)
+        found["cost_sd"] = 0.0
+        if each.transition is not None:
+            phases = phase_gains(K, nodes, controller.uses).start  # of the run: the schedule's first phase
+            found["cost_sd"] = float(np.sqrt(cost_moments(closed, known_past(loop.experiment.plant), phases).variance))
     if orders:
         found["orders"] = _orders(plant, nodes, K, name)
     return found
@@ -84,20 +88,6 @@ def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, PhaseGa
         begins = [replace(turns, phase=phase) for phase in range(turns.phases)]
     each = [phase_gains(K, replace(nodes, turns=begin), uses) for begin in begins]
     return Start(moment=np.eye(K.shape[-1]), phases=np.mean([one.start for one in each], axis=0)), each[0]
-
-
-def _spread(loop: Loop, closed: LiftedLoop) -> float:
-    """Return the standard deviation of the cost over runs from the plant's own start, in the schedule's first phase."""
-    from design.historical_data.cost_moments import cost_moments
-    from design.historical_data.phase_gains import phase_gains
-
-    controller, nodes, plant = loop.controller, loop.model.nodes, loop.experiment.plant
-    if not isinstance(controller, HistoryGains) or nodes.turns is None:
-        raise TypeError(f"{type(controller).__name__}: no gains over scheduled nodes")
-    phases = phase_gains(controller.history(), nodes, controller.uses).start
-    x0 = np.array(plant.start(np.random.default_rng(0)).state)
-    past = plant.state_history() if isinstance(plant, HasStateHistory) else np.zeros((0, len(x0)))
-    return float(np.sqrt(cost_moments(closed, np.vstack([x0, past]), phases).variance))
 
 
 def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Gains, name: str) -> list[dict[str, Any]]:

@@ -78,11 +78,10 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     plant = delayed_plant_of(loop.plant, loop.model)
     if plant is None:
         return undecided(loop, KIND, "the theory knows a plant that does not jump and whose state is measured")
-    x0 = np.array(loop.plant.start(np.random.default_rng(0)).state)
+    history = known_past(loop.plant)
+    x0 = history[0]
     if x0.shape != (len(plant.A),):
         return undecided(loop, KIND, "the plant has states that it does not measure")
-    past = loop.plant.state_history() if isinstance(loop.plant, HasStateHistory) else np.zeros((0, len(x0)))
-    history = np.vstack([x0, past])
     least = _least_cost(loop.plant, plant, history)
     K = controller.history()
     unknown = gains_undecided(K, nodes, controller.uses, plant.memory)
@@ -105,6 +104,12 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
         verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest, details={**verdict.details, **least}
     )
     return limited_to_model(loop.plant, known, knows_state_delays=True)
+
+
+def known_past(plant: Plant) -> NDArray[np.float64]:
+    """Return x(0), x(-1), ... as the plant starts, (h, n); what lies before is zero."""
+    x0 = np.array(plant.start(np.random.default_rng(0)).state)
+    return np.vstack([x0, plant.state_history()]) if isinstance(plant, HasStateHistory) else x0[None]
 
 
 def _least_cost(plant: Plant, delayed: DelayedPlant, history: NDArray[np.float64]) -> dict[str, float]:

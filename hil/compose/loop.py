@@ -26,7 +26,7 @@ from hil.compose.certifier import LoopToCertify
 from hil.compose.certify import certify, digest_of
 from hil.compose.delay_chains import delay_chains, node_chains
 from hil.compose.fit import check_own, check_references, size_faults
-from hil.compose.historical_loop import delayed_plant_of, mask_faults
+from hil.compose.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.compose.jump_plant import process_of, system_of
 from hil.compose.law_files import with_law_files
 from hil.compose.port import Port, port_of
@@ -219,7 +219,7 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
         except ValueError as error:
             raise FieldError("kind", f"no design covers this plant: {error}") from error
     delayed = delayed_plant_of(plant, model)
-    initial = None if delayed is None else np.array(plant.start(np.random.default_rng(0)).state)
+    initial = None if delayed is None else known_past(plant)[0]
     return DesignTask(
         model=model, sc=sc, sc_nodes=node_chains(e) or (), ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial,
         **jumps,

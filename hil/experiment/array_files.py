@@ -6,6 +6,7 @@ The files are a stranger's: nothing is unpickled, and no file makes more numbers
 from __future__ import annotations
 
 import io
+import math
 import struct
 import zipfile
 import zlib
@@ -147,10 +148,7 @@ def _refuse_bomb(data: bytes) -> None:
 def _bounded(shape: tuple[int, ...], kind: str) -> None:
     if kind not in "fiub":
         raise HilError(f"holds an array of kind {kind!r}, expected real numbers")
-    count = 1
-    for length in shape:
-        count *= int(length)
-    if count > MOST_NUMBERS or any(length < 0 for length in shape):
+    if math.prod(map(int, shape)) > MOST_NUMBERS or any(length < 0 for length in shape):
         raise HilError(f"an array of shape {tuple(shape)}; at most {MOST_NUMBERS} numbers")
 
 

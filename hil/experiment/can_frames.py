@@ -12,6 +12,8 @@ from transport.links.can_identifiers import FRAGMENTS, LARGEST, Identifiers, der
 from transport.links.link import TransportError, split_uri
 from transport.wire.version2 import control_length, sensor_length
 
+CONTROL = "links.control_can_id"
+
 
 def link_uri(e: Experiment, link: str | None = None) -> str:
     """Return the URI of a link with the keys and identifiers that the experiment names; what the URI says itself is kept.
@@ -41,9 +43,6 @@ def link_uri(e: Experiment, link: str | None = None) -> str:
         more = f"ids={','.join(said(each) for path, each in own.items() if path != CONTROL)}"
         more += "" if "control" in options else f"&control={said(own[CONTROL])}"
     return f"{uri}{'&' if options else '?'}{more}"
-
-
-CONTROL = "links.control_can_id"
 
 
 def can_faults(e: Experiment, uri: str | None = None) -> list[str]:
@@ -122,7 +121,15 @@ def identifiers_on(e: Experiment, uri: str) -> Identifiers:
     Raises:
         TransportError: options that say none.
     """
-    uri = uri if uri.startswith("can:") else link_uri(e, "can:hil:none")
+    return identifiers_of_link(uri if uri.startswith("can:") else link_uri(e, "can:hil:none"))
+
+
+def identifiers_of_link(uri: str) -> Identifiers:
+    """Return the identifiers of the packets on a CAN link, as its URI says them, or those of one node.
+
+    Raises:
+        TransportError: options that say none.
+    """
     return identifiers_of(uri, split_uri(uri)[2], framing(uri)[1])
 
 

@@ -14,7 +14,7 @@ from hil.experiment import plugins as registry
 from hil.experiment.absent import Absent
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.own_modules import is_own
-from hil.experiment.own_plugins import own_controller_fault, own_plant_fault
+from hil.experiment.own_plugins import own_fault
 from hil.experiment.plugins import OBJECT
 from hil.experiment.protocols import NamesFiles
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
@@ -184,8 +184,7 @@ class Checker:
                 self.faults.append(fault_at(path, e))
                 return None
         if made is not None and is_own(kind):
-            checks = {"hil.plants": own_plant_fault, "hil.controllers": own_controller_fault}
-            fault = checks[group](made) if group in checks else None
+            fault = own_fault(group, made)
             if fault is not None:
                 self.faults.append(f"{path}: {kind!r}: {fault}")
                 return None

@@ -70,6 +70,12 @@ class ClockTable(Table, frozen=True, kw_only=True):
         return self.random_phase or self.jitter > 0
 
 
+def identifier_faults(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
+    """Yield what is wrong with a CAN identifier that has more than 11 bits; one may be left out."""
+    if values.get(field) is not None and not 0 <= values[field] <= LARGEST:
+        yield f"{field}: {values[field]:#x}, expected 0 to {LARGEST:#x} (11 bits)"
+
+
 class Node(Table, frozen=True, kw_only=True):
     """A sensor node: what it measures, how many samples it sends at once, and when.
 
@@ -96,8 +102,7 @@ class Node(Table, frozen=True, kw_only=True):
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         if not 1 <= values.get("buffer", 1) <= LONGEST_BUFFER:
             yield f"buffer: {values['buffer']} samples, expected 1 to {LONGEST_BUFFER}"
-        if values.get("can_id") is not None and not 0 <= values["can_id"] <= LARGEST:
-            yield f"can_id: {values['can_id']:#x}, expected 0 to {LARGEST:#x} (11 bits)"
+        yield from identifier_faults(values, "can_id")
         outputs = values.get("outputs", ("",))
         if not outputs:
             yield "outputs: empty; a sensor node measures something"

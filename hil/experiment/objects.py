@@ -9,7 +9,7 @@ import msgspec
 
 from hil.errors import ExperimentError
 from hil.experiment import plugins as registry
-from hil.experiment.own_plugins import own_controller_fault, own_plant_fault
+from hil.experiment.own_plugins import own_fault
 from hil.experiment.protocols import NamesFiles
 from hil.experiment.tables import Experiment
 from plants.errors import PlantError
@@ -30,12 +30,9 @@ def with_objects(experiment: Experiment, **objects: object) -> Experiment:
     """
     faults, changes, kinds = [], dict[str, Any](), dict(experiment.kinds)
     for path, made in objects.items():
-        group: registry.Group = "hil.plants" if path == "plant" else "hil.controllers"
-        cls = type(made)
+        group, cls = registry.group_of(path), type(made)
         installed = registry.kind_of_class(group, cls) if dataclasses.is_dataclass(cls) else None
-        fault = None
-        if installed is None:
-            fault = own_plant_fault(made) if path == "plant" else own_controller_fault(made)
+        fault = own_fault(group, made) if installed is None else None
         if isinstance(made, NamesFiles):
             try:
                 made = made.with_files(experiment.folder)

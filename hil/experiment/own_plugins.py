@@ -5,9 +5,21 @@ from __future__ import annotations
 import traceback
 
 from design.controllers import Controller
+from hil.experiment.plugins import Group
 from hil.experiment.protocols import Designer, Plant
 from plants.errors import PlantError
 from plants.parts.check import check_plant
+
+
+def own_fault(group: Group, made: object) -> str | None:
+    """Return why an object is no plant, or no controller, that a rig can run; None if it is one, or something else is asked for.
+
+    Args:
+        group: what it has to be.
+        made: of a class of the user's own.
+    """
+    checks = {"hil.plants": own_plant_fault, "hil.controllers": own_controller_fault}
+    return checks[group](made) if group in checks else None
 
 
 def own_plant_fault(made: object) -> str | None:

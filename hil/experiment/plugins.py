@@ -67,6 +67,11 @@ def provider(group: Group, name: str) -> str:
     return dist.name if dist is not None else "?"
 
 
+def group_of(path: str) -> Group:
+    """Return the group of what a table makes, by its path: the plant, the controller, or a network law."""
+    return "hil.plants" if path == "plant" else "hil.controllers" if path == "controller" else "hil.laws"
+
+
 def kind_of(group: Group, kind: str, made: object) -> str:
     """Return the kind that a log may give an object: what its table said if that made it, else that it is an object of Python.
 

@@ -12,11 +12,10 @@ from hil.experiment.absent import Absent
 from hil.experiment.faults import Fault
 from hil.experiment.limits import Limits
 from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
-from hil.experiment.nodes import Medium, Node
+from hil.experiment.nodes import Medium, Node, identifier_faults
 from hil.experiment.own_modules import written_in
 from hil.experiment.plain_form import plain
 from hil.experiment.table import UNITS, Seconds, Table, not_negative
-from transport.links.can_identifiers import LARGEST
 from transport.links.link import TransportError
 from transport.links.opening import find_link
 
@@ -126,8 +125,7 @@ class Links(Table, frozen=True, kw_only=True):
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         uri = values.get("uri", "memory:")
-        if values.get("control_can_id") is not None and not 0 <= values["control_can_id"] <= LARGEST:
-            yield f"control_can_id: {values['control_can_id']:#x}, expected 0 to {LARGEST:#x} (11 bits)"
+        yield from identifier_faults(values, "control_can_id")
         for table in ("tls", "login"):
             if values.get(table) is not None and not uri.startswith("zenoh:"):
                 yield f"{table}: the link {uri!r:.60} does not take it; only a zenoh link does"
@@ -135,6 +133,9 @@ class Links(Table, frozen=True, kw_only=True):
             find_link(secured_uri(uri, ".", values.get("auth"), None, None))
         except TransportError as error:
             yield f"uri: {error}"
+
+
+Affinity = Literal["auto", "free", "pinned", "shared"]
 
 
 class Timing(Table, frozen=True, kw_only=True):
@@ -154,7 +155,7 @@ class Timing(Table, frozen=True, kw_only=True):
 
     deadline: float = 0.6
     priority: int = 60
-    affinity: Literal["auto", "free", "pinned", "shared"] = "auto"
+    affinity: Affinity = "auto"
     idle: Literal["doze", "awake"] = "doze"
     overrun: Literal["catch-up"] = "catch-up"
 
@@ -271,21 +272,18 @@ class Experiment(Table, frozen=True, kw_only=True):
             node, made = out, self
             for part in path.split("."):
                 node, made = node[part], made[part] if isinstance(made, dict) else getattr(made, part)
-            node["kind"] = kind if isinstance(made, Absent) else plugins.kind_of(_group(path), kind, made)
+            node["kind"] = kind if isinstance(made, Absent) else plugins.kind_of(plugins.group_of(path), kind, made)
         return out
 
     def origins(self) -> dict[str, str]:
         """Return where plant and controller come from, in words, where the experiment file alone does not make them."""
         found = {}
         for path, made in (("plant", self.plant), ("controller", self.controller)):
-            kind = self.kinds.get(path, "") if isinstance(made, Absent) else plugins.kind_of(_group(path), self.kinds[path], made)
+            said = self.kinds.get(path, "")
+            kind = said if isinstance(made, Absent) else plugins.kind_of(plugins.group_of(path), said, made)
             own = written_in(type(made))
             if kind.startswith(plugins.OBJECT):
                 found[path] = f"{kind} (not in the experiment file)"
             elif own is not None:
                 found[path] = f"{kind} of {own[0]}, SHA-256 {own[1]}..."
         return found
-
-
-def _group(path: str) -> plugins.Group:
-    return "hil.plants" if path == "plant" else "hil.controllers" if path == "controller" else "hil.laws"

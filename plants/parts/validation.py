@@ -43,6 +43,12 @@ def require_vector(path: str, value: Sequence[float], length: int) -> None:
         require_finite(f"{path}[{i}]", entry)
 
 
+def require_rows(path: str, rows: Sequence[Sequence[float]]) -> None:
+    """Refuse a matrix without rows, or with rows of several lengths."""
+    if len({len(row) for row in rows}) != 1:
+        raise FieldError(path, "expected rows of one length, and at least one")
+
+
 def require_whole_nanoseconds(path: str, seconds: float) -> None:
     """Refuse a duration that is not above 0 or that is no whole number of nanoseconds (events live on that grid)."""
     require_positive(path, seconds)

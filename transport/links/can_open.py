@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from difflib import get_close_matches
 from errno import EADDRINUSE, EAFNOSUPPORT, ENODEV
 from hashlib import sha256
@@ -80,21 +80,15 @@ def open_can(uri: str, role: Role) -> CanLink:
 
     if interface == "socketcan":
         _check_interface(uri, channel, flexible)
-    claims: list[socket.socket] = []
-    try:
-        for own in heard:
-            claims.append(_claim(uri, role, interface, channel, own[0]))
-    except TransportError:
-        for claim in claims:
-            claim.close()
-        raise
-    try:
-        return CanLink(uri, role, join, identifiers=identifiers, fd=flexible, pad=pad == "1", claims=claims)
-    except Exception as error:  # a back end without its driver raises anything, a NameError for instance
-        for claim in claims:
-            claim.close()
-        said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise TransportError(f"link {uri!r}: {said}{_remedy(interface, channel, error)}") from error
+    with ExitStack() as held:  # until the link holds them
+        claims = [held.enter_context(closing(_claim(uri, role, interface, channel, own[0]))) for own in heard]
+        try:
+            link = CanLink(uri, role, join, identifiers=identifiers, fd=flexible, pad=pad == "1", claims=claims)
+        except Exception as error:  # a back end without its driver raises anything, a NameError for instance
+            said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+            raise TransportError(f"link {uri!r}: {said}{_remedy(interface, channel, error)}") from error
+        held.pop_all()
+    return link
 
 
 def _check_options(uri: str, interface: str, options: dict[str, str]) -> None:

@@ -32,7 +32,8 @@ import numpy as np
 from hil.errors import HilError
 from hil.exclusive_file import written_whole
 from hil.experiment import experiment_from_resolved
-from hil.experiment.can_frames import identifiers_on
+from hil.experiment.can_frames import identifiers_of_link, identifiers_on
+from hil.experiment.sensor_order import framing
 from hil.log.growing import pieces
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
@@ -195,15 +196,13 @@ def _of_topic(run: Run, topic: str) -> Iterator[Any]:
 
 def _framing(run: Run) -> tuple[bool, Identifiers]:
     """Whether a run's frames are CAN FD, and its identifiers; the default ones of its nodes for what is no CAN link."""
-    from transport.links.can_identifiers import derived, identifiers_of
-    from transport.links.link import TransportError, split_uri
+    from transport.links.can_identifiers import derived
+    from transport.links.link import TransportError
 
     uri = run.metadata.get("link", "")
     with suppress(TransportError, ValueError):  # no session could have run over it
         if uri.startswith("can:"):
-            options = split_uri(uri)[2]
-            fd = options.get("fd", "1") == "1"
-            return fd, identifiers_of(uri, options, fd)
+            return framing(uri)[1], identifiers_of_link(uri)
     if not run.resolved.get("nodes"):
         return True, derived()
     return True, identifiers_on(experiment_from_resolved(run.resolved, run.experiment_text, "the log"), uri)

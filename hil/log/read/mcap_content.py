@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from hil.log.read.mcap_walk import Budget, Record, framed, parse, parse_attachment, unpack_chunk
+
+LATEST_START_NS = 1 << 62  # the year 2116
+
+
+def start_said(clock: Mapping[str, str]) -> int | None:
+    """Return when session time 0 was, as the metadata record `clock` says, ns since 1970; None if it says no instant."""
+    said = clock.get("start_ns", "")
+    return int(said) if said.isascii() and said.isdecimal() and len(said) <= 19 and int(said) < LATEST_START_NS else None
 
 
 @dataclass(slots=True, kw_only=True)

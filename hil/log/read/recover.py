@@ -14,6 +14,7 @@ from mcap.records import Channel, Header, MessageIndex, Metadata, Schema
 
 from hil.errors import HilError
 from hil.exclusive_file import written_whole
+from hil.log.read.mcap_content import start_said
 from hil.log.read.mcap_file import open_mcap
 from hil.log.read.mcap_walk import (
     MESSAGE_TIME_AT,
@@ -212,8 +213,8 @@ class _Copy:
             metadata = parse(Metadata.read, record)
             writer.add_metadata(metadata.name, metadata.metadata)
             report.metadata += 1
-            if metadata.name == "clock" and metadata.metadata.get("start_ns", "").isdecimal():
-                report.start_ns = int(metadata.metadata["start_ns"][:19])
+            if metadata.name == "clock":
+                report.start_ns = start_said(metadata.metadata) or 0
             self.ours |= metadata.name == "hilrig"
         elif record.opcode == Opcode.ATTACHMENT:
             found = parse_attachment(record)

@@ -18,14 +18,12 @@ from hil.log.growing import ROWS, pieces
 from hil.log.read.arrays import StructuredArray, assemble
 from hil.log.read.columns import Columns, Topics
 from hil.log.read.foreign import check_events, check_topics, check_words
-from hil.log.read.mcap_content import Content
+from hil.log.read.mcap_content import Content, start_said
 from hil.log.read.mcap_file import open_mcap
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.write.provenance import READABLE
 from hil.log.write.sinks import MemorySink
-
-LATEST_START_NS = 1 << 62  # the year 2116
 
 
 @runtime_checkable
@@ -183,10 +181,11 @@ def start_of(content: Content) -> int:
     Raises:
         HilError: it says something else than an instant.
     """
-    said = content.metadata.get("clock", {}).get("start_ns", "0")
-    if not (said.isascii() and said.isdecimal() and len(said) <= 19 and int(said) < LATEST_START_NS):
-        raise HilError(f"metadata clock: start_ns: {said!r:.60}, expected nanoseconds since 1970")
-    return int(said)
+    clock = {"start_ns": "0"} | content.metadata.get("clock", {})
+    found = start_said(clock)
+    if found is None:
+        raise HilError(f"metadata clock: start_ns: {clock['start_ns']!r:.60}, expected nanoseconds since 1970")
+    return found
 
 
 def _schema(content: Content, channel: Channel) -> Schema:

@@ -103,7 +103,7 @@ class Rig:
     def _frame(self, k: int, nonce: int, flags: int, node: int, g: int, y: tuple[float, ...]) -> bytes:
         return encode_sensor(
             SensorPacket(
-                k, flags, g * self._period_ns, y, node, self._samples[node], self._reference(k), len(self._sensors), nonce,
+                k, flags, g * self._period_ns, y, node, self._samples[node], self._r, len(self._sensors), nonce,
                 version=self._wire.version,
             )
         )  # fmt: skip

@@ -10,7 +10,7 @@ import sys
 from contextlib import suppress
 from typing import Literal
 
-Affinity = Literal["auto", "free", "pinned", "shared"]
+from hil.experiment.tables import Affinity
 
 MCL_CURRENT, MCL_FUTURE, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 2, 1, 29
 
