@@ -46,17 +46,17 @@ VCAN_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.vcan' tests)
 PYTEST_VCAN = $(BIN)/python -m pytest --hil-require=vcan -p no:cacheprovider
 
 test-vcan: $(INSTALLED) ## the tests that need a real vcan0, in this kernel or a user-mode one (built the first time)
-	@if tests/with_vcan --virtual-time -- true; then $(MAKE) --no-print-directory .vcan-virtual; else \
+	@if $(BIN)/hil vcan --install --virtual-time -- true; then $(MAKE) --no-print-directory .vcan-virtual; else \
 	    echo "no virtual time here: the tests that need it are skipped"; \
 	    $(MAKE) --no-print-directory .vcan-real VCAN=vcan; fi
 
 .vcan-virtual:
-	tests/with_vcan -v --virtual-time --timeout 600 -- $(PYTEST_VCAN) -m "vcan and not realtime" $(VCAN_TESTS)
+	$(BIN)/hil vcan --install -v --virtual-time --timeout 600 -- $(PYTEST_VCAN) -m "vcan and not realtime" $(VCAN_TESTS)
 	@$(MAKE) --no-print-directory .vcan-real VCAN="vcan and realtime"
 	$(BIN)/pytest -n 2 --hil-require=vcan tests/vcan/test_runner.py tests/vcan/test_repeatable_sessions.py
 
 .vcan-real:
-	tests/with_vcan -v --timeout 600 -- $(PYTEST_VCAN) -m "$(VCAN)" $(VCAN_TESTS)
+	$(BIN)/hil vcan --install -v --timeout 600 -- $(PYTEST_VCAN) -m "$(VCAN)" $(VCAN_TESTS)
 
 test-hostile: export OMP_NUM_THREADS = 1
 test-hostile: $(INSTALLED) ## the attacks at length: a million inputs over all boundaries, ten floods; some hours

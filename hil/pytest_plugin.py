@@ -60,7 +60,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marker and what it requires."""
-    remedy = "no vcan0: as root, ip link add dev vcan0 type vcan && ip link set vcan0 mtu 72 up"
+    remedy = "no vcan0: hil vcan -- pytest, or as root: ip link add dev vcan0 type vcan && ip link set vcan0 mtu 72 up"
     need = Requirement(has_vcan, remedy, "hil_vcan", "hil")
     config.stash[REQUIREMENTS] = {"vcan": need}
     config.addinivalue_line("markers", "hil_vcan: uses `hil` on vcan0; skipped without one, failed with --hil-require=vcan")

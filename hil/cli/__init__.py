@@ -33,6 +33,7 @@ COMMANDS = {
     "reproduce": "Put the thesis's numbers beside computed ones.",
     "discover": "Say which rigs and controllers are there on zenoh links.",
     "keys": "Make keys and certificates for a link that lets one controller command.",
+    "vcan": "Run a command where a real vcan0 exists.",
     "bench": "Measure timing, links and designs on this machine.",
     "schema": "Print the JSON Schema of experiment files.",
     "completion": "Let the shell complete commands, experiments and keys.",

@@ -16,18 +16,23 @@ from pathlib import Path
 import click
 
 from hil.own_packages import REMEDY, shadows
+from hil.vcan import what_would_run
 
 Check = tuple[str, bool, str, str]  # what, fine, finding, remedy
 
 
 def _vcan() -> Check:
-    remedy = "sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 mtu 72 up; or `make test-vcan` in a checkout"
+    remedy = "sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 mtu 72 up; or `hil vcan -- COMMAND`"
     try:
         with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as s:
             s.bind(("vcan0",))
         return "SocketCAN", True, "vcan0 is there", ""
     except OSError as e:
         return "SocketCAN", False, f"no vcan0: {e.strerror}", remedy
+
+
+def _own_vcan() -> Check:
+    return "hil vcan", *what_would_run()
 
 
 def _ours(what: str, found: Callable[[], tuple[bool, str, str]]) -> Check:
@@ -145,7 +150,7 @@ def command(link: str | None, as_json: bool) -> None:
     import json
 
     checks = [_ours("who could command a rig", partial(_who, link)), _packages(), _ours("CAN without a kernel", _hil_can),
-              _vcan(), _zenoh(), _ours("zenoh round trip", _zenoh_cpus), _scheduler(), _idle(), _clock(), _cpus(),
+              _vcan(), _own_vcan(), _zenoh(), _ours("zenoh round trip", _zenoh_cpus), _scheduler(), _idle(), _clock(), _cpus(),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     if as_json:

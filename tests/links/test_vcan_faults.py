@@ -34,7 +34,7 @@ def bus() -> Iterator[str]:
     try:
         add_bus()
     except (subprocess.CalledProcessError, FileNotFoundError) as why:
-        pytest.skip(f"cannot make a vcan here ({why}); tests/with_vcan can")
+        pytest.skip(f"cannot make a vcan here ({why}); `hil vcan` can")
     yield BUS
     subprocess.run(["ip", "link", "del", BUS], capture_output=True)
 

@@ -11,10 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from . import kernel
-from .supervise import RunnerError
-
-HERE = Path(__file__).parent
+from hil.vcan import RunnerError, Wanted, kernel, packages
 
 # A stand-in for the build, of which only the time it takes is left out; it notes that it ran.
 FAST_BUILD = """#!/bin/sh
@@ -28,11 +25,10 @@ chmod +x "$3"
 SMALL = """
 import sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from vcan import kernel
-kernel.HERE, kernel._install, kernel._source_version = Path(sys.argv[2]), lambda packages: None, lambda: "1"
-kernel.SOURCE = Path(sys.argv[2]) / "source"
-print(kernel.small().path)
+from hil.vcan import Wanted, kernel
+kernel.HERE, kernel.need, kernel._source_version = Path(sys.argv[1]), lambda packages, install: None, lambda: "1"
+kernel.SOURCE = Path(sys.argv[1]) / "source"
+print(kernel.small(Wanted(command=("true",))).path)
 """
 
 
@@ -48,7 +44,7 @@ def place(tmp_path: Path) -> Path:
 
 def builder(place: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-c", SMALL, str(HERE.parent), str(place)],
+        [sys.executable, "-c", SMALL, str(place)],
         env={**os.environ, "XDG_CACHE_HOME": str(place / "cache"), "HILRIG_KERNEL_CACHE": ""},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -107,35 +103,75 @@ def test_kernel_is_named_after_what_it_is_made_of(place: Path, monkeypatch: pyte
     monkeypatch.setattr(kernel, "HERE", place)
     monkeypatch.setattr(kernel, "SOURCE", place / "source")
     monkeypatch.setattr(kernel, "_source_version", lambda: "6.12.1")
-    before = kernel._cached()
+    before = kernel._cached(None)
     monkeypatch.setattr(kernel, "_source_version", lambda: "6.12.2")
-    assert kernel._cached() != before
+    assert kernel._cached(None) != before
     monkeypatch.undo()
     monkeypatch.setattr(kernel, "HERE", place)
     (place / "kernel.config").write_text("CONFIG_CAN=y\nCONFIG_CAN_ISOTP=y\n")
-    assert kernel._cached().name.split("-")[2] != before.name.split("-")[2]
+    assert kernel._cached(None).name.split("-")[2] != before.name.split("-")[2]
 
 
-def test_missing_package_without_root_names_the_command(tmp_path: Path) -> None:
-    (tmp_path / "id").write_text("#!/bin/sh\necho 1000\n")
-    (tmp_path / "apt-get").write_text("#!/bin/sh\nexit 1\n")
-    for program in tmp_path.iterdir():
-        program.chmod(0o755)
-    done = subprocess.run(
-        [str(HERE / "apt_install"), "coreutils", "no-such-package"],
-        env={"PATH": f"{tmp_path}:{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 1
-    assert "apt-get install --no-install-recommends no-such-package" in done.stderr
+@pytest.fixture
+def debian(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A Debian without a mirror, on which only coreutils is installed; it notes what apt-get was asked for."""
+    programs = {"dpkg-query": '[ "$4" != coreutils ] || printf "install ok installed"',
+                "apt-get": f'echo "$@" >>{tmp_path}/asked; exit 1'}  # fmt: skip
+    for name, does in programs.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    return tmp_path
+
+
+@pytest.mark.parametrize(("user", "says"), [(1000, "As root: apt-get"), (0, "--install, or: apt-get")])
+def test_missing_package_is_named_with_the_command_and_installed_only_when_asked(
+    debian: Path, monkeypatch: pytest.MonkeyPatch, user: int, says: str
+) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    packages.need(["coreutils"], install=False)
+    with pytest.raises(RunnerError, match="missing here: no-such-package") as why:
+        packages.need(["coreutils", "no-such-package"], install=False)
+    assert says in str(why.value) and "apt-get install --no-install-recommends no-such-package" in str(why.value)
+    assert not (debian / "asked").exists()
+
+
+def test_install_that_fails_says_so(debian: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    with pytest.raises(RunnerError, match="could not install no-such-package"):
+        packages.need(["coreutils", "no-such-package"], install=True)
+    assert (debian / "asked").read_text() == "update\n"
+
+
+def test_elsewhere_than_on_debian_the_programs_are_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gcc").write_text("")
+    (tmp_path / "gcc").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    packages.need(["gcc", "libelf-dev"], install=False)
+    with pytest.raises(RunnerError, match=r"missing here: xz-utils \(Debian's names"):
+        packages.need(["gcc", "xz-utils"], install=False)
+
+
+def test_missing_source_names_the_other_way(debian: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel, "SOURCE", debian / "none")
+    with pytest.raises(RunnerError, match=r"linux-source-6.12 gcc .*--source FILE, an archive linux-6.12"):
+        kernel.need_for_build(None)
+    with pytest.raises(RunnerError) as why:
+        kernel.need_for_build(debian / "linux-6.12.30.tar.xz")
+    assert "linux-source" not in str(why.value) and "--source" not in str(why.value)
+
+
+def test_kernel_of_a_given_source_has_a_place_of_its_own(place: Path) -> None:
+    archive = place / "linux-6.12.30.tar.xz"
+    archive.write_bytes(b"1234")
+    assert kernel._cached(archive).name.endswith("-linux-6.12.30-4") and kernel._cached(archive) != kernel._cached(None)
 
 
 def test_no_place_for_the_cache_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HILRIG_KERNEL_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/no-such-place")
     with pytest.raises(RunnerError, match="XDG_CACHE_HOME"):
-        kernel.small()
+        kernel.small(Wanted(command=("true",)))
 
 
 def processes_that_name(token: str) -> list[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-RUNNER = Path(__file__).parents[1] / "with_vcan"
+RUNNER = [sys.executable, "-m", "hil", "vcan"]
 
 
 @pytest.mark.usefixtures("boots_kernels")
@@ -37,7 +37,7 @@ def test_two_virtual_time_sessions_write_the_same_log_to_the_byte(uri: str, tmp_
         ]
         done = subprocess.run(
             [
-                str(RUNNER),
+                *RUNNER,
                 "--virtual-time",
                 "--rw",
                 str(tmp_path),

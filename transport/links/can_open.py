@@ -151,7 +151,7 @@ def _value(text: str) -> int | float | bool | str:
 def _remedy(interface: str, channel: str, error: BaseException) -> str:
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     if interface == "socketcan" and code == EAFNOSUPPORT:
-        return "; this kernel has no CAN: use can:hil:rig0, or run inside tests/with_vcan"
+        return "; this kernel has no CAN: use can:hil:rig0, or run inside `hil vcan -- COMMAND`"
     if interface == "socketcan" and code == ENODEV:
         up = f"ip link add dev {channel} type vcan && ip link set {channel} mtu 72 up"
         return f"; make it as root: {up}" if channel.startswith("vcan") else f"; is {channel} there? (ip link)"

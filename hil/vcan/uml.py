@@ -6,7 +6,6 @@ work. So all that lives, is mounted or lies in a temporary directory goes with t
 
 from __future__ import annotations
 
-import argparse
 import atexit
 import json
 import os
@@ -16,34 +15,42 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from . import guest
-from .kernel import Kernel
-from .supervise import RUNNER_FAILED, RunnerError, die_with_parent, say, unshare
+from hil.vcan import guest
+from hil.vcan.kernel import Kernel
+from hil.vcan.supervise import RUNNER_FAILED, RunnerError, die_with_parent, say, unshare
+from hil.vcan.wanted import Wanted
 
-BOOT = "--boot"  # first argument of the inner process
-MEMORY = "2048M"  # sparse: costs what is touched
-START_NS = 1_735_689_600_000_000_000  # the guest's wall clock at boot in virtual time: 2025-01-01
-COVERED = "/sys"  # the private tmpfs lies here: always there, and the guest has its own anyway
+ROOT: Final = Path(__file__).resolve().parents[2]  # of the package hil
+# The inner process: isolated and without site-packages, as it needs neither and shall start at once.
+BOOT: Final = "import sys; sys.path.append(sys.argv[1]); from hil.vcan.uml import boot; sys.exit(boot(sys.argv[2]))"
+MEMORY: Final = "2048M"  # sparse: costs what is touched
+START_NS: Final = 1_735_689_600_000_000_000  # the guest's wall clock at boot in virtual time: 2025-01-01
+COVERED: Final = "/sys"  # the private tmpfs lies here: always there, and the guest has its own anyway
 
 
-def argv(options: argparse.Namespace, find: Callable[[], Kernel]) -> list[str]:
-    """What to execute so that the command runs in the kernel that `find` gives. Raises RunnerError where there is none."""
-    kernel = find()
-    if options.verbose:
-        say(f"{kernel.describe()}, {'virtual' if options.virtual_time else 'real'} time")
+def argv(wanted: Wanted, find: Callable[[Wanted], Kernel]) -> list[str]:
+    """Return what to execute so that the command runs in the kernel that `find` gives.
+
+    Raises:
+        RunnerError: there is no kernel, or no place for its memory.
+    """
+    kernel = find(wanted)
+    if wanted.verbose:
+        say(f"{kernel.describe()}, {'virtual' if wanted.virtual_time else 'real'} time")
     order = {
         "kernel": str(kernel.path),
         "backend": kernel.backend,
         "modules": [str(m) for m in kernel.modules],
-        "virtual_time": options.virtual_time,
-        "writable": options.rw,
-        "command": options.command,
+        "virtual_time": wanted.virtual_time,
+        "readable": readable(wanted.writable, [sys.prefix, sys.base_prefix, str(ROOT), *os.get_exec_path()]),
+        "writable": wanted.writable,
+        "command": wanted.command,
     }
     try:
         # Not in a user namespace: there setuid programs (mount) would run as nobody in the guest, too.
@@ -51,24 +58,46 @@ def argv(options: argparse.Namespace, find: Callable[[], Kernel]) -> list[str]:
         order["work"] = order["memory"] = COVERED
     except RunnerError:  # a plain container, or not root: our own exit must clean up
         private = []
-        order["work"], order["memory"] = tempfile.mkdtemp(prefix="with_vcan."), _roomy_directory()
+        order["work"], order["memory"] = tempfile.mkdtemp(prefix="hil-vcan."), _roomy_directory()
         atexit.register(shutil.rmtree, order["work"], ignore_errors=True)
-    return [*private, sys.executable, "-S", sys.argv[0], BOOT, json.dumps(order)]
+    return [*private, sys.executable, "-ISc", BOOT, str(ROOT), json.dumps(order)]
+
+
+def readable(writable: Sequence[str], needed: Sequence[str]) -> list[str]:
+    """Return what the guest must see of this machine's /tmp, as its own is empty: a virtual environment may lie there.
+
+    Args:
+        writable: directories that it sees anyway.
+        needed: directories of the command's programs.
+
+    >>> readable(["/tmp/here"], ["/usr/bin", "/tmp/there/bin", "/tmp/here/.venv", "/tmp/there"])
+    ['/tmp/there']
+    """
+    kept: list[Path] = []
+    for place in sorted(map(Path, needed)):  # a directory before what lies in it
+        if place.is_relative_to("/tmp") and not any(map(place.is_relative_to, (*writable, *kept))):
+            kept.append(place)
+    return [str(place) for place in kept]
 
 
 def boot(order_text: str) -> int:
-    """Boot, wait for the end, return the command's status. Runs as the first process of its namespaces."""
+    """Boot, wait for the end, return the command's status; the first process of its namespaces runs this."""
     order = json.loads(order_text)
     work = Path(order["work"])
     if order["work"] == COVERED:
         # Nobody else sees it and it ends with us, however we end; /dev/shm may be small or noexec.
-        subprocess.run(["mount", "-t", "tmpfs", "-o", "exec,size=90%", "with_vcan", COVERED], check=True)
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "exec,size=90%", "hil-vcan", COVERED], check=True)
     stdin = not order["virtual_time"] and _has_stdin()  # when bytes arrive is no part of virtual time
     command = guest.command(order["command"], os.environ, order["backend"], order["virtual_time"])
     (work / "command").write_text(command)
     modules = [Path(m) for m in order["modules"]]
     init = guest.first_process(
-        work=work, writable=order["writable"], modules=modules, python=sys.executable, stdin=stdin
+        work=work,
+        readable=[place for place in order["readable"] if Path(place).is_dir()],
+        writable=order["writable"],
+        modules=modules,
+        python=sys.executable,
+        stdin=stdin,
     )
     (work / "init").write_text(init)
     (work / "init").chmod(0o755)

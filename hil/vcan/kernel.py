@@ -14,20 +14,23 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
-from .supervise import RunnerError, say, started
+from hil.vcan.packages import need
+from hil.vcan.supervise import RunnerError, say, started
+from hil.vcan.wanted import Wanted
 
-HERE = Path(__file__).parent
-SOURCE_PACKAGE = "linux-source-6.12"
-SOURCE = Path(f"/usr/src/{SOURCE_PACKAGE}.tar.xz")
-BUILD_PACKAGES = [SOURCE_PACKAGE, "gcc", "make", "flex", "bison", "bc", "libelf-dev", "xz-utils"]
-STEPS = 1170  # lines that make prints for this configuration, for the progress line only
+HERE: Final = Path(__file__).parent
+SOURCE_PACKAGE: Final = "linux-source-6.12"
+SOURCE: Final = Path(f"/usr/src/{SOURCE_PACKAGE}.tar.xz")
+BUILD_PACKAGES: Final = ["gcc", "make", "flex", "bison", "bc", "libelf-dev", "xz-utils"]
+STEPS: Final = 1170  # lines that make prints for this configuration, for the progress line only
 
-DEBIAN = Path("/usr/bin/linux.uml")
-DEBIAN_MODULES = Path("/usr/lib/uml/modules")
-DEBIAN_PACKAGES = ["user-mode-linux", "kmod"]
+DEBIAN: Final = Path("/usr/bin/linux.uml")
+DEBIAN_MODULES: Final = Path("/usr/lib/uml/modules")
+DEBIAN_PACKAGES: Final = ["user-mode-linux", "kmod"]
 # What the small kernel has built in; modules that a Debian version lacks are left out.
-NEEDED_MODULES = ["overlay", "ipv6", "vcan", "can-raw", "can-bcm", "sch_tbf", "sch_netem"]
+NEEDED_MODULES: Final = ["overlay", "ipv6", "vcan", "can-raw", "can-bcm", "sch_tbf", "sch_netem"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,23 +47,31 @@ class Kernel:
         return f"{kind} {_version(self.path)} ({self.path})"
 
 
-def small() -> Kernel:
-    """The small kernel from the cache; built first (some minutes) where it is not there. Raises RunnerError."""
-    _need_machine_and_ip()
-    path = _cached()
+def small(wanted: Wanted) -> Kernel:
+    """Return the small kernel from the cache; it is built first (some minutes) where it is not there.
+
+    Raises:
+        RunnerError: what is missing for the build, or why it failed.
+    """
+    need_machine(install=wanted.install)
+    path = _cached(wanted.source)
     if not path.exists():
         with _build_lock(path.parent):
             if not path.exists():  # the run that held the lock may have built it
-                _install(BUILD_PACKAGES)
-                path = _cached()  # the source's version is known only now
-                _build(path)
+                need_for_build(wanted.source, install=wanted.install)
+                path = _cached(wanted.source)  # the source's version is known only now
+                _build(path, wanted.source or SOURCE)
     return Kernel(path=path, backend="uml")
 
 
-def debian() -> Kernel:
-    """Debian's ready package: slower, and without virtual time. Raises RunnerError."""
-    _need_machine_and_ip()
-    _install(DEBIAN_PACKAGES)
+def debian(wanted: Wanted) -> Kernel:
+    """Return Debian's ready package: slower, and without virtual time.
+
+    Raises:
+        RunnerError: it is not installed.
+    """
+    need_machine(install=wanted.install)
+    need(DEBIAN_PACKAGES, install=wanted.install)
     base = DEBIAN_MODULES / _version(DEBIAN)
     needs = {}  # module name -> its files, itself first and what it depends on after
     for line in (base / "modules.dep").read_text().splitlines():
@@ -70,19 +81,61 @@ def debian() -> Kernel:
     return Kernel(path=DEBIAN, backend="debian", modules=tuple(dict.fromkeys(files)))
 
 
+def built() -> Path | None:
+    """Return the small kernel if it lies in the cache."""
+    path = _cached(None)
+    return path if path.exists() else None
+
+
+def need_machine(*, install: bool) -> None:
+    """Refuse a machine that cannot run user-mode Linux with a network in it.
+
+    Args:
+        install: install what is missing.
+
+    Raises:
+        RunnerError: it is no x86-64 Linux, or has no ``ip``.
+    """
+    if platform.machine() != "x86_64" or sys.platform != "linux":
+        raise RunnerError(f"user-mode Linux needs x86-64 Linux, this is {sys.platform} on {platform.machine()}")
+    if not shutil.which("ip"):
+        need(["iproute2"], install=install)
+
+
+def need_for_build(source: Path | None, *, install: bool = False) -> None:
+    """Refuse where the small kernel cannot be built.
+
+    Args:
+        source: an archive of the kernel's source in place of Debian's package.
+        install: install what is missing.
+
+    Raises:
+        RunnerError: what is missing, and what helps.
+    """
+    need_machine(install=install)
+    packaged = [] if source is not None or SOURCE.exists() else [SOURCE_PACKAGE]
+    try:
+        need([*packaged, *BUILD_PACKAGES], install=install)
+    except RunnerError as why:
+        other = "; or --source FILE, an archive linux-6.12*.tar.xz" if packaged else ""
+        raise RunnerError(f"{why}{other}") from why
+
+
 def cache_directory() -> Path:
     """Where built kernels are kept: outside the repository, so that every clone uses the same."""
     base = os.environ.get("HILRIG_KERNEL_CACHE") or os.environ.get("XDG_CACHE_HOME")  # the first: tests have a cache of their own
     return Path(base or Path.home() / ".cache") / "hilrig"
 
 
-def _cached() -> Path:
+def _cached(source: Path | None) -> Path:
     """The small kernel's place: named after what it is made of, so that a stale one is never used.
 
-    Without the source package any version built from this configuration will do.
+    Without the source any version built from this configuration will do.
     """
     recipe = hashlib.sha256((HERE / "kernel.config").read_bytes() + (HERE / "build_kernel").read_bytes())
     stem = f"linux-vcan-{recipe.hexdigest()[:12]}-"
+    if source is not None:
+        return cache_directory() / f"{stem}{source.name.removesuffix('.tar.xz')}-{source.stat().st_size}"
     if not SOURCE.exists():
         return max(cache_directory().glob(f"{stem}*"), default=cache_directory() / f"{stem}none")
     return cache_directory() / f"{stem}{_source_version()}"
@@ -93,23 +146,23 @@ def _source_version() -> str:
     return subprocess.run(query, check=True, capture_output=True, text=True).stdout
 
 
-def _build(path: Path) -> None:
+def _build(path: Path, source: Path) -> None:
     """Build into `path`, all at once or not at all; the lock is ours."""
     directory = path.parent
     new, log = directory / "kernel.new", directory / "build.log"
-    argv = ["nice", str(HERE / "build_kernel"), str(SOURCE), str(directory / "build"), str(new)]
+    argv = ["nice", "sh", str(HERE / "build_kernel"), str(source), str(directory / "build"), str(new)]
     begin = time.monotonic()
     say(f"building a small kernel with vcan, once, some minutes ({path})")
     with (
         log.open("wb") as errors,
         started(argv, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors) as make,
     ):
-        assert make.stdout is not None
-        _show_progress(make.stdout)
+        _show_progress(make.stdout or [])
         failed = make.wait() != 0
     shutil.rmtree(directory / "build", ignore_errors=True)
     if failed:
-        raise RunnerError(f"the kernel's build failed; see {log}:\n{log.read_text(errors='replace')[-2000:]}")
+        last = log.read_text(errors="replace")[-2000:].strip()
+        raise RunnerError(f"the kernel's build from {source} failed; see {log}:\n{last}")
     new.rename(path)
     say(f"kernel built in {time.monotonic() - begin:.0f} s")
 
@@ -122,10 +175,13 @@ def _show_progress(lines: Iterable[bytes]) -> None:
         now = time.monotonic()
         if now - shown > (0.2 if terminal else 30):
             shown = now
-            text = f"with_vcan: kernel {min(99, 100 * number // STEPS)} %, {now - begin:.0f} s"
-            print(f"\r{text}" if terminal else text, end="" if terminal else "\n", file=sys.stderr, flush=True)
+            done, spent = min(0.99, number / STEPS), now - begin
+            left = f", about {spent / done - spent:.0f} s left" if done > 0.05 else ""
+            text = f"hil vcan: kernel {100 * done:.0f} %, {spent:.0f} s{left}"
+            sys.stderr.write(f"\r{text:<60}" if terminal else f"{text}\n")
+            sys.stderr.flush()
     if terminal:
-        print("\r", end="", file=sys.stderr)
+        sys.stderr.write("\r")
 
 
 @contextmanager
@@ -144,21 +200,5 @@ def _build_lock(directory: Path) -> Iterator[None]:
         yield
 
 
-def _install(packages: list[str]) -> None:
-    """Have Debian's packages, or raise RunnerError with the command to type."""
-    done = subprocess.run(
-        [str(HERE / "apt_install"), *packages], stdin=subprocess.DEVNULL, stdout=sys.stderr, stderr=subprocess.PIPE
-    )
-    if done.returncode:
-        raise RunnerError(done.stderr.decode(errors="replace").strip().splitlines()[-1])
-
-
 def _version(kernel: Path) -> str:
     return subprocess.run([kernel, "--version"], check=True, capture_output=True, text=True).stdout.strip()
-
-
-def _need_machine_and_ip() -> None:
-    if platform.machine() != "x86_64" or sys.platform != "linux":
-        raise RunnerError(f"user-mode Linux needs x86-64 Linux, this is {sys.platform} on {platform.machine()}")
-    if not shutil.which("ip"):
-        _install(["iproute2"])

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import shlex
+import site
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from .native import LINKS
+from hil.vcan.native import LINKS
 
-WORK = "/run/with_vcan"  # where the guest sees the runner's work directory
+WORK = "/run/hil-vcan"  # where the guest sees the runner's work directory
 
 # Wrong inside: the guest has its own home, temporary directory and terminal.
 DROPPED = {"HOME", "TMPDIR", "XDG_RUNTIME_DIR", "DISPLAY", "OLDPWD", "_"}
@@ -28,7 +29,7 @@ while n := int(exactly(6), 16):
 
 
 def frame(chunk: bytes) -> bytes:
-    r"""One chunk of stdin as ``UNFRAME`` reads it; an empty one ends it.
+    r"""Return one chunk of stdin as ``UNFRAME`` reads it; an empty one ends it.
 
     >>> frame(b"hello\n")
     b'000006hello\n'
@@ -36,11 +37,17 @@ def frame(chunk: bytes) -> bytes:
     return b"%06x" % len(chunk) + chunk
 
 
-def first_process(*, work: Path, writable: Sequence[str], modules: Sequence[Path], python: str, stdin: bool) -> str:
-    """The guest's PID 1: a private layer over this machine's files, vcan0, the command, its status, power off.
+def first_process(
+    *, work: Path, readable: Sequence[str], writable: Sequence[str], modules: Sequence[Path], python: str, stdin: bool
+) -> str:
+    """Return the guest's PID 1: a private layer over this machine's files, vcan0, the command, its status, power off.
 
     Args:
         work: the runner's work directory; receives ``status``.
+        readable: directories below /tmp that the command needs: its Python, its programs.
+        writable: directories in which what it writes stays.
+        modules: what the kernel loads.
+        python: of the program that carries stdin.
         stdin: whether the third terminal carries the command's stdin.
     """
     quote = shlex.quote
@@ -59,7 +66,7 @@ mount -t hostfs -o / none /mnt/low
 mount -t overlay -o lowerdir=/mnt/low,upperdir=/mnt/up,workdir=/mnt/wk overlay /mnt/new
 cd /mnt/new
 mount -t tmpfs -o mode=755 tmpfs run
-mkdir run/old run/with_vcan
+mkdir run/old run/hil-vcan
 pivot_root . run/old  # not chroot, which would forbid user namespaces inside
 cd /
 mount -t hostfs -o {quote(str(work))} none {WORK}
@@ -71,6 +78,7 @@ mount -t devpts -o ptmxmode=666 devpts /dev/pts
 mount -t tmpfs -o mode=1777 tmpfs /dev/shm
 mount -t tmpfs -o mode=1777 tmpfs /tmp
 mkdir /tmp/home
+{_lines(f"mkdir -p {d}; mount -t hostfs -o ro,{d} none {d}" for d in map(quote, readable))}
 {_lines(f"mkdir -p {d}; mount -t hostfs -o rw,{d} none {d}" for d in map(quote, writable))}
 {_lines(f"insmod {quote(f'/run/old{m}')}" for m in modules if m.name != "overlay.ko")}
 {_lines(f"{line}" for line in LINKS.splitlines())}
@@ -93,7 +101,7 @@ wait $out $err
 
 
 def command(argv: Sequence[str], environ: Mapping[str, str], backend: str, virtual_time: bool) -> str:
-    """The script that becomes the command, with this machine's environment where it fits.
+    """Return the script that becomes the command, with this machine's environment where it fits.
 
     >>> print(command(["echo", "a b"], {"LANG": "C", "HOME": "/root"}, "uml", False).splitlines()[-1])
     exec echo 'a b'
@@ -105,6 +113,7 @@ def command(argv: Sequence[str], environ: Mapping[str, str], backend: str, virtu
         **{k: v for k, v in environ.items() if k.isidentifier() and k not in DROPPED},
         "HOME": "/tmp/home",
         "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONUSERBASE": environ.get("PYTHONUSERBASE") or site.getuserbase(),  # which follows HOME otherwise
         "VCAN_BACKEND": backend,
     }
     if virtual_time:

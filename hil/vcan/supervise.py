@@ -16,19 +16,23 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-TIMED_OUT, RUNNER_FAILED = 124, 125
+from hil.errors import HilError
+
+TIMED_OUT: Final = 124
+RUNNER_FAILED: Final = 125
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 
 
-class RunnerError(Exception):
+class RunnerError(HilError):
     """The runner, not the command, failed; the message says what is missing."""
 
 
 def say(message: str) -> None:
-    """One line of the runner's own, apart from the command's output."""
-    print(f"with_vcan: {message}", file=sys.stderr, flush=True)
+    """Write lines of the runner's own, apart from the command's output."""
+    sys.stderr.write("".join(f"hil vcan: {line}\n" for line in message.split("\n")))
+    sys.stderr.flush()
 
 
 def unshare(*namespaces: str, allow_user: bool = True) -> list[str]:
