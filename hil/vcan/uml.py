@@ -43,7 +43,7 @@ def argv(wanted: Wanted, find: Callable[[Wanted], Kernel]) -> list[str]:
     kernel = find(wanted)
     if wanted.verbose:
         say(f"{kernel.describe()}, {'virtual' if wanted.virtual_time else 'real'} time")
-    order = {
+    order: dict[str, Any] = {
         "kernel": str(kernel.path),
         "backend": kernel.backend,
         "modules": [str(m) for m in kernel.modules],
