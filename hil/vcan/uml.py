@@ -75,7 +75,7 @@ def readable(writable: Sequence[str], needed: Sequence[str]) -> list[str]:
     """
     kept: list[Path] = []
     for place in sorted(map(Path, needed)):  # a directory before what lies in it
-        if place.is_relative_to("/tmp") and not any(place.is_relative_to(seen) for seen in (*writable, *kept)):
+        if place.is_relative_to("/tmp") and not any(place.is_relative_to(seen) for seen in (*map(Path, writable), *kept)):
             kept.append(place)
     return [str(place) for place in kept]
 
