@@ -16,7 +16,7 @@ import click
 @click.option("--timeout", type=click.FloatRange(min=0, min_open=True), metavar="S", help="End COMMAND after S seconds.")
 @click.option("--rw", multiple=True, metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path),
               help="One more directory in which files stay.")  # fmt: skip
-@click.option("--source", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+@click.option("--source", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path),
               help="Archive linux-6.12*.tar.xz to build the kernel from, in place of Debian's package.")  # fmt: skip
 @click.option("--install", is_flag=True, help="Let Debian packages that a build lacks be installed (as root).")
 @click.option("-v", "--verbose", is_flag=True, help="Say which kernel is used.")
@@ -39,11 +39,14 @@ def command(
       125  no vcan0 could be had
       126, 127  COMMAND cannot be run, or is not there
     """
+    from hil.cli.terminal import visible
     from hil.vcan import RUNNER_FAILED, RunnerError, Wanted, run_beside_vcan
     from hil.vcan.supervise import say
 
     if virtual_time and backend not in ("auto", "uml"):
         raise click.UsageError(f"--backend {backend} has no virtual time")
+    if source is not None and not source.is_file():
+        raise click.BadParameter(f"there is no file {visible(source)}", param_hint="--source")
     wanted = Wanted(
         command=argv,
         backend=backend,
