@@ -1,0 +1,27 @@
+"""What CI runs is there: a script that a change moved away would fail the whole of CI, and no other test."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+TOP = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("script", [".ci/run", ".ci/apt_install", "tests/with_vcan"])
+def test_a_script_is_executable_and_the_shell_reads_it(script: str) -> None:
+    assert os.access(TOP / script, os.X_OK)
+    subprocess.run(["sh", "-n", str(TOP / script)], check=True)
+
+
+def test_ci_calls_scripts_and_targets_that_exist() -> None:
+    text = (TOP / ".ci/run").read_text()
+    called = re.findall(r"^([\w.]+/\S+)", text, flags=re.M)
+    assert called and all(os.access(TOP / path, os.X_OK) for path in called), called
+    targets = re.findall(r"^make (\S+)", text, flags=re.M)
+    makefile = (TOP / "Makefile").read_text()
+    assert targets == ["test", "test-vcan"] and all(re.search(rf"^{name}:", makefile, flags=re.M) for name in targets)
