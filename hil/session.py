@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from hil.compose.loop import Loop, compose
+from hil.compose.time_line import beyond_the_end
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment.can_frames import link_uri, said_identifiers
@@ -136,7 +137,7 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     summary = summarise(view_of(run, experiment))
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, sink.payloads.values())), "dropped": 0}
-    summary["problems"] = {}
+    summary["problems"] = beyond_the_end(experiment)
     return Session(log=lambda: run, summary=summary, status=3 if summary["safety"] else 0)
 
 
@@ -197,6 +198,7 @@ def run_session(
         else:
             outcome = _run_real(loop, uri, sink, external, taps)
         sink.commit()
+        outcome |= beyond_the_end(loop.experiment)
         problems = {name: text for name, text in outcome.items() if text}
         if problems:
             sink.summary({"problems": problems})

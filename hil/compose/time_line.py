@@ -35,6 +35,25 @@ def time_line_faults(e: Experiment) -> list[str]:
     ]
 
 
+def beyond_the_end(e: Experiment) -> dict[str, str]:
+    """Return the problem of a run whose time line names what it never reaches; nothing where it reaches all.
+
+    Args:
+        e: a checked experiment.
+
+    >>> from hil.experiment import load_experiment
+    >>> late = "fault=[{at=9,for=1,kind='cut',link='sc'}]"
+    >>> beyond_the_end(load_experiment("dc-motor-hinf", ["duration=5", late]))
+    {'faults': 'fault[0].at: 9 s lies beyond the end of the run (5 s): the cut of links.sc for 1 s never happens'}
+    """
+    told_of = [
+        f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {told(fault)} never happens"
+        for i, fault in enumerate(e.fault)
+        if fault.slots(float(e.period))[0] >= e.ticks
+    ]
+    return {"faults": "; ".join(told_of)} if told_of else {}
+
+
 def time_line(e: Experiment) -> TimeLine:
     """Return the time line of a checked experiment.
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from hil.errors import HilError
 from hil.notebook import MM_PER_INCH, PAPER_STYLE
-from hil.report.html.figures import Bars, Figure, Histogram, Section
+from hil.report.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
+from hil.report.html.numbers import share_text
+
+Plot: TypeAlias = Figure | Bars | Histogram | Matrix | Scene
 
 ENDINGS = (".svg", ".pdf")
 GREY = 7
@@ -37,7 +40,7 @@ def write_figures(
     except ImportError as error:
         raise HilError("--figures: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
     written: list[Path] = []
-    plots = [block for section in sections for block in section.blocks if isinstance(block, Figure | Bars | Histogram)]
+    plots = [block for section in sections for block in section.blocks if isinstance(block, Plot)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for number, plot in enumerate(plots, start=1):
@@ -62,7 +65,7 @@ def slug(title: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "figure"
 
 
-def draw(plot: Figure | Bars | Histogram, axis: Any) -> None:
+def draw(plot: Plot, axis: Any) -> None:
     """Draw one plot of a report.
 
     Args:
@@ -73,6 +76,10 @@ def draw(plot: Figure | Bars | Histogram, axis: Any) -> None:
         _curves(plot, axis)
     elif isinstance(plot, Bars):
         _bars(plot, axis)
+    elif isinstance(plot, Matrix):
+        _heat_map(plot, axis)
+    elif isinstance(plot, Scene):
+        _map(plot, axis)
     else:
         edges, counts = np.asarray(plot.edges), np.asarray(plot.counts)
         axis.stairs(counts, edges, fill=True, color=_colour(plot.colour, 0))
@@ -119,6 +126,45 @@ def _bars(plot: Bars, axis: Any) -> None:
     axis.set_ylabel(_label(plot.y_label, plot.y_unit))
     if len(plot.groups) > 1:
         axis.legend(frameon=False)
+
+
+def _heat_map(plot: Matrix, axis: Any) -> None:
+    values = np.array([[np.nan if value is None else value for value in row] for row in plot.values], dtype=np.float64)
+    axis.imshow(values, cmap="Blues", vmin=plot.low, vmax=plot.low + 1.6 * ((plot.high - plot.low) or 1.0), aspect="auto")
+    for (i, j), value in np.ndenumerate(values):
+        expected = None if plot.expected is None else plot.expected[i][j]
+        below = "" if expected is None else f"\n({share_text(expected)})"
+        axis.text(j, i, f"{share_text(float(value))}{below}", ha="center", va="center")
+    axis.set_xticks(range(len(plot.columns)), [str(name) for name in plot.columns])
+    axis.set_yticks(range(len(plot.rows)), [str(name) for name in plot.rows])
+    axis.set_xlabel(plot.column_label)
+    axis.set_ylabel(plot.row_label)
+
+
+def _map(plot: Scene, axis: Any) -> None:
+    told: set[str] = set()
+    for shape in plot.shapes:
+        points = np.asarray(shape.points, dtype=np.float64)
+        style: dict[str, Any] = {"color": _ink(shape), "linewidth": 0.5 if shape.faint else 1.0}
+        style["label"] = shape.label if shape.label not in told else None
+        if shape.filled:
+            axis.fill(points[:, 0], points[:, 1], **{**style, "alpha": 0.3, "linewidth": 0.0})
+        else:
+            axis.plot(points[:, 0], points[:, 1], alpha=0.5 if shape.faint else 1.0, **style)
+        told.add(shape.label)
+    for x, y, words in plot.labels:
+        axis.text(x, y, words)
+    axis.set_aspect("equal", adjustable="datalim")
+    if not plot.axes:
+        axis.set_axis_off()
+    axis.set_xlabel(plot.x_label)
+    axis.set_ylabel(plot.y_label)
+    if told - {""}:
+        axis.legend(frameon=False)
+
+
+def _ink(shape: Shape) -> str:
+    return "black" if shape.colour is None else _colour(shape.colour, 0)
 
 
 def _scales(axis: Any, x_log: bool, y_log: bool) -> None:

@@ -22,6 +22,15 @@ def text_of(value: object, digits: int = 4) -> str:
     return str(value)
 
 
+def share_text(value: float) -> str:
+    """Return three decimals, so that a column of shares lines up; other magnitudes as any number.
+
+    >>> share_text(0.25), share_text(1234.5)
+    ('0.250', '1234')
+    """
+    return f"{value:.3f}".replace("-", "−") if 1e-3 <= abs(value) < 100.0 else text_of(value, 3)
+
+
 def _float_text(value: float, digits: int) -> str:
     if math.isnan(value):
         return "–"

@@ -11,9 +11,14 @@ import hashlib
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
+from typing import Final
 
 from hil.report.html.figures import Badge, Section, Tile
-from hil.report.html.render_block import Payload, badge_html, block_html, tile_html
+from hil.report.html.payload import Payload
+from hil.report.html.render_block import badge_html, block_html, tile_html
+
+SCRIPTS: Final = ("save.js", "save_curves.js", "save_still.js", "page.js")
+"""Ours, in the order in which the later ones need the earlier."""
 
 
 def render_page(
@@ -48,7 +53,7 @@ def render_page(
     """
     payload = Payload()
     body = "".join(_section(i, section, payload) for i, section in enumerate(sections))
-    library, script = _asset("uPlot.iife.min.js"), f"{_asset('save.js')}\n{_asset('page.js')}"
+    library, script = _asset("uPlot.iife.min.js"), "\n".join(map(_asset, SCRIPTS))
     policy = (
         "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
         f"script-src {_digest(library)} {_digest(script)}"

@@ -1,9 +1,7 @@
-"""One block of a page to HTML; what the script draws is collected in a `Payload` of deduplicated arrays."""
+"""One block of a page to HTML; what the script draws or saves is collected in a `Payload`."""
 
 from __future__ import annotations
 
-import base64
-import json
 from collections.abc import Sequence
 from html import escape
 from typing import Any
@@ -28,8 +26,10 @@ from hil.report.html.figures import (
     Text,
     Tile,
 )
-from hil.report.html.numbers import text_of
+from hil.report.html.numbers import share_text, text_of
+from hil.report.html.payload import Payload
 from hil.report.html.scene import draw_scene, scene_legend
+from hil.report.html.still_numbers import Still, columns_of
 from hil.report.html.svg import draw_bars, draw_histogram
 
 SIGNS = {"good": "✓", "warning": "!", "bad": "✕", "neutral": "·"}
@@ -39,44 +39,6 @@ SHORT_CELL = 40
 
 LONG_TABLE = 40
 """Rows above which a table scrolls in its own box."""
-
-GAP = -32768
-"""What stands for NaN among whole numbers."""
-
-
-class Payload:
-    """The arrays and figure descriptions that the page's script draws; equal arrays are stored once."""
-
-    def __init__(self) -> None:
-        self._arrays: list[dict[str, Any]] = []
-        self._index: dict[bytes, int] = {}
-        self.figures: list[dict[str, Any]] = []
-
-    def add(self, values: npt.NDArray[np.float64]) -> int:
-        """Store an array and return its number: int16 for small whole numbers, float32 where that is exact enough."""
-        whole = np.where(np.isnan(values), GAP, values)
-        if np.all(np.abs(whole) <= -GAP) and np.array_equal(whole, np.round(whole)):
-            return self._store("i2", whole.astype("<i2").tobytes())
-        narrow = values.astype("<f4")
-        finite = values[np.isfinite(values)]
-        steps = np.abs(np.diff(finite))
-        steps = steps[steps > 0]
-        rounding = float(np.abs(finite).max(initial=0.0)) * 6e-8
-        # y needs no more than a ten-thousandth of what is drawn; x needs its samples kept apart. One test serves both.
-        enough = steps.size == 0 or rounding < max(0.05 * float(steps.min()), 1e-5 * float(np.ptp(finite)))
-        return self._store("f4", narrow.tobytes()) if enough else self._store("f8", values.astype("<f8").tobytes())
-
-    def _store(self, kind: str, data: bytes) -> int:
-        key = kind.encode() + data
-        if key not in self._index:
-            self._index[key] = len(self._arrays)
-            self._arrays.append({"t": kind, "d": base64.b64encode(data).decode("ascii")})
-        return self._index[key]
-
-    def json(self) -> str:
-        """Return the JSON for a script element: no `<`, so nothing in it can end the element."""
-        text = json.dumps({"arrays": self._arrays, "figures": self.figures}, separators=(",", ":"), allow_nan=False)
-        return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def block_html(block: Block, payload: Payload) -> str:
@@ -88,13 +50,13 @@ def block_html(block: Block, payload: Payload) -> str:
     if isinstance(block, Figure):
         return _figure(block, payload)
     if isinstance(block, Bars):
-        return _panel(block.title, f'{_legend(block)}<div class="scroll">{draw_bars(block)}</div>', block.note)
+        return _still(block, f'{_legend(block)}<div class="scroll">{draw_bars(block)}</div>', payload)
     if isinstance(block, Histogram):
-        return _panel(block.title, f'<div class="scroll">{draw_histogram(block)}</div>', block.note)
+        return _still(block, f'<div class="scroll">{draw_histogram(block)}</div>', payload)
     if isinstance(block, Scene):
-        return _panel(block.title, f'{scene_legend(block)}<div class="scroll">{draw_scene(block)}</div>', block.note)
+        return _still(block, f'{scene_legend(block)}<div class="scroll">{draw_scene(block)}</div>', payload)
     if isinstance(block, Matrix):
-        return _matrix(block)
+        return _still(block, f'<div class="scroll">{_matrix(block)}</div>', payload)
     if isinstance(block, Table):
         return _table(block)
     if isinstance(block, Text):
@@ -121,10 +83,16 @@ def tile_html(tile: Tile) -> str:
     )
 
 
-def _panel(title: str, body: str, note: str, kind: str = "panel") -> str:
+def _panel(title: str, body: str, note: str, kind: str = "panel", numbers: int | None = None) -> str:
     head = f"<h3>{escape(title)}</h3>" if title else ""
     foot = f"<figcaption>{escape(note)}</figcaption>" if note else ""
-    return f'<figure class="{kind}">{head}{body}{foot}</figure>'
+    saved = "" if numbers is None else f' data-numbers="{numbers}"'
+    return f'<figure class="{kind}"{saved}>{head}{body}{foot}</figure>'
+
+
+def _still(block: Still, body: str, payload: Payload) -> str:
+    """Return a plot that needs no script to be seen; with one it can be saved."""
+    return _panel(block.title, body, block.note, numbers=payload.numbers(columns_of(block)))
 
 
 def _figure(figure: Figure, payload: Payload) -> str:
@@ -230,20 +198,14 @@ def _matrix(matrix: Matrix) -> str:
         cells = []
         for j, value in enumerate(matrix.values[i]):
             expected = matrix.expected[i][j] if matrix.expected is not None else None
-            small = "" if expected is None else f"<small>{_share(float(expected))}</small>"
+            small = "" if expected is None else f"<small>{share_text(float(expected))}</small>"
             number = float("nan") if value is None else float(value)
             share = (number - matrix.low) / ((matrix.high - matrix.low) or 1.0)
             shade = min(max(share, 0.0), 1.0) if np.isfinite(share) else 0.0
-            cells.append(f'<td style="--shade:{shade:.3f}">{_share(number)}{small}</td>')
+            cells.append(f'<td style="--shade:{shade:.3f}">{share_text(number)}{small}</td>')
         lines.append(f'<tr><th scope="row">{escape(str(name))}</th>{"".join(cells)}</tr>')
     top = f"<thead><tr><th>{corner}</th>{head}</tr></thead>"
-    body = f'<table class="matrix">{top}<tbody>{"".join(lines)}</tbody></table>'
-    return _panel(matrix.title, f'<div class="scroll">{body}</div>', matrix.note)
-
-
-def _share(value: float) -> str:
-    """Three decimals, so that a column of shares lines up; other magnitudes as any number."""
-    return f"{value:.3f}".replace("-", "−") if 1e-3 <= abs(value) < 100.0 else text_of(value, 3)
+    return f'<table class="matrix">{top}<tbody>{"".join(lines)}</tbody></table>'
 
 
 def _table(table: Table) -> str:

@@ -8,7 +8,7 @@ import pytest
 
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.report.html.figures import Band, Figure, Marker, Section, Series
+from hil.report.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series
 from hil.report.html.page import render_page
 from hil.report.run.run_page import render_report
 from tests.hil.report import chromium
@@ -151,15 +151,32 @@ def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_des
         assert page.evaluate("(s => s.scrollWidth <= s.clientWidth)(document.querySelector('.wide .scroll'))")
 
 
-SAVE = """(kind => new Promise(done => {
+STILLS = (  # boxes, numbers and words of each
+    (2, '"lateness (us), from","lateness (us), to",count\n0,1,3\n1,2,0\n2,3,400\n', {"Late", "lateness (us)", "p99"}),
+    (6, "age,counted,law\n0,0.25,0.2\n1,0.75,0.8\n", {"Ages", "counted", "law", "0", "1"}),  # two are of the legend
+    (4, 'from,to 0,"to 0, expected",to 1,"to 1, expected"\n0,0.1,0.15,0.9,0.85\n1,0.4,0.35,0.6,0.65\n', {"Chain", "0.900"}),
+)
+
+
+def page_of_stills() -> str:
+    late = Histogram(title="Late", edges=[0.0, 1.0, 2.0, 3.0], counts=[3, 0, 400], x_label="lateness", x_unit="us",
+                     markers=(Marker(x=2.5, label="p99"),))  # fmt: skip
+    groups = (BarGroup(label="counted", values=[0.25, 0.75]), BarGroup(label="law", values=[0.2, 0.8], hollow=True))
+    chain = Matrix(title="Chain", rows=["0", "1"], columns=["0", "1"], values=[[0.1, 0.9], [0.4, 0.6]],
+                   expected=[[0.15, 0.85], [0.35, 0.65]], row_label="from", column_label="to")  # fmt: skip
+    ages = Bars(title="Ages", categories=["0", "1"], groups=groups, x_label="age")
+    return render_page("Still", [Section(title="Plots", blocks=(late, ages, chain))])
+
+
+SAVE = """((place, kind) => new Promise(done => {
   HTMLAnchorElement.prototype.click = function () { fetched(this.download, this.href); };
   const make = URL.createObjectURL;
   let blob;
   URL.createObjectURL = made => { blob = made; return make(made); };
   const fetched = name => blob.slice(0, 4).arrayBuffer().then(
     head => blob.text().then(text => done([name, text, [...new Uint8Array(head)]])));
-  [...document.querySelectorAll('.plot')][0].querySelectorAll('.save button').forEach(b => b.textContent === kind && b.click());
-}))('%s')"""
+  [...document.querySelectorAll('.save')][place].querySelectorAll('button').forEach(b => b.textContent === kind && b.click());
+}))(%d, '%s')"""
 
 
 def test_every_plot_can_be_saved_as_svg_png_and_csv(tmp_path: Path) -> None:
@@ -168,18 +185,31 @@ def test_every_plot_can_be_saved_as_svg_png_and_csv(tmp_path: Path) -> None:
     with chromium.Page(width=1400, height=900) as page:
         page.open(file)
         assert page.evaluate("document.querySelectorAll('.save').length") == 3
-        name, csv, _ = page.evaluate(SAVE % "CSV")
+        name, csv, _ = page.evaluate(SAVE % (0, "CSV"))
         head, *rows = csv.splitlines()
         assert name.endswith("-1.csv") and head == 'time (s),"spread, upper","spread, lower",angle,coarse'
         numbers = np.genfromtxt(rows, delimiter=",")
         known = ~np.isnan(numbers[:, 3])
         assert known.sum() > 500 and np.allclose(numbers[known, 3], np.sin(numbers[known, 0]), atol=1e-3)
-        name, svg, _ = page.evaluate(SAVE % "SVG")
+        name, svg, _ = page.evaluate(SAVE % (0, "SVG"))
         drawn = ElementTree.fromstring(svg)
         tags = [element.tag.rpartition("}")[2] for element in drawn.iter()]
         assert name.endswith("-1.svg") and tags.count("path") == 3 and tags.count("circle") > 50 and tags.count("line") == 1
         texts = [element.text for element in drawn.iter() if element.tag.endswith("text")]
         assert {"angle", "coarse", "spread", "time (s)", "10"} <= set(texts)
-        name, _, head_of_png = page.evaluate(SAVE % "PNG")
+        name, _, head_of_png = page.evaluate(SAVE % (0, "PNG"))
         assert name.endswith("-1.png") and head_of_png == [0x89, *b"PNG"]
         assert not page.problems and page.requests[0] == file.resolve().as_uri()
+        still = tmp_path / "still.html"
+        still.write_text(page_of_stills(), encoding="utf-8")
+        page.open(still)
+        for place, (boxes, csv, words) in enumerate(STILLS):
+            name, svg, _ = page.evaluate(SAVE % (place, "SVG"))
+            drawn = ElementTree.fromstring(svg)
+            fills = [element.get("fill") for element in drawn.iter() if element.tag.endswith("rect")]
+            assert len(fills) == 1 + boxes and all(fill.startswith("rgb(") for fill in fills), name  # the first is the ground
+            assert words <= {element.text for element in drawn.iter() if element.tag.endswith("text")}
+            assert page.evaluate(SAVE % (place, "CSV"))[1] == csv
+            assert page.evaluate(SAVE % (place, "PNG"))[2] == [0x89, *b"PNG"]
+        assert len(set(fills[1:])) == 4  # of the heat map: a colour for each value
+        assert not page.problems

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Sheet
 import hil
 from hil.errors import HilError
 from hil.measure.view import view_of
-from hil.report.html.figures import Bars, Figure, Histogram
+from hil.report.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 from hil.report.paper import draw, write_figures
 from hil.report.run.run_page import run_sections
 from tests.hil.cli.conftest import run_main
@@ -55,6 +55,21 @@ def test_the_curves_are_those_of_the_page(log: Path) -> None:
                 for series, line in zip(plot.series, axis.lines):
                     assert np.array_equal(line.get_ydata(), series.y, equal_nan=True) and line.get_label() == series.label
                 assert axis.get_xlabel() == f"{plot.x_label} ({plot.x_unit})"
+
+
+def test_heat_maps_and_maps_are_plots_too(tmp_path: Path) -> None:
+    chain = Matrix(title="Chain", rows=["0", "1"], columns=["0", "1"], values=[[0.1, None], [0.4, 0.6]],
+                   expected=[[0.15, 0.85], [0.3, 0.7]])  # fmt: skip
+    wall = Shape(points=[(0, 0), (2, 0), (2, 1)], label="wall", filled=True, colour=1)
+    way = Scene(title="Way", shapes=(wall, Shape(points=[(0, 1), (1, 2)])), labels=((0.5, 0.5, "here"),))
+    axes = [Sheet().subplots(), Sheet().subplots()]
+    draw(chain, axes[0])
+    draw(way, axes[1])
+    assert axes[0].images[0].get_array().tolist() == [[0.1, None], [0.4, 0.6]]
+    assert {text.get_text() for text in axes[0].texts} == {"0.100\n(0.150)", "–\n(0.850)", "0.400\n(0.300)", "0.600\n(0.700)"}
+    assert len(axes[1].patches) == len(axes[1].lines) == 1 and axes[1].texts[0].get_text() == "here"
+    files = write_figures([Section(title="s", blocks=(chain, way))], tmp_path)
+    assert [path.name for path in files] == ["01-chain.svg", "01-chain.pdf", "02-way.svg", "02-way.pdf"]
 
 
 def test_what_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

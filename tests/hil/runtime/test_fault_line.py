@@ -12,6 +12,7 @@ from hil.compose.loop import Loop, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment, parse_experiment, shipped
 from hil.experiment.schema import experiment_schema
+from hil.log.read.run import read_run
 from hil.log.write.sinks import MemorySink
 from hil.measure.view import view_of
 from hil.replay import verify
@@ -19,7 +20,7 @@ from hil.report.run.prediction import theory_section
 from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.supervisor import run_real
-from hil.session import run_session, simulate
+from hil.session import run_session, simulate, simulated_session
 from hil.sweeps.lockstep import in_lockstep
 from transport.packets import EMPTY, SensorPacket, decode, encode_sensor
 
@@ -144,3 +145,12 @@ def test_somebody_else_s_controller_is_not_restarted() -> None:
     loop = loop_of(faulty("controller-restart", ""))
     with pytest.raises(HilError, match="hil cannot restart an external controller"):
         run_real(loop, 0, "can:hil:nobody", MemorySink(loop.channels()), external=True)
+
+
+def test_a_fault_that_the_run_never_reaches_is_told(tmp_path: Path) -> None:
+    late = faulty("cut", 'link = "sc"') + "\n[[fault]]\nat = \"3 s\"\nkind = \"controller-restart\"\n"
+    said = "fault[1].at: 3 s lies beyond the end of the run (3 s): the restart of the controller for 0 s never happens"
+    session = run_session(parse_experiment(late), path=tmp_path / "run.mcap")
+    assert session.summary["problems"] == {"faults": said} == read_run(tmp_path / "run.mcap").summary["problems"]
+    assert session.status == 0 and simulated_session(loop_of(late), 0).summary["problems"] == {"faults": said}
+    assert simulated_session(loop_of(faulty("cut", 'link = "sc"')), 0).summary["problems"] == {}

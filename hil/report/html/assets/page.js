@@ -205,7 +205,7 @@
     peers.plots.push(plot);
     if (group == null) groups.set(plot, peers);
     plots.push(plot);
-    hilSave(place, figure, curves, table, plot, +place.dataset.figure);
+    hilSaveCurves(place, figure, curves, table, plot, +place.dataset.figure);
     for (const th of place.querySelectorAll(".u-legend .u-series th")) {
       th.tabIndex = 0;
       th.addEventListener("keydown", (e) => { if (e.key === "Enter" || e.key === " ") { e.preventDefault(); th.click(); } });
@@ -243,6 +243,7 @@
   reset.addEventListener("click", () => groups.forEach(home));
 
   document.querySelectorAll(".plot").forEach(build);
+  document.querySelectorAll("figure[data-numbers]").forEach((panel) => hilSaveStill(panel, data.tables[+panel.dataset.numbers]));
   requestAnimationFrame(() => { for (const p of plots) p.ready = true; for (const g of groups.values()) g.zoomed = false; show(); });
   const redraw = () => plots.forEach((p) => p.redraw(false, true));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);

@@ -1,3 +1,4 @@
+import json
 import re
 from html.parser import HTMLParser
 
@@ -13,8 +14,10 @@ from hil.report.html.figures import (
     Histogram,
     Marker,
     Matrix,
+    Scene,
     Section,
     Series,
+    Shape,
     Table,
     Text,
     Tile,
@@ -133,3 +136,20 @@ def test_empty_blocks_are_drawn_empty() -> None:
         Table(columns=["a"], rows=[]),
     )
     assert "<table" in render_page("t", [Section(title="s", blocks=blocks)])
+
+
+def test_plots_without_a_script_hand_over_all_of_their_numbers() -> None:
+    blocks = (
+        Histogram(title="h", edges=np.array([0.0, 0.1, 0.3]), counts=np.array([1_234_567_891, 0]), x_label="late", x_unit="us"),
+        Bars(title="b", categories=["a", "b"], groups=(BarGroup(label="law", values=[0.25, np.nan], errors=[0.1, 0.2]),)),
+        Matrix(title="m", rows=["0"], columns=["0", "1"], values=[[0.1, None]], expected=[[0.2, 0.3]], row_label="from"),
+        Scene(title="s", shapes=(Shape(points=[(0.0, 1.0), (np.nan, 2.0)], label="way"),), x_label="y (mm)"),
+    )
+    page = render_page("t", [Section(title="s", blocks=blocks)])
+    tables = json.loads(page.split('id="hil-data">')[1].partition("</script")[0])["tables"]
+    assert [page.count(f'data-numbers="{i}"') for i in range(5)] == [1, 1, 1, 1, 0]
+    columns = [{column["name"]: column["values"] for column in table} for table in tables]
+    assert columns[0] == {"late (us), from": [0.0, 0.1], "late (us), to": [0.1, 0.3], "count": [1_234_567_891, 0]}
+    assert columns[1] == {"category": ["a", "b"], "law": [0.25, None], "law, +-": [0.1, 0.2]}
+    assert columns[2] == {"from": ["0"], "0": [0.1], "0, expected": [0.2], "1": [None], "1, expected": [0.3]}
+    assert columns[3] == {"shape": ["way", "way"], "y (mm)": [0.0, None], "y": [1.0, 2.0]}
