@@ -11,18 +11,18 @@ from __future__ import annotations
 import fcntl
 import os
 import select
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from struct import Struct
-from typing import Final
+from typing import Any, Final
 
 from hil.log.events import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
-from hil.log.write.sinks import Dated, Put, Sink
+from hil.log.write.pipe_block import HEAD, PipeBlock, frames_in
+from hil.log.write.sinks import Dated, Put, Record, Sink
 
 PIPE_BYTES: Final = 1 << 20
-_HEAD: Final = Struct("<IHqq")
 _EVENTS_ID: Final = 0
 _DROPPED_ID: Final = 0xFFFF
 _END_ID: Final = 0xFFFE
@@ -59,16 +59,28 @@ class PipeSink:
             number = self._channels[topic].id
         else:
             return None
-        head, records = _HEAD.pack, self._records
+        head, records = HEAD.pack, self._records
 
         def put(t_ns: int, payload: bytes) -> None:
             records.append(head(len(payload), number, t_ns, self._behind) + payload)
 
         return put
 
+    def records(self, topics: Sequence[str]) -> Record | None:
+        """See ``PacksRecords``."""
+        channels = [self._channels[topic] for topic in topics if topic in self._channels]
+        if len(channels) < len(topics):
+            return None
+        pack, records = PipeBlock(channels).pack, self._records
+
+        def put(t_ns: int, *values: Any) -> None:
+            records.append(pack(t_ns, self._behind, values))
+
+        return put
+
     def begin(self, wall_ns: int) -> None:
         """See ``Dated``."""
-        self._records.append(_HEAD.pack(_COUNT.size, _BEGIN_ID, 0, 0) + _COUNT.pack(wall_ns))
+        self._records.append(HEAD.pack(_COUNT.size, _BEGIN_ID, 0, 0) + _COUNT.pack(wall_ns))
 
     def behind(self, ns: int) -> None:
         """See ``Dated``."""
@@ -79,7 +91,7 @@ class PipeSink:
     ) -> None:
         """See ``Sink``."""
         payload = encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data)
-        self._records.append(_HEAD.pack(len(payload), _EVENTS_ID, t_ns, self._behind) + payload)
+        self._records.append(HEAD.pack(len(payload), _EVENTS_ID, t_ns, self._behind) + payload)
 
     def commit(self) -> None:
         """See ``Sink``; hands the tick's records to the pipe, or counts them as dropped."""
@@ -89,7 +101,7 @@ class PipeSink:
         batch = b"".join(records)
         if len(batch) <= select.PIPE_BUF and not self._unreported and not self._rest:
             if not self._write(batch):
-                self._drop(len(records))
+                self._drop(records)
         else:
             self._commit_in_parts(records)
         records.clear()
@@ -103,20 +115,20 @@ class PipeSink:
             poll = select.poll()
             poll.register(self._fd, select.POLLOUT)
             poll.poll(timeout_s * 1000)
-            self._records.append(_HEAD.pack(0, _END_ID, 0, 0))
+            self._records.append(HEAD.pack(0, _END_ID, 0, 0))
             self.commit()
         os.close(self._fd)
         self._fd = -1
 
     def _commit_in_parts(self, records: list[bytes]) -> None:
         if self._rest and not self._write_rest():
-            self._drop(len(records))
+            self._drop(records)
             return
         if self._unreported:
-            t_ns = _HEAD.unpack_from(records[0])[2]
-            report = _HEAD.pack(_COUNT.size, _DROPPED_ID, t_ns, 0) + _COUNT.pack(self._unreported)
+            t_ns = HEAD.unpack_from(records[0])[2]
+            report = HEAD.pack(_COUNT.size, _DROPPED_ID, t_ns, 0) + _COUNT.pack(self._unreported)
             if not self._write(report):
-                self._drop(len(records))
+                self._drop(records)
                 return
             self._unreported = 0
         start = size = 0
@@ -125,11 +137,11 @@ class PipeSink:
                 size += len(record)
                 continue
             if stop > start and not self._write(b"".join(records[start:stop])):
-                self._drop(len(records) - start)
+                self._drop(records[start:])
                 return
             start, size = stop, len(record) if record is not None else 0
             if self._rest and record is not None:
-                self._drop(len(records) - start)
+                self._drop(records[start:])
                 return
 
     def _write(self, batch: bytes) -> bool:
@@ -152,7 +164,8 @@ class PipeSink:
             self._rest = rest
         return not self._rest
 
-    def _drop(self, count: int) -> None:
+    def _drop(self, records: Sequence[bytes]) -> None:
+        count = sum(map(frames_in, records))
         self.dropped += count
         self._unreported += count
 
@@ -263,19 +276,19 @@ def _takers(
 
 def _take(data: bytes, takers: Mapping[int, _Taker], sink: Sink, report: PumpReport) -> bytes | None:
     """Hand over every whole frame of ``data`` and return the rest, or None where the framing is lost."""
-    at, end, head, records = 0, len(data), _HEAD.unpack_from, 0
+    at, end, head, records = 0, len(data), HEAD.unpack_from, 0
     dated = sink if isinstance(sink, Dated) else None
     before = None
-    while end - at >= _HEAD.size:
+    while end - at >= HEAD.size:
         size, number, t_ns, behind = head(data, at)
-        after = at + _HEAD.size + size
+        after = at + HEAD.size + size
         if after > end:
             if size > _MAX_PAYLOAD:  # not ours; nothing behind it can be trusted
                 report.malformed += 1
                 report.records += records
                 return None
             break
-        payload = data[at + _HEAD.size : after]
+        payload = data[at + HEAD.size : after]
         at = after
         taker = takers.get(number)
         if taker is not None and (size == taker[1] if taker[1] is not None else size >= taker[2]):

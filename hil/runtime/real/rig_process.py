@@ -16,6 +16,7 @@ from types import FrameType
 from hil.compose.loop import Loop
 from hil.experiment.can_frames import about_rig
 from hil.log.write.pipe import PipeSink
+from hil.log.write.sinks import record_to
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
@@ -62,7 +63,7 @@ class RealLoop:
         self.overruns = 0
         self._sink = sink
         self._period_ns = e.period_ns
-        self._put, self._pack = sink.channel("/timing/tick"), channels["/timing/tick"].schema.pack
+        self._log = record_to(sink, channels["/timing/tick"])
         self._woken_ns = self._late = 0
         deadline_ns = round(e.timing.deadline * e.period_ns)
         self._exchange = LinkExchange(
@@ -90,11 +91,11 @@ class RealLoop:
         rig, exchange, end = self.rig, self._exchange, self.clock.now()
         overrun = end > t_ns + self._period_ns
         self.overruns += overrun
-        if self._put is not None:
+        if self._log is not None:
             lateness_us = (self._woken_ns - t_ns) / 1e3
             work_us = (end - self._woken_ns - exchange.waited_ns) / 1e3
             late = rig.answers.late - self._late
-            self._put(t_ns, self._pack(lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun))
+            self._log(t_ns, lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun)
         self._sink.commit()
 
 

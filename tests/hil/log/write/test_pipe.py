@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.pipe import PipeSink, PumpReport, pump
-from hil.log.write.sinks import MemorySink
+from hil.log.write.sinks import MemorySink, record_to, records_to
 from tests.hil.log.recording import TABLE, assert_same_arrays, provenance, record
 
 Ends = tuple[int, int]
@@ -98,6 +98,47 @@ def test_a_full_pipe_costs_records_and_says_how_many(ends: Ends) -> None:
     assert list(run.arrays["/plant/state"]["tick"]) == [20, 21, 22, 23, 24]
     assert [(e["kind"], e["data"]) for e in run.events] == [("log-dropped", {"records": lost})]
     assert run.events[0]["t_s"] == 0.02
+
+
+def test_several_records_at_once_are_those_one_by_one_whatever_the_length_of_the_frame(ends: Ends) -> None:
+    topics = ("/plant/state", "/link/sensor", "/plant/measurement")
+    read, write = ends
+    sink = PipeSink(write, TABLE)
+    together, singly = records_to(sink, topics), [record_to(sink, TABLE[topic]) for topic in topics]
+    puts = [sink.channel(topic) for topic in topics]
+    assert together is not None
+    for k in range(150):  # more lengths than layouts are kept
+        frame, written = bytes([k]) * k, []
+        one_by_one = ((0.1 * k, 2.0, k), (k, 1, frame), (0.3, k))
+        sink.behind(17 * k)
+        for way in ("together", "singly", "packed by the schema"):
+            if way == "together":
+                together(k - 1, *(value for values in one_by_one for value in values))
+            for topic, log, put, values in zip(topics, singly, puts, one_by_one):
+                if way == "singly" and log is not None:
+                    log(k - 1, *values)
+                elif way != "together" and put is not None:
+                    put(k - 1, TABLE[topic].schema.pack(*values))
+            sink.commit()
+            written.append(os.read(read, 1 << 20))
+        assert written[0] == written[1] == written[2]
+    with pytest.raises(TypeError, match="7 values, expected 8 in 3 records"):
+        together(0, 0.1, 2.0, 1, 1, 1, b"", 0.3)
+    with pytest.raises(ValueError, match="2 carry frames"):
+        sink.records(("/link/sensor", "/link/control"))
+    assert sink.records(("/link/sensor", "/of/nobody")) is None
+
+
+def test_records_packed_at_once_are_counted_one_by_one_when_the_pipe_is_full(ends: Ends) -> None:
+    sink = PipeSink(ends[1], TABLE)
+    filled(ends[1])
+    together = sink.records(("/plant/measurement", "/reference"))
+    assert together is not None
+    for k in range(3):
+        together(k, 0.1, k, 3.0, k)
+        together(k, 0.2, k, 3.0, k)
+        sink.commit()
+    assert sink.dropped == 12
 
 
 def test_a_long_stall_of_the_reader_never_tears_a_frame(ends: Ends) -> None:
