@@ -32,6 +32,24 @@ while True:
 """
 
 
+THREADS = """
+import ctypes, sys
+from pathlib import Path
+from transport import open_link
+from transport.links.contract import meet
+python = ctypes.pythonapi
+for function in (python.PyInterpreterState_Get, python.PyInterpreterState_ThreadHead, python.PyThreadState_Next):
+    function.restype = ctypes.c_void_p
+    function.argtypes = [ctypes.c_void_p] if function is not python.PyInterpreterState_Get else []
+with open_link(sys.argv[1], "rig") as rig, open_link(sys.argv[1], "controller") as controller:
+    meet(rig, controller)
+    states, state = 0, python.PyInterpreterState_ThreadHead(python.PyInterpreterState_Get())
+    while state:
+        states, state = states + 1, python.PyThreadState_Next(state)
+    print(states, *sorted(task.joinpath("comm").read_text().strip() for task in Path("/proc/self/task").iterdir()))
+"""
+
+
 @contextmanager
 def other_end(uri: str, role: str) -> Iterator[subprocess.Popen[bytes]]:
     """A process that sends back whatever it hears."""
@@ -135,6 +153,15 @@ class Forwarder:
         self._thread.join()
         for end in (self._listener, self._wake, *self._pairs):
             end.close()
+
+
+def test_a_packet_wakes_one_thread_of_zenoh_which_keeps_its_python_thread_state(tmp_path: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
+    program = [sys.executable, "-c", THREADS, f"zenoh:unixsock-stream/{tmp_path}/z"]
+    said = subprocess.run(program, env=environment, capture_output=True, text=True, timeout=60, check=True).stdout.split()
+    states, threads = int(said[0]), said[1:]
+    assert {name.partition("-")[0] for name in threads} & {"app", "acc", "net", "tx", "rx"} == {"app"}, threads
+    assert states >= 2, "the thread that calls back has one of its own, beside the main thread, also while it does not call"
 
 
 def test_a_cut_cable_is_survived_and_both_ends_meet_again() -> None:

@@ -29,6 +29,7 @@ from queue import Empty, SimpleQueue
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
+from transport.links.callback_thread import CallbackThreads
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
 from transport.links.private_directory import private_directory
 from transport.links.zenoh_access import OPTIONS, Access, access
@@ -39,7 +40,11 @@ if TYPE_CHECKING:
 QUEUE_LIMIT: Final = 256
 """Packets that wait for `receive`; what comes on top is dropped and counted."""
 
-_ONE_THREAD: Final = "({})".format(", ".join(f"{part}: (worker_threads: 1)" for part in ("app", "acc", "net", "tx", "rx")))
+ONE_THREAD: Final = (
+    "(app: (worker_threads: 1), " + ", ".join(f"{part}: (handover: app)" for part in ("acc", "net", "tx", "rx")) + ")"
+)
+"""All of zenoh's work in one thread: a packet wakes the same thread to send, to receive and for its socket, not three."""
+
 ENCODING: Final = "application/octet-stream;hilrig"
 """Encoding of every packet; its version stands in the packet."""
 
@@ -69,7 +74,7 @@ class ZenohLink(Closing):
                  "_session_id", "_token", "counters", "uri")  # fmt: skip
 
     def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access) -> None:
-        os.environ.setdefault("ZENOH_RUNTIME", _ONE_THREAD)  # read at zenoh's first use; a packet wakes fewer threads
+        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
         import zenoh
 
         self.uri = uri
@@ -102,7 +107,7 @@ class ZenohLink(Closing):
                 self._say_again = again.put
             self._token = self._session.liveliness().declare_token(f"hil/{name}/{role}")  # it lives as long as it is held
             # indirect=False: no Python thread in between, which would keep the process alive for ever if left open.
-            heard = zenoh.handlers.Callback(partial(_take, self._queue, self.counters), indirect=False)
+            heard = zenoh.handlers.Callback(partial(_take, CallbackThreads().keep, self._queue, self.counters), indirect=False)
             self._session.declare_subscriber(f"hil/{name}/{hears}", heard)
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -156,7 +161,8 @@ class ZenohLink(Closing):
                 self._session.close()  # type: ignore[no-untyped-call]
 
 
-def _take(queue: SimpleQueue[bytes], counters: LinkCounters, sample: zenoh.Sample) -> None:
+def _take(keep: Callable[[], None], queue: SimpleQueue[bytes], counters: LinkCounters, sample: zenoh.Sample) -> None:
+    keep()
     if queue.qsize() < QUEUE_LIMIT:
         queue.put(sample.payload.to_bytes())
     else:
