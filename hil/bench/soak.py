@@ -17,9 +17,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hil.bench.soak_verdict import judge
 from hil.bench.timing import EXPERIMENT, read_cyclictest, start_cyclictest
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.measure.timing import percentiles
 from hil.runtime.time.clock import monotonic_ns, pause
 
 WARM = 0.2
@@ -93,9 +95,11 @@ def bench_soak(
         progress: told what is running.
 
     Returns:
-        `status`, `ticks`, `dropped`, `overrun_share`, `cyclictest_missed_share` (None without it), `log_bytes`, `log_predicted`
-        (by its growth in the second tenth), `log_ratio`, `memory` (one row per process: `mb`, `slope_kb_per_min`, `plus_minus`,
-        `grows`: the interval lies above 0), and of `in_a_row` and `at_once` how often each exit status came.
+        `verdict` and `why` (see `judge`), `status`, `safety` (why it stopped the run, or None), `ticks`, `ticks_expected`,
+        `dropped`, `late`, `overrun_share`, `lateness_us`, `timing_why` (what the run says against its times), of cyclictest
+        `cyclictest_us` and `cyclictest_missed_share` (None without it), `log_bytes`, `log_predicted` (by its growth in the
+        second tenth), `log_ratio`, `memory` (one row per process: `mb`, `slope_kb_per_min`, `plus_minus`, `grows`: the
+        interval lies above 0), of `in_a_row` and `at_once` how often each exit status came, and `short_dropped`, by how.
 
     Raises:
         HilError: the long session did not run, or was too short to judge.
@@ -104,9 +108,16 @@ def bench_soak(
         folder = Path(name)
         progress(f"1 kHz for {duration_s:g} s over can:hil")
         row = _long(folder, duration_s)
-        row["in_a_row"] = _statuses(folder, [1] * sessions, progress, "in a row") if sessions else None
-        row["at_once"] = _statuses(folder, [at_once], progress, "at once") if at_once else None
-    return row
+        groups = {}
+        if sessions:
+            groups["in a row"] = _short(folder, [1] * sessions, progress, "in a row")
+        if at_once:
+            groups["at once"] = _short(folder, [at_once], progress, "at once")
+    for how in ("in a row", "at once"):
+        row[how.replace(" ", "_")] = groups[how]["statuses"] if how in groups else None
+    row["short_dropped"] = {how: group["dropped"] for how, group in groups.items()}
+    verdict, why = judge(row, groups, period_us=1e6 * float(load_experiment(EXPERIMENT).period))
+    return {"verdict": verdict, "why": why, **row}
 
 
 def _start(folder: Path, number: int, duration_s: float) -> subprocess.Popen[bytes]:
@@ -140,17 +151,21 @@ def _long(folder: Path, duration_s: float) -> Row:
         summary = json.loads((folder / "0.json").read_text())
     except ValueError:
         raise HilError(f"the session ended with status {status} and without a summary") from None
-    missed = None
+    missed = beside_us = None
     if beside is not None and output.exists():
         late_us, count = read_cyclictest(output, period_us)
-        missed = count / max(len(late_us), 1)
+        beside_us, missed = percentiles(late_us), count / max(len(late_us), 1)
     t, log = np.array(seen.t_s), np.array(seen.log, dtype=float)
     if len(t) < 4 * BATCHES:
-        raise HilError(f"only {len(t)} samples were taken: let it run longer")
-    size, predicted = (folder / "0.mcap").stat().st_size, _predicted(t, log, duration_s)
+        raise HilError(f"only {len(t)} samples were taken (status {status}): let it run longer")
+    timing, ticks = summary["timing"], summary["ticks"]
+    size = (folder / "0.mcap").stat().st_size
+    predicted = _predicted(t, log, ticks * float(experiment.period))  # of one that was stopped: until then
     return {
-        "status": status, "ticks": summary["ticks"], "dropped": summary["log"]["dropped"],
-        "overrun_share": summary["timing"]["overruns"] / max(summary["ticks"], 1), "cyclictest_missed_share": missed,
+        "status": status, "safety": summary["safety"], "ticks": ticks,
+        "ticks_expected": round(duration_s / float(experiment.period)), "dropped": summary["log"]["dropped"],
+        "late": timing["late"], "overrun_share": timing["overruns"] / max(ticks, 1), "lateness_us": timing["lateness_us"],
+        "timing_why": timing["why"], "cyclictest_us": beside_us, "cyclictest_missed_share": missed,
         "log_bytes": size, "log_predicted": predicted, "log_ratio": size / predicted,
         "memory": [_memory(name, t, np.array(seen.kb[name])) for name in PROCESSES],
     }  # fmt: skip
@@ -210,19 +225,22 @@ def _resident_kb(pid: int) -> int | None:
     return None
 
 
-def _statuses(folder: Path, groups: list[int], progress: Callable[[str], None], how: str) -> dict[str, int]:
-    """Run groups of short sessions, each group at once; return how often each exit status came."""
+def _short(folder: Path, groups: list[int], progress: Callable[[str], None], how: str) -> Row:
+    """Run groups of short sessions, each group at once; return how often each exit status came, and what was dropped."""
     statuses: dict[str, int] = {}
+    dropped = 0
     for turn, group in enumerate(groups):
         progress(f"{how}: {turn + 1} of {len(groups)}, {group} sessions of {SHORT_S:g} s")
         running = [_start(folder, 1 + number, SHORT_S) for number in range(group)]
         try:
-            for process in running:
+            for number, process in enumerate(running):
                 status = str(process.wait(SHORT_S + GRACE_S * (1 + group / 4)))
                 statuses[status] = statuses.get(status, 0) + 1
+                with suppress(ValueError):  # one without a summary has told so by its status
+                    dropped += json.loads((folder / f"{1 + number}.json").read_text())["log"]["dropped"]
         finally:
             for process in running:
                 if process.poll() is None:
                     process.kill()
                     process.wait()
-    return statuses
+    return {"statuses": statuses, "dropped": dropped}

@@ -150,10 +150,14 @@ def auth(as_json: bool) -> None:
 @click.option("--at-once", type=click.IntRange(0, 64), default=0, show_default=True, help="Short sessions at the same time.")
 @click.option("--json", "as_json", is_flag=True)
 def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
-    """Endurance at 1 kHz over can:hil: memory of each process, log, overruns beside cyclictest."""
+    """Endurance at 1 kHz over can:hil: memory of each process, log, overruns beside cyclictest.
+
+    Exit status 0: it holds. 1: it does not. 4: undecided, the machine was too busy to tell.
+    """
     import re
 
     from hil.bench.soak import bench_soak
+    from hil.bench.soak_verdict import STATUS
     from hil.errors import HilError
     from hil.experiment.tables import Seconds
 
@@ -165,17 +169,28 @@ def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
     row = bench_soak(duration_s=duration_s, sessions=sessions, at_once=at_once, progress=_status)
     if as_json:
         print(json.dumps(row, indent=2))
-        return
+    else:
+        _soak(row)
+    raise SystemExit(STATUS[row["verdict"]])
+
+
+def _soak(row: dict[str, Any]) -> None:
     _table("memory while it runs, slope with its 95 % confidence interval", row["memory"])
-    ratio = f"{row['log_ratio']:.3f} of the prediction from its second tenth"
-    print(f"exit status {row['status']}, {row['ticks']} slots, {row['dropped']} records dropped")
+    print(f"exit status {row['status']}, {row['ticks']} of {row['ticks_expected']} slots, {row['dropped']} records dropped")
+    ratio = f"{row['log_ratio']:.3f} of the {row['log_predicted'] / 1e6:.1f} MB that its second tenth predicts"
     print(f"log {row['log_bytes'] / 1e6:.1f} MB, {ratio}")
-    beside = row["cyclictest_missed_share"]
-    told = "no cyclictest here: apt-get install rt-tests" if beside is None else f"missed by cyclictest: {beside:.3%}"
-    print(f"overruns {row['overrun_share']:.3%}; {told}")
-    for name in ("in_a_row", "at_once"):
-        if row[name] is not None:
-            print(f"{name.replace('_', ' ')}: " + ", ".join(f"{count} ended with status {s}" for s, count in row[name].items()))
+    print(f"overruns {row['overrun_share']:.3%}, late answers {row['late']}, lateness {_us(row['lateness_us'])}")
+    beside = row["cyclictest_us"]
+    told = "no cyclictest here: apt-get install rt-tests"
+    print(told if beside is None else f"cyclictest missed {row['cyclictest_missed_share']:.3%}, lateness {_us(beside)}")
+    for how, dropped in row["short_dropped"].items():
+        statuses = ", ".join(f"{count} ended with status {s}" for s, count in row[how.replace(" ", "_")].items())
+        print(f"{how}: {statuses}; {dropped} records dropped")
+    print(row["verdict"] + "".join(f"\n  {reason}" for reason in row["why"]))
+
+
+def _us(lateness: dict[str, float | None]) -> str:
+    return ", ".join(f"{q.replace('_', '.')} {'-' if us is None else f'{us:.0f}'} us" for q, us in lateness.items())
 
 
 @command.command()

@@ -34,10 +34,12 @@ class Growing:
     Args:
         dtype: of the rows; no objects.
         folder: where the file without a name is made; the system's folder for temporary files if it cannot be made there.
+        in_memory: bytes that stay in memory at most [`IN_MEMORY`, and `PENDING` of what has a file].
     """
 
-    def __init__(self, dtype: Any, folder: str | os.PathLike[str] | None = None) -> None:
+    def __init__(self, dtype: Any, folder: str | os.PathLike[str] | None = None, in_memory: int | None = None) -> None:
         self.dtype = np.dtype(dtype)
+        self._in_memory = in_memory
         self._folder = folder
         self._parts: list[Column] = []
         self._pending = 0  # bytes in the parts
@@ -52,7 +54,8 @@ class Growing:
         """Take rows; they are not copied, and must not change any more."""
         self._parts.append(rows)
         self._pending += rows.nbytes
-        if self._pending >= (IN_MEMORY if self._file is None else PENDING) and not self._refused:
+        most = self._in_memory or (IN_MEMORY if self._file is None else PENDING)
+        if self._pending >= most and not self._refused:
             self._write()
 
     def _write(self) -> None:

@@ -71,7 +71,9 @@ class McapSink:
             self._disk = _Disk(self.path)
         except OSError as error:
             raise HilError(f"log {self.path}: cannot be created: {error.strerror or error}") from error
-        self._writer = McapWriter(self._disk, profile="ros2", library=LIBRARY, index=index, chunk_ended=self.kept.take)
+        self._writer = McapWriter(
+            self._disk, profile="ros2", library=LIBRARY, index=index, chunk_ended=self.kept.take, folder=self.path.parent
+        )
         try:
             self._open(channels, provenance)
         except OSError as error:

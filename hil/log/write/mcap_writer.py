@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
@@ -46,6 +47,9 @@ COMPRESSION: Final = "zstd"
 INDEX_PIECE: Final = 1 << 18
 """Bytes of the chunks' index that are written together: it has some 6 bytes for every slot of a run."""
 
+INDEX_WAITING: Final = 1 << 16
+"""Bytes of it that wait in memory: in real time a chunk ends 20 times a second, and what holds its place must not add up."""
+
 _INDEX_ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
@@ -70,6 +74,7 @@ class McapWriter:
         profile, library: what the header says.
         index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
         chunk_ended: told every chunk that is written: its bytes, and where its messages stand in them.
+        folder: where the chunks' index of a long run is kept until the end, see `Growing`.
 
     Attributes:
         open_bytes: bytes of the messages in the open chunk.
@@ -87,6 +92,7 @@ class McapWriter:
         library: str,
         index: Index = "full",
         chunk_ended: ChunkEnded = lambda data, messages: None,
+        folder: Path | None = None,
     ) -> None:
         self._index = index
         self._chunk_ended = chunk_ended
@@ -98,7 +104,7 @@ class McapWriter:
         self._metadata: list[MetadataIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._chunks = 0
-        self._chunk_indexes = Growing(np.uint8)  # as they will stand in the summary
+        self._chunk_indexes = Growing(np.uint8, folder, INDEX_WAITING)  # as they will stand in the summary
         self._counts: dict[int, int] = {}
         self._start: int | None = None
         self._end = 0

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from hil.bench.soak import bench_soak, slope
+from hil.bench.soak_verdict import judge
 
 
 def test_the_interval_covers_the_slope_as_often_as_it_says() -> None:
@@ -41,6 +44,7 @@ def test_a_short_soak_measures_every_process_the_log_and_the_sessions() -> None:
     assert [each["process"] for each in row["memory"]] == ["session", "rig", "controller"]
     assert all(10 < each["mb"] < 1000 and each["plus_minus"] >= 0 for each in row["memory"])
     assert sum(row["in_a_row"].values()) == 1 and sum(row["at_once"].values()) == 2
+    assert bool(row["why"]) == (row["verdict"] != "holds")
     assert not {"1", "2"} & {*row["in_a_row"], *row["at_once"]}  # each ran to its end, whatever the machine made of its timing
 
 
@@ -48,3 +52,44 @@ def test_memory_that_stays_exactly_the_same_has_no_slope() -> None:
     t = np.cumsum(np.random.default_rng(0).uniform(1.0, 2.0, 293))
     for kb in (235_180.0, 201_080.0, 83_333.0):
         assert slope(t, np.full(293, kb)) == (0.0, 0.0)
+
+
+QUIET = {
+    "status": 0, "safety": None, "ticks": 1000, "ticks_expected": 1000, "dropped": 0, "log_ratio": 1.0, "timing_why": [],
+    "memory": [{"process": "rig", "grows": False}], "cyclictest_us": {"p99": 20.0}, "cyclictest_missed_share": 0.0,
+}  # fmt: skip
+STOPPED = {"status": 3, "safety": "watchdog", "ticks": 700, "timing_why": ["9 of 700 slots had no answer in time"]}
+BUSY = {"cyclictest_us": {"p99": 400.0}, "cyclictest_missed_share": 0.02}
+GROWS = {"memory": [{"process": "rig", "grows": True}]}
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict", "told"),
+    [
+        ({}, "holds", []),
+        (BUSY, "holds", []),  # it kept its times all the same
+        (STOPPED, "does not hold", ["stopped by safety after 700 of 1000 slots: watchdog", "no answer in time"]),
+        (STOPPED | BUSY, "undecided", ["too busy to tell: p99 of cyclictest's lateness was 400 us", "stopped by safety"]),
+        (STOPPED | {"cyclictest_missed_share": 0.02}, "undecided", ["missed 2.00%"]),
+        (STOPPED | {"cyclictest_us": None, "cyclictest_missed_share": None}, "undecided", ["no cyclictest stood beside it"]),
+        (BUSY | STOPPED | GROWS, "does not hold", ["rig: memory grows", "stopped by safety"]),
+        (BUSY | {"dropped": 3}, "does not hold", ["3 records of the log were dropped"]),
+        (BUSY | {"log_ratio": 1.2}, "does not hold", ["1.200 of its predicted length"]),
+        (BUSY | {"status": 1, "ticks": 10}, "does not hold", ["ended with status 1 after 10 of 1000 slots"]),
+    ],
+)  # fmt: skip
+def test_a_busy_machine_is_told_from_a_fault_of_the_rig(change: dict[str, Any], verdict: str, told: list[str]) -> None:
+    found, why = judge(QUIET | change, {}, period_us=1000.0)
+    assert found == verdict and bool(why) == (verdict != "holds")
+    assert all(part in "; ".join(why) for part in told)
+
+
+def test_short_sessions_are_judged_too() -> None:
+    def judged(row: dict[str, Any], statuses: dict[str, int], dropped: int = 0) -> tuple[str, list[str]]:
+        return judge(row, {"at once": {"statuses": statuses, "dropped": dropped}}, period_us=1000.0)
+
+    assert judged(QUIET, {"0": 8}) == ("holds", [])
+    assert judged(QUIET, {"0": 6, "3": 2}) == ("does not hold", ["at once: 2 stopped by safety"])
+    assert judged(QUIET | BUSY, {"0": 6, "3": 2})[0] == "undecided"
+    assert judged(QUIET | BUSY, {"0": 7, "1": 1}) == ("does not hold", ["at once: 1 ended with status 1"])
+    assert judged(QUIET, {"0": 8}, 5) == ("does not hold", ["at once: 5 records were dropped"])

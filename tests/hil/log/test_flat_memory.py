@@ -47,6 +47,28 @@ def test_writing_holds_no_more_for_a_longer_run(tmp_path: Path) -> None:
         tracemalloc.stop()
 
 
+def test_a_chunk_that_is_written_leaves_no_memory_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In real time a chunk ends every 50 ms: at 350 bytes each a session grew by 0.5 MB a minute."""
+    monkeypatch.setattr(mcap_sink, "FLUSH_BYTES", 1)  # a chunk per slot
+    monkeypatch.setattr(growing, "IN_MEMORY", 2 << 20)
+    monkeypatch.setattr(mcap_writer, "INDEX_WAITING", 1 << 13)
+    sink, held, few, many = McapSink(tmp_path / "run.mcap", TABLE, provenance()), {}, 500, 1_500
+    state, pack = sink.channel("/plant/state"), TABLE["/plant/state"].schema.pack
+    assert state is not None
+    tracemalloc.start()
+    try:
+        for k in range(many):
+            state(k * PERIOD_NS, pack(0.1, 1.0, k))
+            sink.commit()
+            if k in (few, many - 1):
+                held[k] = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+        sink.close()
+    assert held[many - 1] - held[few] < 100 * (many - few)
+    assert len(read_run(tmp_path / "run.mcap").numbers("/plant/state")) == many
+
+
 def test_closing_holds_no_index_of_a_long_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mcap_sink, "FLUSH_BYTES", 1)  # a chunk per slot
     monkeypatch.setattr(mcap_sink, "MOST_WAITING", 1 << 14)
