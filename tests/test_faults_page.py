@@ -52,6 +52,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "a private key": ("test_a_secret_that_others_may_read_is_refused", "test_a_pipe_or_a_device_is_no_key"),
     "foreign frames while": ("test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_counted",),
     "a flood of frames": ("test_a_flood_is_said_and_no_late_answer_is_applied",
+                          "test_eight_senders_for_ten_seconds_make_no_slot_late_and_are_said",
                           "test_flood_never_holds_the_rig_beyond_the_deadline_or_the_most_frames"),
     # Faults on a time line
     "`cut`": ("test_a_cut_loses_what_would_arrive_and_nothing_else",

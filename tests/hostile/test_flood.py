@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hil.log.read.run import read_run
+from hil.bench.timing import read_cyclictest, start_cyclictest
+from hil.experiment import load_experiment
+from hil.log.read.run import Run, read_run
 from tests.waiting import until
 
 pytestmark = pytest.mark.realtime
@@ -55,12 +59,13 @@ def flooders(channel: str, count: int, seconds: float) -> Iterator[Callable[[], 
             process.communicate()
 
 
-def flooded(tmp_path: Path, senders: int, seconds: float) -> None:
+def under_flood(tmp_path: Path, senders: int, run_s: float, flood_s: float, *changes: str) -> tuple[int, dict[str, Any], Run]:
+    """Run the motor with a flood from its first slots on; return exit status, summary and log of what must hold in any case."""
     channel, log = f"f{os.getpid()}", tmp_path / "run.mcap"
-    with flooders(channel, senders, 10 * seconds) as begin:
+    with flooders(channel, senders, flood_s) as begin:
         session = subprocess.Popen(
             [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--link", f"can:hil:{channel}", "--json",
-             "--duration", str(seconds), "-o", str(log)],
+             "--duration", str(run_s), "-o", str(log), *(part for change in changes for part in ("--set", change))],
             cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         try:
@@ -74,23 +79,46 @@ def flooded(tmp_path: Path, senders: int, seconds: float) -> None:
     summary, run = json.loads(out), read_run(log)
     counted = summary["link_counters"]
     assert counted["received"] + counted["dropped"] > counted["sent"] + 50, counted  # the flood was there
-    # How much of the flood a slot meets is the machine's affair: what it met is said, and never with status 0.
-    assert session.returncode in (0, 1, 3, 5, 6), summary
     assert (session.returncode != 0) == bool(summary["problems"] or summary["safety"]), summary
     trips = run.arrays["/timing/tick"]["round_trip_us"]
     deadline_us = run.resolved["timing"]["deadline"] * run.resolved["period"] * 1e6
     assert not (trips > deadline_us).any(), np.nanmax(trips)  # no late answer was applied as if it were in time
     ticks = run.arrays["/timing/tick"]["tick"]
     assert (np.diff(ticks) == 1).all()  # no slot was skipped
+    return session.returncode, summary, run
 
 
 def test_a_flood_is_said_and_no_late_answer_is_applied(tmp_path: Path) -> None:
-    flooded(tmp_path, senders=4, seconds=3.0)
+    status, summary, _ = under_flood(tmp_path, senders=4, run_s=3.0, flood_s=30.0)
+    # How much of the flood a slot meets is the machine's affair: what it met is said, and never with status 0.
+    assert status in (0, 1, 3, 5, 6), summary
+
+
+WIDE = ("limits.watchdog_slots=1000000", "limits.input=[1e6]", "limits.state.angle=1e9", "limits.state.speed=1e9")
+"""Safety that nothing trips: the run lasts as long as the flood, and longer."""
 
 
 @pytest.mark.hostile
 @pytest.mark.timeout(600)
-def test_a_flood_by_eight_senders_is_said_and_no_late_answer_is_applied(tmp_path: Path) -> None:
-    for turn in range(10):
-        (tmp_path / str(turn)).mkdir()
-        flooded(tmp_path / str(turn), senders=8, seconds=8.0)
+@pytest.mark.parametrize("turn", range(3))
+def test_eight_senders_for_ten_seconds_make_no_slot_late_and_are_said(tmp_path: Path, turn: int) -> None:
+    """The rig is late by no more than cyclictest beside it, at its priority and under the same flood, and one period."""
+    beside = None
+    if shutil.which("cyclictest") is not None:
+        beside = start_cyclictest(load_experiment("dc-motor-hinf").timing.priority, 1000, 13.0, tmp_path / "cyclictest.json")
+    try:
+        status, summary, run = under_flood(tmp_path, 8, 13.0, 10.0, *WIDE)
+    finally:
+        if beside is not None:
+            beside.communicate(timeout=60)
+    assert status == 6 and summary["safety"] is None and "flood" in summary["problems"], summary
+    timed = run.arrays["/timing/tick"]
+    assert len(timed) == summary["ticks"] == 260  # 13 s: it ran to its end
+    assert np.isfinite(timed["round_trip_us"][-10:]).any()  # behind the flood answers come again
+    if beside is None:
+        pytest.skip("cyclictest is not installed: apt-get install rt-tests")
+    theirs_us, _ = read_cyclictest(tmp_path / "cyclictest.json", 1000)
+    ours_us = timed["lateness_us"]
+    print(f"lateness p50 {np.median(ours_us):.0f}, max {ours_us.max():.0f} us; cyclictest {np.median(theirs_us):.0f}, "
+          f"max {theirs_us.max():.0f} us; {summary['timing']['late']} of 260 slots without an answer in time")  # fmt: skip
+    assert ours_us.max() <= theirs_us.max() + 50_000.0
