@@ -59,8 +59,9 @@ test-vcan: $(INSTALLED) ## the tests that need a real vcan0, in this kernel or a
 	$(BIN)/hil vcan --install -v --timeout 600 -- $(PYTEST_VCAN) -m "$(VCAN)" $(VCAN_TESTS)
 
 test-hostile: export OMP_NUM_THREADS = 1
-test-hostile: $(INSTALLED) ## the attacks at length: a million inputs over all boundaries, ten floods; some hours
-	$(BIN)/pytest -n 0 --hil-hostile -m hostile tests/hostile $(PYTEST_ARGS)
+test-hostile: $(INSTALLED) ## the attacks at length: a million inputs over all boundaries, floods of ten seconds; half an hour
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal --hil-hostile -m "hostile and not realtime" tests/hostile $(PYTEST_ARGS)
+	$(BIN)/pytest -n 0 --hil-hostile -m "hostile and realtime" tests/hostile $(PYTEST_ARGS)
 
 sbom: $(INSTALLED) ## what is installed, and under which licence
 	@$(BIN)/hil licences

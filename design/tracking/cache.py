@@ -47,13 +47,9 @@ def solve_cached(
     if directory is None:
         return solve(problem, progress=progress)
     entry = directory / f"{problem.digest()}-{SOLVER_VERSION}.json"
-    try:
-        stored = read_json(entry)
-        gains = np.array(stored["gains"], dtype=np.float64)
-        starts = tuple(np.inf if v is None else float(v) for v in stored["starts"])
-        return certified(problem, gains, starts=starts, evaluations=int(stored["evaluations"]))
-    except (ValueError, KeyError, TypeError, OverflowError, np.linalg.LinAlgError, DesignError):
-        pass
+    found = kept_design(entry, problem)
+    if found is not None:
+        return found
     design = solve(problem, progress=progress)
     document = {
         "gains": design.gains.tolist(),
@@ -65,6 +61,17 @@ def solve_cached(
     except OSError:
         pass
     return design
+
+
+def kept_design(entry: Path, problem: TrackingProblem) -> Design | None:
+    """Return the design of an entry, certified again; None for whatever is none of this problem."""
+    try:
+        stored = read_json(entry)
+        gains = np.array(stored["gains"], dtype=np.float64)
+        starts = tuple(np.inf if v is None else float(v) for v in stored["starts"])
+        return certified(problem, gains, starts=starts, evaluations=int(stored["evaluations"]))
+    except (ValueError, KeyError, TypeError, OverflowError, np.linalg.LinAlgError, DesignError):
+        return None
 
 
 def keep_entry(entry: Path, text: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -77,22 +76,21 @@ def _write_codec(database: Any, folder: Path, force: bool) -> None:
 
 
 def _decode(database: Any, log: Path) -> None:
-    from transport.links.python_can import can
+    from cantools.database import DecodeError
 
-    if log.suffix not in (".log", ".blf"):
-        raise HilError(f"{log}: the ending {log.suffix!r} names no CAN log, expected .log or .blf (see `hil export`)")
-    try:
-        with can.LogReader(log) as frames:
-            for frame in frames:
-                try:
-                    message = database.get_message_by_frame_id(frame.arbitration_id)
-                except KeyError:
-                    continue  # another node's
-                signals = message.decode(bytes(frame.data), decode_choices=True, allow_truncated=True)
-                told = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
-                print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **told}))
-    except (OSError, ValueError, IndexError, EOFError, struct.error, can.CanError) as e:
-        raise HilError(f"{log}: is no CAN log: {e}") from e
+    from hil.log.read.can_log import can_frames
+
+    for frame in can_frames(log):
+        try:
+            message = database.get_message_by_frame_id(frame.arbitration_id)
+        except KeyError:
+            continue  # another node's
+        try:
+            signals = message.decode(bytes(frame.data), decode_choices=True, allow_truncated=True)
+        except (DecodeError, ValueError) as e:
+            raise HilError(f"{log}: a frame {frame.arbitration_id:#x} is none of {message.name}: {e}") from e
+        told = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
+        print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **told}))
 
 
 def _database(text: str) -> Any:

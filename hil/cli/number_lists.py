@@ -34,7 +34,8 @@ class NumberList(click.ParamType[tuple[float, ...]]):
                     found += range(int(first), min(int(last), int(first) + MOST) + 1)
                 else:
                     found.append(int(part) if self.whole else float(part))
-            except ValueError:
+                    float(found[-1])  # no number of a list is beyond these
+            except (ValueError, OverflowError):
                 what = "whole number or range such as 0..8" if self.whole else "number"
                 self.fail(f"{part.strip()!r} is no {what}", param, ctx)
         for number in found:

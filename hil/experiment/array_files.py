@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import math
 import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -25,7 +26,8 @@ SUFFIXES: Final = (".npz", ".npy", ".csv", ".mat")
 _MAT_HEADER: Final = 128
 _COMPRESSED: Final = 15
 _BROKEN: Final = (ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError, OSError, NotImplementedError,
-                  UnicodeError, SyntaxError, RecursionError, struct.error, zlib.error, zipfile.BadZipFile)  # fmt: skip
+                  UnicodeError, SyntaxError, RecursionError, struct.error, zlib.error, zipfile.BadZipFile,
+                  tokenize.TokenError)  # fmt: skip
 
 
 def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions: int) -> list[Any]:

@@ -1,18 +1,25 @@
 """Every boundary at which a stranger's text or bytes come in: one message, no traceback, no hang.
 
-The same attacks run twice: a few dozen inputs with the other tests, a million with ``make test-hostile``.
+Two kinds of inputs: what hypothesis draws, of the right form with the wrong contents; and real files with a few places damaged,
+hundreds of them from each seed that it draws. The same attacks run twice: a few with the other tests, a million with
+``make test-hostile``, which prints how many were read and refused.
 """
 
 from __future__ import annotations
 
 import json
 import signal
+import struct
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import traceback
+import zlib
+from collections.abc import Callable
 from pathlib import Path
+from random import Random
 from typing import Any
 
+import click
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -21,142 +28,79 @@ from design.tracking.design_file import load_design
 from hil.cli.terminal import LONGEST, message_lines
 from hil.errors import HilError
 from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
-from hil.log.read.export import export
-from hil.log.read.recover import recover
-from hil.log.read.run import read_run
-from hil.log.write.mcap_sink import McapSink
-from hil.measure.summary import summarise
-from hil.measure.view import view_of
-from hil.replay import verify
-from hil.report.run.run_page import render_report
 from hil.sweeps.store import SweepStore
-from tests.hil.log.recording import TABLE, provenance, record
+from tests.hostile.boundaries import BOUNDARIES, DESIGN
+from tests.hostile.logs import motor, use_log, words, write_log
+from tests.hostile.mutation import mutated
+from tests.hostile.structured import damaged, edited, leaf, value
+from tests.hostile.watchdog import Hangs, within
 from transport.laws.trace import read_ages
 
-FEW, MANY = 60, 112_000
-"""Inputs for each of nine boundaries: a million in all."""
+FEW = 30
+PARTS = 4
+"""Tests that share the inputs of a boundary, so that several processes do."""
 
-GOOD = shipped()["dc-motor-hinf"].read_text()
-DESIGN = json.loads((shipped()["dc-motor-ours-bursty"].parent / "designs" / "dc-motor-bursty-h2-sojourns.json").read_text())
+BATCH = 100
+"""Damaged inputs from each seed that hypothesis draws."""
 
-leaf = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.integers(-(10**400), 10**400), st.floats(), st.text(max_size=20),
-    st.sampled_from(["nan s", "1e400 s", "\x1b[2J", "[/]", "inf", "-0.0"]),
-)  # fmt: skip
-value = st.recursive(
-    leaf, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3), max_leaves=5
-)
+MOST_MB = 300
+"""Memory that the inputs of a test may take beyond what was there."""
+
+Note = Callable[[str, object], None]
 
 
-@st.composite
-def damaged(draw: st.DrawFn, tree: Any) -> Any:
-    """A JSON tree with one to three of its nodes replaced or removed."""
-    tree = json.loads(json.dumps(tree))
-    for _ in range(draw(st.integers(1, 3))):
-        node = tree
-        while isinstance(node, dict | list) and node:
-            key = draw(st.sampled_from(sorted(node) if isinstance(node, dict) else range(min(len(node), 4))))
-            if not isinstance(node[key], dict | list) or not node[key] or draw(st.integers(0, 3)) == 0:
-                if isinstance(node, dict) and draw(st.booleans()):
-                    del node[key]
-                else:
-                    node[key] = draw(value)
-                break
-            node = node[key]
-    return tree
+def _memory_kb(what: str) -> int:
+    status = Path("/proc/self/status").read_text()
+    return int(status.partition(f"{what}:")[2].split()[0])
 
 
-@st.composite
-def edited(draw: st.DrawFn, text: str) -> str:
-    """A text with a few pieces cut, doubled or replaced."""
-    pieces = [*"=[]{}\"'\n.#\\", "9" * 4400, "1e400", "nan", '"""', "\x1b[2J", "a." * 40, "[" * 40, "inf", "-1", "\0", "é"]
-    for _ in range(draw(st.integers(1, 4))):
-        at = draw(st.integers(0, len(text)))
-        text = text[:at] + draw(st.sampled_from(pieces)) + text[at + draw(st.integers(0, 12)) :]
-    return text
+class Tally:
+    """Tries inputs at one boundary, counts them, and keeps the first of each kind of failure."""
+
+    def __init__(self, boundary: str, refusals: tuple[type[Exception], ...]) -> None:
+        self.boundary, self._refusals = boundary, refusals
+        self.read = self.refused = 0
+        self._failures: dict[tuple[str, str], str] = {}
+        Path("/proc/self/clear_refs").write_text("5")  # the peak is what it is now
+        self._before_kb = _memory_kb("VmRSS")
+
+    def attack(self, attempt: Callable[[], object], data: Any) -> None:
+        """Try one input; any exception but a refusal is a failure, and so are a hang and a message without end."""
+        try:
+            with within():
+                read = attempt()
+        except self._refusals as error:
+            self.refused += 1
+            if sum(len(line.encode()) + 6 for line in message_lines(str(error))) > LONGEST:
+                self._fail("message", "", f"{str(error)[:200]!r} for {data!r:.500}")
+        except (Exception, Hangs) as error:
+            at = traceback.extract_tb(error.__traceback__)
+            own = [frame for frame in at if "/tests/" not in frame.filename] or at
+            told = f"{error!r:.300}\nfor {data!r:.1500}\n{''.join(traceback.format_list(own[-3:]))}"
+            self._fail(type(error).__name__, f"{own[-1].filename}:{own[-1].lineno}", told)
+        else:
+            self.read += read is not False
+            self.refused += read is False
+
+    def _fail(self, kind: str, where: str, told: str) -> None:
+        self._failures.setdefault((kind, where), f"{self.boundary}: {told}")
+
+    def end(self, note: Note) -> None:
+        """Note the counts, and fail if anything did."""
+        for name in ("boundary", "read", "refused"):
+            note(name, getattr(self, name))
+        grown_mb = (_memory_kb("VmHWM") - self._before_kb) / 1e3
+        assert not self._failures, "\n\n".join(self._failures.values())
+        assert grown_mb < MOST_MB, f"{self.boundary}: {grown_mb:.0f} MB for inputs of some kilobytes"
 
 
-@st.composite
-def flipped(draw: st.DrawFn, data: bytes) -> bytes:
-    """Bytes with a few of them others, cut, or zeroed."""
-    out = bytearray(data)
-    for _ in range(draw(st.integers(1, 5))):
-        at = draw(st.integers(0, len(out) - 1))
-        out[at : at + draw(st.integers(1, 9))] = draw(st.binary(min_size=1, max_size=9))
-    return bytes(out[: draw(st.integers(0, len(out)))] if draw(st.integers(0, 3)) == 0 else out)
+# What hypothesis draws
 
 
-@contextmanager
-def within(work_s: float = 5.0, waiting_s: float = 120.0) -> Iterator[None]:
-    """Fail where the work hangs: after so many seconds of CPU time, or where it waits for ever.
-
-    The first is hundreds of times what the work takes, however busy the machine is.
-    """
-
-    def late(number: int, _frame: object) -> None:
-        raise AssertionError(f"hangs: not done in {work_s} s of work" if number == signal.SIGPROF else "waits for ever")
-
-    before = {number: signal.signal(number, late) for number in (signal.SIGPROF, signal.SIGALRM)}
-    signal.setitimer(signal.ITIMER_PROF, work_s)
-    signal.setitimer(signal.ITIMER_REAL, waiting_s)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def test_a_hang_is_seen_by_its_work_and_by_its_waiting() -> None:
-    with pytest.raises(AssertionError, match="hangs"), within(0.02):
-        while True:
-            pass
-    with pytest.raises(AssertionError, match="waits"), within(5.0, 0.02):
-        signal.pause()
-
-
-def write_log(path: Path, words: dict[str, Any]) -> None:
-    about = provenance(resolved=words["resolved"], certificate=words["certificate"])
-    with McapSink(path, TABLE, about) as sink:
-        record(sink, 5)
-        for event in words["events"]:
-            put = sink.channel("/events")
-            assert put is not None
-            put(0, json.dumps(event).encode())
-        sink.summary(words["summary"] if isinstance(words["summary"], dict) else {"problems": words["summary"]})
-
-
-def use_log(path: Path) -> None:
-    run = read_run(path)
-    view = view_of(run)
-    render_report(view, {**summarise(view), **{k: v for k, v in run.summary.items() if k in ("problems", "log")}})
-    export(run, path.with_suffix(".csv"), replace=True)
-    verify(run)
-
-
-MOTOR = load_experiment("dc-motor-hinf")
-WORDS = {
-    "resolved": MOTOR.resolved(),
-    "certificate": {"state": "certified", "kind": "mean-square stability", "reason": "radius below 1", "radius": 0.9},
-    "events": [{"tick": 0, "t_s": 0.0, "kind": "safety", "severity": "error", "message": "limit", "data": {"scheduler": "x"}}],
-    "summary": {"problems": {"x": "y"}},
-}
-
-
-def attack_log_words(place: Path, words: Any) -> None:
-    words = {**WORDS, **words}
-    write_log(place / "x.mcap", {**words, "events": words["events"] if isinstance(words["events"], list) else []})
+def attack_log_words(place: Path, drawn: Any) -> None:
+    drawn = {**words(), **drawn}
+    write_log(place / "x.mcap", {**drawn, "events": drawn["events"] if isinstance(drawn["events"], list) else []})
     use_log(place / "x.mcap")
-
-
-def attack_log_bytes(place: Path, data: bytes) -> None:
-    (place / "x.mcap").write_bytes(data)
-    (place / "y.mcap").unlink(missing_ok=True)
-    try:
-        use_log(place / "x.mcap")
-    finally:
-        recover(place / "x.mcap", place / "y.mcap")
 
 
 def attack_design(place: Path, document: Any) -> None:
@@ -166,12 +110,11 @@ def attack_design(place: Path, document: Any) -> None:
 
 def attack_sweep(place: Path, line: str) -> None:
     (place / "s").unlink(missing_ok=True)
-    with SweepStore(place / "s", MOTOR, ("sse",)):
-        pass
-    with open(place / "s", "a", errors="replace") as file:
-        file.write(line + "\n")
-    with SweepStore(place / "s", MOTOR, ("sse",)):
-        pass
+    for text in ("", line + "\n"):
+        with open(place / "s", "a", errors="replace") as file:
+            file.write(text)
+        with SweepStore(place / "s", motor(), ("sse",)):
+            pass
 
 
 def attack_trace(place: Path, text: str) -> None:
@@ -179,62 +122,165 @@ def attack_trace(place: Path, text: str) -> None:
     read_ages(place / "t.csv")
 
 
-def log_bytes() -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        write_log(Path(folder) / "x.mcap", WORDS)
-        return (Path(folder) / "x.mcap").read_bytes()
-
-
-ATTACKS: dict[str, tuple[st.SearchStrategy[Any], Callable[[Path, Any], object]]] = {
-    "experiment": (edited(GOOD), lambda place, text: parse_experiment(text, folder=str(place))),
-    "set": (st.tuples(st.sampled_from(["plant.gain", "seed", "reference", "links.sc.law", "x.y", ""]), value),
-            lambda place, pair: load_experiment("dc-motor-hinf", [f"{pair[0]}={pair[1]}"])),
-    "seconds": (st.one_of(leaf, st.text(max_size=30)), lambda place, given: Seconds.parse(given)),
-    "design": (damaged(DESIGN), attack_design),
-    "sweep row": (damaged({"seed": 3, "sse": 1.0}).map(json.dumps) | edited('{"seed": 3, "sse": 1.0}'), attack_sweep),
-    "trace": (edited("age\n0\n1\n2\n0\n"), attack_trace),
-    "log words": (damaged(WORDS), attack_log_words),
-    "log bytes": (flipped(log_bytes()), attack_log_bytes),
-    "message": (st.text(), lambda place, text: message_lines(text)),
+FIELDS = ["plant.gain", "seed", "reference", "links.sc.law", "x.y", ""]
+ROW = {"seed": 3, "sse": 1.0}
+CALLED = (HilError, ValueError)  # see `boundaries.CALLED`
+Drawn = tuple[int, Callable[[], st.SearchStrategy[Any]], Callable[[Path, Any], object], tuple[type[Exception], ...]]
+DRAWN: dict[str, Drawn] = {
+    "experiment text": (2_000, lambda: edited(shipped()["dc-motor-hinf"].read_text()),
+                        lambda place, text: parse_experiment(text, folder=str(place)), (HilError,)),
+    "set value": (1_000, lambda: st.tuples(st.sampled_from(FIELDS), value),
+                  lambda place, pair: load_experiment("dc-motor-hinf", [f"{pair[0]}={pair[1]}"]), (HilError,)),
+    "seconds": (5_000, lambda: st.one_of(leaf, st.text(max_size=30)), lambda place, given: Seconds.parse(given), CALLED),
+    "design tree": (3_000, lambda: damaged(json.loads(DESIGN.read_text())), attack_design, CALLED),
+    "sweep row": (5_000, lambda: damaged(ROW).map(json.dumps) | edited(json.dumps(ROW)), attack_sweep, (HilError,)),
+    "trace text": (5_000, lambda: edited("age\n0\n1\n2\n0\n"), attack_trace, CALLED),
+    "log words": (1_500, lambda: damaged(words()), attack_log_words, (HilError,)),
+    "message text": (10_000, st.text, lambda place, text: message_lines(text), ()),
 }  # fmt: skip
+"""How many with `make test-hostile`, what is drawn, what takes it, and what may be raised."""
+
+ANYTHING = settings(deadline=None, database=None, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
-def fuzz(name: str, count: int) -> None:
-    strategy, attack = ATTACKS[name]
+def draw(name: str, count: int, note: Note) -> None:
+    _, strategy, attack, refusals = DRAWN[name]
+    tally = Tally(name, refusals)
+    with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as folder:
 
-    @settings(max_examples=count, deadline=None, database=None, derandomize=True, suppress_health_check=list(HealthCheck))
-    @given(strategy)
-    def run(data: Any) -> None:
-        with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as folder, within():
-            try:
-                attack(Path(folder), data)
-            except (HilError, ValueError) as error:
-                # ValueError is what design and transport promise of a file; hil makes it a HilError with the field's path.
-                assert isinstance(error, HilError) or name in ("design", "trace", "seconds"), repr(error)
-                assert sum(len(line.encode()) + 6 for line in message_lines(str(error))) <= LONGEST
+        @settings(ANYTHING, max_examples=count)
+        @given(strategy())
+        def run(data: Any) -> None:
+            tally.attack(lambda: attack(Path(folder), data), data)
 
-    run()
+        run()
+    tally.end(note)
 
 
-@pytest.mark.parametrize("name", ATTACKS)
-def test_what_a_stranger_writes_is_read_or_refused_with_one_message(name: str) -> None:
-    fuzz(name, FEW)
-
-
-FOUND: list[tuple[str, Any]] = [
-    ("log words", {"events": [{**WORDS["events"][0], "t_s": 10**400}]}),  # type: ignore[index]
-]
-"""Inputs that the fuzz found, with the boundary at which each was a traceback."""
-
-
-@pytest.mark.parametrize("name, data", FOUND)
-def test_what_the_fuzz_found_stays_refused(tmp_path: Path, name: str, data: Any) -> None:
-    with pytest.raises(HilError), within():
-        ATTACKS[name][1](tmp_path, data)
+@pytest.mark.parametrize("name", DRAWN)
+def test_what_a_stranger_writes_is_read_or_refused_with_one_message(name: str, record_property: Note) -> None:
+    draw(name, FEW, record_property)
 
 
 @pytest.mark.hostile
 @pytest.mark.timeout(0)
-@pytest.mark.parametrize("name", ATTACKS)
-def test_a_million_inputs_are_read_or_refused_with_one_message(name: str) -> None:
-    fuzz(name, MANY)
+@pytest.mark.parametrize("name", DRAWN)
+def test_thousands_drawn_are_read_or_refused_with_one_message(name: str, record_property: Note) -> None:
+    draw(name, DRAWN[name][0], record_property)
+
+
+# Real files, damaged
+
+
+def damage(name: str, count: int, part: int, note: Note, batch: int = BATCH) -> None:
+    boundary = BOUNDARIES[name]
+    tally, real = Tally(name, boundary.refusals), boundary.real()
+    with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as folder:
+
+        @settings(ANYTHING, max_examples=count // batch)
+        @given(st.integers(0, 2**64 - 1), st.integers(1, 6))
+        def run(seed: int, most: int) -> None:
+            for i in range(batch):
+                rng = Random(f"{name} {part} {seed} {i}")
+                data = mutated(rng, rng.choice(real), boundary.edits, rng.randint(1, most))
+                tally.attack(lambda: boundary.attack(Path(folder), data), data)  # noqa: B023 (called at once)
+
+        run()
+    assert tally.read + tally.refused <= count
+    tally.end(note)
+
+
+@pytest.mark.parametrize("name", BOUNDARIES)
+def test_what_is_real_is_read_and_what_is_damaged_refused_with_one_message(
+    name: str, tmp_path: Path, record_property: Note
+) -> None:  # fmt: skip
+    for data in BOUNDARIES[name].real():
+        assert BOUNDARIES[name].attack(tmp_path, data)
+    damage(name, FEW, PARTS, record_property, batch=FEW // 3)
+
+
+@pytest.mark.hostile
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("name", BOUNDARIES)
+def test_a_million_inputs_are_read_or_refused_with_one_message(name: str, part: int, record_property: Note) -> None:
+    damage(name, BOUNDARIES[name].count // PARTS, part, record_property)
+
+
+def test_it_is_a_million_inputs() -> None:
+    assert sum(boundary.count for boundary in BOUNDARIES.values()) >= 1_000_000
+    assert all(boundary.count % (PARTS * BATCH) == 0 for boundary in BOUNDARIES.values())
+
+
+# What was found, and the fuzz itself
+
+
+def blf(*contents: bytes) -> bytes:
+    head = BOUNDARIES["blf"].real()[0][:144]
+    return head + b"".join(
+        struct.pack("<4sHHIIH6xL4x", b"LOBJ", 16, 1, 32 + len(each), 10, 2, 0) + each + bytes(len(each) % 4) for each in contents
+    )
+
+
+NO_LENGTH = zlib.compress(struct.pack("<4sHHII", b"LOBJ", 16, 3, 0, 1) + bytes(64))
+"""An object of no length: python-can reads it for ever."""
+
+FOUND: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "a whole number beyond all others": ("number list", lambda: b"9" * 400),
+    "a header of an array that goes on": ("npy", lambda: b"\x93NUMPY\x01\x00\x10\x00" + b"{'descr': ('<f8',\n" + bytes(8)),
+    "a container that is no zlib": ("blf", lambda: blf(b"x" * 40)),
+    "an object of no length": ("blf", lambda: blf(NO_LENGTH)),
+    "a container that unpacks to gigabytes": ("blf", lambda: blf(zlib.compress(bytes(20_000_000)))),
+    "objects whose end never comes": ("blf", lambda: blf(zlib.compress(struct.pack("<4sHHII", b"LOBJ", 16, 1, 1 << 30, 1)))),
+    "a line without end": ("candump", lambda: b"(1.0) can0 100#" + b"0" * 10_000),
+}
+"""Inputs that the fuzz found, with the boundary at which each was a traceback, a hang or much memory."""
+
+
+@pytest.mark.parametrize("what", FOUND)
+def test_what_the_fuzz_found_stays_refused(tmp_path: Path, what: str) -> None:
+    name, data = FOUND[what]
+    with pytest.raises(BOUNDARIES[name].refusals), within():
+        BOUNDARIES[name].attack(tmp_path, data())
+
+
+def test_an_event_at_no_instant_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(HilError), within():
+        attack_log_words(tmp_path, {"events": [{**words()["events"][0], "t_s": 10**400}]})
+
+
+def test_a_hang_is_seen_by_its_work_and_by_its_waiting() -> None:
+    with pytest.raises(Hangs, match="of work"), within(0.02):
+        while True:
+            pass
+    with pytest.raises(Hangs, match="waits"), within(5.0, 0.02):
+        signal.pause()
+
+
+def test_a_traceback_a_long_message_and_much_memory_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.hostile.test_boundaries.MOST_MB", 40)
+    noted: dict[str, object] = {}
+
+    def too_long() -> None:
+        raise HilError("x" * 2 + "\n" * 5000)
+
+    def late() -> None:
+        raise Hangs
+
+    for attempt, said in ((lambda: 1 / 0, "ZeroDivisionError"), (late, "Hangs"), (lambda: np.ones(8_000_000), "MB for inputs")):
+        tally = Tally("x", (click.UsageError,))
+        tally.attack(attempt, b"data")
+        with pytest.raises(AssertionError, match=said):
+            tally.end(noted.__setitem__)
+    tally = Tally("x", (HilError,))
+    tally.attack(too_long, b"data")
+    tally.attack(lambda: True, b"data")
+    tally.end(noted.__setitem__)  # whatever an error says, message_lines cuts it
+    assert noted == {"boundary": "x", "read": 1, "refused": 1}
+
+
+def test_damage_is_the_same_for_the_same_seed_and_leaves_few_inputs_as_they_were() -> None:
+    for boundary in BOUNDARIES.values():
+        real = boundary.real()[0]
+        once, again = ([mutated(Random(f"{i}"), real, boundary.edits, 2) for i in range(50)] for _ in range(2))
+        assert once == again and len(set(once)) > 35 and once.count(real) < 10

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -99,24 +98,20 @@ WIDE = ("limits.watchdog_slots=1000000", "limits.input=[1e6]", "limits.state.ang
 
 
 @pytest.mark.hostile
+@pytest.mark.cyclictest
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("turn", range(3))
 def test_eight_senders_for_ten_seconds_make_no_slot_late_and_are_said(tmp_path: Path, turn: int) -> None:
     """The rig is late by no more than cyclictest beside it, at its priority and under the same flood, and one period."""
-    beside = None
-    if shutil.which("cyclictest") is not None:
-        beside = start_cyclictest(load_experiment("dc-motor-hinf").timing.priority, 1000, 13.0, tmp_path / "cyclictest.json")
+    beside = start_cyclictest(load_experiment("dc-motor-hinf").timing.priority, 1000, 13.0, tmp_path / "cyclictest.json")
     try:
         status, summary, run = under_flood(tmp_path, 8, 13.0, 10.0, *WIDE)
     finally:
-        if beside is not None:
-            beside.communicate(timeout=60)
+        beside.communicate(timeout=60)
     assert status == 6 and summary["safety"] is None and "flood" in summary["problems"], summary
     timed = run.arrays["/timing/tick"]
     assert len(timed) == summary["ticks"] == 260  # 13 s: it ran to its end
     assert np.isfinite(timed["round_trip_us"][-10:]).any()  # behind the flood answers come again
-    if beside is None:
-        pytest.skip("cyclictest is not installed: apt-get install rt-tests")
     theirs_us, _ = read_cyclictest(tmp_path / "cyclictest.json", 1000)
     ours_us = timed["lateness_us"]
     print(f"lateness p50 {np.median(ours_us):.0f}, max {ours_us.max():.0f} us; cyclictest {np.median(theirs_us):.0f}, "

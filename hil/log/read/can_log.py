@@ -1,0 +1,121 @@
+"""A CAN log that another program wrote, frame by frame: candump's text, or Vector's BLF with a bound on what it unpacks to."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, Final
+
+from hil.errors import HilError
+from hil.regular_file import refuse_irregular
+
+if TYPE_CHECKING:
+    import can
+
+LONGEST_LINE: Final = 4096
+LARGEST: Final = 1 << 24
+"""Bytes of an object of a BLF file, packed or not; Vector's programs gather 128 kB in one."""
+
+_FILE_HEAD: Final = 144
+_OBJECT: Final = struct.Struct("<4sHHII")
+"""Head of every object: LOBJ, length of the head, its version, length of the object, kind."""
+
+_CONTAINER, _PACKED = 10, 2
+_PACKING: Final = struct.Struct("<H6xL4x")
+_PLAIN: Final = struct.Struct("<4sHHIIH6xL4x")
+
+
+def can_frames(path: Path) -> Iterator[can.Message]:
+    """Yield the frames of a file that ends in .log or .blf.
+
+    Raises:
+        HilError: it cannot be read, is no regular file, or is no such log.
+    """
+    from transport.links.python_can import can
+
+    if path.suffix not in (".log", ".blf"):
+        raise HilError(f"{path}: the ending {path.suffix!r} names no CAN log, expected .log or .blf (see `hil export`)")
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with open(descriptor, "rb") as file:
+            refuse_irregular(path, os.fstat(descriptor).st_mode, "a CAN log")
+            if path.suffix == ".blf":
+                for part in _parts(file):
+                    yield from can.BLFReader(io.BytesIO(part))
+            else:
+                yield from can.CanutilsLogReader(_Lines(file))  # type: ignore[arg-type]
+    except (OSError, ValueError, ArithmeticError, LookupError, EOFError, struct.error, zlib.error, can.CanError,
+            can.io.blf.BLFParseError) as e:  # fmt: skip
+        raise HilError(f"{path}: is no CAN log: {str(e) or type(e).__name__:.200}") from e
+
+
+class _Lines(io.TextIOBase):
+    """The lines of a file, none of them without an end."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def __next__(self) -> str:  # type: ignore[override]
+        line = self._file.readline(LONGEST_LINE)
+        if not line:
+            raise StopIteration
+        if len(line) == LONGEST_LINE:
+            raise ValueError(f"a line has more than {LONGEST_LINE} bytes")
+        return line.decode()
+
+
+def _parts(file: BinaryIO) -> Iterator[bytes]:
+    """Yield files of the whole objects of one container each, not packed: what python-can would unpack without a bound."""
+    head = file.read(_FILE_HEAD)
+    if len(head) < _FILE_HEAD or head[:4] != b"LOGG":
+        raise ValueError("the head of the file is missing")
+    (size,) = struct.unpack_from("<I", head, 4)
+    file.seek(max(size, _FILE_HEAD))
+    rest = b""
+    while begin := file.read(_OBJECT.size):
+        mark, _, _, length, kind = _OBJECT.unpack(begin)
+        if mark != b"LOBJ" or not _OBJECT.size <= length <= LARGEST:
+            raise ValueError(f"no object of {_OBJECT.size} to {LARGEST} bytes begins at byte {file.tell() - _OBJECT.size}")
+        body = file.read(length - _OBJECT.size)
+        file.read(length % 4)
+        if kind == _CONTAINER:
+            rest += _unpacked(body)
+            whole = _whole_objects(rest)
+            if whole:
+                yield head + _PLAIN.pack(b"LOBJ", 16, 1, _PLAIN.size + whole, _CONTAINER, 0, whole) + rest[:whole]
+            rest = rest[whole:]
+
+
+def _unpacked(body: bytes) -> bytes:
+    method, _ = _PACKING.unpack_from(body)
+    if method == 0:
+        return body[_PACKING.size :]
+    if method != _PACKED:
+        raise ValueError(f"a container is packed by method {method}, expected 0 or {_PACKED}")
+    found = zlib.decompressobj().decompress(body[_PACKING.size :], LARGEST + 1)
+    if len(found) > LARGEST:
+        raise ValueError(f"a container unpacks to more than {LARGEST} bytes")
+    return found
+
+
+def _whole_objects(data: bytes) -> int:
+    """Return where the last object ends of which all bytes are there."""
+    end = 0
+    while True:
+        begin = data.find(b"LOBJ", end, end + 8)
+        if begin < 0:
+            if len(data) - end > 8:
+                raise ValueError("no object begins where the one before ends")
+            return end
+        if len(data) - begin < _OBJECT.size:
+            return end
+        length = _OBJECT.unpack_from(data, begin)[3]
+        if not _OBJECT.size <= length <= LARGEST:
+            raise ValueError(f"an object of {length} bytes, expected {_OBJECT.size} to {LARGEST}")
+        if begin + length > len(data):
+            return end
+        end = begin + length
