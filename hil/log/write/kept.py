@@ -10,7 +10,8 @@ import numpy as np
 
 from hil.log.growing import Growing
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Channel
-from hil.log.write.packed_records import MESSAGE_OVERHEAD, Messages
+from hil.log.write.open_chunk import Messages
+from hil.log.write.packed_records import BEHIND, HEAD, MESSAGE_OVERHEAD
 
 StructuredArray: TypeAlias = np.ndarray[Any, np.dtype[np.void]]
 Keep: TypeAlias = Mapping[str, Sequence[str] | None]
@@ -54,19 +55,22 @@ class Kept:
         """Keep what is to be kept of one chunk; see `McapWriter`."""
         if not self._any:
             return
-        channels, begins = messages.channels, messages.begins
         for topic, message in self._messages.items():
-            own, size = channels == self._ids[topic], message.itemsize
-            records = np.frombuffer(b"".join([data[at : at + size] for at in begins[own].tolist()]), message)
+            own = messages.get(self._ids[topic])
+            if own is None:
+                continue
             column = self._columns[topic]
+            everywhere = np.ndarray(len(data) - message.itemsize + 1, message, data, strides=1)  # a message at every byte
+            records = everywhere[own.begins]
             part = np.empty(len(records), column.dtype)
-            part[TIME_FIELD] = messages.times[own]
+            part[TIME_FIELD] = own.times
             for name in self._fields[topic]:
                 part[name] = records[name]
             column.extend(part)
-        for i in np.flatnonzero(channels == self._ids[EVENTS_TOPIC]).tolist():
-            end = begins[i + 1] if i + 1 < len(begins) else len(data)
-            self.events.append(data[begins[i] + MESSAGE_OVERHEAD : end])
+        events = messages.get(self._ids[EVENTS_TOPIC])
+        for at in () if events is None else events.begins.tolist():
+            length = HEAD.unpack_from(data, at)[1]
+            self.events.append(data[at + MESSAGE_OVERHEAD : at + MESSAGE_OVERHEAD - BEHIND + length])
 
     def _numbers(self, topic: str) -> Mapping[str, Any]:
         return self.schemas[topic].dtype.fields or {}

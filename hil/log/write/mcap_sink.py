@@ -175,7 +175,8 @@ class McapSink:
                 self._disk.flush()
             except OSError as error:
                 self._fail(error)
-        self._closed = self._writer.closed = True
+        self._closed = True
+        self._writer.refuse()
         self._disk.close()
 
     def sha256(self) -> str:
@@ -218,7 +219,7 @@ class McapSink:
 
     def _fail(self, error: OSError, messages: int = 0) -> None:
         self._dropped += messages
-        self._writer.closed = True
+        self._writer.refuse()
         self.error = f"{self.path}: {error.strerror or error}"
 
     def __enter__(self) -> McapSink:

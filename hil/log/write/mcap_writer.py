@@ -1,7 +1,7 @@
 """MCAP records to bytes: what `mcap.writer.Writer` writes, byte for byte, with the messages of a chunk put together at once.
 
-The package writes a message with some fifteen small writes. Here one `struct` writes several messages with their heads, and the
-index of a chunk is computed by numpy when the chunk ends.
+The package writes a message with some fifteen small writes. Here one `struct` packs the numbers of several messages, and numpy
+writes their heads, and the index of a chunk, when the chunk ends.
 
 Reference: the MCAP format specification, https://mcap.dev/spec.
 """
@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from typing import Final, Literal, Protocol
 
 import numpy as np
 import zstandard
@@ -36,7 +36,8 @@ from mcap.records import (
 )
 
 from hil.log.growing import Growing, pieces
-from hil.log.write.packed_records import BEHIND, HEAD, MESSAGE_OVERHEAD, Layouts, Messages, Packed, Part, messages_at
+from hil.log.write.open_chunk import Messages, OpenChunk
+from hil.log.write.packed_records import BEHIND, HEAD, Layouts, Packed
 
 Index = Literal["full", "chunk"]
 """How much of an index a log has."""
@@ -50,7 +51,6 @@ INDEX_PIECE: Final = 1 << 18
 INDEX_WAITING: Final = 1 << 16
 """Bytes of it that wait in memory: in real time a chunk ends 20 times a second, and what holds its place must not add up."""
 
-_INDEX_ENTRY: Final = np.dtype([("time", "<u8"), ("offset", "<u8")])
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
 ChunkEnded = Callable[[bytes, Messages], None]
@@ -77,9 +77,6 @@ class McapWriter:
         folder: where the chunks' index of a long run is kept until the end, see `Growing`.
 
     Attributes:
-        open_bytes: bytes of the messages in the open chunk.
-        closed: set it, and no message is taken any more.
-        refused: how many came since.
         start_ns: log time of time 0 of `messages_of`.
         behind_ns: how much after its log time happened what comes next, likewise.
     """
@@ -109,10 +106,8 @@ class McapWriter:
         self._start: int | None = None
         self._end = 0
         self._opening = RecordBuilder()  # schemas and channels that stand at the begin of the open chunk
-        self._parts: list[bytes] = []  # the messages of the open chunk, one or several in each part
-        self._noted: list[Part] = []
-        self.open_bytes = self.refused = self.start_ns = self.behind_ns = 0
-        self.closed = False
+        self._open = OpenChunk()
+        self.start_ns = self.behind_ns = 0
         self._write(MAGIC)
         self._write(_bytes(Header(profile, library)))
 
@@ -162,23 +157,17 @@ class McapWriter:
 
         The log time counts from `start_ns`, and the publish time lies `behind_ns` after it.
         """
-        append, note, pack, frame, opcode = self._parts.append, self._noted.append, HEAD.pack, BEHIND, int(Opcode.MESSAGE)
-        channels = (channel_id,)
+        take, pack, opcode = self._open.add, HEAD.pack, int(Opcode.MESSAGE)
 
         def add(t_ns: int, payload: bytes) -> None:
-            if self.closed:
-                self.refused += 1
-                return
             log_ns = self.start_ns + t_ns if t_ns > 0 else self.start_ns
-            size = len(payload)
-            append(pack(opcode, frame + size, channel_id, 0, log_ns, max(log_ns + self.behind_ns, 0)) + payload)
-            note((log_ns, channels, (MESSAGE_OVERHEAD + size,)))
-            self.open_bytes += MESSAGE_OVERHEAD + size
+            head = pack(opcode, BEHIND + len(payload), channel_id, 0, log_ns, max(log_ns + self.behind_ns, 0))
+            take(channel_id, head + payload)
 
         return add
 
     def records_of(self, records: Sequence[Packed]) -> Callable[..., None]:
-        """Return the function that adds one message of each of these channels, packed with their heads at once.
+        """Return the function that adds one message of each of these channels, packed at once.
 
         It takes time in ns, then the numbers of the first record, of the second, and so on; the bytes of a frame stand behind
         its numbers.
@@ -186,24 +175,7 @@ class McapWriter:
         Args:
             records: in order; one of them at most has a frame.
         """
-        layouts = Layouts(records)
-        layout_of, at, count, messages = layouts.of, layouts.frame_at, layouts.count, len(records)
-        append, note = self._parts.append, self._noted.append
-
-        def add(t_ns: int, *values: Any) -> None:
-            if self.closed:
-                self.refused += messages
-                return
-            if len(values) != count:
-                raise TypeError(f"{len(values)} values, expected {count} in {messages} records")
-            if t_ns < 0:
-                t_ns = 0
-            pack, pick, constants, channels, sizes, size = layout_of(0 if at is None else len(values[at]))
-            append(pack(*pick((t_ns, *constants, *values))))
-            note((t_ns, channels, sizes))
-            self.open_bytes += size
-
-        return add
+        return self._open.adds(Layouts(records))
 
     def add_framed(self, channel_id: int, message: bytes) -> None:
         """Add a message as it stood in another file, head included, to the open chunk.
@@ -212,14 +184,26 @@ class McapWriter:
             channel_id: its channel here.
             message: opcode, length, channel, and so on.
         """
-        self._parts.append(message[:9] + channel_id.to_bytes(2, "little") + message[11:])
-        self._noted.append((HEAD.unpack_from(message)[4], (channel_id,), (len(message),)))
-        self.open_bytes += len(message)
+        self._open.add(channel_id, message[:9] + channel_id.to_bytes(2, "little") + message[11:])
+
+    @property
+    def open_bytes(self) -> int:
+        """Bytes of the messages in the open chunk."""
+        return self._open.size
 
     @property
     def open_messages(self) -> int:
         """Messages in the open chunk."""
-        return sum(len(sizes) for _, _, sizes in self._noted)
+        return len(self._open)
+
+    @property
+    def refused(self) -> int:
+        """Messages that came after `refuse`."""
+        return self._open.refused
+
+    def refuse(self) -> None:
+        """Take no message any more: count them."""
+        self._open.closed = True
 
     def flush(self) -> None:
         """End the open chunk, if it has a message, and let everything go to the disk."""
@@ -227,15 +211,12 @@ class McapWriter:
         self._stream.flush()
 
     def _end_chunk(self) -> None:
-        if not self._parts:
+        if not self._open.size:
             return
         opening = self._opening.end()  # type: ignore[no-untyped-call]
-        data = b"".join((opening, *self._parts))
-        messages = messages_at(len(opening), self._noted)
-        self._parts.clear()  # the same lists: `messages_of` and the others append to them
-        self._noted.clear()
-        self.open_bytes = 0
-        first, last = int(messages.times.min()), int(messages.times.max())
+        data, messages = self._open.end(opening)
+        first = min(int(own.times.min()) for own in messages.values())
+        last = max(int(own.times.max()) for own in messages.values())
         packed = self._compress(data)
         chunk = Chunk(
             compression=COMPRESSION, data=packed, message_start_time=first, message_end_time=last,
@@ -259,22 +240,18 @@ class McapWriter:
 
     def _indexes(self, messages: Messages) -> tuple[bytes, dict[int, int]]:
         """Return the message indexes of a chunk, and where in the file that of every channel begins."""
-        channels = messages.channels
-        entries = np.empty(len(channels), _INDEX_ENTRY)
-        entries["time"] = messages.times
-        entries["offset"] = messages.begins
         found = []
         begin = self._stream.tell()
         offsets: dict[int, int] = {}
-        ids, firsts = np.unique(channels, return_index=True)
-        for channel in ids[np.argsort(firsts)].tolist():
-            own = entries[channels == channel]
-            self._counts[channel] = self._counts.get(channel, 0) + len(own)
+        for channel, (times, begins) in messages.items():
+            self._counts[channel] = self._counts.get(channel, 0) + len(times)
             if self._index == "chunk":
                 continue
+            entries = np.empty((len(times), 2), "<u8")
+            entries[:, 0], entries[:, 1] = times, begins
             offsets[channel] = begin
-            found += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + own.nbytes, channel, own.nbytes), own.tobytes()]
-            begin += _INDEX_HEAD.size + own.nbytes
+            found += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes), entries.tobytes()]
+            begin += _INDEX_HEAD.size + entries.nbytes
         return b"".join(found), offsets
 
     def finish(self) -> None:

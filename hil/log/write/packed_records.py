@@ -1,4 +1,7 @@
-"""Several MCAP messages in a row as one `struct`: heads, numbers and at most one frame.
+"""Several MCAP messages in a row as one row of numbers, which is put between their heads when the chunk ends.
+
+A loop packs what changes, and no more: the time, the numbers, and at most one frame. Heads, lengths and channels are the same in
+every row of a layout; numpy writes those of a whole chunk at once.
 
 Reference: the MCAP format specification, https://mcap.dev/spec, "Message".
 """
@@ -8,9 +11,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, chain
-from operator import itemgetter
-from typing import Any, Final, NamedTuple
+from itertools import accumulate
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,54 +27,33 @@ MESSAGE_OVERHEAD: Final = HEAD.size
 BEHIND: Final = MESSAGE_OVERHEAD - 9
 """What the length of a message counts of its head."""
 
-_TIMES_AT: Final = 15
+TIMES_AT: Final = 15
+"""Where in a head its two times begin."""
+
+_TIMES: Final = MESSAGE_OVERHEAD - TIMES_AT
 _MAX_LAYOUTS: Final = 64  # the lengths of frames may come from the link
 
 
-Integers = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Messages:
-    """The messages of one chunk, in order.
-
-    Args:
-        channels: number of the channel of each.
-        times: log time of each, ns.
-        begins: where in the chunk the head of each begins.
-    """
-
-    channels: Integers
-    times: Integers
-    begins: Integers
-
-
-Part = tuple[int, tuple[int, ...], tuple[int, ...]]
-"""What is known of some messages in a row: their time in ns, channel and size of each."""
-
-
-def messages_at(begin: int, parts: Sequence[Part]) -> Messages:
-    """Return the messages of a chunk, the first of which begins there.
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """What is known of a row, and how rows become messages.
 
     Args:
-        begin: bytes before the first message.
-        parts: at least one.
-
-    >>> messages_at(10, [(5, (1, 2), (40, 50)), (6, (1,), (40,))]).begins.tolist()
-    [10, 50, 100]
+        channels: number of the channel of each message.
+        begins: where in their bytes each message begins.
+        size: of all their bytes.
+        time_at: where in a row its time stands, 64 bits, ns.
+        spread: writes the messages of rows, (n, row), one behind the other; None where a row is a message already.
     """
-    times, channels, sizes = zip(*parts)
-    counts = np.fromiter(map(len, sizes), np.int64, len(sizes))
-    count = int(counts.sum())
-    ends = np.cumsum(np.fromiter(chain.from_iterable(sizes), np.int64, count))
-    begins = np.empty(count, np.int64)
-    begins[0] = begin
-    begins[1:] = begin + ends[:-1]
-    return Messages(
-        channels=np.fromiter(chain.from_iterable(channels), np.int64, count),
-        times=np.repeat(np.fromiter(times, np.int64, len(times)), counts),
-        begins=begins,
-    )
+
+    channels: tuple[int, ...]
+    begins: tuple[int, ...]
+    size: int
+    time_at: int
+    spread: Callable[[Bytes], bytes] | None = None
 
 
 class Packed(NamedTuple):
@@ -93,31 +74,34 @@ class Packed(NamedTuple):
     frame: bool
 
 
-class _Layout(NamedTuple):
-    """Some messages in a row, packed by one `struct`: what packs, what puts time, constants and values in order, and sizes."""
-
-    pack: Callable[..., bytes]
-    pick: Callable[[tuple[Any, ...]], tuple[Any, ...]]
-    constants: tuple[Any, ...]
-    channels: tuple[int, ...]
-    sizes: tuple[int, ...]
-    size: int
+Made = tuple[Callable[..., bytes], Layout]
+"""What packs a row, its time twice and then its values, and the layout of the row."""
 
 
 class Layouts:
-    """The layouts of some records in a row, one for every length of the frame among them."""
+    """The layouts of some records in a row, one for every length of the frame among them.
+
+    Args:
+        records: in order; one of them at most has a frame.
+
+    Attributes:
+        messages: how many.
+        count: values of a row.
+        frame_at: which of them is the frame, None without one.
+    """
 
     def __init__(self, records: Sequence[Packed]) -> None:
         if sum(record.frame for record in records) > 1:
             raise ValueError(f"records: {sum(record.frame for record in records)} frames, expected one at most")
         self._records = tuple(records)
-        self._made: dict[int, _Layout] = {}
+        self._made: dict[int, Made] = {}
+        self.messages = len(self._records)
         self.count = sum(record.values + record.frame for record in records)
         ends = accumulate(record.values + record.frame for record in records)
         self.frame_at = next((end - 1 for end, record in zip(ends, records) if record.frame), None)
 
-    def of(self, length: int) -> _Layout:
-        """Return the layout with a frame of that length."""
+    def of(self, length: int) -> Made:
+        """Return what packs a row with a frame of that length, and its layout."""
         made = self._made.get(length)
         if made is None:
             if len(self._made) >= _MAX_LAYOUTS:
@@ -125,23 +109,34 @@ class Layouts:
             made = self._made[length] = self._make(length)
         return made
 
-    def _make(self, length: int) -> _Layout:
-        constants: list[Any] = []
-        order, sizes, codes = [], [], ""
-        value = 1 + sum(3 if record.frame else 2 for record in self._records)  # behind the time and the constants
-        for number, before, own, values, frame in self._records:
-            tail = f"I{length}s" if frame else ""
-            behind = struct.Struct(f"<{len(before)}s{own}{tail}").size
-            head = HEAD.pack(Opcode.MESSAGE, BEHIND + behind, number, 0, 0, 0)[:_TIMES_AT]
-            order += [1 + len(constants), 0, 0, 2 + len(constants), *range(value, value + values)]
-            constants += [head, before]
-            value += values
+    def _make(self, length: int) -> Made:
+        mould, codes, begins = b"", "qq", []
+        copies: list[tuple[int, int, int]] = []  # to where in the messages, from where to where in a row
+        for number, before, own, _, frame in self._records:
+            begins.append(len(mould))
+            copies.append((len(mould) + TIMES_AT, 0, _TIMES))
+            at, width = len(mould) + MESSAGE_OVERHEAD + len(before), struct.calcsize(f"<{own}")
+            begin = struct.calcsize(f"<{codes}")
+            copies.append((at, begin, begin + width))
+            tail = struct.pack("<I", length) if frame else b""
             if frame:
-                constants.append(length)
-                order += [len(constants), value]
-                value += 1
-            codes += f"{_TIMES_AT}sQQ{len(before)}s{own}{tail}"
-            sizes.append(MESSAGE_OVERHEAD + behind)
-        layout = struct.Struct(f"<{codes}")
+                copies.append((at + width + len(tail), begin + width, begin + width + length))
+            behind = len(before) + width + len(tail) + length * frame
+            mould += HEAD.pack(Opcode.MESSAGE, BEHIND + behind, number, 0, 0, 0) + before + bytes(width) + tail
+            mould += bytes(length * frame)
+            codes += own + (f"{length}s" if frame else "")
         channels = tuple(record.channel_id for record in self._records)
-        return _Layout(layout.pack, itemgetter(*order), tuple(constants), channels, tuple(sizes), layout.size)
+        return struct.Struct(f"<{codes}").pack, Layout(channels, tuple(begins), len(mould), 0, _spreader(mould, copies))
+
+
+def _spreader(mould: bytes, copies: Sequence[tuple[int, int, int]]) -> Callable[[Bytes], bytes]:
+    constants = np.frombuffer(mould, np.uint8)
+
+    def spread(rows: Bytes) -> bytes:
+        out = np.empty((len(rows), len(constants)), np.uint8)
+        out[:] = constants
+        for at, begin, end in copies:
+            out[:, at : at + end - begin] = rows[:, begin:end]
+        return out.tobytes()
+
+    return spread

@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from hil.cli.recover import command
 from hil.errors import HilError
@@ -79,6 +80,21 @@ def test_a_log_torn_in_a_chunk_keeps_every_chunk_before_it(log: bytes, tmp_path:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None and summary.statistics is not None
     assert summary.statistics.message_count == report.messages
+
+
+def test_a_time_stamp_of_64_bits_is_kept(tmp_path: Path) -> None:
+    latest = (1 << 64) - 1
+    with open(tmp_path / "foreign.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/clock", "json", writer.register_schema("Clock", "jsonschema", b"{}"))
+        for time in (5, latest):
+            writer.add_message(channel, time, b"{}", time)
+        writer.finish()
+    assert recover(tmp_path / "foreign.mcap", tmp_path / "b.mcap").messages == 2
+    with open(tmp_path / "b.mcap", "rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file, validate_crcs=True).iter_messages()]
+    assert times == [5, latest]
 
 
 def test_a_damaged_chunk_costs_only_itself(log: bytes, tmp_path: Path) -> None:
