@@ -26,9 +26,9 @@ from typing import NamedTuple
 import numpy as np
 
 from design.errors import NotStable
-from design.jump_linear.h2 import is_positive
 from design.jump_linear.mjls import MJLS
-from design.jump_linear.second_moment import Array, Bordered, Resolvent, expect, to_matrix, to_vector
+from design.jump_linear.second_moment import DENSE_LIMIT, Array, Bordered, Resolvent, expect, to_matrix, to_vector
+from design.jump_linear.stability_proof import StabilityProof, is_positive
 
 FOLD_TOLERANCE = 1e-12
 NEWTON_STEPS = 40
@@ -82,22 +82,32 @@ def hinf_norm(system: MJLS) -> float:
     return found.norm if isinstance(found, Fold) else float(np.sqrt(found))
 
 
-def solve_bounded_real(matrices: Matrices, square: float, extra: float = 0.0) -> Policy | None:
+def solve_bounded_real(matrices: Matrices, square: float, extra: float = 0.0, near: Policy | None = None) -> Policy | None:
     """Smallest solution of the bounded-real equations at gamma^2 = `square`, or None if gamma is not above the norm.
 
     Newton's method from w = 0, every step one coupled Lyapunov equation; its iterates rise to the solution.
-    `extra` adds extra * I to C_i' C_i, which makes (7.28) strict at the result.
+    `extra` adds extra * I to C_i' C_i, which makes (7.28) strict at the result. `near` is a solution at a larger gamma:
+    its disturbance leaves the loop stable here too, and Newton's method rises from there in fewer steps.
     """
     A, B, C, _, transition = matrices
     identity = extra * np.eye(A.shape[-1])
     policy: Policy | None = None
     closed, output = A, C
     F = np.zeros((A.shape[0], B.shape[2], A.shape[1]))
+    if near is not None:
+        F, closed, output = near.F, near.A, near.C
     ones = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    proof = StabilityProof(transition) if many(matrices) else None
     for _ in range(NEWTON_STEPS):
         weight = output.transpose(0, 2, 1) @ output - square * (F.transpose(0, 2, 1) @ F) + identity
-        P, probe = Resolvent(closed, transition).cost(np.stack([weight, ones]))
-        if not np.isfinite(probe).all() or not is_positive(probe):
+        if proof is None:
+            P, probe = Resolvent(closed, transition).cost(np.stack([weight, ones]))
+            stable = is_positive(probe)
+        else:
+            stable = proof.holds(closed)
+            last = policy or near
+            P = Resolvent(closed, transition).cost(weight, near=last.P if last else None) if stable else weight
+        if not stable or not np.isfinite(P).all():
             return None
         previous = policy
         policy = _policy(matrices, P, square)
@@ -111,12 +121,18 @@ def solve_bounded_real(matrices: Matrices, square: float, extra: float = 0.0) ->
     return None
 
 
+def many(matrices: Matrices) -> bool:
+    """Whether GMRES solves the equations: then every product counts, and each solve starts from another one's result."""
+    modes, n, _ = matrices[0].shape
+    return bool(modes > 1 and modes * n * (n + 1) // 2 > DENSE_LIMIT)
+
+
 def _policy(matrices: Matrices, P: Array, square: float) -> Policy | None:
     A, B, C, D, transition = matrices
     E = expect(transition, P)
     BE = B.transpose(0, 2, 1) @ E
     V = square * np.eye(B.shape[2]) - BE @ B - D.transpose(0, 2, 1) @ D
-    if not np.isfinite(V).all() or not is_positive(V):
+    if not is_positive(V):
         return None
     F = np.asarray(np.linalg.solve(V, BE @ A + D.transpose(0, 2, 1) @ C), dtype=np.float64)
     return Policy(P, F, A + B @ F, C + D @ F, V)
@@ -153,7 +169,7 @@ def locate_norm(matrices: Matrices, guess: Fold | None = None) -> Fold | float:
             if fold is not None and low * (1 - 1e-9) <= fold.square <= high * (1 + 1e-9):
                 return fold
         middle = float(np.sqrt(low * high)) if high / low > 1.01 else 0.5 * (low + high)
-        attempt = solve_bounded_real(matrices, middle)
+        attempt = solve_bounded_real(matrices, middle, near=policy if many(matrices) else None)
         if attempt is None:
             low = middle
         else:
@@ -183,7 +199,7 @@ def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None
         bordered = Bordered(policy.A, transition, left, right)
         last = np.zeros(size + 1)
         last[size] = 1.0
-        v, w = bordered.solve(last), bordered.solve(last, transposed=True)
+        v, w = bordered.solve(last, near=right), bordered.solve(last, transposed=True, near=left)
         right_family, left_family = (to_matrix(x[:size].reshape(shape), n) for x in (v, w))
         singular = float(v[size])
         # how the singular direction changes with P and gamma^2: -w' (dJ) v
@@ -245,8 +261,12 @@ def bounded_real_margin(system: MJLS, gamma: float) -> float | None:
     matrices = system.matrices
     A, B, C, D, transition = matrices
     scale = float(np.abs(C.transpose(0, 2, 1) @ C).max())
+    near: Policy | None = None
+    if many(matrices):
+        for factor in (1.1, 1.003, 1.0001):
+            near = solve_bounded_real(matrices, factor * gamma**2, near=near) or near
     for extra in 10.0 ** np.arange(-5.0, -13.0, -1.0) * scale:
-        policy = solve_bounded_real(matrices, gamma**2, extra)
+        policy = solve_bounded_real(matrices, gamma**2, extra, near=near)
         if policy is not None:
             break
     else:

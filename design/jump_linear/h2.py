@@ -19,6 +19,7 @@ import numpy.typing as npt
 from design.errors import NotStable
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Array, Resolvent, expect
+from design.jump_linear.stability_proof import is_positive
 
 Definition = Literal["energy", "mean"]
 
@@ -74,21 +75,12 @@ def h2_derivative(A: Array, B: Array, C: Array, transition: Array, alpha: Array)
     resolvent = Resolvent(A, transition)
     identity = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
     S, probe = resolvent.cost(np.stack([C.transpose(0, 2, 1) @ C, identity]))
-    if not np.isfinite(probe).all() or not is_positive(probe):
+    if not is_positive(probe):
         return None
     X = resolvent.covariance(impulse_moments(B, transition, alpha))
     CX = C @ X
     gradient_A = 2.0 * expect(transition, S) @ A @ X
     return H2Derivative(float(np.sum(CX * C)), S, X, gradient_A, 2.0 * CX)
-
-
-def is_positive(family: Array) -> bool:
-    """Whether every matrix of a symmetric family (N, n, n) is positive definite."""
-    try:
-        np.linalg.cholesky(family)
-    except np.linalg.LinAlgError:
-        return False
-    return True
 
 
 def _mean_norm(system: MJLS, alpha: Array) -> float:

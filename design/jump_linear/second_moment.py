@@ -17,13 +17,15 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from design.jump_linear import krylov
+from design.jump_linear.coupled_lyapunov import solve_bordered, solve_coupled
+from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
 
 Array = npt.NDArray[np.float64]
 
 DENSE_LIMIT = 700  # unknowns up to which a dense factorisation is quicker than GMRES
 SINGLE_LIMIT = 100  # the same for a system of one mode
 EIG_DENSE_LIMIT = 260  # unknowns up to which all eigenvalues are computed
+BORDERED_TOLERANCE = 1e-10  # of GMRES: Newton's method on the fold corrects what it leaves
 
 
 class _Basis(NamedTuple):
@@ -99,10 +101,11 @@ class Resolvent:
     GMRES, matrix-free.
     """
 
-    __slots__ = ("A", "factors", "n", "transition")
+    __slots__ = ("A", "chains", "factors", "n", "transition")
 
     def __init__(self, A: Array, transition: Array) -> None:
         self.A, self.transition, self.n = A, transition, A.shape[-1]
+        self.chains = (transition, transition)
         self.factors: tuple[Array, npt.NDArray[Any]] | None = None
         size = A.shape[0] * self.n * (self.n + 1) // 2
         if size <= (SINGLE_LIMIT if A.shape[0] == 1 else DENSE_LIMIT):
@@ -112,41 +115,44 @@ class Resolvent:
             import scipy.linalg  # 0.15 s: where a process only certifies a small loop, it is not needed
 
             self.factors = scipy.linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
+        else:
+            self.chains = factors_of(transition)
 
-    def cost(self, families: Array) -> Array:
-        """S with S - L S = Q for Q (N, n, n), or for several at once (k, N, n, n)."""
-        return self._solve(families, 0)
+    def cost(self, families: Array, *, near: Array | None = None) -> Array:
+        """S with S - L S = Q for Q (N, n, n), or for several at once (k, N, n, n); `near` is a guess, of use to GMRES alone."""
+        return self._solve(families, 0, near)
 
     def covariance(self, families: Array) -> Array:
         """X with X - L* X = V for V (N, n, n), or for several at once (k, N, n, n)."""
         return self._solve(families, 1)
 
-    def _solve(self, families: Array, transposed: Literal[0, 1]) -> Array:
+    def _solve(self, families: Array, transpose: Literal[0, 1], near: Array | None = None) -> Array:
+        if self.factors is None:
+            flat = families.reshape(-1, *self.A.shape)
+            return np.stack([self._free(family, transpose, near) for family in flat]).reshape(families.shape)
+        import scipy.linalg
+
         vectors = to_vector(families)
         flat = vectors.reshape(-1, vectors.shape[-2] * vectors.shape[-1])
-        if self.factors is None:
-            solution = np.stack([self._krylov(row, transposed) for row in flat])
-        else:
-            import scipy.linalg
-
-            solution = scipy.linalg.lu_solve(self.factors, flat.T, trans=transposed, check_finite=False).T
+        solution = scipy.linalg.lu_solve(self.factors, flat.T, trans=transpose, check_finite=False).T
         return to_matrix(np.ascontiguousarray(solution).reshape(vectors.shape), self.n)
 
-    def _krylov(self, right: Array, transposed: int) -> Array:
+    def _free(self, right: Array, transpose: int, near: Array | None) -> Array:
         """Matrix-free; not a number throughout where the radius is so near 1 that no solution was found."""
-        if self.A.shape[0] == 1:
+        A = self.A
+        if len(A) == 1:
             import scipy.linalg
 
-            A = self.A[0] if transposed else self.A[0].T
-            return to_vector(scipy.linalg.solve_discrete_lyapunov(A, to_matrix(right, self.n), method="bilinear"))
-        shape = (self.A.shape[0], right.size // self.A.shape[0])
-        apply = forward if transposed else backward
-
-        def product(vector: Array) -> Array:
-            return vector - to_vector(apply(self.A, self.transition, to_matrix(vector.reshape(shape), self.n))).ravel()
-
-        solution = krylov.solve(product, right)
-        return np.full_like(right, np.nan) if solution is None else solution
+            one = A[0] if transpose else A[0].T
+            return np.asarray(scipy.linalg.solve_discrete_lyapunov(one, right[0], method="bilinear"))[None]
+        if transpose:
+            found = solve_coupled(A, transposed_factors(self.chains), right)
+        else:
+            turned = np.ascontiguousarray(A.transpose(0, 2, 1))
+            guess = None if near is None else mean(self.chains, near)
+            expected = solve_coupled(turned, self.chains, mean(self.chains, right), near=guess)
+            found = None if expected is None else turned @ expected @ A + right
+        return np.full_like(right, np.nan) if found is None else found
 
 
 def cost_once(A: Array, transition: Array, families: Array) -> Array:
@@ -174,10 +180,11 @@ class Bordered:
         left, right: (N s,) borders.
     """
 
-    __slots__ = ("A", "factors", "left", "n", "right", "transition")
+    __slots__ = ("A", "chains", "factors", "left", "n", "right", "transition")
 
     def __init__(self, A: Array, transition: Array, left: Array, right: Array) -> None:
         self.A, self.transition, self.left, self.right, self.n = A, transition, left, right, A.shape[-1]
+        self.chains = (transition, transition)
         self.factors: tuple[Array, npt.NDArray[Any]] | None = None
         size = right.size
         if size <= DENSE_LIMIT:
@@ -188,23 +195,39 @@ class Bordered:
             import scipy.linalg  # 0.15 s: where a process only certifies a small loop, it is not needed
 
             self.factors = scipy.linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
+        else:
+            self.chains = factors_of(transition)
 
-    def solve(self, rhs: Array, *, transposed: bool = False) -> Array:
-        """Return the solution (N s + 1,); not a number throughout where none was found."""
+    def solve(self, rhs: Array, *, transposed: bool = False, near: Array | None = None) -> Array:
+        """Return the solution (N s + 1,); not a number throughout where none was found.
+
+        Args:
+            rhs: (N s + 1,).
+            transposed: solve with the transposed matrix.
+            near: (N s,) a guess of all but the last entry, of use to GMRES alone.
+        """
         if self.factors is not None:
             import scipy.linalg
 
             return np.asarray(scipy.linalg.lu_solve(self.factors, rhs, trans=1 if transposed else 0, check_finite=False))
-        left, right = (self.right, self.left) if transposed else (self.left, self.right)
-        operator, shape = forward if transposed else backward, (self.A.shape[0], -1)
-
-        def negative(vector: Array) -> Array:
-            inner = vector[:-1]
-            moved = to_vector(operator(self.A, self.transition, to_matrix(inner.reshape(shape), self.n))).ravel()
-            return np.append(inner - moved - left * vector[-1], -(right @ inner))
-
-        solution = krylov.solve(negative, -rhs)
-        return np.full_like(rhs, np.nan) if solution is None else solution
+        shape = (len(self.A), self.n * (self.n + 1) // 2)
+        left, right, inner = (to_matrix(v.reshape(shape), self.n) for v in (self.left, self.right, rhs[:-1]))
+        guess = None if near is None else to_matrix(near.reshape(shape), self.n)
+        A, last = self.A, float(rhs[-1])
+        turned = np.ascontiguousarray(A.transpose(0, 2, 1))
+        if transposed:
+            found = solve_bordered(
+                A, transposed_factors(self.chains), (-inner, right), left, (last, 0.0), tolerance=BORDERED_TOLERANCE, near=guess
+            )
+        else:
+            chains, constant = self.chains, (last + float(np.vdot(right, inner)), -float(np.vdot(right, left)))
+            found = solve_bordered(
+                turned, chains, (mean(chains, -inner), mean(chains, left)), A @ right @ turned, constant,
+                tolerance=BORDERED_TOLERANCE, near=None if guess is None else mean(chains, guess),
+            )  # fmt: skip
+            if found is not None:
+                found = turned @ found[0] @ A + found[1] * left - inner, found[1]
+        return np.full_like(rhs, np.nan) if found is None else np.append(to_vector(found[0]).ravel(), found[1])
 
 
 def mean_square_radius(A: Array, transition: Array) -> float:
@@ -222,10 +245,11 @@ def mean_square_radius(A: Array, transition: Array) -> float:
         return float(np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max())
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
-    shape = (A.shape[0], size // A.shape[0])
+    shape, chains = (A.shape[0], size // A.shape[0]), factors_of(transition)
+    turned = np.ascontiguousarray(A.transpose(0, 2, 1))
 
     def product(vector: Array) -> Array:
-        return to_vector(backward(A, transition, to_matrix(vector.reshape(shape), A.shape[-1]))).ravel()
+        return to_vector(turned @ to_matrix(mean(chains, vector.reshape(shape)), A.shape[-1]) @ A).ravel()
 
     operator = LinearOperator((size, size), matvec=product, dtype=np.float64)
     start = to_vector(np.broadcast_to(np.eye(A.shape[-1]), A.shape)).ravel()

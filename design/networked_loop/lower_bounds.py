@@ -79,25 +79,20 @@ def informed_probability(sc: DelayChain, ca: DelayChain, mode: int) -> list[floa
     Args:
         mode: index (tau mode) * (d modes) + (d mode) at k = 0.
     """
-    # weight of each (tau mode, d mode, tick at which the controller came to know, or 0)
-    weights = {(mode // ca.modes, mode % ca.modes, 0): 1.0}
     newest = sc.delay if sc.ages is None else np.min(sc.ages, axis=1)
-    done, probabilities, k = 0.0, [], 0
     last = 1 + sc.max_delay + ca.max_delay
-    while k < last:
-        k += 1
-        following: dict[tuple[int, int, int], float] = {}
-        for (s, c, known), weight in weights.items():
-            for s2 in np.flatnonzero(sc.matrix[s]):
-                at = known or (k if k - newest[s2] >= 1 else 0)
-                for c2 in np.flatnonzero(ca.matrix[c]):
-                    share = weight * sc.matrix[s, s2] * ca.matrix[c, c2]
-                    if at and k - ca.delay[c2] >= at:
-                        done += share
-                    else:
-                        key = (int(s2), int(c2), at)
-                        following[key] = following.get(key, 0.0) + share
-        weights = following
+    # weight of each (tick at which the controller came to know, or 0; tau mode; d mode)
+    weights = np.zeros((last + 1, sc.modes, ca.modes))
+    weights[0, mode // ca.modes, mode % ca.modes] = 1.0
+    ticks = np.arange(last + 1)[:, None]
+    done, probabilities = 0.0, []
+    for k in range(1, last + 1):
+        weights = sc.matrix.T @ weights @ ca.matrix
+        hears = k - newest >= 1
+        weights[k, hears], weights[0, hears] = weights[0, hears], 0.0
+        acts = (ticks >= 1) & (k - ca.delay >= ticks)
+        done += float(weights.sum(axis=1)[acts].sum())
+        weights = np.where(acts[:, None, :], 0.0, weights)
         probabilities.append(min(done, 1.0))
     probabilities[-1] = 1.0
     return probabilities

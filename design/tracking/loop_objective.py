@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from design.jump_linear.bounded_real import Fold, locate_norm, refine_fold
-from design.jump_linear.h2 import h2_derivative, is_positive
+from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold
+from design.jump_linear.h2 import h2_derivative
+from design.jump_linear.h2_nearby import H2Nearby
 from design.jump_linear.second_moment import Resolvent, mean_square_radius
+from design.jump_linear.stability_proof import StabilityProof, is_positive
 from design.networked_loop.closed_loop import LoopStructure
 from design.processes.delay_chain import Array
 from design.tracking.gain_parametrisation import GainParametrisation
@@ -26,6 +28,11 @@ class LoopObjective:
         self.evaluations = 0
         self._fold: Fold | None = None
         self._zero = np.zeros((structure.B.shape[0], structure.C.shape[1], structure.B.shape[2]))
+        self._nearby: H2Nearby | None = None
+        self._proof: StabilityProof | None = None
+        if many((structure.base, structure.B, structure.C, self._zero, structure.transition)):
+            self._nearby = H2Nearby(structure.B, structure.C, structure.transition, alpha)
+            self._proof = StabilityProof(structure.transition)
 
     def radius(self, v: Array) -> float:
         """Spectral radius of the second-moment operator."""
@@ -35,7 +42,11 @@ class LoopObjective:
         """H2 norm of the loop, of matrices times `scale` (a discount, under which any gains are stable)."""
         s = self.structure
         self.evaluations += 1
-        found = h2_derivative(scale * s.matrices(self.space.gains(v)), s.B, s.C, s.transition, self.alpha)
+        A = scale * s.matrices(self.space.gains(v))
+        if self._nearby is None:
+            found = h2_derivative(A, s.B, s.C, s.transition, self.alpha)
+        else:
+            found = self._nearby.derivative(A)
         if found is None or not found.square > 0.0:
             return np.inf, np.zeros_like(v)
         norm = float(np.sqrt(found.square))
@@ -49,8 +60,7 @@ class LoopObjective:
         matrices = (A, s.B, s.C, self._zero, s.transition)
         fold = None if self._fold is None else refine_fold(matrices, self._fold)
         if fold is None:
-            probe = Resolvent(A, s.transition).cost(np.broadcast_to(np.eye(A.shape[-1]), A.shape))
-            if not np.isfinite(probe).all() or not is_positive(probe):
+            if not self._stable(A):
                 return np.inf, np.zeros_like(v)
             found = locate_norm(matrices)
             if not isinstance(found, Fold):
@@ -58,6 +68,11 @@ class LoopObjective:
             fold = found
         self._fold = fold
         return fold.norm, self.space.gradient(v, s.gain_gradient(fold.gradient_A(s.transition)))
+
+    def _stable(self, A: Array) -> bool:
+        if self._proof is not None:
+            return self._proof.holds(A)
+        return is_positive(Resolvent(A, self.structure.transition).cost(np.broadcast_to(np.eye(A.shape[-1]), A.shape)))
 
     def _without_fold(self, v: Array, norm: float) -> tuple[float, Array]:
         """A norm that is reached without a fold (finite memory) has no null vectors: its slope by differences."""
