@@ -19,18 +19,20 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Final, cast
 
-from hil.experiment.tables import Affinity
+from hil.bench.plain_zenoh import SCHEME, PlainZenoh
+from hil.experiment.tables import Affinity, Timing
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
-from transport import ControlPacket, Link, SensorPacket, TransportError, encode_control, encode_sensor, open_link
+from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link
 
 LINKS: Final = (
     "can:hil:bench-{pid}",
     "can:udp_multicast:239.74.163.2?port={port}",
     "zenoh:tcp/127.0.0.1:{port}",
     "zenoh:unixsock-stream/{folder}/bench",
+    SCHEME + ":unixsock-stream/{folder}/plain",
 )
-"""What is measured unless told otherwise; python-can's own interface stands beside ours."""
+"""What is measured unless told otherwise; python-can's own interface and the plainest use of zenoh stand beside ours."""
 
 FLOOR: Final = "C over UDP"
 PRIORITY: Final = 60
@@ -56,7 +58,7 @@ def bench_links(
 ) -> list[Row]:
     """Measure round trips, 20 bytes there and 48 back, over every link and over plain UDP in C, all in one run.
 
-    Over zenoh twice: with both processes where the scheduler puts them, and on one CPU (`timing.affinity`).
+    Over our link over zenoh twice: with both processes where the scheduler puts them, and on one CPU (`timing.affinity`).
 
     Args:
         rate_hz: round trips per second.
@@ -67,7 +69,8 @@ def bench_links(
 
     Returns:
         One row per link and affinity, the floor first: `link`, `affinity`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio
-        of the p50), `lost` and `note`, which says what was missing where there are no numbers.
+        of the p50), `lost`, `late_share` (lost, or later than the deadline of a session at this rate) and `note`, which says
+        what was missing where there are no numbers.
     """
     number = max(round(SLICE_S * rate_hz), 1)
     slices = max(round(duration_s * rate_hz / number), 1)
@@ -96,10 +99,11 @@ def bench_links(
                 if turn:  # the first turn warms up
                     taken[way] += trips
     lowest = _percentile(taken.get((FLOOR, "free"), []), 0.5)
-    return [_row(way, taken[way], lowest, pair if isinstance(pair, str) else "") for way, pair in pairs]
+    late_ns = Timing().deadline * 1e9 / rate_hz
+    return [_row(way, taken[way], lowest, late_ns, pair if isinstance(pair, str) else "") for way, pair in pairs]
 
 
-def _row(way: Way, taken: list[int], floor_us: float, note: str) -> Row:
+def _row(way: Way, taken: list[int], floor_us: float, late_ns: float, note: str) -> Row:
     p50, p99, p99_9 = (_percentile(taken, q) for q in (0.5, 0.99, 0.999))
     lost = sum(trip < 0 for trip in taken)
     return {
@@ -110,6 +114,7 @@ def _row(way: Way, taken: list[int], floor_us: float, note: str) -> Row:
         "p99_9_us": p99_9,
         "times_floor": p50 / floor_us,
         "lost": lost,
+        "late_share": sum(not 0 <= trip <= late_ns for trip in taken) / len(taken) if taken else math.nan,
         "note": note,
     }
 
@@ -208,11 +213,15 @@ def _free_port() -> int:
 # What follows runs in the processes of a pair.
 
 
+def _end(uri: str, role: Role) -> Link:
+    return PlainZenoh(uri, role) if uri.startswith(f"{SCHEME}:") else open_link(uri, role)
+
+
 def echo(uri: str, affinity: Affinity) -> None:
     """Answer every packet with a control packet of the same sequence number (its lowest byte), until killed."""
     answers = [encode_control(ControlPacket(seq, 0, 0, 0, 1, ((1.0, 2.0), (3.0, 4.0)))) for seq in range(256)]
     go_real_time(PRIORITY - 1, cpu_for(affinity, "controller", uri), awake=True)
-    with open_link(uri, "controller") as link:
+    with _end(uri, "controller") as link:
         print("ready", flush=True)  # noqa: T201 (this is the process's interface)
         while True:
             packet = link.receive(1.0)
@@ -225,7 +234,7 @@ def drive(uri: str, affinity: Affinity, rate_hz: float) -> None:
     questions = [encode_sensor(SensorPacket(seq, 0, 0, (1.0,))) for seq in range(256)]
     # Before the link is opened, as in a session: its threads inherit priority and CPU.
     go_real_time(PRIORITY, cpu_for(affinity, "rig", uri), awake=True)
-    with open_link(uri, "rig") as link:
+    with _end(uri, "rig") as link:
         limit = monotonic_ns() + MEETING_NS
         while _trip(link, questions, 0) < 0:
             if monotonic_ns() > limit:

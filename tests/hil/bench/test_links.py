@@ -24,12 +24,14 @@ def bus_directory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @needs_compiler
 def test_every_link_gets_a_row_with_its_ratio_to_the_floor_and_nothing_stays_behind(bus_directory: Path) -> None:
-    rows = bench_links(500.0, 0.5, links=("can:hil:bench", "zenoh:tcp/127.0.0.1:{port}"))
+    links = ("can:hil:bench", "zenoh:tcp/127.0.0.1:{port}", "plain-zenoh:unixsock-stream/{folder}/plain")
+    rows = bench_links(500.0, 0.5, links=links)
     assert [(row["link"], row["affinity"]) for row in rows] == [
         (FLOOR, "free"), ("can:hil:bench", "free"), ("zenoh:tcp/127.0.0.1:*", "free"), ("zenoh:tcp/127.0.0.1:*", "shared"),
+        ("plain-zenoh:unixsock-stream/*/plain", "free"),
     ]  # fmt: skip
     for row in rows:
-        assert row["note"] == "" and 0 <= row["lost"] < 250
+        assert row["note"] == "" and 0 <= row["lost"] < 250 and row["lost"] / 250 <= row["late_share"] <= 1
         assert 0 < row["p50_us"] <= row["p99_us"] <= row["p99_9_us"]
         assert row["times_floor"] == pytest.approx(row["p50_us"] / rows[0]["p50_us"])
 
