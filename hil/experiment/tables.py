@@ -147,7 +147,7 @@ class Timing(Table, frozen=True, kw_only=True):
         affinity: ``free`` leaves the choice of a CPU to the scheduler, which on a virtual machine evades a CPU that the host has
             taken away; ``pinned`` gives rig and controller one CPU each, counted from the last; ``shared`` gives both, with the
             threads of their link, the last CPU, so that no packet wakes another CPU; ``auto`` is ``shared`` over zenoh, whose
-            packets pass through four threads, and ``free`` over other links. ``hil doctor`` measures both.
+            packets pass through a thread of zenoh's at each end, and ``free`` over other links. ``hil doctor`` measures both.
         idle: ``doze`` leaves idle CPUs to the kernel; ``awake`` keeps all of them from sleeping (/dev/cpu_dma_latency), which
             takes tens of microseconds off every wake-up.
         overrun: what follows a stall: the slots that were missed run back to back, none is skipped.

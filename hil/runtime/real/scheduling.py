@@ -75,6 +75,22 @@ def cpu_for(affinity: Affinity, role: Literal["rig", "controller"], uri: str) ->
     return 1 if affinity == "pinned" and role == "controller" else 0
 
 
+def leave_to_loop(affinity: Affinity, uri: str) -> None:
+    """Keep the calling thread off the CPU that rig and controller share, where there is another one.
+
+    A system call of a thread of any priority is not interrupted on many kernels: what writes the log would delay the loop.
+
+    Args:
+        affinity: what the experiment asks for.
+        uri: the link between rig and controller.
+    """
+    rig, controller = cpu_for(affinity, "rig", uri), cpu_for(affinity, "controller", uri)
+    allowed = sorted(os.sched_getaffinity(0))
+    if rig is not None and rig == controller and len(allowed) > rig + 1:
+        with suppress(OSError):
+            os.sched_setaffinity(0, {*allowed} - {allowed[-1 - rig]})
+
+
 def go_ahead_of_others() -> None:
     """Give the calling thread the lowest real-time priority, where allowed.
 

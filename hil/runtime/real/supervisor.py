@@ -18,7 +18,7 @@ from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.sinks import Put, Sink
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
-from hil.runtime.real.scheduling import go_ahead_of_others
+from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
 from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
@@ -79,6 +79,7 @@ def run_real(
     stop_pump = threading.Event()
 
     def keep_log() -> None:
+        leave_to_loop(loop.experiment.timing.affinity, uri)
         go_ahead_of_others()
         pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set, report=outcome.pump)
 

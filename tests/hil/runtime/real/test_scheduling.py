@@ -5,6 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from hil.experiment.tables import Affinity
+from hil.runtime.real.scheduling import leave_to_loop
 
 LATENCY = "/dev/cpu_dma_latency"
 PROGRAM = """
@@ -19,3 +25,19 @@ def test_idle_cpus_are_kept_awake_for_as_long_as_the_process_lives() -> None:
     said, held = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True).stdout.splitlines()
     assert ("CPUs awake" in said) == (LATENCY in held.split()) == os.access(LATENCY, os.W_OK)
     assert "gc frozen" in said
+
+
+@pytest.mark.parametrize(
+    ("affinity", "uri", "leaves"),
+    [("shared", "can:hil:rig0", True), ("auto", "zenoh:", True), ("auto", "can:hil:rig0", False), ("pinned", "zenoh:", False)],
+)
+def test_the_log_keeps_off_the_cpu_that_rig_and_controller_share(affinity: Affinity, uri: str, leaves: bool) -> None:
+    def cpus() -> set[int]:
+        leave_to_loop(affinity, uri)
+        return os.sched_getaffinity(0)  # of this thread
+
+    allowed = os.sched_getaffinity(0)
+    with ThreadPoolExecutor(1) as other:
+        left = other.submit(cpus).result()
+    assert left == (allowed - {max(allowed)} if leaves and len(allowed) > 1 else allowed)
+    assert os.sched_getaffinity(0) == allowed
