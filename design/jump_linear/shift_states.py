@@ -111,21 +111,22 @@ class ShiftStates:
         rows, columns = np.triu_indices(n)
         self.rows, self.columns = rows[rows < f], columns[rows < f]
         self.scale = np.where(self.rows == self.columns, 1.0, np.sqrt(2.0))
-        single = ((inside == 0.0) | (inside == 1.0)).all(axis=(0, 2)) & (inside == inside[:1]).all(axis=(0, 2))
-        single &= inside[0].sum(axis=1) == 1.0
-        self.stages = [self._stage(inside, low, high, single) for low, high in levels]
+        self.stages = []
+        if levels:
+            acts = (inside != 0.0).any(axis=0)
+            single = (acts.sum(axis=1) == 1) & (inside[:, np.arange(n), acts.argmax(axis=1)] == 1.0).all(axis=0)
+            self.stages = [self._stage(inside, acts, single, low, high) for low, high in levels]
 
-    def _stage(self, M: Array, low: int, high: int, single: npt.NDArray[np.bool_]) -> _Stage:
-        rows = M[:, low:high]
+    def _stage(self, M: Array, acts: npt.NDArray[np.bool_], single: npt.NDArray[np.bool_], low: int, high: int) -> _Stage:
         copied, made = np.flatnonzero(single[low:]), np.flatnonzero(~single[low:])
-        support = np.flatnonzero((M[:, low + made] != 0.0).any(axis=(0, 1)))
-        columns = np.ascontiguousarray(self.turned[:, support][:, :, low + made])
-        sources, weights = np.flatnonzero((rows != 0.0).any(axis=(0, 1))), None
+        support = np.flatnonzero(acts[low + made].any(axis=0))
+        columns = self.turned[:, support[:, None], low + made]
+        sources, weights = np.flatnonzero(acts[low:high].any(axis=0)), None
         if single[low:high].all():
-            sources = rows[0].argmax(axis=1)
+            sources = acts[low:high].argmax(axis=1)
         else:
-            weights = np.ascontiguousarray(rows[:, :, sources])
-        return _Stage(low, high, sources, weights, copied, M[0, low + copied].argmax(axis=1), made, support, columns)
+            weights = np.ascontiguousarray(M[:, low:high, sources])
+        return _Stage(low, high, sources, weights, copied, acts[low + copied].argmax(axis=1), made, support, columns)
 
     def arranged(self, family: Array) -> Array:
         """Return a family (N, n, n) in the plan's order."""

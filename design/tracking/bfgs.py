@@ -44,6 +44,7 @@ def bfgs(
     patience: int = 3,
     stop: Callable[[float], bool] | None = None,
     watch: Watcher | None = None,
+    ceiling: Callable[[float], None] | None = None,
 ) -> Descent:
     """Minimise from `start`, a point of the domain.
 
@@ -53,12 +54,15 @@ def bfgs(
         value_tolerance, patience: stop after `patience` iterations that each gained relatively less than this.
         stop: asked with each new value; True ends the descent.
         watch: told (iteration, value).
+        ceiling: told every value that is not to be exceeded from now on: above it the objective may answer inf.
     """
     x = np.array(start, dtype=np.float64)
     value, gradient = objective(x)
     evaluations, idle, fresh = 1, 0, True
     if not np.isfinite(value):
         return Descent(x, value, gradient, 0, 1, "start outside the domain")
+    if ceiling is not None:
+        ceiling(value)
     H = np.eye(x.size) / max(1e-300, float(np.linalg.norm(gradient))) * 0.1 * max(1.0, float(np.linalg.norm(x)))
     for iteration in range(1, iterations + 1):
         if np.linalg.norm(gradient) <= gradient_tolerance * max(1.0, abs(value)):
@@ -88,6 +92,8 @@ def bfgs(
             fresh = False
         idle = idle + 1 if value - new_value <= value_tolerance * max(1e-12, abs(value)) else 0
         x, value, gradient = new_x, new_value, new_gradient
+        if ceiling is not None:
+            ceiling(value)
         if watch is not None:
             watch(iteration, value)
         if stop is not None and stop(value):

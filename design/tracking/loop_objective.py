@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold
+from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold, solve_bounded_real
 from design.jump_linear.h2 import h2_derivative
 from design.jump_linear.h2_nearby import H2Nearby
 from design.jump_linear.second_moment import Resolvent, mean_square_radius
 from design.jump_linear.stability_proof import StabilityProof, is_positive
 from design.networked_loop.closed_loop import LoopStructure
 from design.processes.delay_chain import Array
+from design.tracking.bfgs import Descent, bfgs
 from design.tracking.gain_parametrisation import GainParametrisation
 
 
 class LoopObjective:
     """H2 and H-infinity norm over a gain space; counts evaluations, and starts each fold from the last one.
+
+    An H-infinity norm above `ceiling` may be told as inf: to know that it is above takes far less than to find it.
 
     Args:
         structure: the loop.
@@ -26,6 +29,7 @@ class LoopObjective:
     def __init__(self, structure: LoopStructure, space: GainParametrisation, alpha: Array) -> None:
         self.structure, self.space, self.alpha = structure, space, alpha
         self.evaluations = 0
+        self.ceiling = np.inf
         self._fold: Fold | None = None
         self._zero = np.zeros((structure.B.shape[0], structure.C.shape[1], structure.B.shape[2]))
         self._nearby: H2Nearby | None = None
@@ -62,12 +66,25 @@ class LoopObjective:
         if fold is None:
             if not self._stable(A):
                 return np.inf, np.zeros_like(v)
+            if np.isfinite(self.ceiling) and solve_bounded_real(matrices, self.ceiling**2) is None:
+                return np.inf, np.zeros_like(v)
             found = locate_norm(matrices)
             if not isinstance(found, Fold):
                 return self._without_fold(v, float(np.sqrt(found)))
             fold = found
         self._fold = fold
         return fold.norm, self.space.gradient(v, s.gain_gradient(fold.gradient_A(s.transition)))
+
+    def descend_hinf(self, start: Array) -> Descent:
+        """Descent of the H-infinity norm, each step below the last: what is above need not be found."""
+
+        def lower(value: float) -> None:
+            self.ceiling = value
+
+        try:
+            return bfgs(self.hinf, start, ceiling=lower)
+        finally:
+            self.ceiling = np.inf
 
     def _stable(self, A: Array) -> bool:
         if self._proof is not None:

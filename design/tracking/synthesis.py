@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -139,7 +140,7 @@ def _multistart(
         first = stabilising(objective, space.coordinates(np.zeros(space.shape)))
     except NotStable as error:
         raise _with_class(problem, objective, error) from None
-    centre = _descend(objective.h2, first)
+    centre = _descend(partial(bfgs, objective.h2), first)
     report("h2", 1, count, centre.value)
     results: list[Descent] = []
     for start in range(count):
@@ -148,9 +149,9 @@ def _multistart(
             results.append(Descent(centre.x, np.inf, centre.gradient, 0, 0, "not stable"))
             continue
         if problem.objective == "h2":
-            result = centre if start == 0 else _descend(objective.h2, v)
+            result = centre if start == 0 else _descend(partial(bfgs, objective.h2), v)
         elif problem.objective == "hinf":
-            result = _descend(objective.hinf, v)
+            result = _descend(objective.descend_hinf, v)
         else:
             result = _mixed(problem, objective, v)
         results.append(result)
@@ -183,10 +184,10 @@ def _other_start(
         return None
 
 
-def _descend(function: Callable[[Array], tuple[float, Array]], start: Array) -> Descent:
+def _descend(descent: Callable[[Array], Descent], start: Array) -> Descent:
     """Descent, then once more with a forgotten Hessian: what an ill-conditioned valley leaves is taken there."""
-    first = bfgs(function, start)
-    return first if first.reason == "gradient" else bfgs(function, first.x)
+    first = descent(start)
+    return first if first.reason == "gradient" else descent(first.x)
 
 
 def _mixed(problem: TrackingProblem, objective: LoopObjective, start: Array) -> Descent:
@@ -194,13 +195,13 @@ def _mixed(problem: TrackingProblem, objective: LoopObjective, start: Array) -> 
     v, bound = start, problem.hinf_bound
     norm, _ = objective.hinf(v)
     if bound is None:
-        inside = _descend(objective.hinf, v)
+        inside = _descend(objective.descend_hinf, v)
         v, bound = inside.x, MIXED_SLACK * inside.value
     elif norm >= bound:
         goal = bound * (1.0 - 1e-4)
         inside = bfgs(objective.hinf, v, stop=lambda value: value < goal)
         if inside.value >= bound:
-            inside = _descend(objective.hinf, inside.x)
+            inside = _descend(objective.descend_hinf, inside.x)
         if inside.value >= bound:
             raise Infeasible(
                 f"hinf_bound: {bound:.6g} is not reached; the smallest H-infinity norm found is {inside.value:.6g}",

@@ -1,4 +1,4 @@
-"""CPU time: a sweep in lockstep beside run by run, a log beside mcap's own writer, designs over ever more modes."""
+"""CPU time: a sweep in lockstep beside run by run, a log beside mcap's own writer."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from hil.bench.plain_log import PlainSink
 from hil.compose.loop import Loop, compose
@@ -117,51 +115,6 @@ def bench_memory(
 def _traced() -> int:
     gc.collect()
     return tracemalloc.get_traced_memory()[0]
-
-
-def bench_modes(progress: Callable[[str], None] = lambda text: None, *, largest: int = 4) -> list[Row]:
-    """Return CPU time of an H2 design over ever more modes, one start each; its peer is the design with one delay less.
-
-    Args:
-        progress: told what is being done.
-        largest: tau_max = d_max of the last design.
-    """
-    from design.tracking.problem import TrackingProblem
-    from design.tracking.synthesis import solve
-
-    model = compose(load_experiment("dc-motor-hinf"), certify=False).model
-    rows: list[Row] = []
-    for most in range(1, largest + 1):
-        progress(f"H2 design, tau_max = d_max = {most}")
-        chain = shortening_chain(most)
-        problem = TrackingProblem(A=model.A, B=model.B, C=model.C, sc=chain, ca=chain, starts=1)
-        begun = time.process_time()
-        design = solve(problem)
-        spent = time.process_time() - begun
-        rows.append(
-            {
-                "tau_max = d_max": most,
-                "modes": design.certificate.modes,
-                "h2": design.certificate.h2_norm,
-                "CPU s": round(spent, 2),
-                "ratio": round(spent / rows[-1]["CPU s"], 1) if rows and rows[-1]["CPU s"] else None,
-            }
-        )
-    return rows
-
-
-def shortening_chain(most: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return a chain of the delays 0 .. most in which a delay grows by at most one: (most + 1, most + 1).
-
-    >>> shortening_chain(2).tolist()
-    [[0.5, 0.5, 0.0], [0.5, 0.25, 0.25], [0.5, 0.25, 0.25]]
-    """
-    chain = np.zeros((most + 1, most + 1))
-    for i in range(most + 1):
-        reach = min(i + 1, most)
-        chain[i, 0] = 0.5
-        chain[i, 1 : reach + 1] = 0.5 / reach
-    return chain
 
 
 def _virtual(loop: Loop, writer: str, path: Path, before_the_end: Callable[[], None] = lambda: None) -> None:

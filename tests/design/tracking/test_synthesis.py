@@ -10,7 +10,7 @@ from design.networked_loop.steady_state import check_held, steady_state
 from design.processes.delay_chain import DelayChain
 from design.tracking.gain_parametrisation import COARSER, INFORMATION, embed, gain_parametrisation, selection_of
 from design.tracking.loop_objective import LoopObjective
-from design.tracking.stabilise import closed_classes
+from design.tracking.stabilise import closed_classes, stabilising
 from design.tracking.synthesis import TrackingProblem, solve
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF, VTOL, VTOL_R
 
@@ -268,3 +268,14 @@ def test_ccl_route_falls_towards_the_direct_optimum_and_does_not_beat_it():
         design_by_ccl(problem("motor", method="ccl", gain_bound=1.0))
     with pytest.raises(ValueError, match="method: 'ccl' is not solved here"):
         solve(problem("motor", method="ccl"))
+
+
+def test_above_its_ceiling_an_hinf_norm_need_not_be_found_and_below_it_is():
+    design = problem("motor", objective="hinf", information="constant")
+    structure, space = design.structure(), design.space()
+    v = stabilising(LoopObjective(structure, space, design.alpha(structure)), np.zeros(space.size))
+    norm, _ = LoopObjective(structure, space, design.alpha(structure)).hinf(v)
+    for share, found in ((0.99, np.inf), (1.01, norm)):
+        objective = LoopObjective(structure, space, design.alpha(structure))
+        objective.ceiling = share * norm
+        assert objective.hinf(v)[0] == found

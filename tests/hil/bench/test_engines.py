@@ -25,9 +25,3 @@ def test_memory_of_an_open_log_is_set_beside_mcaps_own_writer(monkeypatch: pytes
     (row,) = engines.bench_memory(slots=(20, 140))  # within one chunk: both hold its messages
     assert row["bytes per slot"] > 100.0 and row["mcap's writer"] > 100.0
     assert row["ratio"] == pytest.approx(row["bytes per slot"] / row["mcap's writer"], rel=0.01)
-
-
-def test_designs_over_more_modes_have_more_modes_and_a_norm() -> None:
-    rows = engines.bench_modes(largest=2)
-    assert [row["modes"] for row in rows] == sorted(row["modes"] for row in rows)
-    assert all(0.0 < row["h2"] < 10.0 for row in rows)
