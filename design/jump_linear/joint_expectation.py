@@ -15,9 +15,9 @@ def factors_of(transition: Array) -> Factors:
     Args:
         transition: (N, N) row-stochastic, or bounds of such a matrix.
 
-    >>> first, second = factors_of(np.kron([[0.5, 0.5], [0.1, 0.9]], [[0.2, 0.8], [1.0, 0.0]]))
+    >>> first, second = factors_of(np.kron([[0.5, 0.5], [0.25, 0.75]], [[0.125, 0.875], [1.0, 0.0]]))
     >>> first.tolist(), second.tolist()
-    ([[0.5, 0.5], [0.1, 0.9]], [[0.2, 0.8], [1.0, 0.0]])
+    ([[0.5, 0.5], [0.25, 0.75]], [[0.125, 0.875], [1.0, 0.0]])
     """
     N = len(transition)
     for b in sorted((b for b in range(2, N) if N % b == 0), key=lambda b: b + N // b):

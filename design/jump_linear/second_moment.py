@@ -25,6 +25,7 @@ Array = npt.NDArray[np.float64]
 DENSE_LIMIT = 700  # unknowns up to which a dense factorisation is quicker than GMRES
 SINGLE_LIMIT = 100  # the same for a system of one mode
 EIG_DENSE_LIMIT = 260  # unknowns up to which all eigenvalues are computed
+CLUSTER_LIMIT = 20_000  # unknowns up to which four eigenvalues are found, in case several lie on the spectral circle
 BORDERED_TOLERANCE = 1e-10  # of GMRES: Newton's method on the fold corrects what it leaves
 
 
@@ -237,10 +238,13 @@ def mean_square_radius(A: Array, transition: Array) -> float:
         A: (N, n, n) mode matrices.
         transition: (N, N) row-stochastic matrix.
 
-    Small systems take every eigenvalue. Large ones take ARPACK, matrix-free, started at the identity: the operator
-    maps positive semidefinite families to such, so its radius is an eigenvalue with a positive semidefinite family.
+    Small systems take every eigenvalue; one large mode takes the squares of those of A. Large systems take ARPACK,
+    matrix-free, started at the identity: the operator maps positive semidefinite families to such, so its radius is an
+    eigenvalue with a positive semidefinite family.
     """
     size = A.shape[0] * A.shape[-1] * (A.shape[-1] + 1) // 2
+    if len(A) == 1 and size > SINGLE_LIMIT:
+        return float(transition[0, 0] * np.abs(np.linalg.eigvals(A[0])).max() ** 2)
     if size <= EIG_DENSE_LIMIT:
         return float(np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max())
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
@@ -254,7 +258,8 @@ def mean_square_radius(A: Array, transition: Array) -> float:
     operator = LinearOperator((size, size), matvec=product, dtype=np.float64)
     start = to_vector(np.broadcast_to(np.eye(A.shape[-1]), A.shape)).ravel()
     try:
-        values: npt.NDArray[Any] = eigs(operator, k=4, v0=start, ncv=40, return_eigenvectors=False, tol=1e-12)
+        wanted = 4 if size < CLUSTER_LIMIT else 1
+        values: npt.NDArray[Any] = eigs(operator, k=wanted, v0=start, ncv=40, return_eigenvectors=False, tol=1e-12)
     except ArpackNoConvergence as partial:  # a cluster on the spectral circle: fall back to all eigenvalues
         values = partial.eigenvalues if len(partial.eigenvalues) else np.linalg.eigvals(operator_matrix(A, transition))
     return float(np.abs(values).max())

@@ -16,6 +16,7 @@ from hil.bench.plain_log import PlainSink
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.write.mcap_sink import McapSink
+from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, Sink
 from hil.runtime.virtual import run_virtual
@@ -70,6 +71,8 @@ def bench_log(progress: Callable[[str], None] = lambda text: None, *, slots: int
             for name in found:
                 found[name].append(_cpu(partial(_virtual, loop, name, Path(folder) / name)) / slots * 1e6)
         equal = (Path(folder) / "ours").read_bytes() == (Path(folder) / "plain").read_bytes()
+        _virtual(loop, "chunk", Path(folder) / "chunk")
+        full, chunk = ((Path(folder) / name).stat().st_size / slots for name in ("ours", "chunk"))
     ours, plain, none = (statistics.median(found[name]) for name in ("ours", "plain", "none"))
     return [
         {
@@ -79,6 +82,9 @@ def bench_log(progress: Callable[[str], None] = lambda text: None, *, slots: int
             "ratio": round(ours / plain, 3),
             "without log us": round(none, 1),
             "same bytes": equal,
+            "bytes": round(full, 1),
+            "bytes, --index chunk": round(chunk, 1),
+            "ratio of bytes": round(chunk / full, 3),
         }
     ]
 
@@ -123,7 +129,9 @@ def _virtual(loop: Loop, writer: str, path: Path, before_the_end: Callable[[], N
         run_virtual(loop, 0, MemorySink(loop.channels(), []))
         return
     sink: Sink
-    with McapSink(path, loop.channels(), about) if writer == "ours" else PlainSink(path, loop.channels(), about) as sink:
+    ours: Index = "chunk" if writer == "chunk" else "full"
+    made = PlainSink(path, loop.channels(), about) if writer == "plain" else McapSink(path, loop.channels(), about, index=ours)
+    with made as sink:
         run_virtual(loop, 0, sink)
         before_the_end()
 

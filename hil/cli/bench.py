@@ -228,6 +228,17 @@ def modes(h2: tuple[int, ...], hinf: tuple[int, ...], as_json: bool) -> None:
     _table("certificates over many modes, norms of one", certificates)
 
 
+@command.command()
+@click.option("--runs", type=click.IntRange(1, 1_000_000), default=1000, show_default=True, help="Runs of each sweep.")
+@click.option("--json", "as_json", is_flag=True)
+def commands(runs: int, as_json: bool) -> None:
+    """Whole commands, each in a process of its own: run, report, sweeps, a session in real time; CPU and wall time."""
+    from hil.bench.commands import bench_commands
+
+    rows = bench_commands(_status, runs=runs)
+    print(json.dumps(rows, indent=2)) if as_json else _table('commands, beside python -c "import numpy"', rows)
+
+
 @command.command(name="all")
 @click.option("--duration", type=float, default=10.0, show_default=True, help="Seconds for each link.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object (nothing else is printed either way).")
@@ -237,6 +248,7 @@ def everything(duration: float, as_json: bool) -> None:
     from datetime import date
 
     from hil.bench.auth import bench_auth
+    from hil.bench.commands import bench_commands
     from hil.bench.design import bench_design, bench_scheduled
     from hil.bench.engines import bench_log, bench_memory, bench_sweep
     from hil.bench.links import bench_links
@@ -256,6 +268,7 @@ def everything(duration: float, as_json: bool) -> None:
         "sweep": lambda: bench_sweep(_status),
         "log": lambda: bench_log(_status),
         "memory": lambda: bench_memory(_status),
+        "commands": lambda: bench_commands(_status),
         "links": lambda: bench_links(rate_hz=1000.0, duration_s=duration),
         "timing": lambda: bench_timing(duration_s=duration, progress=_status),
         "auth": bench_auth,

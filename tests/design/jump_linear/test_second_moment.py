@@ -51,6 +51,11 @@ def test_on_the_edge_of_stability_the_search_ends_and_says_so() -> None:
     assert np.isnan(Resolvent(A, transition).cost(symmetric((20, 10, 10)))).all()
 
 
+def test_the_radius_of_one_large_mode_is_that_of_the_whole_operator() -> None:
+    A, transition = np.random.default_rng(6).normal(size=(1, 15, 15)), np.ones((1, 1))
+    assert mean_square_radius(A, transition) == pytest.approx(np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max())
+
+
 def test_zero_is_the_solution_of_zero() -> None:
     assert not np.any(krylov.solve(lambda v: v, np.zeros(4)))
 

@@ -23,5 +23,5 @@ def test_a_log_is_set_beside_mcaps_own_writer_and_has_its_bytes() -> None:
 def test_memory_of_an_open_log_is_set_beside_mcaps_own_writer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines, "WARM_UP", 1)
     (row,) = engines.bench_memory(slots=(20, 140))  # within one chunk: both hold its messages
-    assert row["bytes per slot"] > 100.0 and row["mcap's writer"] > 100.0
+    assert row["bytes per slot"] > 50.0 and row["mcap's writer"] > 100.0
     assert row["ratio"] == pytest.approx(row["bytes per slot"] / row["mcap's writer"], rel=0.01)
