@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from hil.errors import HilError
 
 
 def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
-    """Return the bytes of a regular file.
-
-    The type is asked of the open file, so that nobody can put a pipe in its place between the question and the reading; it
-    is opened without waiting, as a pipe that nobody writes would be waited for without end.
+    """Return the bytes of a regular file; see `open_regular`.
 
     Args:
         path: the file.
@@ -23,19 +23,40 @@ def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
     Raises:
         HilError: it cannot be read, is a folder, a pipe or a device, or has more bytes.
     """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with open_regular(path, what) as file:
         try:
-            refuse_irregular(path, os.fstat(descriptor).st_mode, what)
-            with open(descriptor, "rb", closefd=False) as file:
-                data = file.read(most_bytes + 1)
-        finally:
-            os.close(descriptor)
-    except (OSError, ValueError) as e:  # ValueError: a name with a zero byte
-        raise HilError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from e
+            data = file.read(most_bytes + 1)
+        except OSError as e:
+            raise HilError(f"{path}: cannot be read: {e.strerror or e}") from e
     if len(data) > most_bytes:
         raise HilError(f"{path}: more than {most_bytes} bytes, the limit of {what}")
     return data
+
+
+@contextmanager
+def open_regular(path: str | Path, what: str) -> Iterator[BinaryIO]:
+    """Open a regular file for reading.
+
+    The type is asked of the open file, so that nobody can put a pipe in its place between the question and the reading; it
+    is opened without waiting, as a pipe that nobody writes would be waited for without end.
+
+    Args:
+        path: the file.
+        what: what it should be, for the message, with its article.
+
+    Raises:
+        HilError: it cannot be opened, or is a folder, a pipe or a device.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except (OSError, ValueError) as e:  # ValueError: a name with a zero byte
+        raise HilError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from e
+    try:
+        refuse_irregular(path, os.fstat(descriptor).st_mode, what)
+        with open(descriptor, "rb", closefd=False) as file:
+            yield file
+    finally:
+        os.close(descriptor)
 
 
 def refuse_irregular(path: str | Path, mode: int, what: str) -> None:

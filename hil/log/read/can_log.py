@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from hil.errors import HilError
-from hil.regular_file import refuse_irregular
+from hil.regular_file import open_regular
 
 if TYPE_CHECKING:
     import can
@@ -40,9 +39,7 @@ def can_frames(path: Path) -> Iterator[can.Message]:
     if path.suffix not in (".log", ".blf"):
         raise HilError(f"{path}: the ending {path.suffix!r} names no CAN log, expected .log or .blf (see `hil export`)")
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(descriptor, "rb") as file:
-            refuse_irregular(path, os.fstat(descriptor).st_mode, "a CAN log")
+        with open_regular(path, "a CAN log") as file:
             if path.suffix == ".blf":
                 for part in _parts(file):
                     yield from can.BLFReader(io.BytesIO(part))
