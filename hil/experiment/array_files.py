@@ -9,6 +9,7 @@ import io
 import math
 import struct
 import tokenize
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -27,7 +28,7 @@ _MAT_HEADER: Final = 128
 _COMPRESSED: Final = 15
 _BROKEN: Final = (ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError, OSError, NotImplementedError,
                   UnicodeError, SyntaxError, RecursionError, struct.error, zlib.error, zipfile.BadZipFile,
-                  tokenize.TokenError)  # fmt: skip
+                  tokenize.TokenError, UserWarning)  # fmt: skip
 
 
 def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions: int) -> list[Any]:
@@ -54,12 +55,14 @@ def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions
         raise HilError(f"{name}: a {suffix} file holds one array, and no key {key!r}")
     data = read_regular(path, MAX_BYTES, f"a file of numbers ({suffix})")
     try:
-        if suffix == ".csv":
-            found = _of_csv(data)
-        elif suffix == ".npy":
-            found = _of_npy(data)
-        else:
-            found = (_of_npz if suffix == ".npz" else _of_mat)(data, key)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)  # scipy reads on, and warns that the numbers may be wrong
+            if suffix == ".csv":
+                found = _of_csv(data)
+            elif suffix == ".npy":
+                found = _of_npy(data)
+            else:
+                found = (_of_npz if suffix == ".npz" else _of_mat)(data, key)
     except HilError as error:
         raise HilError(f"{path}: {error}") from error
     except _BROKEN as error:
@@ -150,7 +153,8 @@ def _refuse_bomb(data: bytes) -> None:
 def _bounded(shape: tuple[int, ...], kind: str) -> None:
     if kind not in "fiub":
         raise HilError(f"holds an array of kind {kind!r}, expected real numbers")
-    if math.prod(map(int, shape)) > MOST_NUMBERS or any(length < 0 for length in shape):
+    most = math.prod(max(int(length), 1) for length in shape)  # a million rows of no numbers are a million lists
+    if most > MOST_NUMBERS or any(length < 0 for length in shape):
         raise HilError(f"an array of shape {tuple(shape)}; at most {MOST_NUMBERS} numbers")
 
 

@@ -222,12 +222,18 @@ def blf(*contents: bytes) -> bytes:
     )
 
 
+def mat(kind: int, rows: int, columns: int) -> bytes:
+    return struct.pack("<5I", kind, rows, columns, 0, 2) + b"A\0" + bytes(8 * rows * columns)
+
+
 NO_LENGTH = zlib.compress(struct.pack("<4sHHII", b"LOBJ", 16, 3, 0, 1) + bytes(64))
 """An object of no length: python-can reads it for ever."""
 
 FOUND: dict[str, tuple[str, Callable[[], bytes]]] = {
     "a whole number beyond all others": ("number list", lambda: b"9" * 400),
     "a header of an array that goes on": ("npy", lambda: b"\x93NUMPY\x01\x00\x10\x00" + b"{'descr': ('<f8',\n" + bytes(8)),
+    "numbers in the byte order of a Cray": ("mat", lambda: mat(4000, 2, 2)),
+    "millions of rows without a number": ("mat", lambda: mat(0, 16_777_218, 0)),
     "a container that is no zlib": ("blf", lambda: blf(b"x" * 40)),
     "an object of no length": ("blf", lambda: blf(NO_LENGTH)),
     "a container that unpacks to gigabytes": ("blf", lambda: blf(zlib.compress(bytes(20_000_000)))),
