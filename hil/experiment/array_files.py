@@ -9,7 +9,6 @@ import io
 import math
 import struct
 import tokenize
-import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -19,16 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import HilError
+from hil.experiment.mat_file import variables
 from hil.regular_file import read_regular
 
 MAX_BYTES: Final = 16_000_000
 MOST_NUMBERS: Final = 1_000_000
 SUFFIXES: Final = (".npz", ".npy", ".csv", ".mat")
-_MAT_HEADER: Final = 128
-_COMPRESSED: Final = 15
 _BROKEN: Final = (ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError, OSError, NotImplementedError,
                   UnicodeError, SyntaxError, RecursionError, struct.error, zlib.error, zipfile.BadZipFile,
-                  tokenize.TokenError, UserWarning)  # fmt: skip
+                  tokenize.TokenError)  # fmt: skip
 
 
 def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions: int) -> list[Any]:
@@ -55,14 +53,12 @@ def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions
         raise HilError(f"{name}: a {suffix} file holds one array, and no key {key!r}")
     data = read_regular(path, MAX_BYTES, f"a file of numbers ({suffix})")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", UserWarning)  # scipy reads on, and warns that the numbers may be wrong
-            if suffix == ".csv":
-                found = _of_csv(data)
-            elif suffix == ".npy":
-                found = _of_npy(data)
-            else:
-                found = (_of_npz if suffix == ".npz" else _of_mat)(data, key)
+        if suffix == ".csv":
+            found = _of_csv(data)
+        elif suffix == ".npy":
+            found = _of_npy(data)
+        else:
+            found = (_of_npz if suffix == ".npz" else _of_mat)(data, key)
     except HilError as error:
         raise HilError(f"{path}: {error}") from error
     except _BROKEN as error:
@@ -121,33 +117,15 @@ def _of_npz(data: bytes, key: str) -> NDArray[Any]:
 
 
 def _of_mat(data: bytes, key: str) -> NDArray[Any]:
-    from scipy.io import loadmat, whosmat
-
-    if data[:10] == b"MATLAB 7.3":
-        raise HilError("is a MATLAB 7.3 file; save it with -v7")
-    _refuse_bomb(data)
-    there = {name: (shape, kind) for name, shape, kind in whosmat(io.BytesIO(data))}  # type: ignore[arg-type]
-    if key not in there:
-        raise HilError(f"has no key {key!r}; it has {_listed(list(there))}")
-    shape, kind = there[key]
-    if not kind.startswith(("double", "single", "int", "uint", "logical")):
-        raise HilError(f"key {key!r}: holds {kind}, expected a full matrix of real numbers")
-    _bounded(shape, "f")
-    found: NDArray[Any] = np.asarray(loadmat(io.BytesIO(data), variable_names=[key])[key])  # type: ignore[arg-type]
-    return found
-
-
-def _refuse_bomb(data: bytes) -> None:
-    """Refuse a file of version 5 to 7 whose compressed elements hold more than a file of numbers may."""
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
-    at, size = _MAT_HEADER, 0
-    while order is not None and at + 8 <= len(data):
-        kind, count = struct.unpack_from(f"{order}II", data, at)
-        if kind == _COMPRESSED:
-            size += len(zlib.decompressobj().decompress(data[at + 8 : at + 8 + count], MAX_BYTES + 1))
-            if size > MAX_BYTES:
-                raise HilError(f"unpacks to more than {MAX_BYTES} bytes")
-        at += 8 + count
+    names = []
+    for found in variables(data, MAX_BYTES):
+        names.append(found.name)
+        if found.name == key:
+            if found.kind != "numbers":
+                raise HilError(f"key {key!r}: holds {found.kind}, expected a full matrix of real numbers")
+            _bounded(found.shape, "f")
+            return found.array()
+    raise HilError(f"has no key {key!r}; it has {_listed(names)}")
 
 
 def _bounded(shape: tuple[int, ...], kind: str) -> None:
