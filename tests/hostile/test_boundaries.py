@@ -7,6 +7,7 @@ hundreds of them from each seed that it draws. The same attacks run twice: a few
 
 from __future__ import annotations
 
+import io
 import json
 import signal
 import struct
@@ -23,14 +24,18 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 
 from design.tracking.design_file import load_design
 from hil.cli.terminal import LONGEST, message_lines
 from hil.errors import HilError
 from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
+from hil.log.read.mcap_walk import walk
+from hil.log.read.recover import recover
+from hil.report.html.payload import Payload
 from hil.sweeps.store import SweepStore
 from tests.hostile.boundaries import BOUNDARIES, DESIGN
-from tests.hostile.logs import motor, use_log, words, write_log
+from tests.hostile.logs import foreign_log, motor, use_log, words, write_log
 from tests.hostile.mutation import mutated
 from tests.hostile.structured import damaged, edited, leaf, value
 from tests.hostile.watchdog import Hangs, within
@@ -248,6 +253,20 @@ def test_what_the_fuzz_found_stays_refused(tmp_path: Path, what: str) -> None:
     name, data = FOUND[what]
     with pytest.raises(BOUNDARIES[name].refusals), within():
         BOUNDARIES[name].attack(tmp_path, data())
+
+
+def test_a_log_of_the_last_instants_of_all_is_recovered(tmp_path: Path) -> None:
+    data = bytearray(foreign_log(chunked=False))
+    message = next(each for each in walk(io.BytesIO(data), len(data)) if each.opcode == Opcode.MESSAGE)
+    data[message.offset + 15 : message.offset + 23] = (2**64 - 5).to_bytes(8, "little")
+    (tmp_path / "x.mcap").write_bytes(data)
+    recover(tmp_path / "x.mcap", tmp_path / "y.mcap")
+
+
+def test_numbers_beyond_single_precision_are_drawn_as_they_are() -> None:
+    with np.errstate(all="raise"):
+        payload = Payload()
+        payload.add(np.array([0.0, 1e300, np.nan]))
 
 
 def test_an_event_at_no_instant_is_refused(tmp_path: Path) -> None:

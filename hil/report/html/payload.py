@@ -38,11 +38,14 @@ class Payload:
         whole = np.where(np.isnan(values), GAP, values)
         if np.all(np.abs(whole) <= -GAP) and np.array_equal(whole, np.round(whole)):
             return self._store("i2", whole.astype("<i2").tobytes())
-        narrow = values.astype("<f4")
         finite = values[np.isfinite(values)]
+        largest = float(np.abs(finite).max(initial=0.0))
+        if largest > float(np.finfo(np.float32).max):
+            return self._store("f8", values.astype("<f8").tobytes())
+        narrow = values.astype("<f4")
         steps = np.abs(np.diff(finite))
         steps = steps[steps > 0]
-        rounding = float(np.abs(finite).max(initial=0.0)) * 6e-8
+        rounding = largest * 6e-8
         # y needs no more than a ten-thousandth of what is drawn; x needs its samples kept apart. One test serves both.
         enough = steps.size == 0 or rounding < max(0.05 * float(steps.min()), 1e-5 * float(np.ptp(finite)))
         return self._store("f4", narrow.tobytes()) if enough else self._store("f8", values.astype("<f8").tobytes())
