@@ -158,10 +158,8 @@ class DCMotor:
         """Return the motor at time 0. It draws nothing from ``rng``."""
         return DCMotorRun(self)
 
-    def start_many(self, runs: int) -> MotorRuns | None:
-        """Return so many motors at time 0; None with a tachometer."""
-        if self.tachometer:
-            return None
+    def start_many(self, runs: int) -> MotorRuns:
+        """Return so many motors at time 0."""
         axes: Axes = (
             RubbingAxes(self.gain, self.pole, self.friction)
             if self.friction.dry
@@ -173,6 +171,7 @@ class DCMotor:
             driver=None if self.driver.ideal else self.driver,
             through=self.disturbance_through_driver,
             encoder_step_rad=self.encoder.step_rad,
+            tachometer=self.tachometer,
             pieces=self.load.pieces,
             runs=runs,
         )

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plants.errors import FieldError
+from plants.parts.delayed_many import DelayedStatesRuns
 from plants.parts.exponential import Rows
-from plants.parts.linear import DiscreteStateSpace, Signal
+from plants.parts.linear import NS_PER_S, DiscreteStateSpace, Signal
 from plants.parts.noisy import NoisyRun
 from plants.parts.validation import require_not_negative, require_vector, require_whole_nanoseconds
 
@@ -155,12 +156,27 @@ class DelayedStates:
         run = DelayedStatesRun(self)
         return NoisyRun(run, self.noise_sd, rng) if any(self.noise_sd) else run
 
+    def start_many(self, runs: int) -> DelayedStatesRuns | None:
+        """Return so many plants at slot 0; None where noise is drawn."""
+        if any(self.noise_sd):
+            return None
+        past = [*self.initial_state, *self.state_history().ravel().tolist()]
+        return DelayedStatesRuns(self.A, self.delayed, self.B, past, round(self.period_s * NS_PER_S), runs)
+
 
 def _square(path: str, rows: Rows, n: int) -> None:
     if len(rows) != n:
         raise FieldError(path, f"{len(rows)} rows, expected {n}")
     for i, row in enumerate(rows):
         require_vector(f"{path}[{i}]", row, n)
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return 0 + a_1 b_1 + a_2 b_2 + ..., rounded after every step in this order (`sum` rounds otherwise from Python 3.12 on)."""
+    total = 0.0
+    for x, y in zip(a, b):
+        total += x * y
+    return total
 
 
 class DelayedStatesRun:
@@ -189,10 +205,7 @@ class DelayedStatesRun:
         while self._passed_ns >= self._period_ns:
             self._passed_ns -= self._period_ns
             held = [a + b for a, b in zip(u, w)] if w else u
-            x = [
-                sum(a * v for a, v in zip(row, self._past)) + sum(b * v for b, v in zip(force, held))
-                for row, force in zip(self._rows, self._input)
-            ]
+            x = [_dot(row, self._past) + _dot(force, held) for row, force in zip(self._rows, self._input)]
             self._past = [*x, *self._past[: -self._n or None]] if len(self._past) > self._n else x
 
     def measure(self) -> tuple[float, ...]:

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import Known, LoopModel, Rows, Selection
+from design.controllers.historical_many import HistoricalOfMany
 from design.controllers.packet_window import PacketWindow, window_of
-from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
+from design.controllers.sensor_nodes import SensorNodes, Turns, Uses, phase_at
 from design.errors import FieldError
 
 History = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [phase][j][m][p]
@@ -68,6 +69,15 @@ class Historical:
         Raises:
             ValueError: gains that do not fit the plant or its nodes.
         """
+        return HistoricalRun(*self._fitting(model))
+
+    def start_many(self, model: LoopModel, runs: int) -> HistoricalOfMany | None:
+        """Return so many of them, ready for slot 0; None where a packet comes later than the gains look back."""
+        K, nodes, uses, window = self._fitting(model)
+        delay = nodes.delays[0] or 0
+        return HistoricalOfMany(K, nodes.turns, uses, window, delay, runs) if uses == "history" or delay < K.shape[1] else None
+
+    def _fitting(self, model: LoopModel) -> tuple[NDArray[np.float64], SensorNodes, Uses, PacketWindow | None]:
         K, nodes = self.history(), model.nodes
         m, p = model.B.shape[1], model.C.shape[0]
         if K.shape[2:] != (m, p):
@@ -77,7 +87,7 @@ class Historical:
         if self.uses == "last-packets":
             if nodes.turns is None or len(set(nodes.delays)) != 1 or None in nodes.delays:
                 raise FieldError("uses", "the last packets need nodes that take turns and have one constant delay")
-            return HistoricalRun(K, nodes, self.uses, window_of(nodes.turns, len(K)))
+            return K, nodes, self.uses, window_of(nodes.turns, len(K))
         phases = phase_count(nodes.turns)
         if len(K) != phases:
             raise FieldError("gains", f"{len(K)} phases, but the schedule has {phases}")
@@ -86,21 +96,12 @@ class Historical:
             raise FieldError("uses", "the current packet needs nodes that take turns and have one constant delay")
         if nodes.turns is not None and nodes.turns.transition and self.uses == "history":
             raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
-        return HistoricalRun(K, nodes, self.uses)
+        return K, nodes, self.uses, None
 
 
 def phase_count(turns: Turns | None) -> int:
     """Return the number of phases of a schedule: slots of a cycle, nodes of random turns, 1 where all send in every slot."""
     return 1 if turns is None else turns.phases
-
-
-def phase_at(turns: Turns | None, k: int) -> int:
-    """Return the phase of a cycle in slot k.
-
-    >>> [phase_at(Turns(order=(0, 1, 2), phase=1), k) for k in range(4)]
-    [1, 2, 0, 1]
-    """
-    return 0 if turns is None or not turns.cycle else (k + turns.phase) % turns.phases
 
 
 class HistoricalRun:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from design.controllers.contract import Known, LoopModel, Rows, RunningController
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers.contract import Known, LoopModel, Rows, RunningController, Selection
+from design.controllers.gain_rows_many import GainRowsOfMany, Matrix
 
 
 class NodeGainRows:
@@ -45,3 +49,37 @@ class NodeGainRows:
         for own, count in zip(age, self._ages):
             index = index * count + min(own, count - 1)
         return self._rows(k, index, y, known.reference)
+
+
+class NodeGainRowsOfMany:
+    """The gains of every node's age in many runs, each bit for bit what `NodeGainRows` computes alone.
+
+    Args:
+        running: the rows of a table by its index.
+        ages: how many ages of each node have tables.
+    """
+
+    def __init__(self, running: GainRowsOfMany, ages: Sequence[int]) -> None:
+        self._running, self._counts = running, tuple(ages)
+        self.selection: Selection = running.selection
+
+    def rows(self, k: int, started: NDArray[np.bool_], tau: NDArray[np.intp], y: Matrix, r: Sequence[float]) -> Matrix:
+        """Return the rows where all nodes are equally old; see `rows_by_node`."""
+        return self.rows_by_node(k, started, np.broadcast_to(tau, (len(self._counts), *tau.shape)), y, r)
+
+    def rows_by_node(
+        self, k: int, started: NDArray[np.bool_], ages: NDArray[np.intp], y: Matrix, r: Sequence[float]
+    ) -> Matrix:
+        """Return the rows of slot k, (rows, m, runs); where a run has not started they mean nothing and change nothing.
+
+        Args:
+            k: slot.
+            started: whether every node has been heard, (runs,).
+            ages: of the newest sample of every node, samples, (nodes, runs).
+            y: newest sample of every output, (p, runs).
+            r: reference of the slot, (p,).
+        """
+        index = np.zeros(ages.shape[1], dtype=np.intp)
+        for age, count in zip(ages, self._counts):
+            index = index * count + np.minimum(age, count - 1)
+        return self._running.rows(k, started, index, y, r)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from design.controllers.contract import FromSamples, Gains, LoopModel, Rows, RunningController, Selection, row_count
 from design.controllers.gain_rows_many import GainRowsOfMany, dot, feedforward, sojourn_ranges
-from design.controllers.node_gain_rows import NodeGainRows
+from design.controllers.node_gain_rows import NodeGainRows, NodeGainRowsOfMany
 from design.errors import FieldError
 
 
@@ -145,9 +145,10 @@ class SendAll:
             return running
         return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max))
 
-    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
+    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany | NodeGainRowsOfMany:
         """Return so many of them, ready for slot 0."""
-        return GainRowsOfMany(self.table(model), self.selection, model, runs, self.integral, self.sojourns)
+        running = GainRowsOfMany(self.table(model), self.selection, model, runs, self.integral, self.sojourns)
+        return running if len(self.ages) < 2 else NodeGainRowsOfMany(running, self.ages)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

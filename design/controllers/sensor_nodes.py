@@ -40,6 +40,15 @@ class Turns:
         return len(self.heard) or len(self.order) or len(self.transition)
 
 
+def phase_at(turns: Turns | None, k: int) -> int:
+    """Return the phase of a cycle in slot k.
+
+    >>> [phase_at(Turns(order=(0, 1, 2), phase=1), k) for k in range(4)]
+    [1, 2, 0, 1]
+    """
+    return 0 if turns is None or not turns.cycle else (k + turns.phase) % turns.phases
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorNodes:
     """The sensor nodes of a rig, one or more.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy.typing as npt
 
 from hil.experiment.protocols import HasCost
 from hil.log.growing import pieces
+from hil.measure.many import Many, ManyView
 from hil.measure.measure import Quantity
-from hil.measure.network_load import loads
+from hil.measure.network_load import loads, node_loads
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, RunView, matrix, signal_names
 
@@ -39,21 +41,53 @@ class Cost:
     def of(self, view: RunView) -> dict[str, float | None]:
         """Return the numbers of one run."""
         names = signal_names(view.run, STATE)
-        n, m = len(names), len(view.signals.inputs)
         plant = view.experiment.plant if view.experiment is not None else None
-        weight, input_weight = plant.cost_weights() if isinstance(plant, HasCost) else (np.eye(n), np.zeros((m, m)))
-        with np.errstate(over="ignore", invalid="ignore"):
-            total = sum(_square(matrix(piece, names), weight) for piece in pieces(view.run.arrays[STATE]))
-            total += sum(_square(u, input_weight) for u in view.inputs())
+        weights = _weights(plant, len(names), len(view.signals.inputs))
+        states = (matrix(piece, names) for piece in pieces(view.run.arrays[STATE]))
         found = loads(view)
-        peaks = [float(np.abs(u).max()) for u in view.inputs() if u.size]
-        largest = float(np.max(peaks)) if peaks else None  # NaN where one is
         return {
-            "cost": total if np.isfinite(total) else None,
-            "peak_input": largest if largest is not None and np.isfinite(largest) else None,
+            **_of_one(states, view.inputs(), weights),
             "packets_per_s": sum(load.packets_per_s for load in found) if found else None,
             "bits_per_s": sum(load.bits_per_s for load in found) if found else None,
         }
+
+    def of_many(self, view: ManyView) -> Mapping[str, Many]:
+        """Return the numbers of many runs, see `MeasureOfMany.of_many`."""
+        weights = _weights(view.experiment.plant, len(view.states), len(view.inputs))
+        rows = []
+        for run in range(len(view.inputs[0])):
+            x, u = (np.column_stack([signal[run] for signal in signals]) for signals in (view.states, view.inputs))
+            rows.append(_of_one(pieces(x), pieces(u), weights))
+        found = {name: np.array([np.nan if row[name] is None else row[name] for row in rows]) for name in ("cost", "peak_input")}
+        sent = np.zeros((0, len(rows)), dtype=np.int64) if view.packets is None else view.packets
+        per_node = [node_loads(view.experiment, column, len(view.t_s) * view.period_s) for column in sent.T.tolist()]
+        found["packets_per_s"] = np.array([sum(load.packets_per_s for load in own) for own in per_node])
+        found["bits_per_s"] = np.array([sum(load.bits_per_s for load in own) for own in per_node])
+        return found
+
+
+def _weights(plant: object, n: int, m: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    return plant.cost_weights() if isinstance(plant, HasCost) else (np.eye(n), np.zeros((m, m)))
+
+
+def _of_one(
+    states: Iterable[npt.NDArray[np.float64]], inputs: Iterable[npt.NDArray[np.float64]],
+    weights: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
+) -> dict[str, float | None]:  # fmt: skip
+    """Return the cost and the largest input of one run, its states (k, n) and inputs (k, m) piece by piece."""
+    weight, input_weight = weights
+    squares, peaks = [], []
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = sum(_square(piece, weight) for piece in states)
+        for u in inputs:
+            squares.append(_square(u, input_weight))
+            peaks += [float(np.abs(u).max())] if u.size else []
+        total += sum(squares)
+    largest = float(np.max(peaks)) if peaks else None  # NaN where one is
+    return {
+        "cost": total if np.isfinite(total) else None,
+        "peak_input": largest if largest is not None and np.isfinite(largest) else None,
+    }
 
 
 def _square(z: npt.NDArray[np.float64], weight: npt.NDArray[np.float64]) -> float:

@@ -9,6 +9,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from hil.experiment import Experiment
 from hil.measure.signals import Signals
 
 Many: TypeAlias = npt.NDArray[np.float64]
@@ -26,6 +27,9 @@ class ManyView:
         period_s: sample period, s.
         signals: names and units of outputs and inputs, and which are tracked.
         disturbed_at_s: when the first input disturbance began, s; None without one.
+        experiment: what ran.
+        states: of the plant, one array (runs, slots) each; empty unless a measure names their topic.
+        packets: how many each sensor node has sent, (nodes, runs); None unless a measure names the topic of the draws.
     """
 
     t_s: Many
@@ -35,6 +39,9 @@ class ManyView:
     period_s: float
     signals: Signals
     disturbed_at_s: float | None
+    experiment: Experiment
+    states: tuple[Many, ...] = ()
+    packets: npt.NDArray[np.int64] | None = None
 
 
 @runtime_checkable

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from hil.experiment import Experiment
 from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import pieces
 from hil.measure.network_paths import draws_of
@@ -40,13 +42,23 @@ def loads(view: RunView) -> tuple[Load, ...]:
     if draws is None or e is None or not len(draws):
         return ()
     slots = len(view.run.arrays.get(MEASUREMENT, ())) or max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
-    seconds, outputs = slots * view.period_s, len(e.plant.outputs)
-    found = []
-    for number, sensor in enumerate(sensors_of(e)):
-        sent, lost = sent_packets(draws_of(draws, number))
+    fates = [sent_packets(draws_of(draws, number)) for number in range(len(sensors_of(e)))]
+    return node_loads(e, [sent for sent, _ in fates], slots * view.period_s, [lost for _, lost in fates])
+
+
+def node_loads(e: Experiment, packets: Sequence[int], seconds: float, lost: Sequence[int] = ()) -> tuple[Load, ...]:
+    """Return the load of every sensor node from what it sent.
+
+    Args:
+        e: whose nodes they are.
+        packets, lost: how many each node sent, and how many of them were lost.
+        seconds: length of the run.
+    """
+    outputs, found = len(e.plant.outputs), []
+    for sensor, sent, gone in zip(sensors_of(e), packets, lost or [0] * len(packets)):
         bits = 8 * sensor_length(len(sensor.outputs) * sensor.buffer + outputs)
         found.append(
-            Load(node=sensor.name, packets=sent, lost=lost, packets_per_s=sent / seconds, bits_per_s=sent * bits / seconds)
+            Load(node=sensor.name, packets=sent, lost=gone, packets_per_s=sent / seconds, bits_per_s=sent * bits / seconds)
         )
     return tuple(found)
 

@@ -3,15 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.experiment import Experiment
 from hil.runtime.streams import rng_for
-from hil.sweeps.many import AgesOfMany
-from transport.laws.protocols import AgeLaw, GapLaw
+from hil.sweeps.many import AgesOfMany, NewestOfMany
+from transport.laws.protocols import AgeLaw, GapLaw, NetworkLaw
 
 Slots = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Received:
+    """What the receiver of one direction holds.
+
+    Args:
+        newest: slot of the newest packet that has come, (slots, runs), -1 before the first.
+        known: in which runs, (runs,).
+    """
+
+    newest: Slots
+    known: NDArray[np.bool_]
+
+
+def told_at_once(law: NetworkLaw) -> bool:
+    """Return whether what comes over a network law can be computed for many runs at once."""
+    return law.family == "age" or isinstance(law, NewestOfMany)
+
+
+def received(law: NetworkLaw, seeds: Sequence[int], stream: str, experiment: Experiment) -> Received:
+    """Return what comes of packets of which one leaves in every slot.
+
+    Args:
+        law: of which `told_at_once` says so.
+        seeds: one run each.
+        stream: name of the law's random stream.
+        experiment: says how many slots, and when they close.
+    """
+    e = experiment
+    if isinstance(law, NewestOfMany):
+        rngs = (rng_for(seed, stream) for seed in seeds)
+        period_s = float(e.period)
+        found, known = law.newest_of_many(rngs, len(seeds), e.ticks, period_s, e.timing.deadline * period_s)
+        return Received(newest=found, known=known)
+    age_law = cast(AgeLaw, law)
+    ages = drawn_ages(age_law, seeds, stream, e.ticks)
+    return Received(newest=newest(ages), known=lawful(age_law, ages))
 
 
 def drawn_ages(law: AgeLaw, seeds: Sequence[int], stream: str, slots: int) -> Slots:
@@ -42,6 +83,24 @@ def newest(ages: Slots) -> Slots:
     """
     sent = np.arange(len(ages), dtype=np.int32)[:, None] - ages
     return np.maximum.accumulate(np.maximum(sent, -1), axis=0)
+
+
+def starved(usable: NDArray[np.bool_], d_max: int, watchdog_slots: int) -> NDArray[np.bool_]:
+    """Return in which runs the watchdog trips, (runs,); see `hil.runtime.nodes.safety.Safety.starved`.
+
+    Args:
+        usable: whether the actuator holds a packet that its rows cover, (slots, runs).
+        d_max: largest age that they cover; up to that slot nobody waits.
+        watchdog_slots: so many slots in a row without one trip it.
+
+    >>> starved(np.array([[0, 1], [1, 1], [0, 0], [0, 1], [0, 0]], dtype=bool), 1, 3).tolist()
+    [True, False]
+    """
+    waits = ~usable
+    waits[: d_max + 1] = False
+    missing = np.cumsum(waits, axis=0, dtype=np.int32)
+    fed = np.maximum.accumulate(np.where(waits, 0, missing), axis=0)
+    return np.asarray(((missing - fed) >= watchdog_slots).any(axis=0))
 
 
 def applied_rows(selection: str, held: Slots, d_max: int) -> Slots:

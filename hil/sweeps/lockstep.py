@@ -7,20 +7,29 @@ safety would trip, or a number leaves the range in which nothing can overflow, i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.compose.loop import Loop
+from hil.measure.cost import DRAWS, STATE
 from hil.measure.many import ManyView, MeasureOfMany
 from hil.measure.measure import measures_of
 from hil.measure.signals import signals_of
-from hil.sweeps.delays_of_many import applied_rows, drawn_ages, lawful, newest
-from hil.sweeps.many import ControllerOfMany, Matrix, PlantOfMany, RunningControllers, RunningPlants
-from transport.laws.protocols import AgeLaw
+from hil.sweeps.delays_of_many import applied_rows, received, starved, told_at_once
+from hil.sweeps.heard_of_many import KnownSamples, heard, nodes_of
+from hil.sweeps.many import (
+    ControllerOfMany,
+    Matrix,
+    PlantOfMany,
+    Running,
+    RunningControllers,
+    RunningControllersByNode,
+    RunningControllersFromSamples,
+    RunningPlants,
+)
 
 LARGEST = 1e30
 """Beyond it a number is left to the plain engine: its square and its float32 are finite below."""
@@ -30,6 +39,9 @@ ENTRIES = 1_000_000
 
 MOST_RUNS = 1000
 """Runs that are computed at once: from there on a run costs the same."""
+
+Answer = Callable[[int, NDArray[np.bool_], Sequence[NDArray[np.int32]], Matrix, Sequence[float]], Matrix]
+"""Rows of a slot, (rows, m, runs): of the slot, who has started, the newest samples of every node, the outputs, the reference."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,12 +53,16 @@ class Together:
         outputs: measured outputs, (p, slots, runs).
         inputs: applied inputs without the disturbance, (m, slots, runs).
         reference: (slots, p).
+        states: of the plant, (n, slots, runs), where a measure reads them.
+        packets: how many each node has sent, (nodes, runs), likewise.
     """
 
     known: NDArray[np.bool_]
     outputs: Matrix
     inputs: Matrix
     reference: Matrix
+    states: Matrix | None
+    packets: NDArray[np.int64] | None
 
 
 def chunk_runs(loop: Loop) -> int:
@@ -56,23 +72,33 @@ def chunk_runs(loop: Loop) -> int:
 
 def in_lockstep(loop: Loop) -> bool:
     """Return whether the runs of a loop can be computed at once: its plant, controller and network laws all serve."""
-    e, laws = loop.experiment, (loop.sensors[0].law, loop.ca_law)
+    e = loop.experiment
     return (
         not e.fault
         and _sends_all(loop)
-        and all(law.family == "age" for law in laws)
-        and isinstance(loop.controller, ControllerOfMany)
+        and told_at_once(loop.ca_law)
+        and _answers_together(loop)
         and isinstance(e.plant, PlantOfMany)
         and e.plant.start_many(1) is not None
         and e.limits.passivity is None
     )
 
 
+def _answers_together(loop: Loop) -> bool:
+    controller = loop.controller
+    running = controller.start_many(loop.model, 1) if isinstance(controller, ControllerOfMany) else None
+    if isinstance(running, RunningControllersByNode) and any(sensor.clock.every > 1 for sensor in loop.sensors):
+        return False  # whether it waits for a node with a clock is its own affair
+    return running is not None
+
+
 def _sends_all(loop: Loop) -> bool:
-    """Return whether one node measures every output and sends in every slot: several wait for each other, run by run."""
-    first = loop.sensors[0]  # the only one, where it measures every output
-    every = first.outputs == tuple(range(len(loop.experiment.plant.outputs)))
-    return every and not loop.media and first.trigger.kind == "every-slot" and first.clock.every == 1
+    """Return whether every output is measured, by nodes that wait for no event."""
+    sensors = loop.sensors
+    measured = sorted(output for sensor in sensors for output in sensor.outputs)
+    ordered = len(sensors) > 1 or sensors[0].outputs == tuple(measured)
+    every = measured == list(range(len(loop.experiment.plant.outputs)))
+    return every and ordered and all(sensor.trigger.kind == "every-slot" for sensor in sensors)
 
 
 def measures_in_lockstep(loop: Loop) -> bool:
@@ -95,22 +121,27 @@ def run_together(loop: Loop, seeds: Sequence[int]) -> Together:
 class _Slots:
     """The pass over the slots of some runs."""
 
-    def __init__(self, loop: Loop, seeds: Sequence[int], plants: RunningPlants, controllers: RunningControllers) -> None:
+    def __init__(self, loop: Loop, seeds: Sequence[int], plants: RunningPlants, controllers: Running) -> None:
         e, d_max = loop.experiment, loop.model.d_max
         self._loop, self._plants, self._controllers = loop, plants, controllers
         self._slots, self._runs, self._period_ns = e.ticks, len(seeds), e.period_ns
-        sc_law, ca_law = cast("tuple[AgeLaw, AgeLaw]", (loop.sensors[0].law, loop.ca_law))  # `in_lockstep` asked their family
-        sc = drawn_ages(sc_law, seeds, loop.sensors[0].stream, e.ticks)
-        ca = drawn_ages(ca_law, seeds, "link.ca", e.ticks)
-        self._known = lawful(sc_law, sc) & lawful(ca_law, ca)
-        self._sampled, self._held = newest(sc), newest(ca)
+        topics = {topic for measure in measures_of(e) for topic in measure.topics}
+        by_sample = controllers if isinstance(controllers, RunningControllersFromSamples) else None
+        sc = heard(loop, seeds, every_packet=by_sample is not None or DRAWS in topics)
+        ca = received(loop.ca_law, seeds, "link.ca", e)
+        self._sampled, self._held, self._packets, self._node_of = sc.newest, ca.newest, sc.packets, nodes_of(loop)
+        self._samples = None if by_sample is None else KnownSamples(loop, sc, by_sample.memory, self._runs)
+        self._states = np.empty((len(e.plant.states), e.ticks, self._runs)) if STATE in topics else None
+        self._usable = (ca.newest >= 0) & (np.arange(e.ticks, dtype=np.int32)[:, None] - ca.newest <= d_max)
+        self._known = sc.known & ca.known & ~starved(self._usable, d_max, e.limits.watchdog_slots)
         self._rows = applied_rows(loop.selection, self._held, d_max)
         self._ring = d_max + 2
         self._columns = np.arange(self._runs, dtype=np.intp)
 
     def run(self) -> Together:
         """Move all plants from the first slot to the last."""
-        loop, plants, controllers, runs = self._loop, self._plants, self._controllers, self._runs
+        loop, plants, runs, answer = self._loop, self._plants, self._runs, self._answers(self._controllers)
+        begun = np.logical_and.reduce if self._samples is None else np.logical_or.reduce  # of every sample, any node will do
         e, reference, disturbance = loop.experiment, loop.reference(), loop.disturbance()
         p, m = len(e.plant.outputs), len(e.plant.inputs)
         outputs, inputs = np.empty((p, self._slots, runs)), np.zeros((m, self._slots, runs))
@@ -122,32 +153,51 @@ class _Slots:
                 plants.advance(self._period_ns, u, w)
             state = plants.state
             np.maximum(top, np.abs(state), out=top)
+            if self._states is not None:
+                self._states[:, k] = state
             outputs[:, k] = plants.measure()
-            sampled = self._sampled[k]
-            started = sampled >= 0
+            sampled = [node[k] for node in self._sampled]
+            started = sampled[0] >= 0 if len(sampled) == 1 else begun([node >= 0 for node in sampled])
             begin = (k % self._ring) * loop.rows
             rows = sent[:, begin * runs : (begin + loop.rows) * runs].reshape(m, loop.rows, runs)
-            if started.any():
-                found = controllers.rows(k, started, k - sampled, self._sample(outputs, sampled), reference(k))
+            if started.any() or self._samples is not None:
+                found = answer(k, started, sampled, outputs, reference(k))
                 rows[:] = np.where(started, found, 0.0).transpose(1, 0, 2).astype(np.float32)
                 np.maximum(peak, np.abs(rows).max(axis=(0, 1)), out=peak)
             else:
                 rows[:] = 0.0
             held = self._held[k]
             at = ((held % self._ring) * loop.rows + self._rows[k]) * runs + self._columns
-            u = np.where(held >= 0, sent.take(at, axis=1, mode="clip"), 0.0)
+            u = np.where(self._usable[k], sent.take(at, axis=1, mode="clip"), u)
             inputs[:, k] = u
             w = disturbance(k)
         targets = np.array([reference(k) for k in range(self._slots)])
         known = self._known & (peak < LARGEST) & self._allowed(top, inputs)
-        return Together(known=known, outputs=outputs, inputs=inputs, reference=targets)
+        return Together(
+            known=known, outputs=outputs, inputs=inputs, reference=targets, states=self._states, packets=self._packets
+        )  # fmt: skip
 
-    def _sample(self, outputs: Matrix, sampled: NDArray[np.int32]) -> Matrix:
-        """What the newest sensor packet holds, newest sample first, (width, runs)."""
+    def _answers(self, controllers: Running) -> Answer:
+        """Return what the controllers say: to every sample, or to the newest ones with every age or that of the oldest."""
+        samples = self._samples
+        if samples is not None and isinstance(controllers, RunningControllersFromSamples):
+            return lambda k, started, sampled, y, r: controllers.rows_from_samples(k, *samples.at(k, y), r)
+        if isinstance(controllers, RunningControllersByNode):
+            return lambda k, started, sampled, y, r: controllers.rows_by_node(
+                k, started, np.stack([k - node for node in sampled]), self._sample(y, sampled), r
+            )
+        if isinstance(controllers, RunningControllers):
+            return lambda k, started, sampled, y, r: controllers.rows(
+                k, started, k - _oldest(sampled), self._sample(y, sampled), r
+            )
+        raise TypeError(f"{type(controllers).__name__} answers in none of the ways of hil.sweeps.many")
+
+    def _sample(self, outputs: Matrix, sampled: Sequence[NDArray[np.int32]]) -> Matrix:
+        """What the newest sensor packets hold, newest sample first, (width, runs); several samples are of one node."""
         found = []
         for j in range(self._loop.samples):
-            at = np.maximum(sampled - j, 0).astype(np.intp) * self._runs + self._columns
-            found += [y.reshape(-1).take(at) for y in outputs]
+            at = [np.maximum(node - j, 0).astype(np.intp) * self._runs + self._columns for node in sampled]
+            found += [y.reshape(-1).take(at[node]) for y, node in zip(outputs, self._node_of)]
         return np.array(found, dtype=np.float32).astype(np.float64)
 
     def _allowed(self, top: Matrix, inputs: Matrix) -> NDArray[np.bool_]:
@@ -157,6 +207,11 @@ class _Slots:
         allowed += [top[names.index(name)] <= bound for name, bound in limits.state.items()]
         allowed += [(np.abs(u) <= limit).all(axis=0) for u, limit in zip(inputs, limits.input or ())]
         return np.asarray(np.logical_and.reduce(allowed), dtype=np.bool_)
+
+
+def _oldest(sampled: Sequence[NDArray[np.int32]]) -> NDArray[np.intp]:
+    oldest = sampled[0] if len(sampled) == 1 else np.minimum.reduce(sampled)
+    return oldest.astype(np.intp)
 
 
 def view_of_many(loop: Loop, runs: Together) -> ManyView:
@@ -172,4 +227,7 @@ def view_of_many(loop: Loop, runs: Together) -> ManyView:
         period_s=float(e.period),
         signals=signals_of(e.plant),
         disturbed_at_s=min((float(p.at) for p in e.disturbance), default=None),
+        experiment=e,
+        states=() if runs.states is None else tuple(np.ascontiguousarray(x[:, runs.known].T) for x in runs.states),
+        packets=None if runs.packets is None else runs.packets[:, runs.known],
     )

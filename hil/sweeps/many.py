@@ -43,6 +43,7 @@ class PlantOfMany(Protocol):
         ...
 
 
+@runtime_checkable
 class RunningControllers(Protocol):
     """One controller in many runs; called once a slot, in order."""
 
@@ -63,11 +64,54 @@ class RunningControllers(Protocol):
 
 
 @runtime_checkable
+class RunningControllersByNode(Protocol):
+    """One controller of several sensor nodes in many runs: it is told how old each node's newest sample is."""
+
+    def rows_by_node(
+        self, k: int, started: NDArray[np.bool_], ages: NDArray[np.intp], y: Matrix, r: Sequence[float]
+    ) -> Matrix:
+        """Return the rows of slot k; see `RunningControllers.rows`.
+
+        Args:
+            k: slot.
+            started: whether every node has been heard, (runs,).
+            ages: of the newest sample of every node, samples, (nodes, runs).
+            y: newest sample of every output, (p, runs).
+            r: reference of the slot, (p,).
+        """
+        ...
+
+
+@runtime_checkable
+class RunningControllersFromSamples(Protocol):
+    """One controller in many runs that takes every sample that has come and is not older than its memory; asked in every slot."""
+
+    @property
+    def memory(self) -> int:
+        """Age of the oldest sample that it takes, slots."""
+        ...
+
+    def rows_from_samples(self, k: int, fresh: NDArray[np.bool_], held: Matrix, r: Sequence[float]) -> Matrix:
+        """Return the rows of slot k, (rows, m, runs).
+
+        Args:
+            k: slot.
+            fresh: whether the sample of slot k - j of a node has come, (memory + 1, nodes, runs).
+            held: newest sample of every output from slot k - j or before that has come, 0 without one, (memory + 1, p, runs).
+            r: reference of the slot, (p,).
+        """
+        ...
+
+
+Running = RunningControllers | RunningControllersByNode | RunningControllersFromSamples
+
+
+@runtime_checkable
 class ControllerOfMany(Protocol):
     """A controller that can answer in many runs at once."""
 
-    def start_many(self, model: LoopModel, runs: int) -> RunningControllers:
-        """Return so many of them, ready for slot 0."""
+    def start_many(self, model: LoopModel, runs: int) -> Running | None:
+        """Return so many of them, ready for slot 0; None if it cannot with these parameters."""
         ...
 
 
@@ -77,4 +121,21 @@ class AgesOfMany(Protocol):
 
     def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.int32]:
         """Return the ages that `start(rng)` draws slot by slot, (slots, runs), one stream per run."""
+        ...
+
+
+@runtime_checkable
+class NewestOfMany(Protocol):
+    """A packet law that says for many runs what a receiver holds."""
+
+    def newest_of_many(
+        self, rngs: Iterable[np.random.Generator], runs: int, slots: int, period_s: float, deadline_s: float
+    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Return the slot of the newest packet that has come by every slot, (slots, runs), and which runs are told, (runs,).
+
+        Args:
+            rngs: stream of every run; one packet is sent in every slot.
+            runs, slots: how many.
+            period_s, deadline_s: as `PerPacketLaw.start` takes them.
+        """
         ...

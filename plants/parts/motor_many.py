@@ -51,16 +51,18 @@ class MotorRuns:
         driver: what becomes of a command; None for nothing.
         through: whether w is added to the command, before the driver.
         encoder_step_rad: angle of one count in rad, 0 for none.
+        tachometer: whether the speed is measured too.
         pieces: of a slot: (length in ns, load in V) of every part of constant load from one instant over some time, both in ns.
         runs: how many.
     """
 
     def __init__(
         self, axes: Axes, start: tuple[float, float], *, driver: Driver | None, through: bool, encoder_step_rad: float,
-        pieces: Callable[[int, int], list[tuple[int, float | None]]], runs: int,
+        tachometer: bool, pieces: Callable[[int, int], list[tuple[int, float | None]]], runs: int,
     ) -> None:  # fmt: skip
         self._axes, self._driver, self._through = axes, driver, through
         self._step_rad, self._pieces, self._now_ns = encoder_step_rad, pieces, 0
+        self._tachometer = tachometer
         self.state: Matrix = np.repeat(np.array(start, dtype=np.float64)[:, None], runs, axis=1)
 
     def advance(self, dt_ns: int, u: Matrix, w: Sequence[float]) -> None:
@@ -77,9 +79,10 @@ class MotorRuns:
         self._now_ns += dt_ns
 
     def measure(self) -> Matrix:
-        """Return the angle in rad as the encoder gives it, (1, runs)."""
+        """Return the angle in rad as the encoder gives it, and with a tachometer the speed, (1 or 2, runs)."""
         angle, step = self.state[:1], self._step_rad
-        return step * np.floor(angle / step + 0.5) if step else angle
+        read = step * np.floor(angle / step + 0.5) if step else angle
+        return np.concatenate((read, self.state[1:])) if self._tachometer else read
 
 
 def drive_many(driver: Driver, command_v: Matrix) -> Matrix:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from os import PathLike
 from typing import ClassVar, Literal
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from transport.errors import FieldError
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
+from transport.laws.packet_paths import SlotTimes, channel_modes, fives_of_many, in_order, newest_received, quantiles
 from transport.laws.stochastic_matrix import BLOCK, cumulative, mean_holding, stationary_row
 from transport.medium.draws import COPIED, LOST, NO_MODE, SENT, Draw
 
@@ -130,6 +131,31 @@ class PacketLaw:
         if not 0.0 <= deadline_s < math.inf:
             raise FieldError("deadline_s", f"got {deadline_s:g}, expected a number of seconds >= 0")
         return PacketDraws(self, rng, period_s, deadline_s)
+
+    def newest_of_many(
+        self, rngs: Iterable[np.random.Generator], runs: int, slots: int, period_s: float, deadline_s: float
+    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Return the slot of the newest packet that has come, one sent in every slot, (slots, runs); -1 before the first.
+
+        With it which runs are told, (runs,): none in which the queue overflows, nor any of a trace that is too short.
+
+        Args:
+            rngs: stream of every run.
+            runs, slots: how many.
+            period_s, deadline_s: see `start`.
+        """
+        latencies, times = latency(self.latency), SlotTimes(
+            period_s=period_s, deadline_s=deadline_s, tolerance=SLOT_TOLERANCE, latest=LATEST
+        )  # fmt: skip
+        mode, loss, level, copy, copy_level = fives_of_many(rngs, runs, slots)
+        taken = in_order(latencies, level)
+        if taken is None:
+            return np.full((slots, runs), -1, dtype=np.int32), np.zeros(runs, dtype=np.bool_)
+        modes = channel_modes(self.stationary().tolist(), self.transition_matrix().tolist(), mode)
+        sent = ~((loss < np.array(self.channel_losses()).take(modes)) | np.isinf(taken))
+        copied = quantiles(latencies, copy_level)
+        delays = [times.delays(np.where(np.isinf(s), 0.0, s)) for s in (taken, copied)]
+        return newest_received([sent, sent & (copy < self.duplication)], delays, reordering=self.reordering, queue=self.queue)
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain of the channel's modes: (1, 1), or (2, 2) good and bad."""

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 import hil
+from design.controllers.packet_window import window_of
+from design.historical_data.packet_windows import window_mask
+from design.historical_data.sensor_schedule import mask_of
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.sweeps import lockstep, seeds
+from hil.sweeps.delays_of_many import lawful
 from hil.sweeps.lockstep import in_lockstep, measures_in_lockstep, run_together
 from hil.sweeps.seeds import run_one_by_one, run_seeds
 from transport.laws.trace import TraceAge
@@ -21,11 +25,11 @@ SERVED = {
     "dc-motor-1khz", "dc-motor-bursty", "dc-motor-h2", "dc-motor-h2-fast", "dc-motor-h2-friction", "dc-motor-hinf",
     "dc-motor-hinf-fast", "dc-motor-hinf-friction", "dc-motor-local", "dc-motor-local-fast", "dc-motor-ours-bursty",
     "dc-motor-ours-h2", "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed", "dc-motor-ours-two-samples",
-    "dc-motor-smith", "dc-motor-smith-fast", "vtol-h2", "vtol-hinf", "vtol-ours-h2", "vtol-ours-hinf",
+    "dc-motor-packets", "dc-motor-smith", "dc-motor-smith-fast", "dc-motor-two-nodes", "vtol-h2", "vtol-hinf", "vtol-ours-h2",
+    "vtol-ours-hinf", "multisensor-lossy", "multisensor-newest", "multisensor-ours", "multisensor-published",
 }  # fmt: skip
 ALONE = {
-    "dc-motor-packets", "dc-motor-two-nodes", "multisensor-event",
-    "multisensor-lossy", "multisensor-newest", "multisensor-ours", "multisensor-published", "omni-1khz", "omni-identify",
+    "multisensor-event", "omni-1khz", "omni-identify",
     "omni-push", "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published", "vtol-delayed",
     "vtol-delayed-published", "vtol-fault", "vtol-fault-partitioned", "vtol-fault-published",
 }  # fmt: skip
@@ -65,15 +69,18 @@ def test_every_shipped_experiment_is_in_one_of_the_lists() -> None:
     assert sorted(SERVED | ALONE) == SHIPPED
 
 
-@pytest.mark.parametrize("name", ["vtol-fault-published", "dc-motor-packets", "multisensor-newest", "smjls-robust-published"])
+@pytest.mark.parametrize("name", ["vtol-fault-published", "multisensor-event", "smjls-robust-published"])
 def test_what_is_not_served_is_run_seed_by_seed(name: str) -> None:
     loop = loop_of(name, "duration=1")
     assert not (in_lockstep(loop) and measures_in_lockstep(loop))
     same_bits(loop, range(2))
 
 
-SHORT = {"dc-motor-1khz": 4, "dc-motor-h2-friction": 12, "dc-motor-hinf-friction": 35}
-SLOW = {"dc-motor-ours-mixed", "dc-motor-ours-hinf", "dc-motor-ours-integral"}  # their designs take 10 s
+SHORT = {"dc-motor-1khz": 4, "dc-motor-packets": 20, "dc-motor-h2-friction": 12, "dc-motor-hinf-friction": 35}
+SLOW = {  # their designs take 10 s
+    "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed", "dc-motor-two-nodes", "multisensor-lossy",
+    "multisensor-ours",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in sorted(SERVED)])
@@ -88,6 +95,39 @@ def test_every_age_law_draws_the_same_ages(law: str) -> None:
     loop = loop_of("dc-motor-hinf", "duration=10", law, "controller={kind='local',gain=[[-0.03]]}")
     assert in_lockstep(loop)
     same_bits(loop, range(4))
+
+
+BURSTS = "loss={p_gb=0.2,p_bg=0.4,loss_good=0.1,loss_bad=0.9}"
+PACKET_LAWS = {
+    "lost and copied": "latency={table=[[0,'1 ms'],[0.5,'40 ms'],[0.5,'70 ms'],[1,'180 ms']]},loss=0.2,duplication=0.4",
+    "in order": f"latency={{table=[[0,0],[1,'200 ms']]}},reordering=false,duplication=0.3,{BURSTS}",
+    "a queue": "latency={table=[[0,0],[1,'120 ms']]},queue=4,duplication=0.1",
+    "a trace": "latency={trace=['10 ms','lost','150 ms','0 ms','60 ms'],past_end='repeat'},duplication=0.5,loss=0.1",
+    "a constant": "latency='50 ms',loss=0.05",
+}
+
+
+@pytest.mark.parametrize("way", ["sc", "ca"])
+@pytest.mark.parametrize("law", PACKET_LAWS.values(), ids=PACKET_LAWS)
+def test_a_packet_law_delivers_the_same_packets(law: str, way: str) -> None:
+    loop = loop_of("dc-motor-packets", "duration=10", f"links.{way}.law={{kind='packet',{law}}}", "limits.watchdog_slots=40")
+    assert in_lockstep(loop) and run_together(loop, range(6)).known.any()
+    same_bits(loop, range(6))
+
+
+@pytest.mark.parametrize(("selection", "rows"), [("constant", 1), ("generated", 4), ("previous", 4), ("both", 16)])
+def test_a_packet_that_is_too_old_is_held_by_every_rule(selection: str, rows: int) -> None:
+    late = "links.ca.law={kind='packet',latency={table=[[0,0],[1,'500 ms']]},loss=0.3}"
+    same_bits(loop_of("dc-motor-packets", "duration=6", late, "limits.watchdog_slots=90", sent(selection, 4, rows)), range(3))
+
+
+def test_a_run_that_the_watchdog_stops_and_one_whose_queue_overflows_are_the_plain_engine_s() -> None:
+    starving = loop_of("dc-motor-packets", "duration=10", "links.ca.law={kind='packet',latency='1 ms',loss=0.5}",
+                       "limits.watchdog_slots=5")  # fmt: skip
+    full = loop_of("dc-motor-packets", "duration=10", "links.sc.law={kind='packet',latency={table=[[0,0],[1,0.4]]},queue=7}")
+    for loop in (starving, full):
+        assert 0 < run_together(loop, range(12)).known.sum() < 12  # both kinds
+        same_bits(loop, range(12))
 
 
 @pytest.mark.parametrize(("selection", "rows"), [("constant", 1), ("generated", 2), ("applied", 2), ("previous", 2), ("both", 4)])
@@ -145,14 +185,66 @@ def test_a_run_that_overflows_is_the_plain_engine_s() -> None:
     same_bits(loop, range(3))
 
 
-def test_one_named_node_moves_the_same_and_several_are_left_to_the_plain_engine() -> None:
+def test_one_named_node_moves_the_same() -> None:
     loop = loop_of("vtol-h2", "duration=2", "nodes={velocity={outputs=['vertical_velocity'],buffer=2}}")
     assert in_lockstep(loop)
     same_bits(loop, range(2))
-    assert not in_lockstep(loop_of("dc-motor-two-nodes"))
-    for change in ("trigger={kind='magnitude',threshold=0.1}", "clock={every=2}"):
-        silent = f"nodes={{velocity={{outputs=['vertical_velocity'],{change}}}}}"
-        assert not in_lockstep(loop_of("vtol-h2", "duration=2", "allow_uncertified=true", silent))
+
+
+NODES = ("duration=10", "links.ca.law={kind='markov',matrix=[[0.5,0.5],[0.7,0.3]]}")
+EACH = f"controller={{kind='send-all',ages=[2,2],selection='generated',gains={gains(4, 2, 1, 2)}}}"
+LATE = "nodes.speed.law={kind='packet',latency={table=[[0,0],[1,'160 ms']]},loss=0.2}"
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [(EACH,), (sent("applied", 2, 2, 1, 2),), (EACH, LATE), (sent("applied", 4, 2, 1, 2), "links.sc.max_age=3", LATE)],
+    ids=["an age each", "the oldest", "a packet law", "the oldest over one"],
+)  # fmt: skip
+def test_several_nodes_are_heard_the_same(sets: tuple[str, ...]) -> None:
+    loop = loop_of("dc-motor-two-nodes", *NODES, *sets)
+    assert in_lockstep(loop) and len(loop.sensors) == 2
+    same_bits(loop, range(4))
+
+
+@pytest.mark.parametrize(
+    ("uses", "phases", "bus"),
+    [("history", 4, "kind='round-robin',phase=1"), ("current-packet", 4, "kind='round-robin',loss=0.3"),
+     ("last-packets", 16, "kind='round-robin',loss=0.3,phase=2"), ("current-packet", 4, "kind='random',loss=0.2"),
+     ("last-packets", 25, "kind='random',loss=0.2"), ("history", 1, "")],
+)  # fmt: skip
+@pytest.mark.parametrize("law", ["kind='constant',age=0", "kind='constant',age=1", "kind='iid',probabilities=[0.6,0.4]"])
+def test_gains_over_historical_data_take_the_same_samples(uses: str, phases: int, bus: str, law: str) -> None:
+    if "iid" in law and uses != "history":
+        pytest.skip("only the history takes packets of any age")
+    media = f"media={{bus={{{bus},nodes=['first','second','third','fourth']}}}}" if bus else "media={}"
+
+    def loop_with(K: np.ndarray) -> Loop:
+        controller = f"controller={{kind='historical',uses='{uses}',gains={K.tolist()}}}"
+        return loop_of("multisensor-published", "duration=2", controller, media, f"links.sc.law={{{law}}}")
+
+    rng, nodes = np.random.default_rng(7), loop_with(np.zeros((phases, 4, 1, 4))).model.nodes
+    K = 0.02 * rng.standard_normal((phases, 4, 1, 4)) * rng.integers(0, 2, (phases, 4, 1, 4))
+    if uses == "last-packets" and nodes.turns is not None:
+        K *= window_mask(nodes, window_of(nodes.turns, phases), 3)[:, :, None]
+    elif "iid" not in law:
+        K *= mask_of(nodes, 3, uses)[:, :, None]
+    loop = loop_with(K)
+    assert in_lockstep(loop) and measures_in_lockstep(loop) and run_together(loop, range(3)).known.all()
+    same_bits(loop, range(3))
+
+
+def test_nodes_that_take_turns_or_have_clocks_are_heard_the_same_and_silent_ones_left_to_the_plain_engine() -> None:
+    oldest = sent("applied", 4, 2, 1, 2)
+    turns = "media={bus={kind='round-robin',nodes=['angle','speed'],loss=0.1}}"
+    clock = "nodes.angle.clock={every=3}"
+    for change in (turns, clock):
+        loop = loop_of("dc-motor-two-nodes", *NODES, oldest, "links.sc.max_age=3", "duration=3", change)
+        assert in_lockstep(loop)
+        same_bits(loop, range(3))
+    assert not in_lockstep(loop_of("dc-motor-two-nodes", *NODES, EACH, clock))
+    silent = "nodes={velocity={outputs=['vertical_velocity'],trigger={kind='magnitude',threshold=0.1}}}"
+    assert not in_lockstep(loop_of("vtol-h2", "duration=2", "allow_uncertified=true", silent))
 
 
 class Liar(TraceAge):
@@ -165,9 +257,9 @@ class Liar(TraceAge):
 
 def test_a_law_that_breaks_its_word_is_left_to_the_plain_engine() -> None:
     ages = np.array([[0, 0], [1, 2], [0, 0]], dtype=np.int32)
-    assert lockstep.lawful(Liar(ages=(0, 1, 2)), ages).tolist() == [True, False]
-    assert lockstep.lawful(TraceAge(ages=(0, 1, 2)), ages).tolist() == [True, False]
-    assert lockstep.lawful(TraceAge(ages=(0, 1, 2), allow_gaps=True), ages).tolist() == [True, True]
+    assert lawful(Liar(ages=(0, 1, 2)), ages).tolist() == [True, False]
+    assert lawful(TraceAge(ages=(0, 1, 2)), ages).tolist() == [True, False]
+    assert lawful(TraceAge(ages=(0, 1, 2), allow_gaps=True), ages).tolist() == [True, True]
 
 
 def test_the_size_of_a_chunk_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,4 +278,4 @@ def test_a_sweep_in_lockstep_calls_no_plain_engine(monkeypatch: pytest.MonkeyPat
     values = seeds.sweep(load_experiment("dc-motor-hinf", ["duration=2"]), range(30), jobs=-1)
     assert values["sse"].size == 30
     with pytest.raises(AssertionError, match="the plain engine ran"):
-        seeds.run_seeds(loop_of("dc-motor-packets", "duration=1"), range(1))
+        seeds.run_seeds(loop_of("smjls-robust-published", "duration=1"), range(1))

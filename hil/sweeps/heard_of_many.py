@@ -1,0 +1,175 @@
+"""What a controller hears of its sensor nodes in many runs: known before a plant moves, as no node waits for an event.
+
+Where every node has a channel of its own and only the newest packet counts, it is computed for all runs at once. Where nodes
+share a medium, have clocks, or every packet counts, the medium of a session is asked run by run, with packets that carry nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.compose.loop import Loop
+from hil.runtime.nodes.uplink import clock_of, uplink_of
+from hil.sweeps.delays_of_many import Slots, received, told_at_once
+from transport.medium.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
+
+_TOLD = frozenset((DELIVERED, DISORDERED, SUPERSEDED, LOST))
+"""Fates that say that a packet was sent, each once; see `hil.measure.network_load.sent_packets`."""
+
+Arrivals = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.int32]]
+"""Of one slot: run, node, and the slot in which the packet was sent, of everything that arrives, in order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heard:
+    """What comes of the sensor nodes.
+
+    Args:
+        newest: of every node, slot of the newest packet that has come, (slots, runs), -1 before the first.
+        known: in which runs, (runs,).
+        arrivals: slot by slot; None where they were not asked for.
+        packets: how many each node has sent whose fate is known, (nodes, runs); likewise.
+    """
+
+    newest: Sequence[Slots]
+    known: NDArray[np.bool_]
+    arrivals: Sequence[Arrivals] | None = None
+    packets: NDArray[np.int64] | None = None
+
+
+def channels_of_their_own(loop: Loop) -> bool:
+    """Return whether what comes of every node follows from its law alone, for all runs at once."""
+    return not loop.media and all(told_at_once(s.law) and s.clock.every == 1 for s in loop.sensors)
+
+
+def heard(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Heard:
+    """Return what the controller hears in the runs of some seeds.
+
+    Args:
+        loop: whose nodes wait for no event.
+        seeds: one run each.
+        every_packet: whether arrivals and numbers of packets are wanted.
+    """
+    if not every_packet and channels_of_their_own(loop):
+        ways = [received(s.law, seeds, s.stream, loop.experiment) for s in loop.sensors]
+        return Heard(newest=[w.newest for w in ways], known=np.logical_and.reduce([w.known for w in ways]))
+    if len(seeds) > 1 and _certain(loop):
+        return _repeated(heard(loop, seeds[:1], every_packet=every_packet), len(seeds))
+    e, nodes, runs = loop.experiment, len(loop.sensors), len(seeds)
+    newest = [np.full((e.ticks, runs), -1, dtype=np.int32) for _ in range(nodes)]
+    packets, known = np.zeros((nodes, runs), dtype=np.int64), np.ones(runs, dtype=np.bool_)
+    came: list[list[tuple[int, int, int]]] = [[] for _ in range(e.ticks)]
+    for run, seed in enumerate(seeds):
+        last = _one_run(loop, seed, run, came, packets)
+        known[run] = last == e.ticks - 1  # else the log would say that the run was shorter
+    arrivals = []
+    for k, found in enumerate(came):
+        of_run, of_node, sent = (np.array(column) for column in zip(*found)) if found else ((np.empty(0, dtype=np.intp),) * 3)
+        for node, own in enumerate(newest):
+            there = of_node == node
+            np.maximum.at(own[k], of_run[there], sent[there].astype(np.int32))
+        arrivals.append((of_run.astype(np.intp), of_node.astype(np.intp), sent.astype(np.int32)))
+    return Heard(newest=[np.maximum.accumulate(own, axis=0) for own in newest], known=known, arrivals=arrivals, packets=packets)
+
+
+def _certain(loop: Loop) -> bool:
+    """Return whether chance decides nothing of what is heard: a fixed order, constant delays, no losses."""
+    return (
+        None not in loop.model.nodes.delays
+        and all(shared.table.kind != "random" and shared.table.loss == 0.0 for shared in loop.media)
+        and not any(sensor.clock.drawn for sensor in loop.sensors)
+    )
+
+
+def _repeated(one: Heard, runs: int) -> Heard:
+    """Return what is heard in one run as that of many."""
+    every = np.arange(runs, dtype=np.intp)
+    return Heard(
+        newest=[np.repeat(own, runs, axis=1) for own in one.newest],
+        known=np.repeat(one.known, runs),
+        arrivals=[
+            (np.tile(every, len(node)), np.repeat(node, runs), np.repeat(sent, runs)) for _, node, sent in one.arrivals or ()
+        ],
+        packets=None if one.packets is None else np.repeat(one.packets, runs, axis=1),
+    )
+
+
+def _one_run(
+    loop: Loop, seed: int, run: int, came: Sequence[list[tuple[int, int, int]]], packets: NDArray[np.int64]
+) -> int:
+    """Ask the medium of one run, slot by slot, as a rig does; return the last slot of which it said something."""
+    e = loop.experiment
+    period_s = float(e.period)
+    medium = uplink_of(loop, seed, period_s, e.timing.deadline * period_s)
+    clocks = [clock_of(sensor, seed) for sensor in loop.sensors]
+    last = -1
+    for k in range(e.ticks):
+        for node, clock in enumerate(clocks):
+            turn = medium.may_send(node, k)
+            if (clock is None or clock.due(k)) and turn:
+                medium.offer(node, k, None)
+        for node, (draws, arrived) in enumerate(medium.collect(k)):
+            for draw in draws:
+                last = max(last, draw.tick)
+                packets[node, run] += draw.reason in _TOLD
+            came[k] += [(run, node, sent) for sent, _ in arrived]
+    return last
+
+
+class KnownSamples:
+    """The samples that have come and are not older than a controller's memory, in many runs; see `Assembly`.
+
+    Args:
+        loop: the loop.
+        heard: with its arrivals.
+        memory: age of the oldest sample, slots.
+        runs: how many.
+    """
+
+    def __init__(self, loop: Loop, heard: Heard, memory: int, runs: int) -> None:
+        self._arrivals, self._memory, self._runs = heard.arrivals or (), memory, runs
+        self._buffers = np.array([sensor.buffer for sensor in loop.sensors])
+        self._node_of = nodes_of(loop)
+        self._have = np.zeros((memory + 1, len(loop.sensors), runs), dtype=np.bool_)
+        self._last = np.full((len(loop.sensors), runs), -1, dtype=np.int64)
+        self._columns = np.arange(runs, dtype=np.intp)
+
+    def at(self, k: int, outputs: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Return what is known in slot k; to be called in every slot, in order.
+
+        Args:
+            k: slot.
+            outputs: as measured, (p, slots, runs).
+
+        Returns:
+            fresh: whether the sample of slot k - j of a node has come, (memory + 1, nodes, runs).
+            held: newest sample from slot k - j or before, as the wire brings it, 0 without one, (memory + 1, p, runs).
+        """
+        have, last, memory = self._have, self._last, self._memory
+        have[1:] = have[:-1].copy()
+        have[0] = False
+        run, node, sent = self._arrivals[k]
+        np.maximum.at(last, (node, run), sent)
+        for i in range(int(self._buffers.max())):
+            age = k - sent + i
+            there = (i < self._buffers[node]) & (sent >= i) & (age <= memory)
+            have[age[there], node[there], run[there]] = True
+        ago = k - last
+        source = np.where((last >= 0) & (ago > memory), ago, -1)
+        held = np.zeros((memory + 1, len(self._node_of), self._runs))
+        for j in range(memory, -1, -1):
+            source = np.where(have[j], j, source)
+            for output, own in enumerate(self._node_of):
+                at = (k - source[own]) * self._runs + self._columns
+                value = outputs[output].reshape(-1).take(at, mode="clip").astype(np.float32)
+                held[j, output] = np.where(source[own] >= 0, value, 0.0)
+        return have, held
+
+
+def nodes_of(loop: Loop) -> list[int]:
+    """Return the node that measures each output."""
+    return [node for _, node in sorted((output, i) for i, s in enumerate(loop.sensors) for output in s.outputs)]
