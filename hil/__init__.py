@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from hil.experiment import Experiment
     from hil.experiment_source import load_experiment
     from hil.face import compare, design, run, simulate, sweep, verify
-    from hil.log.read.run import Run, read_run
+    from hil.log.read.run import read_run
+    from hil.log.run import Run
     from hil.session import Session
     from hil.sweeps.comparison import Comparison
     from hil.sweeps.seeds import Sweep
@@ -48,7 +49,7 @@ _HOMES: Final = {
     "Experiment": "hil.experiment",
     "ExperimentError": "hil.errors",
     "HilError": "hil.errors",
-    "Run": "hil.log.read.run",
+    "Run": "hil.log.run",
     "Session": "hil.session",
     "Sweep": "hil.sweeps.seeds",
     "assert_law": "hil.assertions",

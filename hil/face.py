@@ -11,7 +11,8 @@ from hil.compose.design_problem import problem_for, tracking_target
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment_source import Source, checked_experiment
-from hil.log.read.run import Run, read_run
+from hil.log.read.run import read_run
+from hil.log.run import Run
 from hil.replay import Verdict as LogVerdict
 from hil.replay import experiment_of
 from hil.replay import verify as verify_run

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import HilError
-from hil.log.read.run import Run
 from hil.log.records import TIME_FIELD
+from hil.log.run import Run
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
 
 if TYPE_CHECKING:

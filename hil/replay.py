@@ -24,7 +24,7 @@ from hil.experiment.plugins import OBJECT
 from hil.experiment.protocols import Designer
 from hil.log.growing import Growing, pieces, whole
 from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
-from hil.log.read.run import Run
+from hil.log.run import Run
 from hil.replay_compare import BATCH, Comparison
 from hil.replay_recorded import Heard, frames, recorded_wire
 from hil.runtime.nodes.actuator_node import OK, row_index

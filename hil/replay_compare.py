@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from hil.log.read.arrays import StructuredArray, assemble
-from hil.log.read.run import Run
 from hil.log.records import Channel
+from hil.log.run import Run
 from hil.log.write.sinks import MemorySink
 
 BATCH: Final = 2048

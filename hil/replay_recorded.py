@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hil.errors import HilError
 from hil.log.growing import Growing, let_go, pieces
 from hil.log.read.arrays import StructuredArray
-from hil.log.read.run import Run
+from hil.log.run import Run
 from hil.replay_compare import BATCH, in_time
 from hil.runtime.nodes.wire import VERSION_1, Wire
 from transport.packets import SensorPacket, decode

@@ -1,7 +1,7 @@
 """Packets, the links that carry them, and the network laws that delay and lose them.
 
-Importing the package costs nothing but the packet codec: python-can and zenoh are imported by the link that needs them,
-numpy by the network laws.
+Importing the package costs nothing: each name brings its module when it is first used; python-can and zenoh are imported by
+the link that needs them, numpy by the network laws.
 """
 
 from __future__ import annotations
@@ -10,42 +10,56 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from transport.links.link import Link, LinkCounters, Role, TransportError
-from transport.links.memory import MemoryLink, memory_pair
-from transport.links.opening import open_link
-from transport.packets import (
-    EMPTY,
-    MORE,
-    SELECTIONS,
-    ControlPacket,
-    SensorPacket,
-    decode,
-    encode_control,
-    encode_sensor,
-)
-
 if TYPE_CHECKING:
     from transport.laws.age import ConstantAge, IidAge, MarkovAge
     from transport.laws.packet import GilbertElliott, PacketLaw
     from transport.laws.semi_markov import SemiMarkovAge
     from transport.laws.trace import TraceAge
     from transport.links.contract import check_link
+    from transport.links.link import Link, LinkCounters, Role, TransportError
+    from transport.links.memory import MemoryLink, memory_pair
+    from transport.links.opening import open_link
     from transport.medium.draws import REASONS, Draw
     from transport.medium.independent import Impairment, impair
+    from transport.packets import (
+        EMPTY,
+        MORE,
+        SELECTIONS,
+        ControlPacket,
+        SensorPacket,
+        decode,
+        encode_control,
+        encode_sensor,
+    )
 
-_LAZY: Final = {
-    "REASONS": "medium.draws",
-    "ConstantAge": "laws.age",
-    "Draw": "medium.draws",
-    "GilbertElliott": "laws.packet",
-    "IidAge": "laws.age",
-    "Impairment": "medium.independent",
-    "MarkovAge": "laws.age",
-    "PacketLaw": "laws.packet",
-    "SemiMarkovAge": "laws.semi_markov",
-    "TraceAge": "laws.trace",
-    "check_link": "links.contract",
-    "impair": "medium.independent",
+_HOMES: Final = {
+    "ConstantAge": "transport.laws.age",
+    "ControlPacket": "transport.packets",
+    "Draw": "transport.medium.draws",
+    "EMPTY": "transport.packets",
+    "GilbertElliott": "transport.laws.packet",
+    "IidAge": "transport.laws.age",
+    "Impairment": "transport.medium.independent",
+    "Link": "transport.links.link",
+    "LinkCounters": "transport.links.link",
+    "MORE": "transport.packets",
+    "MarkovAge": "transport.laws.age",
+    "MemoryLink": "transport.links.memory",
+    "PacketLaw": "transport.laws.packet",
+    "REASONS": "transport.medium.draws",
+    "Role": "transport.links.link",
+    "SELECTIONS": "transport.packets",
+    "SemiMarkovAge": "transport.laws.semi_markov",
+    "SensorPacket": "transport.packets",
+    "TraceAge": "transport.laws.trace",
+    "TransportError": "transport.links.link",
+    "check_link": "transport.links.contract",
+    "decode": "transport.packets",
+    "encode_control": "transport.packets",
+    "encode_sensor": "transport.packets",
+    "impair": "transport.medium.independent",
+    "memory_pair": "transport.links.memory",
+    "open_link": "transport.links.opening",
 }
 
 __all__ = [
@@ -83,9 +97,9 @@ __all__ = [
 if not TYPE_CHECKING:  # a type checker shall tell a name that is not there
 
     def __getattr__(name: str) -> object:
-        if name not in _LAZY:
+        if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
+        return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

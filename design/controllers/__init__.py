@@ -1,34 +1,82 @@
-"""What runs inside a loop. Importing this room imports numpy and nothing heavier, because a process that keeps time does."""
+"""What runs inside a loop. Importing this room imports numpy and nothing heavier, because a process that keeps time does.
 
-from design.controllers.contract import (
-    Controller,
-    CountsSojourns,
-    FromSamples,
-    Gains,
-    GainTable,
-    HistoryGains,
-    IntegralAction,
-    Known,
-    LoopModel,
-    ModeSchedule,
-    Rows,
-    RunningController,
-    Sample,
-    Selection,
-    SeveralSamples,
-    TellsAges,
-    ages_told,
-    integrates,
-    packet_samples,
-    row_count,
-    sojourns_told,
-)
-from design.controllers.gain_rows_many import feedforward, held_exactly
-from design.controllers.historical import Historical
-from design.controllers.linear_law import LinearFeedback, LinearLaw, OutputFeedback
-from design.controllers.published_motor import PublishedH2, PublishedHinf
-from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nested
-from design.controllers.sensor_nodes import SensorNodes, Turns
+Each name brings its module when it is first used: a process pays for the controller that it runs, and for no other.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from design.controllers.contract import (
+        Controller,
+        CountsSojourns,
+        FromSamples,
+        Gains,
+        GainTable,
+        HistoryGains,
+        IntegralAction,
+        Known,
+        LoopModel,
+        ModeSchedule,
+        Rows,
+        RunningController,
+        Sample,
+        Selection,
+        SeveralSamples,
+        TellsAges,
+        ages_told,
+        integrates,
+        packet_samples,
+        row_count,
+        sojourns_told,
+    )
+    from design.controllers.gain_rows_many import feedforward, held_exactly
+    from design.controllers.historical import Historical
+    from design.controllers.linear_law import LinearFeedback, LinearLaw, OutputFeedback
+    from design.controllers.published_motor import PublishedH2, PublishedHinf
+    from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nested
+    from design.controllers.sensor_nodes import SensorNodes, Turns
+
+_HOMES: Final = {
+    "Constant": "design.controllers.send_all",
+    "Controller": "design.controllers.contract",
+    "CountsSojourns": "design.controllers.contract",
+    "FromSamples": "design.controllers.contract",
+    "GainIndex": "design.controllers.send_all",
+    "GainTable": "design.controllers.contract",
+    "Gains": "design.controllers.contract",
+    "Historical": "design.controllers.historical",
+    "HistoryGains": "design.controllers.contract",
+    "IntegralAction": "design.controllers.contract",
+    "Known": "design.controllers.contract",
+    "LinearFeedback": "design.controllers.linear_law",
+    "LinearLaw": "design.controllers.linear_law",
+    "Local": "design.controllers.send_all",
+    "LoopModel": "design.controllers.contract",
+    "ModeSchedule": "design.controllers.contract",
+    "OutputFeedback": "design.controllers.linear_law",
+    "PublishedH2": "design.controllers.published_motor",
+    "PublishedHinf": "design.controllers.published_motor",
+    "Rows": "design.controllers.contract",
+    "RunningController": "design.controllers.contract",
+    "Sample": "design.controllers.contract",
+    "Selection": "design.controllers.contract",
+    "SendAll": "design.controllers.send_all",
+    "SensorNodes": "design.controllers.sensor_nodes",
+    "SeveralSamples": "design.controllers.contract",
+    "TellsAges": "design.controllers.contract",
+    "Turns": "design.controllers.sensor_nodes",
+    "ages_told": "design.controllers.contract",
+    "feedforward": "design.controllers.gain_rows_many",
+    "held_exactly": "design.controllers.gain_rows_many",
+    "integrates": "design.controllers.contract",
+    "nested": "design.controllers.send_all",
+    "packet_samples": "design.controllers.contract",
+    "row_count": "design.controllers.contract",
+    "sojourns_told": "design.controllers.contract",
+}
 
 __all__ = [
     "Constant", "Controller", "CountsSojourns", "FromSamples", "GainIndex", "GainTable", "Gains", "Historical",
@@ -37,3 +85,15 @@ __all__ = [
     "SensorNodes", "SeveralSamples", "TellsAges", "Turns", "ages_told", "feedforward", "held_exactly", "integrates", "nested",
     "packet_samples", "row_count", "sojourns_told",
 ]  # fmt: skip
+
+
+if not TYPE_CHECKING:  # a type checker shall tell a name that is not there
+
+    def __getattr__(name: str) -> object:
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

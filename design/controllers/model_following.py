@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,32 +60,6 @@ class ModelFollowing:
         if sizes != wanted or len(self.feedback) != len(self.wall.materials):
             raise FieldError("feedback", f"made for other delays or materials, expected those of {model.tau_max} + {model.d_max}")
         return ModelFollowingRun(self)
-
-
-@runtime_checkable
-class FollowsModel(Protocol):
-    """A controller that renders a wall by following a model; in contact it is linear, one map per material."""
-
-    wall: Wall
-    feedback: Matrix
-
-    def start(self, model: LoopModel) -> LinearInContact: ...
-
-
-@runtime_checkable
-class LinearInContact(Protocol):
-    """A running controller that is linear while the device is in contact."""
-
-    selection: Selection
-
-    @property
-    def order(self) -> int:
-        """Number of its states."""
-        ...
-
-    def linear(self, state: Array, place: float, material: int) -> tuple[float, Array]:
-        """Return the force and the next state, for a state, the delayed place, and a material."""
-        ...
 
 
 class ModelFollowingRun:

@@ -14,26 +14,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 import numpy as np
 
-from design.controllers.contract import LoopModel, Rows, RunningController, Selection
+from design.controllers.contract import LoopModel, Rows, Selection
 from design.controllers.coupler import Coupler
 from design.controllers.wall import Contact, Wall
 from design.errors import FieldError
-
-
-@runtime_checkable
-class RendersWall(Protocol):
-    """A controller that renders a wall through a coupler; over a device with a hand its loop can be certified passive."""
-
-    wall: Wall
-    coupler: Coupler
-    equalise: bool
-    """Whether both ends wait until the largest delay has passed."""
-
-    def start(self, model: LoopModel) -> RunningController: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

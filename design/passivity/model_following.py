@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm, solve_discrete_are
 
-from design.controllers.model_following import LinearInContact, ModelFollowing
+from design.controllers.model_following import ModelFollowing
+from design.controllers.rendered_wall import LinearInContact
 from design.controllers.wall import Material, Wall
 from design.errors import DesignError
 from design.passivity.device import HeldDevice

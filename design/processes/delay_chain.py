@@ -83,9 +83,9 @@ class DelayChain:
         for name, values in (("delays", delays), ("labels", labels)):
             if values.shape != (modes,) or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
                 raise FieldError(name, f"expected {modes} integers >= 0, got {values.tolist()}")
-        for label in np.unique(labels):
-            if np.unique(delays[labels == label]).size > 1:
-                raise FieldError(f"labels[{int(label)}]", "modes of one label must have one delay")
+        for label in sorted(set(labels.tolist())):  # np.unique would bring numpy.ma into every run
+            if len(set(delays[labels == label].tolist())) > 1:
+                raise FieldError(f"labels[{label}]", "modes of one label must have one delay")
         if self.between is not None:
             low, high = (np.array(bound, dtype=np.float64) for bound in self.between)
             if low.shape != matrix.shape or high.shape != matrix.shape:
@@ -161,8 +161,8 @@ class DelayChain:
     def is_plain(self) -> bool:
         """Whether every mode has a delay of its own, or ages of its own."""
         if self.ages is not None:
-            return bool(len(np.unique(np.asarray(self.ages), axis=0)) == self.modes)
-        return bool(np.unique(self.delay).size == self.modes)
+            return len(set(map(tuple, np.asarray(self.ages).tolist()))) == self.modes
+        return len(set(self.delay.tolist())) == self.modes
 
     @property
     def bounds(self) -> tuple[Array, Array]:

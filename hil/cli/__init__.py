@@ -101,11 +101,11 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
-        import difflib
-
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as e:
+            import difflib
+
             near = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
             if near and "Did you mean" not in e.message:
                 raise click.UsageError(f"{e.message} Did you mean {near[0]!r}?", ctx) from e

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from hil.log.read.run import Run
+    from hil.log.run import Run
 
 ROWS = 1 << 15  # that are written at a time
 SLOWEST = 1e-6  # of --onto: below it a second takes eleven days

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+from hil.cli.two_columns import Line, print_lines
 from transport.medium.draws import CORRUPTED, CUT, OFF_BUS, REASONS
 
 BROKEN: Final = tuple(REASONS[code] for code in (CUT, CORRUPTED, OFF_BUS))
@@ -16,19 +17,11 @@ def show(summary: dict[str, Any]) -> None:
     Args:
         summary: what ``hil run --json`` prints.
     """
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+    lines: list[Line] = []
 
-    from hil.cli.terminal import cell
+    def row(name: str, value: object, colour: str | None = None, coloured: int | None = None) -> None:
+        lines.append(Line(name=name, value=str(value), colour=colour, coloured=coloured))
 
-    def row(name: str, value: object, style: str = "") -> None:
-        table.add_row(cell(name), value if isinstance(value, Text) else cell(value, style))
-
-    console = Console(highlight=False)
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold", overflow="fold")
-    table.add_column(overflow="fold")
     row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
     row("ran", f"{summary['ticks']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
     units = summary.get("units", {})
@@ -50,12 +43,12 @@ def show(summary: dict[str, Any]) -> None:
         )
     if summary["clock"] == "real":
         for name, value in timing_rows(summary["timing"]):
-            row(name, value, "red" if value.startswith("NOT VALID") else "")
+            row(name, value, "red" if value.startswith("NOT VALID") else None)
     claim = summary.get("certificate")
     if claim:
         state = str(claim.get("state", "no verdict"))
         colour = {"certified": "green", "refused": "red"}.get(state, "yellow")
-        row("certificate", Text.assemble(cell(state, colour), cell(f", {claim.get('kind')}: {claim.get('reason')}")))
+        row("certificate", f"{state}, {claim.get('kind')}: {claim.get('reason')}", colour, len(state))
         if claim.get("bound_full_state") is not None:
             row("least cost", least_cost(claim))
     else:
@@ -71,7 +64,7 @@ def show(summary: dict[str, Any]) -> None:
         row(name.replace("_", " "), value, "red")
     log = summary["log"]
     row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
-    console.print(table)
+    print_lines(lines)
 
 
 def least_cost(claim: dict[str, Any]) -> str:

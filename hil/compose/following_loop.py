@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from design.controllers.model_following import FollowsModel
+from design.controllers.rendered_wall import FollowsModel
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
 from hil.compose.port import port_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from design.controllers.virtual_wall import RendersWall
+from design.controllers.rendered_wall import RendersWall
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
 from hil.compose.port import port_of

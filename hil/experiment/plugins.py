@@ -15,13 +15,15 @@ from hil.experiment.own_modules import is_own, load_own, written_in
 
 Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]
 
+_installed: Final = cache(entry_points)  # asked for one group, it reads the files of every installed package all the same
+
 OBJECT: Final = "object "
 """How the kind of something begins that was built in Python and stands in no file."""
 
 
 @cache
 def _found(group: str) -> dict[str, EntryPoint]:
-    return {e.name: e for e in entry_points(group=group)}
+    return {e.name: e for e in _installed().select(group=group)}
 
 
 def names(group: Group) -> list[str]:

@@ -17,7 +17,7 @@ from hil.experiment.own_modules import written_in
 from hil.experiment.plain_form import plain
 from hil.experiment.table import UNITS, Seconds, Table, not_negative
 from transport.links.link import TransportError
-from transport.links.opening import find_link
+from transport.links.opening import check_uri
 
 __all__ = [
     "HIDDEN", "UNITS", "Direction", "Experiment", "Links", "Pulse", "Report", "Seconds", "Step",
@@ -130,7 +130,7 @@ class Links(Table, frozen=True, kw_only=True):
             if values.get(table) is not None and not uri.startswith("zenoh:"):
                 yield f"{table}: the link {uri!r:.60} does not take it; only a zenoh link does"
         try:
-            find_link(secured_uri(uri, ".", values.get("auth"), None, None))
+            check_uri(secured_uri(uri, ".", values.get("auth"), None, None))
         except TransportError as error:
             yield f"uri: {error}"
 

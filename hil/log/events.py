@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, Final
 
@@ -122,3 +122,22 @@ def _string(text: bytes) -> bytes:
     """A string in CDR: its length with the zero that ends it, the bytes, and zeros up to a multiple of 4."""
     size = len(text) + 1
     return _LENGTH.pack(size) + text + bytes(1 + -size % 4)
+
+
+def decode_events(payloads: Sequence[bytes], first: int = 0) -> list[dict[str, Any]]:
+    """Return the events of some payloads of ``/events``.
+
+    Args:
+        payloads: in the order of the log.
+        first: number of the first of them, for what is said of one that cannot be read.
+
+    Raises:
+        HilError: with the number of the event.
+    """
+    found = []
+    for index, payload in enumerate(payloads, first):
+        try:
+            found.append(decode_event(payload))
+        except HilError as error:
+            raise HilError(f"event {index}: {error}") from error
+    return found

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import FromSamples
-from design.controllers.virtual_wall import RendersWall
+from design.controllers.rendered_wall import RendersWall
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.measure.view import MEASUREMENT, RunView, matrix

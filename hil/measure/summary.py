@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.experiment import Experiment
-from hil.log.read.run import Run
+from hil.log.run import Run
 from hil.measure.measure import measured, measures_of, quantities_of
 from hil.measure.network import network_metrics
 from hil.measure.network_load import loads

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.log.growing import ROWS, let_go, pieces, whole
-from hil.log.read.run import Run
 from hil.log.records import TIME_FIELD
+from hil.log.run import Run
 from hil.measure.followed import Followed
 from hil.measure.signals import Signals, bare, tracked_among
 

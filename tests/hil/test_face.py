@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,17 +15,23 @@ import design
 import hil
 import plants
 import transport
+from design import controllers
 
 ROOT = Path(__file__).parents[2]
 OURS = {"plants", "transport", "design"}
 HEAVY = OURS | {"numpy", "scipy", "msgspec", "rich", "mcap", "control", "cvxpy", "cantools", "can", "zenoh"}
 
 
+def all_imported_by(code: str, **options: Any) -> set[str]:
+    """Return every module that a fresh interpreter has imported after some code."""
+    show = "; import sys; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code + show], capture_output=True, text=True, check=True, timeout=300, **options)
+    return set(done.stdout.splitlines()[-1].split())
+
+
 def imported_by(code: str) -> set[str]:
     """Return the top-level modules, and the rooms of hil, that a fresh interpreter has imported after some code."""
-    show = "; import sys; print(' '.join({'.'.join(m.split('.')[:2 if m.startswith('hil') else 1]) for m in sys.modules}))"
-    done = subprocess.run([sys.executable, "-c", code + show], capture_output=True, text=True, check=True, timeout=60)
-    return set(done.stdout.splitlines()[-1].split())
+    return {".".join(m.split(".")[: 2 if m.startswith("hil") else 1]) for m in all_imported_by(code)}
 
 
 def test_importing_the_face_imports_nothing_else() -> None:
@@ -38,7 +45,22 @@ def test_the_help_of_the_command_line_imports_nothing_heavy() -> None:
     assert "click" in found and not found & HEAVY
 
 
-@pytest.mark.parametrize("package", [hil, design, plants, transport])
+UNUSED = {
+    "scipy", "rich", "can", "zenoh", "control", "cvxpy", "pandas", "numpy.ma", "mcap.writer", "cryptography", "loky", "pydantic",
+    "plants.vtol", "plants.omni", "plants.fmu", "plants.state_space", "plants.semi_markov", "design.controllers.smith",
+    "design.controllers.historical", "design.controllers.wall", "design.controllers.coupler", "hil.log.read.run", "hil.face",
+    "transport.laws.packet", "transport.links.authenticated_link", "design.tracking.synthesis",
+}  # fmt: skip
+
+
+def test_a_run_imports_its_own_plant_and_controller_and_nothing_that_it_does_not_use(tmp_path: Path) -> None:
+    run = "['run', 'dc-motor-hinf', '--duration', '0.1', '-o', 'x.mcap', '--set', 'reference=[]', '--set', 'disturbance=[]']"
+    found = all_imported_by(f"from hil.cli import main\ntry: main({run})\nexcept SystemExit: pass\nimport os", cwd=tmp_path)
+    assert {"plants.dc_motor", "design.controllers.published_motor", "transport.laws.age"} <= found
+    assert (tmp_path / "x.mcap").stat().st_size and not sorted(found & UNUSED)
+
+
+@pytest.mark.parametrize("package", [hil, design, controllers, plants, transport])
 def test_every_name_of_a_face_is_there(package: object) -> None:
     names = package.__all__  # type: ignore[attr-defined]
     assert names and all(getattr(package, name) is not None for name in names)

@@ -273,7 +273,7 @@ def test_a_run_in_virtual_time_reads_nothing_back(tmp_path: Path, monkeypatch: p
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("the log was read back")
 
-    monkeypatch.setattr("hil.session.read_run", refuse)
+    monkeypatch.setattr("hil.log.read.run.read_run", refuse)
     session = run_session(load_experiment("dc-motor-hinf", ["duration=2"]), path=tmp_path / "run.mcap")
     assert session.summary["ticks"] == 40
     with pytest.raises(AssertionError, match="read back"):

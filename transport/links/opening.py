@@ -5,13 +5,17 @@ A link of any scheme carries packets of either version, with a code or without; 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, get_args
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, get_args
 
-from transport.links.authenticated_link import AuthenticatedLink, cmac, read_key
 from transport.links.link import FORMS, Link, Role, TransportError, key_file
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
+
+WITHOUT_A_FORM: Final = ("memory", "local")
+"""Schemes of ours whose address may be any text."""
 
 
 def _for_the_plugin(uri: str) -> str:
@@ -48,6 +52,19 @@ def find_link(uri: str) -> EntryPoint:
     return found[scheme]
 
 
+def check_uri(uri: str) -> None:
+    """Refuse a URI that names no link, as `find_link` does; what is installed is looked through for a foreign scheme alone.
+
+    Raises:
+        TransportError: no such scheme, or a URI of another form than the scheme's.
+    """
+    scheme = uri.partition(":")[0] if ":" in uri else ""
+    if scheme in FORMS:
+        key_file(uri)
+    elif scheme not in WITHOUT_A_FORM:
+        find_link(uri)
+
+
 def open_link(uri: str, role: Role) -> Link:
     """Open one end of the link that a URI names.
 
@@ -65,16 +82,22 @@ def open_link(uri: str, role: Role) -> Link:
         raise TransportError(f"link {uri!r}: role {role!r}, expected 'rig' or 'controller'")
     plugin = find_link(uri)
     keyed = key_file(uri) if "auth=" in uri else None
-    code = None
-    if keyed is not None:
-        try:
-            code = cmac(read_key(keyed))
-        except TransportError as error:
-            raise TransportError(f"link {uri!r}: {error}") from error
+    around = None if keyed is None else _codes(keyed, role, uri)
     uri = _for_the_plugin(uri) if "version=" in uri or keyed is not None else uri
     try:
         opener = plugin.load()
     except (ImportError, AttributeError) as error:
         raise TransportError(f"link {uri!r}: plug-in {plugin.value} cannot be loaded: {error}") from error
     link: Link = opener(uri, role)
-    return link if code is None else AuthenticatedLink(link, role, code)
+    return link if around is None else around(link)
+
+
+def _codes(key: str, role: Role, uri: str) -> Callable[[Link], Link]:
+    """Return what puts the codes of a key around a link; who has no key pays nothing for it."""
+    from transport.links.authenticated_link import AuthenticatedLink, cmac, read_key
+
+    try:
+        code = cmac(read_key(key))
+    except TransportError as error:
+        raise TransportError(f"link {uri!r}: {error}") from error
+    return lambda link: AuthenticatedLink(link, role, code)

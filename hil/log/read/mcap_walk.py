@@ -17,11 +17,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk
-from mcap.writer import MCAP0_MAGIC
 
 from hil.errors import HilError
+from hil.log.write.packed_records import MAGIC as MAGIC
 
-MAGIC: Final = MCAP0_MAGIC
 _FRAME: Final = struct.Struct("<BQ")
 _HEAD: Final = struct.Struct("<BQH")
 MESSAGE_TIME_AT: Final = 15

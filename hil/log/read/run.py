@@ -1,88 +1,26 @@
-"""A finished run in memory: one numpy array per topic, the events, and where it all came from."""
+"""A log, read back: every record checked, nothing of it run."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, MutableMapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
 from hil.errors import HilError
-from hil.log.events import decode_event
-from hil.log.growing import ROWS, pieces
-from hil.log.read.arrays import StructuredArray, assemble
+from hil.log.events import decode_events
 from hil.log.read.columns import Columns, Topics
 from hil.log.read.foreign import check_events, check_topics, check_words
 from hil.log.read.mcap_content import Content, start_said
 from hil.log.read.mcap_file import open_mcap
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
+from hil.log.run import Run as Run
 from hil.log.write.provenance import READABLE
-from hil.log.write.sinks import MemorySink
-
-
-@runtime_checkable
-class InPieces(Protocol):
-    """Arrays that need not be whole in memory."""
-
-    def pieces(self, topic: str, rows: int) -> Iterator[StructuredArray]: ...
-
-    def numbers(self, topic: str) -> StructuredArray: ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """What a log tells.
-
-    Args:
-        arrays: topic to records in the order of the log; field ``t_ns`` (nominal session time) first, then the fields of the
-            topic's schema. Raw frames have the field ``data`` of bytes objects. A topic without records has length 0. The arrays
-            of a long log are mapped from a file, and read only.
-        schemas: topic to schema, with the units.
-        events: records of ``/events``; see ``records.EVENT_SCHEMA``.
-        metadata: ``experiment``, ``seed``, ``clock``, ``link``, ``format`` (all text) and what else the record ``hilrig`` holds.
-        versions, session: packages of the session, and what a session in real time said of itself.
-        codes: names behind the records' small integers.
-        experiment_text: the experiment file.
-        resolved, certificate: the experiment after defaults and overrides; the design's certificate, empty if there is none.
-        summary: the summary that closed the log, empty if it was never closed.
-        start_ns: wall-clock instant of session time 0, ns since 1970; 0 in virtual time and where the log does not say.
-    """
-
-    arrays: MutableMapping[str, StructuredArray]
-    schemas: dict[str, Schema]
-    events: list[dict[str, Any]] = field(default_factory=list)
-    metadata: dict[str, str] = field(default_factory=dict)
-    versions: dict[str, str] = field(default_factory=dict)
-    session: dict[str, str] = field(default_factory=dict)
-    codes: dict[str, list[str]] = field(default_factory=dict)
-    experiment_text: str = ""
-    resolved: dict[str, Any] = field(default_factory=dict)
-    certificate: dict[str, Any] = field(default_factory=dict)
-    summary: dict[str, Any] = field(default_factory=dict)
-    start_ns: int = 0
-
-    @classmethod
-    def from_memory(cls, sink: MemorySink, **about: Any) -> Run:
-        """Run of what a ``MemorySink`` kept; ``about`` takes the fields that a sink does not know, by name."""
-        schemas = {topic: sink.channels[topic].schema for topic in sink.payloads if topic != EVENTS_TOPIC}
-        arrays = {
-            topic: assemble(schema, sink.payloads[topic], times=sink.times[topic]) for topic, schema in schemas.items()
-        }
-        return cls(arrays=arrays, schemas=schemas, events=_events(sink.payloads.get(EVENTS_TOPIC, ())), **about)
-
-    def pieces(self, topic: str, rows: int = ROWS) -> Iterator[StructuredArray]:
-        """Give the records of a topic piece by piece: a long log is never whole in memory."""
-        return self.arrays.pieces(topic, rows) if isinstance(self.arrays, InPieces) else pieces(self.arrays[topic], rows)
-
-    def numbers(self, topic: str) -> StructuredArray:
-        """Return the records of a topic; those of raw frames may lack the field ``data``."""
-        return self.arrays.numbers(topic) if isinstance(self.arrays, InPieces) else self.arrays[topic]
 
 
 def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: int | None = None) -> Run:
@@ -146,7 +84,8 @@ class _Reading:
             messages = content.messages.pop(number)
             if channel.topic == EVENTS_TOPIC:
                 payloads = [message[MESSAGE_PAYLOAD_AT:] for message in messages]
-                self._events += (_json_events if channel.message_encoding == "json" else _events)(payloads, len(self._events))
+                decode = _json_events if channel.message_encoding == "json" else decode_events
+                self._events += decode(payloads, len(self._events))
                 continue
             columns = self._columns.get(number)
             if columns is None:
@@ -237,16 +176,6 @@ def _run(content: Content, columns: dict[str, Columns], events: list[dict[str, A
 def _attached_json(content: Content, name: str) -> dict[str, Any]:
     attachment = content.attachments.get(name)
     return _json_object(attachment.data, f"attachment {name}") if attachment is not None else {}
-
-
-def _events(payloads: Sequence[bytes], first: int = 0) -> list[dict[str, Any]]:
-    found = []
-    for index, payload in enumerate(payloads, first):
-        try:
-            found.append(decode_event(payload))
-        except HilError as error:
-            raise HilError(f"event {index}: {error}") from error
-    return found
 
 
 def _json_events(payloads: Sequence[bytes], first: int) -> list[dict[str, Any]]:

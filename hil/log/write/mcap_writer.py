@@ -37,12 +37,11 @@ from mcap.records import (
 
 from hil.log.growing import Growing, pieces
 from hil.log.write.open_chunk import Messages, OpenChunk
-from hil.log.write.packed_records import BEHIND, HEAD, Layouts, Packed
+from hil.log.write.packed_records import BEHIND, HEAD, MAGIC, Layouts, Packed
 
 Index = Literal["full", "chunk"]
 """How much of an index a log has."""
 
-MAGIC: Final = b"\x89MCAP0\r\n"
 COMPRESSION: Final = "zstd"
 
 INDEX_PIECE: Final = 1 << 18

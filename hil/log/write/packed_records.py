@@ -18,6 +18,9 @@ import numpy as np
 import numpy.typing as npt
 from mcap.opcode import Opcode
 
+MAGIC: Final = b"\x89MCAP0\r\n"
+"""What an MCAP file begins and ends with."""
+
 HEAD: Final = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time, publish time."""
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.log.events import plain
-from hil.log.read.run import Run
+from hil.log.run import Run
 from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.network_paths import network_paths
 from hil.measure.signals import with_unit

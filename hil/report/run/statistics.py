@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log.growing import pieces, whole
-from hil.log.read.run import Run
+from hil.log.run import Run
 from hil.measure.network import expected_frequencies, expected_transitions, mode_sequence
 from hil.measure.network_paths import NetworkPath
 from hil.report.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log.growing import pieces
-from hil.log.read.run import Run
+from hil.log.run import Run
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, signal_names
 from hil.report.html.figures import Band, Figure, LineStyle, Marker, Series, State
 from hil.report.run.curve import Records, curve

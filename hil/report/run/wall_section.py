@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers.model_following import FollowsModel
-from design.controllers.virtual_wall import RendersWall
+from design.controllers.rendered_wall import FollowsModel, RendersWall
 from design.controllers.wall import Wall
 from hil.compose.loop import Loop
 from hil.log.growing import whole

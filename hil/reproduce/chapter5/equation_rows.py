@@ -14,7 +14,7 @@ from design.historical_data.information import Information, Mask, round_robin
 from design.historical_data.lifted_loop import DelayedPlant, close, cycle
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.log.read.run import Run
+from hil.log.run import Run
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.reproduce.judgement import Row, above, below, near, row, says

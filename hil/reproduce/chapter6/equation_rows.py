@@ -7,7 +7,7 @@ import numpy as np
 from design.as_printed.coupler import DELAY, LAMBDA, PERIOD_S
 from design.as_printed.haptic_conditions import printed_attenuation
 from design.controllers.coupler import wave_coupler
-from design.controllers.virtual_wall import RendersWall
+from design.controllers.rendered_wall import RendersWall
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import Patch, Pattern
 from design.jump_linear.bounded_real import hinf_norm

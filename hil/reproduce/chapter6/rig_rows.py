@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from design.controllers.virtual_wall import RendersWall
+from design.controllers.rendered_wall import RendersWall
 from design.controllers.wall import MATERIALS
 from design.identification.output_error import identify_axis
 from design.identification.record import Record

@@ -1,0 +1,75 @@
+"""A finished run in memory: one numpy array per topic, the events, and where it all came from.
+
+What reads one from a file is `hil.log.read.run`: a run in virtual time keeps its columns, and needs none of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, MutableMapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+from hil.log.events import decode_events
+from hil.log.growing import ROWS, pieces
+from hil.log.read.arrays import StructuredArray, assemble
+from hil.log.records import EVENTS_TOPIC, Schema
+from hil.log.write.sinks import MemorySink
+
+
+@runtime_checkable
+class InPieces(Protocol):
+    """Arrays that need not be whole in memory."""
+
+    def pieces(self, topic: str, rows: int) -> Iterator[StructuredArray]: ...
+
+    def numbers(self, topic: str) -> StructuredArray: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """What a log tells.
+
+    Args:
+        arrays: topic to records in the order of the log; field ``t_ns`` (nominal session time) first, then the fields of the
+            topic's schema. Raw frames have the field ``data`` of bytes objects. A topic without records has length 0. The arrays
+            of a long log are mapped from a file, and read only.
+        schemas: topic to schema, with the units.
+        events: records of ``/events``; see ``records.EVENT_SCHEMA``.
+        metadata: ``experiment``, ``seed``, ``clock``, ``link``, ``format`` (all text) and what else the record ``hilrig`` holds.
+        versions, session: packages of the session, and what a session in real time said of itself.
+        codes: names behind the records' small integers.
+        experiment_text: the experiment file.
+        resolved, certificate: the experiment after defaults and overrides; the design's certificate, empty if there is none.
+        summary: the summary that closed the log, empty if it was never closed.
+        start_ns: wall-clock instant of session time 0, ns since 1970; 0 in virtual time and where the log does not say.
+    """
+
+    arrays: MutableMapping[str, StructuredArray]
+    schemas: dict[str, Schema]
+    events: list[dict[str, Any]] = field(default_factory=list)
+    metadata: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    session: dict[str, str] = field(default_factory=dict)
+    codes: dict[str, list[str]] = field(default_factory=dict)
+    experiment_text: str = ""
+    resolved: dict[str, Any] = field(default_factory=dict)
+    certificate: dict[str, Any] = field(default_factory=dict)
+    summary: dict[str, Any] = field(default_factory=dict)
+    start_ns: int = 0
+
+    @classmethod
+    def from_memory(cls, sink: MemorySink, **about: Any) -> Run:
+        """Run of what a ``MemorySink`` kept; ``about`` takes the fields that a sink does not know, by name."""
+        schemas = {topic: sink.channels[topic].schema for topic in sink.payloads if topic != EVENTS_TOPIC}
+        arrays = {
+            topic: assemble(schema, sink.payloads[topic], times=sink.times[topic]) for topic, schema in schemas.items()
+        }
+        return cls(arrays=arrays, schemas=schemas, events=decode_events(sink.payloads.get(EVENTS_TOPIC, ())), **about)
+
+    def pieces(self, topic: str, rows: int = ROWS) -> Iterator[StructuredArray]:
+        """Give the records of a topic piece by piece: a long log is never whole in memory."""
+        return self.arrays.pieces(topic, rows) if isinstance(self.arrays, InPieces) else pieces(self.arrays[topic], rows)
+
+    def numbers(self, topic: str) -> StructuredArray:
+        """Return the records of a topic; those of raw frames may lack the field ``data``."""
+        return self.arrays.numbers(topic) if isinstance(self.arrays, InPieces) else self.arrays[topic]
