@@ -35,5 +35,5 @@ class ExperimentSchema(BuildHookInterface):  # type: ignore[misc]
 
 def _class(place: str) -> type:
     module, _, name = place.partition(":")
-    found: type = vars(import_module(module))[name]
+    found: type = getattr(import_module(module), name)  # a face brings its names when they are asked for
     return found
