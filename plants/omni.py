@@ -177,20 +177,20 @@ class HeldRun:
         """
         if dt_ns < 0:
             raise PlantError(f"advance: {dt_ns} ns, expected a time that does not run backwards")
-        force = u[0]
-        limit = self._limit
+        force, limit, slide = u[0], self._limit, self._slide
         force = limit if force > limit else -limit if force < -limit else force
         self._applied = (force,)
         self._force = force + w[0] if w else force
-        before, end_ns = self._x[0], self._now_ns + dt_ns
-        if self._push.next_ns > end_ns < self._path.next_ns and end_ns < self._slide.next_ns:  # nothing happens on the way
+        before, now_ns = self._x[0], self._now_ns
+        end_ns = now_ns + dt_ns
+        if self._push.next_ns > end_ns < self._path.next_ns and end_ns < slide.next_ns:  # nothing happens on the way
             if dt_ns:
-                self._move(self._now_ns, end_ns)
+                self._move(now_ns, end_ns)
         else:
-            pass_time(self._now_ns, end_ns, self._sources, self._move)
+            pass_time(now_ns, end_ns, self._sources, self._move)
         self._now_ns = end_ns
         if dt_ns:
-            self._place = self._slide.at(end_ns)
+            self._place = slide.at(end_ns)
             moved = self._x[0] - before
             self._given += moved * (force - self._damping * moved * NS_PER_S / dt_ns)
 
@@ -200,7 +200,14 @@ class HeldRun:
             position, speed = self._dry.move(self._x[0], self._x[1], force, (end_ns - begin_ns) / NS_PER_S)
             self._x = [position, speed, 0.0]
         else:
-            self._x = self._flow.step(self._x, (force, self._path.speed_m_s), end_ns - begin_ns)
+            # The sum of `Flow.step`, written out: it runs ten thousand times a second.
+            (a0, a1, a2, a3, a4), (b0, b1, b2, b3, b4), (c0, c1, c2, c3, c4) = self._flow.rows(end_ns - begin_ns)
+            (x, v, p), pace = self._x, self._path.speed_m_s
+            self._x = [
+                0.0 + a0 * x + a1 * v + a2 * p + a3 * force + a4 * pace,
+                0.0 + b0 * x + b1 * v + b2 * p + b3 * force + b4 * pace,
+                0.0 + c0 * x + c1 * v + c2 * p + c3 * force + c4 * pace,
+            ]
 
     def measure(self) -> tuple[float, ...]:
         """Return the position in m as the encoder gives it, and the place y, z along the wall in m."""
@@ -212,7 +219,8 @@ class HeldRun:
     @property
     def state(self) -> tuple[float, ...]:
         """Position in m, speed in m/s, y and z in m, push in N, energy given in J: the true ones."""
-        return (self._x[0], self._x[1], *self._place, self._push.force_n, max(self._given, 0.0))
+        x, given = self._x, self._given
+        return (x[0], x[1], *self._place, self._push.force_n, given if given > 0.0 else max(given, 0.0))
 
     @property
     def applied(self) -> tuple[float, ...]:

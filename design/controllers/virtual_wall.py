@@ -67,6 +67,7 @@ class VirtualWallRun:
         self.selection: Selection = "applied" if law.equalise else "constant"
         self.contact = Contact(law.wall, model.period_s, law.wall.material)
         self._law, self._tau_max, self._d_max = law, model.tau_max, model.d_max
+        self._equalise = law.equalise
         taps = law.coupler.taps_m_per_n
         self._integrator = law.coupler.integrator_m_per_n
         self._find = None if law.wall.pattern is None else law.wall.pattern.finder()
@@ -92,9 +93,9 @@ class VirtualWallRun:
             r: reference, of no use to a wall.
         """
         first = k if self._k is None else self._k + 1
-        if not self._law.equalise:
+        if not self._equalise:
             for slot in range(first, k + 1):  # a slot without an answer still passes
-                self._press(slot, y[:3])
+                self._press(slot, y)
             self._k = k
             return ((-self._forces[0] or 0.0,),)
         for i in range(self._law.samples):
@@ -112,17 +113,18 @@ class VirtualWallRun:
         return tuple((-self._forces[self._d_max - d] or 0.0,) for d in range(self._d_max + 1))
 
     def _press(self, slot: int, sample: Sequence[float]) -> None:
-        self.contact.change(self._material_at(slot, sample))
+        contact, forces, find = self.contact, self._forces, self._find
+        material = self._drawn_until(slot) if find is None else find(sample[1], sample[2])
+        if material != contact.material:
+            contact.change(material)
         past = self._integrator * self._sum
-        for tap, force in zip(self._taps, self._forces):
+        for tap, force in zip(self._taps, forces):
             past += tap * force
-        force = self.contact.press(sample[0] - past, self._direct)
+        force = contact.press(sample[0] - past, self._direct)
         self._sum += force
-        self._forces.appendleft(force)
+        forces.appendleft(force)
 
-    def _material_at(self, slot: int, sample: Sequence[float]) -> int:
-        if self._find is not None:
-            return self._find(sample[1], sample[2])
+    def _drawn_until(self, slot: int) -> int:
         while self._rng is not None and self._drawn < slot:
             row = self._rows[self._material]
             u = float(self._rng.random())

@@ -188,12 +188,14 @@ class Contact:
             return 0.0, a
         limit, delta, before = self._limit, self.offset_m, self.avatar_m
         stiffness, rate = self._stiffness_and_rate[self.material]
-        if c0 > 0.0 and c0 * min(max(-rate * before, 0.0), limit) >= a:
+        pull = -rate * before
+        if c0 > 0.0 and c0 * (0.0 if pull < 0.0 else limit if pull > limit else pull) >= a:
             return a / c0, 0.0  # the damper alone stops the avatar at the surface
         x = (a + c0 * rate * before) / (1.0 + c0 * rate)
         if x > delta:
             x = (a + c0 * (stiffness * delta + rate * before)) / (1.0 + c0 * (stiffness + rate))
-        force = stiffness * max(x - delta, 0.0) + rate * (x - before)
+        depth = x - delta
+        force = stiffness * (0.0 if depth < 0.0 else depth) + rate * (x - before)
         if force <= 0.0:
             return 0.0, a
         if force > limit:

@@ -177,11 +177,12 @@ class PathRun:
 class SlideRun:
     """The place along the wall over time."""
 
-    __slots__ = ("_heading", "_rng", "_since_ns", "_slide", "_start", "at", "next_ns")
+    __slots__ = ("_extent", "_heading", "_rng", "_since_ns", "_slide", "_start", "at", "next_ns")
 
     def __init__(self, slide: Slide, rng: np.random.Generator) -> None:
         self._slide, self._rng, self._since_ns = slide, rng, 0
         self._start = (slide.y_m, slide.z_m)
+        self._extent = (0.5 * slide.width_m, 0.5 * slide.height_m, slide.y_hz, slide.z_hz)
         self._heading, self.next_ns = slide.heading_rad, NEVER_NS
         if slide.way == "wander":
             self._heading, self.next_ns = self._turned(), round(slide.turn_s * NS_PER_S)
@@ -204,6 +205,5 @@ class SlideRun:
         return self._start[0] + way * math.cos(self._heading), self._start[1] + way * math.sin(self._heading)
 
     def _figure(self, now_ns: int) -> tuple[float, float]:
-        turns, s = 2.0 * math.pi * now_ns / NS_PER_S, self._slide
-        y = 0.5 * s.width_m * math.sin(turns * s.y_hz)
-        return self._start[0] + y, self._start[1] + 0.5 * s.height_m * math.sin(turns * s.z_hz)
+        turns, (y_m, z_m), (half_y_m, half_z_m, y_hz, z_hz) = 2.0 * math.pi * now_ns / NS_PER_S, self._start, self._extent
+        return y_m + half_y_m * math.sin(turns * y_hz), z_m + half_z_m * math.sin(turns * z_hz)

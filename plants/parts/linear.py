@@ -164,15 +164,13 @@ class Flow:
         if dt_ns not in self._steps:
             self._tabulate(dt_ns)
 
+    def rows(self, dt_ns: int) -> Rows:
+        """Return the rows of that matrix: x after dt_ns is, from the left, the sum of their products with x and v."""
+        return self._steps.get(dt_ns) or self._tabulate(dt_ns)
+
     def step(self, x: Sequence[float], v: Sequence[float], dt_ns: int) -> list[float]:
         """Return x after dt_ns, by a matrix that is computed once for every length: for the sample period."""
-        rows = self._steps.get(dt_ns)
-        if rows is None:
-            rows = self._tabulate(dt_ns)
-        held = (*x, *v)
-        if len(held) == 5:  # a held device, ten thousand times a second: the same sum, written out
-            a0, a1, a2, a3, a4 = held
-            return [0.0 + r[0] * a0 + r[1] * a1 + r[2] * a2 + r[3] * a3 + r[4] * a4 for r in rows]
+        rows, held = self.rows(dt_ns), (*x, *v)
         after = []
         for row in rows:
             total = 0.0

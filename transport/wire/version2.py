@@ -46,6 +46,7 @@ MAX_VALUES: Final = 1000
 MAX_REFERENCES: Final = 127
 TAG_BYTES: Final = 8
 _TAGGED: Final = 0x80
+_NO_TRAILER: Final = (0, b"")
 _new: Final = tuple.__new__  # a packet of a named tuple, without its Python constructor
 
 
@@ -87,6 +88,11 @@ def _sensor_writer(
     return pack, flags << 6 | outputs, samples, references | _TAGGED if tagged else references
 
 
+@lru_cache(maxsize=1024)
+def _control_writer(values: int, tagged: bool) -> Callable[..., bytes]:
+    return _control_layout(values, tagged).write.pack
+
+
 def _trailer(freshness: int, tag: bytes) -> tuple[int, bytes]:
     if len(tag) != TAG_BYTES:
         raise FieldError("tag", f"{len(tag)} bytes, expected {TAG_BYTES}")
@@ -98,11 +104,12 @@ def write_sensor(packet: SensorPacket) -> bytes:
     seq, flags, sample_ns, y, node, samples, reference, nodes, nonce, freshness, tag, _ = packet
     trailer = _trailer(freshness, tag) if tag else ()
     pack, shape, samples, references = _sensor_writer(len(y), flags & 3, samples, len(reference), node, nodes, bool(tag))
+    values = (*y, *reference)
     try:
-        return pack(SENSOR, shape, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes, *y, *reference, *trailer)
+        return pack(SENSOR, shape, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes, *values, *trailer)
     except OverflowError:
-        y, reference = tuple(map(single, y)), tuple(map(single, reference))
-        return pack(SENSOR, shape, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes, *y, *reference, *trailer)
+        values = tuple(map(single, values))
+        return pack(SENSOR, shape, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes, *values, *trailer)
 
 
 def write_control(packet: ControlPacket, tau: int, inputs: int, values: tuple[float, ...]) -> bytes:
@@ -112,12 +119,12 @@ def write_control(packet: ControlPacket, tau: int, inputs: int, values: tuple[fl
     seq, sample_ns, control_ns, _, selection, rows, nonce, freshness, tag, _ = packet
     trailer = _trailer(freshness, tag) if tag else ()
     shape = _TAGGED | selection if tag else selection
-    pack = _control_layout(len(values), bool(tag)).write.pack
-    head = (CONTROL, shape, seq & 0xFFFFFFFF, nonce, sample_ns, control_ns, tau, len(rows), inputs)
+    pack, count = _control_writer(len(values), bool(tag)), len(rows)
     try:
-        return pack(*head, *values, *trailer)
+        return pack(CONTROL, shape, seq & 0xFFFFFFFF, nonce, sample_ns, control_ns, tau, count, inputs, *values, *trailer)
     except OverflowError:
-        return pack(*head, *map(single, values), *trailer)
+        values = tuple(map(single, values))
+        return pack(CONTROL, shape, seq & 0xFFFFFFFF, nonce, sample_ns, control_ns, tau, count, inputs, *values, *trailer)
 
 
 @lru_cache(maxsize=1024)
@@ -134,15 +141,14 @@ def _sensor_reader(shape: int, samples: int, references: int, nodes: int) -> Rea
     unpack, samples, after, end = layout.read.unpack, samples or 1, 4 + count, 4 + values
 
     def read(data: bytes) -> SensorPacket | None:
-        fields = unpack(data)
-        seq, nonce, sample_ns, node = fields[:4]
+        fields = unpack(data)  # seq, nonce, sample_ns, node, values, what follows where it is tagged
+        node = fields[3]
         if node >= nodes:
             return None
-        freshness, tag = fields[end:] if tagged else (0, b"")
-        return _new(
-            SensorPacket,
-            (seq, flags, sample_ns, fields[4:after], node, samples, fields[after:end], nodes, nonce, freshness, tag, 2),
-        )
+        freshness, tag = fields[end:] if tagged else _NO_TRAILER
+        y, reference = fields[4:after], fields[after:end]
+        said = (fields[0], flags, fields[2], y, node, samples, reference, nodes, fields[1], freshness, tag, 2)
+        return _new(SensorPacket, said)
 
     return layout.size, read
 
@@ -159,11 +165,11 @@ def _control_reader(shape: int, count: int, inputs: int) -> Reader[ControlPacket
     unpack, end, starts = layout.read.unpack, 5 + size, range(5, 5 + size, inputs or 1)
 
     def read(data: bytes) -> ControlPacket | None:
-        fields = unpack(data)
-        seq, nonce, sample_ns, control_ns, tau = fields[:5]
-        freshness, tag = fields[end:] if tagged else (0, b"")
+        fields = unpack(data)  # seq, nonce, sample_ns, control_ns, tau, values, what follows where it is tagged
         rows = (fields[5:end],) if count == 1 else tuple([fields[i : i + inputs] for i in starts])
-        return _new(ControlPacket, (seq, sample_ns, control_ns, tau, selection, rows, nonce, freshness, tag, 2))
+        freshness, tag = fields[end:] if tagged else _NO_TRAILER
+        said = (fields[0], fields[2], fields[3], fields[4], selection, rows, fields[1], freshness, tag, 2)
+        return _new(ControlPacket, said)
 
     return layout.size, read
 

@@ -87,7 +87,8 @@ class ActuatorNode:
         Args:
             state: the plant's state.
         """
-        return self._latch(self._safety.check_state(state))
+        reason = self._safety.check_state(state)
+        return None if reason is None else self._latch(reason)
 
     def feel(self, position: float, force: float) -> str | None:
         """Let the passivity controller see what the motor did; return the reason when it trips.

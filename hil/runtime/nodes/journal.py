@@ -52,8 +52,8 @@ class Journal:
     ) -> None:  # fmt: skip
         """Record what was sensed in slot k, what the network decided about each sensor node, and what was asked."""
         draws, numbers = sent[0][0], self._numbers
-        at_once = self._asked_at_once.get(len(draws))
-        if at_once is not None and len(sent) == 1 == len(frames):  # the usual slot
+        at_once = self._asked_at_once.get(len(draws)) if len(sent) == 1 == len(frames) else None
+        if at_once is not None:  # the usual slot
             at_once(t_ns, *state, k, *y, k, *r, k, *_values_of(draws, numbers[0]), k, 0, frames[0])
             return
         self.sensed(t_ns, k, state, y, r)

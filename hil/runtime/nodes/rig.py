@@ -84,17 +84,17 @@ class Rig:
     def sense(self, t_ns: int) -> list[bytes]:
         """Advance the plant to t_k, measure, and return the frames of what the medium lets arrive in this slot."""
         k = self.k = t_ns // self._period_ns
-        plant = self._plant
+        plant, uplink = self._plant, self._uplink
         if k:
             plant.advance(self._period_ns, self.actuator.u, self._w)
         y = self._y = plant.measure()
         self._r = self._reference(k)
         nonce = self.answers.open(t_ns, k)
         for i, node in enumerate(self._sensors):
-            sample = node.measure(k, y, self._uplink.may_send(i, k))
+            sample = node.measure(k, y, uplink.may_send(i, k))
             if sample is not None:
-                self._uplink.offer(i, k, sample)
-        self._sent = self._uplink.collect(k)
+                uplink.offer(i, k, sample)
+        self._sent = uplink.collect(k)
         frames = self._frames(k, nonce)
         if self._faults is not None:
             frames[:0] = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
@@ -109,11 +109,12 @@ class Rig:
         )  # fmt: skip
 
     def _frames(self, k: int, nonce: int) -> list[bytes]:
-        version, samples, nodes, reference = self._wire.version, self._samples, len(self._sensors), self._r
-        if nodes == 1 and len(self._sent[0][1]) == 1:  # the usual case, at once
-            g, y = self._sent[0][1][0]
-            sample_ns = g * self._period_ns
-            return [encode_sensor(_new(SensorPacket, (k, 0, sample_ns, y, 0, samples[0], reference, 1, nonce, 0, b"", version)))]
+        version, sent, reference = self._wire.version, self._sent, self._r
+        if len(sent) == 1 == len(sent[0][1]):  # the usual case, at once
+            g, y = sent[0][1][0]
+            usual = (k, 0, g * self._period_ns, y, 0, self._samples[0], reference, 1, nonce, 0, b"", version)
+            return [encode_sensor(_new(SensorPacket, usual))]
+        nodes = len(self._sensors)
         arrivals = [(node, g, y) for node, (_, arrived) in enumerate(self._sent) for g, y in arrived]
         if not arrivals:
             nothing = SensorPacket(k, EMPTY, 0, (), reference=reference, nodes=nodes, nonce=nonce, version=version)
@@ -135,9 +136,13 @@ class Rig:
         if self._faults is not None:
             self._faults.log_events(t_ns, k, journal)
         journal.slot_asked(t_ns, k, state, self._y, self._r, self._sent, frames)
-        self._note_trip(t_ns, self.actuator.watch(state))
+        tripped = self.actuator.watch(state)
+        if tripped is not None:
+            self._note_trip(t_ns, tripped)
         if self._port is not None:
-            self._note_trip(t_ns, self.actuator.feel(self._y[self._port], self._plant.applied[0]))
+            tripped = self.actuator.feel(self._y[self._port], self._plant.applied[0])
+            if tripped is not None:
+                self._note_trip(t_ns, tripped)
 
     def hear(self, data: bytes) -> bool:
         """Take one frame from the link; return True when it answers the current slot."""
@@ -159,18 +164,16 @@ class Rig:
             self._downlink.offer(k, packet)
         draws, arrivals = self._downlink.collect(k)
         applied = self.actuator.apply(k, arrivals)
-        self._note_trip(t_ns, applied.tripped)
+        if applied.tripped is not None:
+            self._note_trip(t_ns, applied.tripped)
         self._w = self._disturbance(k)
         self._journal.slot_answered(t_ns, k, applied, self._w, draws, packet, self.answers.data)
         if self._end is not None and k >= self._end:
             self._stop()
 
-    def _note_trip(self, t_ns: int, reason: str | None) -> None:
-        if reason is not None:
-            self._end = self.k + self._after_trip
-            self._journal.event(
-                t_ns, "safety", f"safe state (zero input, latched): {reason}", tick=self.k, severity="error"
-            )
+    def _note_trip(self, t_ns: int, reason: str) -> None:
+        self._end = self.k + self._after_trip
+        self._journal.event(t_ns, "safety", f"safe state (zero input, latched): {reason}", tick=self.k, severity="error")
 
     def outcome(self) -> dict[str, Any]:
         """Return the counters that the summary needs."""

@@ -42,10 +42,14 @@ class Safety:
     def check_command(self, u: Sequence[float]) -> str | None:
         """Trip on a command beyond its bound; return the reason when this call trips."""
         if self.tripped is None and self._inputs is not None:
-            for i, (value, bound) in enumerate(zip(u, self._inputs)):
+            for value, bound in zip(u, self._inputs):
                 if abs(value) > bound:
-                    return self.trip(f"command {i} = {value:.4g} is beyond its limit {bound:g}")
+                    return self.trip(self._beyond(u))
         return None
+
+    def _beyond(self, u: Sequence[float]) -> str:
+        wrong = ((i, value, bound) for i, (value, bound) in enumerate(zip(u, self._inputs or ())) if abs(value) > bound)
+        return "command {} = {:.4g} is beyond its limit {:g}".format(*next(wrong))
 
     def fed(self) -> None:
         """A usable command was applied in this slot."""

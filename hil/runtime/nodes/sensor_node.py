@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Protocol
 
 
@@ -50,7 +51,7 @@ class SensorNode:
     def __init__(
         self, outputs: Sequence[int], buffer: int, trigger: Trigger, clock: Clock | None = None
     ) -> None:  # fmt: skip
-        self._outputs, self._samples, self._sends = tuple(outputs), buffer, trigger.sends
+        self._own, self._samples, self._sends = _picker(tuple(outputs)), buffer, trigger.sends
         self._due = None if clock is None else clock.due
         self._buffer: tuple[float, ...] = ()
 
@@ -62,10 +63,18 @@ class SensorNode:
             y: all outputs of the plant, shape (p,).
             turn: whether its medium lets the node send in this slot.
         """
-        own = tuple([y[i] for i in self._outputs])
+        own = self._own(y)
         if self._samples == 1:
             self._buffer = own
         else:
             self._buffer = (own + self._buffer)[: len(own) * self._samples] if k else own * self._samples
         due = self._due is None or self._due(k)
         return self._buffer if due and turn and self._sends(k, own) else None
+
+
+def _picker(outputs: tuple[int, ...]) -> Callable[[tuple[float, ...]], tuple[float, ...]]:
+    """Return what picks some outputs of all of them."""
+    if len(outputs) == 1:
+        (only,) = outputs
+        return lambda y: (y[only],)
+    return itemgetter(*outputs)

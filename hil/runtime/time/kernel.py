@@ -14,6 +14,9 @@ Handler = Callable[[int], None]
 class Kernel:
     """A heap of events on a clock.
 
+    Attributes:
+        stopped: whether :meth:`stop` was called.
+
     >>> from hil.runtime.time.clock import VirtualClock
     >>> k, seen = Kernel(VirtualClock()), []
     >>> k.at(20, lambda t: seen.append(("later", t)))
@@ -24,41 +27,30 @@ class Kernel:
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
-        self._heap: list[tuple[int, int, Handler]] = []
+        self._heap: list[tuple[int, int, Handler, int, int]] = []  # instant, number, handler, period, last instant
         self._seq = count()
-        self._stopped = False
+        self.stopped = False
 
     def at(self, t_ns: int, handler: Handler) -> None:
         """Run ``handler(t_ns)`` once at ``t_ns``."""
-        heapq.heappush(self._heap, (t_ns, next(self._seq), handler))
+        heapq.heappush(self._heap, (t_ns, next(self._seq), handler, 0, t_ns))
 
     def every(self, period_ns: int, times: int, handler: Handler) -> None:
         """Run ``handler`` at 0, ``period_ns``, ... : ``times`` times."""
-        heap, seq = self._heap, self._seq
-        last = (times - 1) * period_ns
-
-        def again(t_ns: int) -> None:
-            handler(t_ns)
-            if t_ns < last:
-                heapq.heappush(heap, (t_ns + period_ns, next(seq), again))
-
-        self.at(0, again)
-
-    @property
-    def stopped(self) -> bool:
-        """Whether :meth:`stop` was called."""
-        return self._stopped
+        heapq.heappush(self._heap, (0, next(self._seq), handler, period_ns, (times - 1) * period_ns))
 
     def stop(self) -> None:
         """Run no further event (safe in a signal handler)."""
-        self._stopped = True
+        self.stopped = True
 
     def run(self) -> None:
         """Run until no event is left, or :meth:`stop`."""
-        heap, wait, pop = self._heap, self.clock.wait_until, heapq.heappop
-        while heap and not self._stopped:
+        heap, seq, wait = self._heap, self._seq, self.clock.wait_until
+        while heap and not self.stopped:
             wait(heap[0][0])
-            if self._stopped:
+            if self.stopped:
                 return
-            t_ns, _, handler = pop(heap)
+            t_ns, _, handler, period_ns, last = heapq.heappop(heap)
             handler(t_ns)
+            if t_ns < last:
+                heapq.heappush(heap, (t_ns + period_ns, next(seq), handler, period_ns, last))
