@@ -57,8 +57,11 @@ def _decide(coefficients: Sequence[Fraction]) -> bool:
                 p = [-c for c in p]
     if _at(p, 1) < 0:
         return False
-    odd = _odd_part(p)
-    return _roots_inside(odd) == 0
+    chain = _chain(p, _derivative(p))
+    if len(chain[-1]) > 1:  # multiple roots: p changes sign only at those of odd multiplicity
+        odd = _odd_part(p, chain[-1])
+        chain = _chain(odd, _derivative(odd))
+    return _changes(chain, -1) == _changes(chain, 1)  # no root in (-1, 1), Sturm
 
 
 def minimum(coefficients: Sequence[float]) -> tuple[float, float]:
@@ -156,13 +159,10 @@ def _chain(p: Integers, q: Integers) -> list[Integers]:
     return [c for c in chain if c]
 
 
-def _odd_part(p: Integers) -> Integers:
-    """The product of the factors of odd multiplicity; its roots are where p changes sign."""
-    odd, rest, multiplicity = [1], p, 1
-    common = _chain(rest, _derivative(rest))[-1] if len(rest) > 1 else [1]
-    if len(common) == 1:
-        return p
-    square_free = _divided(rest, common)
+def _odd_part(p: Integers, common: Integers) -> Integers:
+    """The product of the factors of odd multiplicity, from the greatest common divisor of p and its derivative."""
+    odd, multiplicity = [1], 1
+    square_free = _divided(p, common)
     while len(square_free) > 1:
         shared = _chain(square_free, common)[-1] if len(common) > 1 else [1]
         shared = [1] if len(shared) == 1 else shared
@@ -182,14 +182,7 @@ def _product(p: Integers, q: Integers) -> Integers:
     return out
 
 
-def _roots_inside(p: Integers) -> int:
-    """How many roots a square-free polynomial has in (-1, 1), given that neither -1 nor 1 is one."""
-    if len(p) <= 1:
-        return 0
-    chain = _chain(p, _derivative(p))
-
-    def changes(x: int) -> int:
-        signs = [v > 0 for v in (_at(c, x) for c in chain) if v != 0]
-        return sum(a != b for a, b in pairwise(signs))
-
-    return changes(-1) - changes(1)
+def _changes(chain: Sequence[Integers], x: int) -> int:
+    """How often the sign changes along a chain at x, zeros left out."""
+    signs = [v > 0 for v in (_at(c, x) for c in chain) if v != 0]
+    return sum(a != b for a, b in pairwise(signs))
