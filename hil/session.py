@@ -191,7 +191,7 @@ def run_session(
     begun = monotonic_ns()
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
     keep = _summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
-    with McapSink(path, loop.channels(), provenance, now=now, index=index, keep=keep) as sink:
+    with McapSink(path, loop.channels(on_can=uri.startswith("can:")), provenance, now=now, index=index, keep=keep) as sink:
         outcome: dict[str, Any] = {}
         if clock == "virtual":
             outcome = _run_in_virtual_time(loop, TeeSink(sink, Taps(taps)) if taps else sink)

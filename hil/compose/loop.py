@@ -90,13 +90,18 @@ class Loop:
         """Return the control law, ready for slot 0."""
         return self.controller.start(self.model)
 
-    def channels(self) -> dict[str, Channel]:
-        """Return the topics that a run of this loop logs."""
+    def channels(self, *, on_can: bool = False) -> dict[str, Channel]:
+        """Return the topics that a run of this loop logs.
+
+        Args:
+            on_can: the link of the session is a CAN link.
+        """
         plant = self.experiment.plant
         passivity = self.experiment.limits.passivity is not None
         return channels(
             states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows,
             numbered=any(sensor.numbered for sensor in self.sensors), passivity=passivity,
+            on_can=on_can,
         )  # fmt: skip
 
     def reference(self) -> Callable[[int], tuple[float, ...]]:

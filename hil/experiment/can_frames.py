@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from design.controllers import row_count
 from hil.errors import ExperimentError
 from hil.experiment.sensor_list import Sensor, sensors_of
@@ -156,6 +158,35 @@ def said_identifiers(e: Experiment, uri: str) -> dict[str, dict[str, str]]:
         return {}  # more nodes than a CAN link has identifiers for
     told = {f"can_id.{sensor.name}": said(ids) for sensor, ids in zip(sensors_of(e), own.sensors, strict=True)}
     return {"/link/sensor": told, "/link/control": {"can_id.control": said(own.control)}}
+
+
+@dataclass(frozen=True, slots=True)
+class FirstIdentifiers:
+    """The CAN identifier with which each packet begins.
+
+    Args:
+        sensors: of each sensor node, by number.
+        control: of the control packets.
+    """
+
+    sensors: tuple[int, ...]
+    control: int
+
+
+def session_identifiers(e: Experiment, uri: str) -> FirstIdentifiers | None:
+    """Return the identifiers of the packets of a session, None where its link is no CAN link.
+
+    Args:
+        e: the experiment.
+        uri: the link of the session.
+
+    Raises:
+        TransportError: options that say none.
+    """
+    if not uri.startswith("can:"):
+        return None
+    own = identifiers_on(e, uri)
+    return FirstIdentifiers(tuple(ids[0] for ids in own.sensors), own.control[0])
 
 
 def _path(sensor: Sensor) -> str:

@@ -220,6 +220,7 @@ def channels(
     n_rows: int,
     numbered: bool = False,
     passivity: bool = False,
+    on_can: bool = False,
 ) -> dict[str, Channel]:
     """Every signal topic of a session, in the order of their numbers (``/events`` stands apart, in JSON).
 
@@ -228,6 +229,7 @@ def channels(
         n_rows: rows of the longest control packet that the selection rule can demand.
         numbered: what the network decided about a sensor packet says of which node it is.
         passivity: the rig has a passivity controller: what it saw and did is logged.
+        on_can: frames have CAN identifiers, which their records say.
 
     Returns:
         Topic to channel.
@@ -240,6 +242,7 @@ def channels(
     rows = tuple(
         Field(type="float64", name=f"row{i}_{f.name}", unit=f.unit) for i in range(max(n_rows, 1)) for f in u
     )
+    frame = ("CanFrame", (_tick, _can_id, *_frame[1:])) if on_can else ("LinkFrame", _frame)
     table: tuple[tuple[str, str, tuple[Field, ...]], ...] = (
         ("/plant/state", "PlantState", (*x, _tick)),
         ("/plant/measurement", "PlantMeasurement", (*y, _tick)),
@@ -254,8 +257,8 @@ def channels(
             _i32("selection", "1", "code of the selection rule"))),
         ("/network/sc", "NodeDraw" if numbered else "NetworkDraw", _node_draw if numbered else _draw),
         ("/network/ca", "NetworkDraw", _draw),
-        ("/link/sensor", "LinkFrame", _frame),
-        ("/link/control", "LinkFrame", _frame),
+        ("/link/sensor", *frame),
+        ("/link/control", *frame),
         ("/timing/tick", "TickTiming", (
             _f64("lateness_us", "us", "wake-up after the nominal time"),
             _f64("round_trip_us", "us", "sensor frame out to control frame in, NaN if none came"),
@@ -309,6 +312,7 @@ _draw: Final = (
     _u8("reason", "code of the fate, names in the metadata"),
 )
 _node_draw: Final = (*_draw[:-1], _i32("node", "1", "number of the sensor node"), _draw[-1])
+_can_id: Final = _i32("can_id", "1", "CAN identifier of the frame, of the first one where several carry the packet")
 _frame: Final = (
     _tick, _u8("late", "came after the deadline"), Field(type="uint8[]", name="data", doc="bytes on the link")
 )

@@ -57,12 +57,15 @@ def foxglove(schemas: Mapping[str, Schema]) -> str:
 
     Args:
         schemas: see `panels`.
+
+    Reference:
+        Lichtblick, packages/suite-base/src: context/CurrentLayoutContext/actions.ts (`LayoutData`), panels/Plot/utils/config.ts
+        (`PlotConfig`, `PlotPath`), panels/RawMessages/types.ts; packages/message-path/src/grammar.ne (the paths).
     """
     configs: dict[str, Any] = {}
     for i, panel in enumerate(panels(schemas)):
         configs[f"Plot!{i}"] = {
             "foxglovePanelTitle": panel.title,
-            "title": panel.title,
             "paths": [
                 {"value": f"{topic}.{name}", "label": f"{topic} {name}", "enabled": True, "timestampMethod": "receiveTime"}
                 for topic, name in panel.curves
@@ -71,7 +74,10 @@ def foxglove(schemas: Mapping[str, Schema]) -> str:
             "showPlotValuesInLegend": True, "isSynced": True, "xAxisVal": "timestamp", "sidebarDimension": 240,
         }  # fmt: skip
     plots = _stacked(list(configs))
-    configs["RawMessages!events"] = {"topicPath": EVENTS_TOPIC, "diffEnabled": False, "diffMethod": "custom"}
+    configs["RawMessages!events"] = {
+        "topicPath": EVENTS_TOPIC, "diffEnabled": False, "diffMethod": "previous message", "diffTopicPath": "",
+        "showFullMessageForDiff": False,
+    }  # fmt: skip
     layout = {"direction": "row", "first": plots, "second": "RawMessages!events", "splitPercentage": 75}
     return json.dumps(
         {
@@ -86,6 +92,9 @@ def plotjuggler(schemas: Mapping[str, Schema]) -> str:
 
     Args:
         schemas: see `panels`.
+
+    Reference:
+        PlotJuggler, plotjuggler_app: mainwindow.cpp, plot_docker.cpp and plotwidget.cpp, each `xmlLoadState`.
     """
     found = panels(schemas)
     root = ElementTree.Element("root")

@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 
 from hil.compose.loop import compose
 from hil.experiment import experiment_from_resolved, load_experiment
+from hil.log.read.measured_frames import FRAME_TOPICS
 from hil.log.read.run import read_run
 from hil.replay import verify
 from hil.session import run_session, simulate
@@ -54,6 +55,8 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
             np.testing.assert_array_equal(real.run.arrays[topic][name][:end], virtual.arrays[topic][name][:end])
     assert len(real.run.arrays["/timing/tick"]) == real.summary["ticks"]
     assert real.summary["log"]["dropped"] == 0
+    said = [set(real.run.arrays[topic]["can_id"]) for topic in FRAME_TOPICS if "can_id" in real.run.arrays[topic].dtype.names]
+    assert said == ([{0x100}, {0x140}] if which == 0 else [])
     if late is None:
         assert verify(real.run).difference is None
         with open(tmp_path / "real.mcap", "rb") as file:

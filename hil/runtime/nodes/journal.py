@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import nan
 
+from hil.experiment.can_frames import FirstIdentifiers
 from hil.log.records import PASSIVITY_TOPIC, Channel
 from hil.log.write.sinks import Sink, record_to, records_to
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.port_damper import Injected
 from transport.medium.draws import Draw
 from transport.medium.medium import Delivery
-from transport.packets import ControlPacket
+from transport.packets import ControlPacket, node_of
 
 _SENSED = ("/plant/state", "/plant/measurement", "/reference")
 _ANSWERED = ("/link/control", "/controller/rows")
@@ -27,10 +28,12 @@ class Journal:
         channels: the table of what is logged.
         row_values: values of a control packet that its record holds, rows times inputs.
         numbers: of each sensor node what a record of its draws holds of its number: the number, or nothing.
+        identifiers: CAN identifiers, where the records of frames hold them.
     """
 
     def __init__(
-        self, sink: Sink, channels: Mapping[str, Channel], row_values: int, numbers: Sequence[tuple[int, ...]] = ((),)
+        self, sink: Sink, channels: Mapping[str, Channel], row_values: int, numbers: Sequence[tuple[int, ...]] = ((),),
+        identifiers: FirstIdentifiers | None = None,
     ) -> None:  # fmt: skip
         self.event = sink.event
         self._log = {topic: record_to(sink, channel) for topic, channel in channels.items()}
@@ -43,6 +46,10 @@ class Journal:
         self._control = self._log["/link/control"]
         self._passivity = self._log.get(PASSIVITY_TOPIC)
         self._row_values, self._numbers = row_values, tuple(numbers)
+        # What the record of a frame holds of its identifier: the identifier, or nothing.
+        self._sensor_ids = [(i,) for i in identifiers.sensors] if identifiers else [()] * len(self._numbers)
+        self._control_id = (identifiers.control,) if identifiers else ()
+        self._nowhere = (-1,) if identifiers else ()
         self._asked_at_once = {n: records_to(sink, (*_SENSED, *["/network/sc"] * n, "/link/sensor")) for n in _DRAWS}
         self._answered_at_once = {n: records_to(sink, ("/actuator/applied", *["/network/ca"] * n, *_ANSWERED)) for n in _DRAWS}
 
@@ -54,7 +61,7 @@ class Journal:
         draws, numbers = sent[0][0], self._numbers
         at_once = self._asked_at_once.get(len(draws)) if len(sent) == 1 == len(frames) else None
         if at_once is not None:  # the usual slot
-            at_once(t_ns, *state, k, *y, k, *r, k, *_values_of(draws, numbers[0]), k, 0, frames[0])
+            at_once(t_ns, *state, k, *y, k, *r, k, *_values_of(draws, numbers[0]), k, *self._sensor_ids[0], 0, frames[0])
             return
         self.sensed(t_ns, k, state, y, r)
         for (draws, _), number in zip(sent, numbers):
@@ -72,7 +79,7 @@ class Journal:
             values = packet.rows[0] if len(packet.rows) == 1 else [v for row_of in packet.rows for v in row_of]
             if len(values) == self._row_values:  # the usual slot
                 at_once(
-                    t_ns, *u, *w, k, packet_tick, d, row, status, *_values_of(draws), k, 0, data,
+                    t_ns, *u, *w, k, packet_tick, d, row, status, *_values_of(draws), k, *self._control_id, 0, data,
                     *values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection,
                 )  # fmt: skip
                 return
@@ -96,7 +103,13 @@ class Journal:
         """Record the sensor frames of slot k."""
         if self._sensor:
             for frame in frames:
-                self._sensor(t_ns, k, 0, frame)
+                self._sensor(t_ns, k, *self._sensor_id(frame), 0, frame)
+
+    def _sensor_id(self, frame: bytes) -> tuple[int, ...]:
+        """Return what the record of a sensor frame holds; -1 if its mangled number names no node, as nobody sends it then."""
+        own = self._sensor_ids
+        node = node_of(frame) if len(own) > 1 else 0
+        return own[node] if node < len(own) else self._nowhere
 
     def draws(self, topic: str, t_ns: int, draws: Sequence[Draw], number: tuple[int, ...] = ()) -> None:
         """Record the decisions of a network law, with the number of the node where the log has it."""
@@ -119,7 +132,7 @@ class Journal:
     def answered(self, t_ns: int, k: int, packet: ControlPacket, data: bytes) -> None:
         """Record the control packet that answered slot k in time."""
         if self._control:
-            self._control(t_ns, k, 0, data)
+            self._control(t_ns, k, *self._control_id, 0, data)
         if self._rows:
             values = [v for row in packet.rows for v in row][: self._row_values]
             values += [nan] * (self._row_values - len(values))
@@ -128,7 +141,7 @@ class Journal:
     def late(self, t_ns: int, seq: int, data: bytes) -> None:
         """Record a control frame that came too late for the slot that it answers."""
         if self._control:
-            self._control(t_ns, seq, 1, data)
+            self._control(t_ns, seq, *self._control_id, 1, data)
 
 
 def _values_of(draws: Sequence[Draw], number: tuple[int, ...] = ()) -> Sequence[float]:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from hil.compose.loop import Loop
+from hil.experiment.can_frames import FirstIdentifiers
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
 from hil.runtime.nodes.actuator_node import ActuatorNode
@@ -41,6 +42,7 @@ class Rig:
         channels: the table of what is logged.
         stop: ends the run (after a trip of the safety, once ``after_trip`` has passed).
         wire: version and nonces; by default version 2 without nonces, as nobody else can speak in virtual time.
+        identifiers: CAN identifiers of the frames, where the table holds them.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class Rig:
         channels: dict[str, Channel],
         stop: Callable[[], None],
         wire: Wire | None = None,
+        identifiers: FirstIdentifiers | None = None,
     ) -> None:
         e = loop.experiment
         inputs, names = len(e.plant.inputs), [s.name for s in e.plant.states]
@@ -68,7 +71,7 @@ class Rig:
         self._port = loop.port.output if loop.port is not None and e.limits.passivity is not None else None
         self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop))
         numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.sensors)]
-        self._journal = Journal(sink, channels, loop.rows * inputs, numbers)
+        self._journal = Journal(sink, channels, loop.rows * inputs, numbers, identifiers)
         self._wire = wire or VIRTUAL
         self.answers = Answers(inputs, loop.model.d_max, self._journal, self._wire)
         self._reference, self._disturbance = loop.reference(), loop.disturbance()

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from types import FrameType
 
 from hil.compose.loop import Loop
-from hil.experiment.can_frames import about_rig
+from hil.experiment.can_frames import about_rig, session_identifiers
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import record_to
 from hil.runtime.nodes.controller_node import ControlNode
@@ -56,10 +56,11 @@ class RealLoop:
 
     def __init__(self, job: Job, link: Link, sink: PipeSink, wire: Wire) -> None:
         e = job.loop.experiment
-        channels = job.loop.channels()
+        identifiers = session_identifiers(e, job.uri)
+        channels = job.loop.channels(on_can=identifiers is not None)
         self.clock = RealClock(0)  # until the session begins
         self.kernel = Kernel(self.clock)
-        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire)
+        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire, identifiers)
         self.overruns = 0
         self._sink = sink
         self._period_ns = e.period_ns
@@ -114,7 +115,7 @@ def main() -> None:
             loop.kernel.stop()
 
     signal.signal(signal.SIGTERM, stop)
-    sink = PipeSink(job.log_fd, job.loop.channels())
+    sink = PipeSink(job.log_fd, job.loop.channels(on_can=job.uri.startswith("can:")))
     timing = job.loop.experiment.timing
     # Before the link is opened, so that the threads of a link inherit the priority.
     scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.uri), timing.idle == "awake")

@@ -81,7 +81,7 @@ def run_real(
     def keep_log() -> None:
         leave_to_loop(loop.experiment.timing.affinity, uri)
         go_ahead_of_others()
-        pump(read_fd, sink, loop.channels(), taps=taps, stop=stop_pump.is_set, report=outcome.pump)
+        pump(read_fd, sink, loop.channels(on_can=uri.startswith("can:")), taps=taps, stop=stop_pump.is_set, report=outcome.pump)
 
     thread = threading.Thread(target=keep_log, name="log")
     with StopSignals() as signals:

@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from hil.log.read.run import read_run
+from hil.log.records import EVENTS_TOPIC
 from tests.hil.cli.conftest import Hil
+
+# What the viewers read, from their sources: Lichtblick's LayoutData, PlotConfig, PlotPath and RawMessagesPanelConfig.
+LAYOUT = {"configById", "layout", "globalVariables", "playbackConfig", "userNodes"}
+PLOT = {"paths", "showLegend", "legendDisplay", "showPlotValuesInLegend", "showXAxisLabels", "showYAxisLabels", "isSynced",
+        "xAxisVal", "sidebarDimension", "foxglovePanelTitle"}  # fmt: skip
+PATH = {"value", "enabled", "label", "timestampMethod"}
+RAW_MESSAGES = {"topicPath", "diffEnabled", "diffMethod", "diffTopicPath", "showFullMessageForDiff"}
+MESSAGE_PATH = re.compile(r"(/[a-zA-Z0-9_-]+)+\.[a-zA-Z0-9_-]+")  # a topic and a name, as packages/message-path parses them
+
+# The elements and attributes of PlotJuggler's xmlLoadState that a plot over time has.
+ELEMENTS = {
+    "root": set(), "tabbed_widget": {"parent", "name"}, "Tab": {"tab_name", "containers"}, "Container": set(),
+    "DockSplitter": {"orientation", "count", "sizes"}, "DockArea": {"name"}, "plot": {"mode", "style", "flip_x", "flip_y"},
+    "limitY": set(), "curve": {"name", "color"}, "currentTabIndex": {"index"}, "use_relative_time_offset": {"enabled"},
+}  # fmt: skip
 
 
 def leaves(node: Any) -> list[str]:
@@ -32,6 +49,23 @@ def test_a_layout_names_topics_and_fields_of_a_real_log(hil_log: Path, cli: Hil)
     assert {curve.rpartition("/")[::2] for curve in curves} == {path.rpartition(".")[::2] for path in paths}
     splitter = next(plots.iter("DockSplitter"))
     assert int(splitter.attrib["count"]) == len(splitter) == len(layout["configById"]) - 1
+
+
+def test_a_layout_has_what_the_viewers_read_and_nothing_else(hil_log: Path, cli: Hil) -> None:
+    layout = json.loads(cli("layout", "foxglove", hil_log)[1])
+    assert set(layout) == LAYOUT
+    for name, config in layout["configById"].items():
+        assert set(config) == {"Plot": PLOT, "RawMessages": RAW_MESSAGES}[name.partition("!")[0]]
+        for path in config.get("paths", []):
+            assert set(path) == PATH and path["timestampMethod"] in ("receiveTime", "headerStamp")
+            assert MESSAGE_PATH.fullmatch(path["value"])
+    assert layout["configById"]["RawMessages!events"]["topicPath"] == EVENTS_TOPIC
+    root = ElementTree.fromstring(cli("layout", "plotjuggler", hil_log)[1])
+    assert {element.tag: set(element.attrib) for element in root.iter()} == ELEMENTS
+    assert [child.tag for child in root] == ["tabbed_widget", "use_relative_time_offset"]
+    (splitter,) = root.iterfind("tabbed_widget/Tab/Container/DockSplitter")
+    assert len(splitter.attrib["sizes"].split(";")) == len(splitter) and splitter.attrib["orientation"] in "|-"
+    assert all([child.tag for child in area][:2] == ["plot"] for area in splitter)
 
 
 def test_a_layout_replaces_nothing_unasked(cli: Hil) -> None:
