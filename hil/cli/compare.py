@@ -9,17 +9,20 @@ from typing import Any
 
 import click
 
-from hil.cli.completion import EXPERIMENT
+from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.errors import HilError
 
 
 @click.command()
 @click.argument("experiments", type=EXPERIMENT, nargs=-1, required=True)
 @click.option("--runs", type=int, default=200, show_default=True, help="Runs of each; seeds 0, 1, ...")
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of all of them.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write a page with the distributions.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | None, as_json: bool) -> None:
+def command(
+    experiments: tuple[str, ...], runs: int, sets: tuple[str, ...], jobs: int, output: Path | None, as_json: bool
+) -> None:
     """Run EXPERIMENTS for the same seeds; print and plot the distributions of their metrics.
 
     Streams of random numbers are named, so experiments with the same network laws meet the same delays.
@@ -47,7 +50,7 @@ def command(experiments: tuple[str, ...], runs: int, jobs: int, output: Path | N
         check_output(output, page=True)  # now, and not after minutes of work
     if len(set(experiments)) < len(experiments):
         raise HilError("the same experiment is named twice")
-    checked = {name: load_experiment(name) for name in experiments}
+    checked = {name: load_experiment(name, list(sets)) for name in experiments}
     err = Console(stderr=True)
     with Progress(console=err, disable=not err.is_terminal) as bar:
         tasks = {name: bar.add_task(escape(visible(name)), total=runs) for name in checked}

@@ -24,7 +24,7 @@ def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.Mon
     monkeypatch.setenv("COLUMNS", columns)
     _, out, _ = cli("sweep", "dc-motor-hinf", "--runs", "3", *SHORT)
     assert "…" not in out and "steady_state_error" in out
-    _, out, _ = cli("compare", "dc-motor-hinf", "dc-motor-h2", "--runs", "2", "--jobs", "1")
+    _, out, _ = cli("compare", "dc-motor-hinf", "dc-motor-h2", "--runs", "2", *SHORT)
     assert "…" not in out and "dc-motor-hinf" in out
 
 
@@ -66,6 +66,7 @@ def test_a_sweep_keeps_its_rows_and_refuses_those_of_another(cli: Hil, tmp_path:
         (["dc-motor-hinf", "dc-motor-h2", "--runs", "1"], "--runs: 1"),
         (["dc-motor-hinf", "dc-motor-h2", "--jobs", "0"], "--jobs: 0"),
         (["dc-motor-hinf", "dc-motor-h2", "-o", "."], "is a folder"),
+        (["dc-motor-hinf", "dc-motor-h2", "--set", "plant.gian=1"], "plant.gian: unknown field"),
         (["dc-motor-hinf", "dc-motor-h2", "--runs", "100000", "-o", "no/x.html"], "no folder no"),
     ],
 )
@@ -75,9 +76,11 @@ def test_a_bad_comparison_is_refused_before_it_starts(cli: Hil, arguments: list[
 
 
 def test_compare_writes_a_page_and_paired_differences(cli: Hil, tmp_path: Path) -> None:
-    arguments = ("dc-motor-hinf", "dc-motor-h2", "--runs", "2", "--jobs", "1", "-o", "page.html", "--json")
+    arguments = ("dc-motor-hinf", "dc-motor-h2", "--runs", "2", *SHORT, "-o", "page.html", "--json")
     status, out, _ = cli("compare", *arguments)
-    assert status == 0 and json.loads(out)["experiments"]["dc-motor-h2"]["difference"]["sse"]["mean"] is not None
+    found = json.loads(out)["experiments"]["dc-motor-h2"]
+    assert status == 0 and found["difference"]["sse"]["mean"] is not None
+    assert found["metrics"]["sse_after_5s"]["mean"] is None  # SHORT ends before
     assert "<html" in (tmp_path / "page.html").read_text()
 
 
