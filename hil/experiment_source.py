@@ -14,7 +14,10 @@ import numpy as np
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment import load_experiment as read_experiment
+from hil.experiment.load import parse_plugin
 from hil.experiment.objects import with_objects
+from hil.experiment.own_plugins import own_fault
+from hil.experiment.plugins import group_of, kind_of_class
 from plants import LinearPlant, from_control
 
 Source = str | Path | Experiment
@@ -58,6 +61,27 @@ def checked_experiment(source: Source, seed: int | None, duration: str | float |
         raise HilError("a loaded experiment takes no changes but a plant and a controller: give them to load_experiment")
     found = with_objects(source, **changes)
     return found if seed is None else msgspec.structs.replace(found, seed=seed)
+
+
+def object_of(path: str, value: Any) -> Any:
+    """Return the plant or the controller that a value stands for: itself, or what the table is that it would be in a file.
+
+    Args:
+        path: "plant" or "controller".
+        value: as in `load_experiment`.
+
+    Raises:
+        HilError: it is none, with what it lacks.
+    """
+    table, group = _table_of(path, value), group_of(path)
+    if isinstance(table, Mapping):
+        said = [f"{key}={_toml(each, path)}" for key, each in table.items() if key != "kind" and each is not None]
+        return parse_plugin(group, str(table["kind"]), said)
+    installed = dataclasses.is_dataclass(type(table)) and kind_of_class(group, type(table)) is not None
+    fault = None if installed else own_fault(group, table)
+    if fault is not None:
+        raise HilError(f"{path}: {type(table).__module__}.{type(table).__qualname__}: {fault}")
+    return table
 
 
 def _table_of(path: str, value: Any) -> Any:

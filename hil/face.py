@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hil.compose.design_problem import problem_for, tracking_target
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
-from hil.experiment_source import Source, checked_experiment
+from hil.experiment_source import Source, checked_experiment, object_of
 from hil.log.read.run import read_run
 from hil.log.run import Run
 from hil.replay import Verdict as LogVerdict
@@ -44,7 +44,9 @@ def verify(
     """
     run = read_run(Path(log))
     where = None if folder is None else str(folder)
-    return verify_run(run, str(log), experiment_of(run, str(log), plant=plant, controller=controller, folder=where))
+    given = {"plant": plant, "controller": controller}
+    made = {name: None if value is None else object_of(name, value) for name, value in given.items()}
+    return verify_run(run, str(log), experiment_of(run, str(log), folder=where, **made))
 
 
 def run(

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 
@@ -140,3 +141,15 @@ def test_sweep_compare_and_design_give_numbers() -> None:
     mine, theirs = (compared.values[name]["sse"] for name in ("dc-motor-h2", "dc-motor-hinf"))
     assert gap["n"] == 3 and gap["mean"] == pytest.approx(np.mean(mine - theirs))
     assert hil.design("dc-motor", information="constant", starts=1).certificate.stable
+
+
+def test_a_log_is_verified_with_the_models_that_it_was_run_with(tmp_path: Path) -> None:
+    motor = control.tf([150.0], [1.0, 12.0, 0.0])
+    gain = [[0.05]]
+    changes = {"limits.state": {}, "reference.0.at": 0.25, "allow_uncertified": True}
+    hil.run("dc-motor-hinf", plant=motor, controller=gain, duration=1, log=tmp_path / "a.mcap", **changes)
+    assert hil.verify(tmp_path / "a.mcap", plant=motor, controller=gain).difference is None
+    other = hil.verify(tmp_path / "a.mcap", plant=control.tf([140.0], [1.0, 12.0, 0.0])).difference
+    assert other is not None and "/plant/measurement" in str(other)
+    with pytest.raises(hil.HilError, match=r"plant: builtins\.int: is no plant"):
+        hil.verify(tmp_path / "a.mcap", plant=3)
