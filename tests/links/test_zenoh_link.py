@@ -78,19 +78,19 @@ def uri(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 def test_controller_may_come_first_and_finds_a_rig_that_was_killed_and_restarted(uri: str) -> None:
     with open_link(uri, "controller") as link:
         with other_end(uri, "rig") as rig:
-            assert answered(link, 5)
+            assert answered(link, 30)
             rig.kill()
             rig.wait()
             while link.receive(0.2) is not None:
                 pass  # what it had answered before, to the end of the queue
             assert not answered(link, 0.3)
         with other_end(uri, "rig"):
-            assert answered(link, 5)
+            assert answered(link, 30)
 
 
 def test_a_stopped_controller_never_blocks_the_rig(uri: str) -> None:
     with open_link(uri, "rig") as link, other_end(uri, "controller") as controller:
-        assert answered(link, 5)
+        assert answered(link, 30)
         os.kill(controller.pid, signal.SIGSTOP)
         slowest = 0.0
         for seq in range(30_000):
@@ -99,7 +99,7 @@ def test_a_stopped_controller_never_blocks_the_rig(uri: str) -> None:
             slowest = max(slowest, monotonic() - begin)
         assert slowest < SEND_LIMIT_S
         os.kill(controller.pid, signal.SIGCONT)
-        assert answered(link, 5)
+        assert answered(link, 30)
 
 
 class Forwarder:
@@ -174,7 +174,7 @@ def test_a_cut_cable_is_survived_and_both_ends_meet_again() -> None:
         ):
             meet(rig, controller)
             forwarder.cut()
-            deadline = monotonic() + 5
+            deadline = monotonic() + 30
             while controller.receive(0.05) is not None or rig.receive(0.05) is not None:
                 assert monotonic() < deadline
             for seq in range(200):
