@@ -134,6 +134,6 @@ def _sojourns(path: Path, problem: Any) -> tuple[int, ...]:
         raise FieldError("design", f"{path}: problem.sc: expected delays and labels: {error!s:.200}") from None
     if np.array_equal(chain.label, chain.delay):
         return ()
-    if (np.diff(chain.label_delay, prepend=0) < 0).any():
+    if chain.label.max() >= len(chain.label) or (np.diff(chain.label_delay, prepend=0) < 0).any():
         raise FieldError("design", f"{path}: problem.sc: expected delays and labels, these 0, 1, ... in the order of the delays")
     return chain.sojourns

@@ -24,8 +24,8 @@ from hil.regular_file import read_regular
 MAX_BYTES: Final = 16_000_000
 MOST_NUMBERS: Final = 1_000_000
 SUFFIXES: Final = (".npz", ".npy", ".csv", ".mat")
-_BROKEN: Final = (ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError, OSError, NotImplementedError,
-                  UnicodeError, SyntaxError, RecursionError, struct.error, zlib.error, zipfile.BadZipFile,
+_BROKEN: Final = (ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, EOFError, OSError, RuntimeError,
+                  UnicodeError, SyntaxError, struct.error, zlib.error, zipfile.BadZipFile,
                   tokenize.TokenError)  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions
     unknown = [key for key in table if key not in ("file", "key")]
     name, key = table.get("file"), table.get("key", field)
     if unknown or not isinstance(name, str) or not isinstance(key, str):
-        raise HilError(f"expected numbers, or {{ file = \"name.npz\", key = {field!r} }} that holds them; got {table!r:.60}")
+        raise HilError(f'expected numbers, or {{ file = "name.npz", key = {field!r} }} that holds them; got {table!r:.60}')
     path, suffix = Path(folder, name), Path(name).suffix.lower()
     if suffix not in SUFFIXES:
         raise HilError(f"{name!r:.80}: expected a name that ends in {', '.join(SUFFIXES)}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,9 @@ from transport.laws.statistics import law_p_value, mode_counts, transition_count
 from transport.medium.draws import REASONS
 
 Draws: TypeAlias = npt.NDArray[np.void]
+
+MOST_MODES: Final = 256
+"""Modes beyond which they are not counted: a foreign log may name any number as a mode, and pairs take its square."""
 
 
 def mode_sequence(draws: Draws) -> npt.NDArray[np.int64]:
@@ -37,8 +40,8 @@ def network_metrics(
         reasons: names of the codes in `draws["reason"]`.
 
     Returns:
-        law (its kind), mode_counts, transition_counts (row: from), p_value (None where the law has no test or the record is
-        too short), lost (by the loss law or a full queue), late, duplicated, fates (reason: count).
+        law (its kind), mode_counts, transition_counts (row: from; both empty above `MOST_MODES`), p_value (None where the law
+        has no test or the record is too short), lost (by the loss law or a full queue), late, duplicated, fates (reason: count).
     """
     found: dict[str, Any] = {"law": kind, "mode_counts": [], "transition_counts": [], "p_value": None}
     fates: dict[str, int] = {}
@@ -46,8 +49,9 @@ def network_metrics(
         modes = mode_sequence(draws)
         expected = expected_frequencies(law)
         size = max(0 if expected is None else len(expected), int(modes.max(initial=-1)) + 1)
-        found["mode_counts"] = mode_counts(modes, size).tolist()
-        found["transition_counts"] = transition_counts(modes, size).tolist() if size else []
+        if 0 < size <= MOST_MODES:
+            found["mode_counts"] = mode_counts(modes, size).tolist()
+            found["transition_counts"] = transition_counts(modes, size).tolist()
         found["p_value"] = _p_value(law, modes, draws)
         counts = np.sum([np.bincount(piece["reason"], minlength=256) for piece in pieces(draws)], axis=0)
         fates = {reasons[c] if c < len(reasons) else str(c): int(counts[c]) for c in np.flatnonzero(counts).tolist()}

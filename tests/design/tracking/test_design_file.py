@@ -49,6 +49,7 @@ def test_written_design_is_read_back(design, tmp_path):
         (lambda d: d["gains"][0][0][0].__setitem__(0, 10**400), "gains: a number exceeds"),
         (lambda d: d["gains"][0][0][0].__setitem__(0, 1e308), "gains: shape .* at most"),
         (lambda d: d.update(period_s=10**400), "period_s: 1000"),
+        (lambda d: d["problem"]["sc"].update(labels=[0, 1, 10**12]), "problem.sc: expected delays and labels"),
         (lambda d: d["problem"]["sc"].update(delays=[0, 10**400]), "problem.sc: expected delays and labels"),
         (lambda d: d.update(selection=["applied"]), "selection: "),
         (lambda d: d.clear(), "no design file"),

@@ -64,12 +64,21 @@ def _huge_npz(path: Path) -> None:
         file.writestr("A.npy", head.getvalue())
 
 
+def _encrypted(path: Path) -> None:
+    np.savez(path, A=A)
+    data = path.read_bytes()
+    for mark, at in ((b"PK\3\4", 6), (b"PK\1\2", 8)):  # the flag of the member, and of its entry in the directory
+        data = data[: data.index(mark) + at] + b"\1" + data[data.index(mark) + at + 1 :]
+    path.write_bytes(data)
+
+
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "bomb.mat": (_bomb, "unpacks to more than 16000000 bytes"),
     "huge.npz": (_huge_npz, r"key 'A': an array of shape \(1000000000000,\); at most 1000000 numbers"),
     "pickle.npz": (lambda p: np.savez(p, A=np.array([{}], dtype=object)), "key 'A': holds an array of kind 'O', expected real"),
     "complex.npz": (lambda p: np.savez(p, A=np.array([1j])), "key 'A': holds an array of kind 'c'"),
     "other.npz": (lambda p: np.savez(p, B=A), "has no key 'A'; it has 'B'"),
+    "encrypted.npz": (_encrypted, r"is no whole \.npz file: File 'A.npy' is encrypted"),
     "torn.npz": (lambda p: p.write_bytes(b"PK\3\4 no zip"), r"is no whole \.npz file"),
     "text.mat": (lambda p: savemat(p, {"A": "abc"}), "key 'A': holds char, expected a full matrix"),
     "other.mat": (lambda p: savemat(p, {"B": A}), "has no key 'A'; it has 'B'"),

@@ -87,6 +87,13 @@ def test_law_that_cannot_be_made_again_is_still_counted() -> None:
     assert found["law"] == "somebody-elses" and sum(found["mode_counts"]) == 1000 and found["p_value"] is None
 
 
+def test_a_mode_that_no_network_has_takes_no_memory_for_its_pairs() -> None:
+    draws = run_of("dc-motor-hinf").arrays["/network/ca"].copy()
+    draws["mode"][-1] = np.iinfo(draws["mode"].dtype).max
+    found = network_metrics(draws, None, "somebody-elses")
+    assert found["mode_counts"] == [] and found["transition_counts"] == []
+
+
 def test_timing_verdict_names_every_reason() -> None:
     n = 1000
     quiet = np.full(n, 30.0)
