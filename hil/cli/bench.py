@@ -46,6 +46,15 @@ def _table(title: str, rows: list[dict[str, Any]]) -> None:
     console.print(table)
 
 
+def _show(as_json: bool, parts: dict[str, tuple[str, list[dict[str, Any]]]]) -> None:
+    """Print tables, each by its title; or as JSON, each by its key."""
+    if as_json:
+        print(json.dumps({key: rows for key, (_, rows) in parts.items()}, indent=2))
+        return
+    for title, rows in parts.values():
+        _table(title, rows)
+
+
 @command.command()
 @click.option("--duration", type=float, default=20.0, show_default=True, help="Seconds for each link.")
 @click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Sessions that share these.")
@@ -119,11 +128,10 @@ def design(as_json: bool) -> None:
     from hil.bench.design import bench_design, bench_scheduled
 
     tracking, scheduled = bench_design(progress=_status), bench_scheduled(progress=_status)
-    if as_json:
-        print(json.dumps({"tracking": tracking, "scheduled": scheduled}, indent=2))
-        return
-    _table("tracking over a network (Chapter 7), beside the iterated LMIs (ccl)", tracking)
-    _table("scheduled state feedback (Chapters 2 to 4)", scheduled)
+    _show(as_json, {
+        "tracking": ("tracking over a network (Chapter 7), beside the iterated LMIs (ccl)", tracking),
+        "scheduled": ("scheduled state feedback (Chapters 2 to 4)", scheduled),
+    })  # fmt: skip
 
 
 @command.command()
@@ -202,12 +210,11 @@ def engines(as_json: bool) -> None:
     from hil.bench.engines import bench_log, bench_memory, bench_sweep
 
     sweeps, logs, memory = bench_sweep(_status), bench_log(_status), bench_memory(_status)
-    if as_json:
-        print(json.dumps({"sweep": sweeps, "log": logs, "memory": memory}, indent=2))
-        return
-    _table("a sweep in lockstep, beside run by run", sweeps)
-    _table("one slot in virtual time, with a log, beside mcap's own writer", logs)
-    _table("memory that every further slot holds, beside mcap's own writer", memory)
+    _show(as_json, {
+        "sweep": ("a sweep in lockstep, beside run by run", sweeps),
+        "log": ("one slot in virtual time, with a log, beside mcap's own writer", logs),
+        "memory": ("memory that every further slot holds, beside mcap's own writer", memory),
+    })  # fmt: skip
 
 
 @command.command()
@@ -221,11 +228,10 @@ def modes(h2: tuple[int, ...], hinf: tuple[int, ...], as_json: bool) -> None:
     from hil.bench.modes import bench_certificates, bench_modes
 
     designs, certificates = bench_modes(_status, h2=h2, hinf=hinf), bench_certificates(_status)
-    if as_json:
-        print(json.dumps({"designs": designs, "certificates": certificates}, indent=2))
-        return
-    _table("designs over many modes (the gain knows both delays, one start)", designs)
-    _table("certificates over many modes, norms of one", certificates)
+    _show(as_json, {
+        "designs": ("designs over many modes (the gain knows both delays, one start)", designs),
+        "certificates": ("certificates over many modes, norms of one", certificates),
+    })  # fmt: skip
 
 
 @command.command()

@@ -11,12 +11,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from mcap.opcode import Opcode
+
+from hil.log.write.frame_length import ByFrameLength
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """What an MCAP file begins and ends with."""
@@ -34,8 +35,6 @@ TIMES_AT: Final = 15
 """Where in a head its two times begin."""
 
 _TIMES: Final = MESSAGE_OVERHEAD - TIMES_AT
-_MAX_LAYOUTS: Final = 64  # the lengths of frames may come from the link
-
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -91,26 +90,14 @@ class Layouts:
         messages: how many.
         count: values of a row.
         frame_at: which of them is the frame, None without one.
+        of: what packs a row with a frame of a length, and its layout.
     """
 
     def __init__(self, records: Sequence[Packed]) -> None:
-        if sum(record.frame for record in records) > 1:
-            raise ValueError(f"records: {sum(record.frame for record in records)} frames, expected one at most")
         self._records = tuple(records)
-        self._made: dict[int, Made] = {}
         self.messages = len(self._records)
-        self.count = sum(record.values + record.frame for record in records)
-        ends = accumulate(record.values + record.frame for record in records)
-        self.frame_at = next((end - 1 for end, record in zip(ends, records) if record.frame), None)
-
-    def of(self, length: int) -> Made:
-        """Return what packs a row with a frame of that length, and its layout."""
-        made = self._made.get(length)
-        if made is None:
-            if len(self._made) >= _MAX_LAYOUTS:
-                self._made.clear()
-            made = self._made[length] = self._make(length)
-        return made
+        made = ByFrameLength([(record.values, record.frame) for record in self._records], self._make)
+        self.count, self.frame_at, self.of = made.count, made.frame_at, made.of
 
     def _make(self, length: int) -> Made:
         mould, codes, begins = b"", "qq", []

@@ -8,12 +8,12 @@ from struct import Struct
 from typing import Any, Final
 
 from hil.log.records import CDR_HEADER, Channel
+from hil.log.write.frame_length import ByFrameLength
 
 HEAD: Final = Struct("<IHqq")
 """Head of a frame: length of the record, number of its channel, nominal time in ns, how much later it happened in ns."""
 
 _SIZE_AND_NUMBER: Final = Struct("<IH")
-_MAX_LAYOUTS: Final = 64  # the lengths of frames may come from the link
 
 Layout = tuple[Callable[..., bytes], Callable[[tuple[Any, ...]], tuple[Any, ...]], tuple[Any, ...]]
 """What packs, what puts time, delay, constants and values in order, and the constants."""
@@ -30,16 +30,9 @@ class PipeBlock:
     """
 
     def __init__(self, channels: Sequence[Channel]) -> None:
-        if sum(channel.schema.raw for channel in channels) > 1:
-            raise ValueError(f"channels: {sum(channel.schema.raw for channel in channels)} carry frames, expected one at most")
-        self._channels, self._made = tuple(channels), dict[int, Layout]()
-        self._frame_at: int | None = None
-        values = 0
-        for channel in channels:
-            values += len(channel.schema.codes) + channel.schema.raw
-            if channel.schema.raw:
-                self._frame_at = values - 1
-        self._values = values
+        self._channels = tuple(channels)
+        made = ByFrameLength([(len(channel.schema.codes), channel.schema.raw) for channel in channels], self._layout)
+        self._values, self._frame_at, self._layout_of = made.count, made.frame_at, made.of
 
     def pack(self, t_ns: int, behind_ns: int, values: tuple[Any, ...]) -> bytes:
         """Return the records as they go into the pipe.
@@ -55,12 +48,10 @@ class PipeBlock:
         if len(values) != self._values:
             raise TypeError(f"{len(values)} values, expected {self._values} in {len(self._channels)} records")
         length = 0 if self._frame_at is None else len(values[self._frame_at])
-        pack, order, constants = self._made.get(length) or self._layout(length)
+        pack, order, constants = self._layout_of(length)
         return pack(*order((t_ns, behind_ns, *constants, *values)))
 
     def _layout(self, length: int) -> Layout:
-        if len(self._made) >= _MAX_LAYOUTS:
-            self._made.clear()
         constants: list[Any] = [CDR_HEADER]
         order, codes = [], ""
         value = 3 + sum(2 if channel.schema.raw else 1 for channel in self._channels)  # behind the instants and the constants
@@ -75,8 +66,7 @@ class PipeBlock:
                 order += [1 + len(constants), value]
                 value += 1
             codes += f"{_SIZE_AND_NUMBER.size}sqq{own}"
-        made = self._made[length] = (Struct(f"<{codes}").pack, itemgetter(*order), tuple(constants))
-        return made
+        return Struct(f"<{codes}").pack, itemgetter(*order), tuple(constants)
 
 
 def frames_in(data: bytes) -> int:

@@ -209,7 +209,7 @@ def test_several_records_at_once_are_those_one_by_one_whatever_the_length_of_the
     assert at_once.messages == 150 * 4
     together(0, 0.1, 2.0, 1, 1, 1, b"", 0.3, 1)  # the file is closed: all three are counted
     assert at_once.dropped == 3
-    with pytest.raises(ValueError, match="2 frames"):
+    with pytest.raises(ValueError, match="records: 2 carry frames, expected one at most"):
         at_once.records(("/link/sensor", "/link/control"))
     assert at_once.records(("/link/sensor", "/of/nobody")) is None
 
