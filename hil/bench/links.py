@@ -19,7 +19,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Final, cast
 
-from hil.bench.plain_zenoh import SCHEME, PlainZenoh
+from hil.bench import plain_socket, plain_zenoh
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
@@ -27,12 +27,17 @@ from transport import ControlPacket, Link, Role, SensorPacket, TransportError, e
 
 LINKS: Final = (
     "can:hil:bench-{pid}",
+    plain_socket.SCHEME + ":{folder}/bare",
     "can:udp_multicast:239.74.163.2?port={port}",
     "zenoh:tcp/127.0.0.1:{port}",
     "zenoh:unixsock-stream/{folder}/bench",
-    SCHEME + ":unixsock-stream/{folder}/plain",
+    plain_zenoh.SCHEME + ":unixsock-stream/{folder}/plain",
 )
-"""What is measured unless told otherwise; python-can's own interface and the plainest use of zenoh stand beside ours."""
+"""What is measured unless told otherwise; bare sockets, python-can's own interface and the plainest use of zenoh beside ours."""
+
+_PEERS: Final[dict[str, Callable[[str, Role], Link]]] = {
+    plain_socket.SCHEME: plain_socket.PlainSocket, plain_zenoh.SCHEME: plain_zenoh.PlainZenoh,
+}  # fmt: skip
 
 FLOOR: Final = "C over UDP"
 PRIORITY: Final = 60
@@ -82,7 +87,7 @@ def bench_links(
         for template in links:
             for how in AFFINITIES if template.startswith("zenoh:") else AFFINITIES[:1]:
                 (folder / how).mkdir(exist_ok=True)
-                uri = template.format(port=_free_port(), pid=os.getpid(), folder=folder / how)
+                uri = template.format(port=free_port(), pid=os.getpid(), folder=folder / how)
                 way = template.partition("?")[0].format(port="*", pid="*", folder="*"), how
                 pairs.append((way, _open(stack, _python(uri, how, rate_hz))))
         taken: dict[Way, list[int]] = {way: [] for way, _ in pairs}
@@ -196,14 +201,15 @@ def _floor(folder: Path, rate_hz: float) -> _Pair:
     program = folder / "udp_echo"
     source = Path(__file__).with_name("udp_echo.c")
     subprocess.run([compiler, "-O2", "-o", program, source], check=True, capture_output=True)
-    port, any_cpu = str(_free_port()), "-1"  # as sessions run: the scheduler chooses the CPU
+    port, any_cpu = str(free_port()), "-1"  # as sessions run: the scheduler chooses the CPU
     return _Pair(
         [str(program), "echo", port, str(PRIORITY - 1), any_cpu],
         [str(program), "drive", port, str(PRIORITY), any_cpu, str(rate_hz)],
     )
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """Return a port of this machine that nobody has."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -214,7 +220,7 @@ def _free_port() -> int:
 
 
 def _end(uri: str, role: Role) -> Link:
-    return PlainZenoh(uri, role) if uri.startswith(f"{SCHEME}:") else open_link(uri, role)
+    return _PEERS.get(uri.partition(":")[0], open_link)(uri, role)
 
 
 def echo(uri: str, affinity: Affinity) -> None:
