@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import resource
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from hil.bench.processes import HIL, NUMPY, spent
 
 Row = dict[str, Any]
 
@@ -29,47 +27,33 @@ def bench_commands(
         real: whether a session in real time is measured too, and what it takes beyond its length.
         real_s: this length, s.
     """
-    hil = [sys.executable, "-m", "hil"]
     with tempfile.TemporaryDirectory(prefix="hilrig-bench-") as folder:
         log, slot = str(Path(folder) / "run.mcap"), str(Path(folder) / "slot.mcap")
-        sweep = [*hil, "sweep", EXPERIMENT, "--runs", str(runs), "--json"]
+        sweep = [*HIL, "sweep", EXPERIMENT, "--runs", str(runs), "--json"]
         commands: list[tuple[str, list[str], float | None, str]] = [
-            ("hil --help", [*hil, "--help"], None, ""),
-            ("hil run, one slot", [*hil, "run", EXPERIMENT, "--duration", "50 ms", "-o", slot, "--quiet"], 0.35, "CPU s"),
-            ("hil run, 1000 slots", [*hil, "run", EXPERIMENT, "-o", log, "--quiet"], None, ""),
-            ("hil report of it", [*hil, "report", log], 1.5, "wall s"),
+            ("hil --help", [*HIL, "--help"], None, ""),
+            ("hil run, one slot", [*HIL, "run", EXPERIMENT, "--duration", "50 ms", "-o", slot, "--quiet"], 0.35, "CPU s"),
+            ("hil run, 1000 slots", [*HIL, "run", EXPERIMENT, "-o", log, "--quiet"], None, ""),
+            ("hil report of it", [*HIL, "report", log], 1.5, "wall s"),
             (f"hil sweep --runs {runs}, every core", sweep, 1.5 if runs == 1000 else None, "wall s"),
             (f"hil sweep --runs {runs} --jobs 1", [*sweep, "--jobs", "1"], None, ""),
         ]
         if real:
             file = str(Path(folder) / "real.mcap")
-            session = [*hil, "run", EXPERIMENT, "--clock", "real", "--link", f"can:hil:bench{os.getpid()}"]
+            session = [*HIL, "run", EXPERIMENT, "--clock", "real", "--link", f"can:hil:bench{os.getpid()}"]
             session += ["--duration", f"{real_s:g}", "-o", file, "--quiet"]
             commands.append((f"hil run --clock real, beyond its {real_s:g} s", session, 1.0, "wall s"))
-        peer = _spent([sys.executable, "-c", "import numpy"])
+        peer = spent(NUMPY)
         rows = []
         for name, command, goal, of in commands:
             progress(name)
-            cpu, wall = _spent(command)
+            cpu, wall, _ = spent(command)
             if "beyond" in name:
                 wall -= real_s
             found = {"CPU s": round(cpu, 3), "wall s": round(wall, 3)}
             rows.append({
                 "command": name, **found, "goal s": goal, "goal of": of or None,
                 "met": None if goal is None else found[of] <= goal,
-                "numpy CPU s": round(peer[0], 3), "ratio": round(cpu / peer[0], 1),
+                "numpy CPU s": round(peer.cpu_s, 3), "ratio": round(cpu / peer.cpu_s, 1),
             })  # fmt: skip
     return rows
-
-
-def _spent(command: list[str]) -> tuple[float, float]:
-    """CPU and wall seconds of a command with its children."""
-    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
-    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode:
-        from hil.errors import HilError
-
-        last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-        raise HilError(f"{' '.join(command[2:])}: exit status {done.returncode}: {last}")
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall

@@ -45,9 +45,9 @@ def bench_modes(
         times = 1.0 if objective == "h2" else HINF_TIMES
         for most in sizes:
             goal = None if most not in H2_GOALS_S else times * H2_GOALS_S[most]
-            rows.append(_design(f"motor, tau_max = d_max = {most}", motor_problem(most, objective), goal, progress))
+            rows.append(design_row(f"motor, tau_max = d_max = {most}", motor_problem(most, objective), goal, progress))
         goal = times * LARGE_GOAL_S if large == LARGE_PLANT else None
-        rows.append(_design(f"{large} states, tau_max = 2, d_max = 1", large_problem(large, objective), goal, progress))
+        rows.append(design_row(f"{large} states, tau_max = 2, d_max = 1", large_problem(large, objective), goal, progress))
     return rows
 
 
@@ -87,7 +87,15 @@ def shortening_chain(most: int) -> Array:
     return chain
 
 
-def _design(name: str, problem: TrackingProblem, goal: float | None, progress: Callable[[str], None]) -> Row:
+def design_row(name: str, problem: TrackingProblem, goal: float | None, progress: Callable[[str], None]) -> Row:
+    """Return the CPU time of a design, and of an H2 evaluation along its descent beside one alone.
+
+    Args:
+        name: of the loop.
+        problem: what is asked.
+        goal: CPU time that it may take, s.
+        progress: told what is being done.
+    """
     from design.tracking.synthesis import solve
 
     progress(f"{problem.objective} design, {name}")

@@ -52,8 +52,8 @@ def read_cyclictest(output: Path, period_us: int) -> tuple[Array, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Turn:
-    """One session with cyclictest beside it."""
+class Turn:
+    """One session, with cyclictest beside it or without."""
 
     period_s: float
     ticks: Array  # the records of /timing/tick
@@ -62,31 +62,48 @@ class _Turn:
     summary: dict[str, Any]
 
 
-def _turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequence[str]) -> _Turn:
+def take_turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequence[str], *, beside: bool = True) -> Turn:
+    """Run one session in real time.
+
+    Args:
+        name: of the experiment.
+        uri: of the link.
+        duration_s: its length, s.
+        folder: for its log, which is not kept.
+        sets: changes ``path=value`` of the experiment.
+        beside: whether cyclictest runs at the same time.
+
+    Raises:
+        HilError: cyclictest is not installed, or the session failed.
+    """
     experiment = load_experiment(name, [*sets, f"duration={duration_s}"])
     period_us = round(1e6 * float(experiment.period))
     output, log = folder / "cyclictest.json", folder / "run.mcap"
-    reference = start_cyclictest(experiment.timing.priority, period_us, duration_s, output)
+    reference = start_cyclictest(experiment.timing.priority, period_us, duration_s, output) if beside else None
     try:
         session = run_session(experiment, clock="real", link=uri, path=log)
         if session.status > 128:  # a signal, which the session took to close its log
             raise SystemExit(session.status)
         if session.status == 1:
             raise HilError(f"{uri}: the session failed: {'; '.join(map(str, session.summary['problems'].values()))}")
-        reference.wait(duration_s + 10)
+        if reference is not None:
+            reference.wait(duration_s + 10)
     finally:
-        if reference.poll() is None:
+        if reference is not None and reference.poll() is None:
             reference.kill()
             reference.wait()
+    ticks = session.run.arrays["/timing/tick"]
+    log.unlink()
+    if reference is None:
+        return Turn(float(experiment.period), ticks, np.array([]), 0, session.summary)
     if not output.exists():
         raise HilError(f"cyclictest gave no result: {(reference.stderr.read() if reference.stderr else b'').decode()!r}")
     cyclictest_us, missed = read_cyclictest(output, period_us)
-    log.unlink()
     output.unlink()
-    return _Turn(float(experiment.period), session.run.arrays["/timing/tick"], cyclictest_us, missed, session.summary)
+    return Turn(float(experiment.period), ticks, cyclictest_us, missed, session.summary)
 
 
-def _row(name: str, uri: str, affinity: str, turns: Sequence[_Turn]) -> dict[str, Any]:
+def _row(name: str, uri: str, affinity: str, turns: Sequence[Turn]) -> dict[str, Any]:
     ticks = np.concatenate([turn.ticks for turn in turns])
     columns = [ticks[name] for name in ("lateness_us", "round_trip_us", "late", "overrun")]
     timing = timing_metrics(*columns, period_s=turns[0].period_s)
@@ -146,7 +163,7 @@ def bench_timing(
         raise HilError(f"--set {min(fixed)}: this bench runs at the rate of the experiment, for as long as --duration says")
     rates = {name: 1.0 / float(load_experiment(name, sets).period) for name in experiments}
     tried = {name: affinities or [load_experiment(name, sets).timing.affinity] for name in experiments}
-    taken: dict[tuple[str, str, str], list[_Turn]] = {
+    taken: dict[tuple[str, str, str], list[Turn]] = {
         (name, uri, how): [] for name in experiments for uri in links for how in tried[name]
     }
     session_s = duration_s / turns
@@ -155,7 +172,7 @@ def bench_timing(
             for name, uri, how in taken:
                 said = f"{name} at {rates[name]:g} Hz for {session_s:g} s over {uri} ({how}), cyclictest beside it"
                 progress(f"turn {turn + 1} of {turns}: {said}")
-                taken[name, uri, how].append(_turn(name, uri, session_s, Path(folder), [*sets, f"timing.affinity={how}"]))
+                taken[name, uri, how].append(take_turn(name, uri, session_s, Path(folder), [*sets, f"timing.affinity={how}"]))
     rows = [_row(*of, found) for of, found in taken.items()]
     for row in rows:
         row["round_trip_ratio"] = row["round_trip_us"]["p50"] / rows[-1]["round_trip_us"]["p50"]

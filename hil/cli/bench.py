@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
-import time
-from collections.abc import Callable
 from typing import Any, get_args
 
 import click
 
+from hil.cli import bench_all
 from hil.experiment.tables import Affinity
 
 SECONDS = (0.001, 86_400)
@@ -18,6 +16,10 @@ SECONDS = (0.001, 86_400)
 @click.group()
 def command() -> None:
     """Measure timing, links, designs and Monte Carlo on this machine."""
+
+
+command.add_command(bench_all.everything)
+command.add_command(bench_all.page)
 
 
 def _status(text: str) -> None:
@@ -243,60 +245,3 @@ def commands(runs: int, as_json: bool) -> None:
 
     rows = bench_commands(_status, runs=runs)
     print(json.dumps(rows, indent=2)) if as_json else _table('commands, beside python -c "import numpy"', rows)
-
-
-@command.command(name="all")
-@click.option("--duration", type=float, default=10.0, show_default=True, help="Seconds for each link.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object (nothing else is printed either way).")
-def everything(duration: float, as_json: bool) -> None:
-    """Every figure with its peer and their ratio; takes some minutes. Ctrl-C prints what was found until then."""
-    import platform
-    from datetime import date
-
-    from hil.bench.auth import bench_auth
-    from hil.bench.commands import bench_commands
-    from hil.bench.design import bench_design, bench_scheduled
-    from hil.bench.engines import bench_log, bench_memory, bench_sweep
-    from hil.bench.links import bench_links
-    from hil.bench.modes import bench_certificates, bench_modes
-    from hil.bench.montecarlo import bench_montecarlo
-    from hil.bench.timing import bench_timing
-    from hil.errors import HilError
-
-    _check("--duration", duration, *SECONDS)
-    found: dict[str, Any] = {
-        "machine": {"python": platform.python_version(), "system": platform.platform(), "cpus": os.cpu_count()},
-        "date": date.today().isoformat(),
-        "not_measured": {},
-        "seconds": {},
-    }
-    parts: dict[str, Callable[[], Any]] = {
-        "sweep": lambda: bench_sweep(_status),
-        "log": lambda: bench_log(_status),
-        "memory": lambda: bench_memory(_status),
-        "commands": lambda: bench_commands(_status),
-        "links": lambda: bench_links(rate_hz=1000.0, duration_s=duration),
-        "timing": lambda: bench_timing(duration_s=duration, progress=_status),
-        "auth": bench_auth,
-        "montecarlo": lambda: bench_montecarlo(progress=_status),
-        "modes": lambda: bench_modes(_status),
-        "certificates": lambda: bench_certificates(_status),
-        "design": lambda: bench_design(_status),
-        "scheduled": lambda: bench_scheduled(progress=_status),
-    }
-    interrupted: KeyboardInterrupt | None = None
-    for name, part in parts.items():
-        begun = time.perf_counter()
-        try:
-            found[name] = part()
-        except HilError as error:  # one link that this machine lacks is no reason to lose the rest
-            found["not_measured"][name] = str(error)
-        except KeyboardInterrupt as stop:
-            missing = found["not_measured"]
-            missing |= dict.fromkeys((n for n in parts if n not in found and n not in missing), "interrupted")
-            interrupted = stop
-            break
-        found["seconds"][name] = round(time.perf_counter() - begun, 1)
-    print(json.dumps(found, indent=2))
-    if interrupted is not None:
-        raise interrupted

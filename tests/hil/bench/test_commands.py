@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 from hil.bench import commands
+from hil.bench.processes import HIL, spent
 from hil.errors import HilError
 
 
@@ -20,4 +19,4 @@ def test_every_command_runs_and_has_its_ratio() -> None:
 
 def test_a_command_that_fails_is_not_measured() -> None:
     with pytest.raises(HilError, match="exit status 2"):
-        commands._spent([sys.executable, "-m", "hil", "run", "no-such-experiment"])
+        spent([*HIL, "run", "no-such-experiment"])

@@ -1,29 +1,140 @@
-"""``hil bench all``: what one part lacks, and an interrupt, lose nothing that was measured before."""
+"""``hil bench all``: every figure is there; a part that dies and an interrupt lose nothing that was measured before."""
 
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from hil.bench import engines
-from hil.errors import HilError
+from hil.bench.catalogue import PARTS
 from tests.hil.cli.conftest import Hil
 
+FIGURES = """
+hil --help, CPU time
+hil run of one slot, CPU time
+composing dc-motor-hinf with its certificate, CPU time
+hil run of one slot of smjls-robust, CPU time
+a real session beyond its run, wall time
+dc-motor-hinf in a sweep, CPU time per run
+dc-motor-smith in a sweep, CPU time per run
+vtol-h2 in a sweep, CPU time per run
+hil sweep, 1000 runs, wall time
+hil sweep, 100,000 runs, wall time
+hil sweep, 100,000 runs, peak memory
+sweep over dask, wall time per run
+hil report of a run, wall time
+round trip over can:hil, p50
+round trip over can:hil, p50, beside C
+round trip over zenoh on one CPU, p50
+round trip over zenoh on both CPUs, p50
+late answers over zenoh on one CPU
+log of a slot in the loop at 1 kHz, p50
+late answers, 1 kHz over zenoh, affinity auto
+late answers, 1 kHz over zenoh, affinity shared
+late answers, 1 kHz over zenoh beside can:hil
+round trip of a session over zenoh, affinity auto, p50
+overruns at 4 kHz over can:hil
+overruns at 10 kHz over local:
+virtual slot with its log, CPU time
+virtual slot without a log, CPU time
+files that are not those of mcap's own writer
+log per slot, --index full (the default)
+log per slot, --index chunk
+held per further slot while a log is written
+hil run of 10^5 slots, peak memory
+hil run of 10^6 slots, peak memory
+hil run, memory per slot from 10^5 to 10^6
+hil run, CPU time per slot of 10^6
+hil report of 10^6 slots, peak memory
+hil replay --verify of 10^6 slots, peak memory
+hil export of 10^6 slots, peak memory
+hil recover of 10^6 slots, peak memory
+hil recover of 10^6 slots, CPU time
+certificate of 484 modes
+H2 norm, one mode of 40 states
+H-infinity norm, one mode of 40 states
+H2 design, tau_max = d_max = 4
+H2 design, 20 states and 6 modes
+H-infinity design, tau_max = d_max = 4
+H-infinity design, 20 states and 6 modes
+H-infinity design of the VTOL
+H2 design, tau_max = d_max = 8
+H-infinity design, tau_max = d_max = 8
+""".strip().splitlines()
 
-def test_a_part_that_fails_is_named_and_an_interrupt_prints_what_was_found(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
-    def lacking(*args: object) -> None:
-        raise HilError("no disk")
 
-    def interrupted(*args: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(engines, "bench_sweep", lambda *args: [{"ratio": 2.0}])
-    monkeypatch.setattr(engines, "bench_log", lacking)
-    monkeypatch.setattr(engines, "bench_memory", interrupted)
-    status, out, _ = cli("bench", "all", "--json")
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_every_figure_is_measured_with_its_peer(cli: Hil, tmp_path: Path) -> None:
+    status, out, err = cli("bench", "all", "--quick", "--json")
     found = json.loads(out)
-    assert status == 130
-    assert found["sweep"] == [{"ratio": 2.0}]
-    assert found["not_measured"]["log"] == "no disk" and found["not_measured"]["memory"] == "interrupted"
-    assert "links" not in found
+    assert status == 0 and "5 of 5: designs" in err
+    assert [row["name"] for row in found["figures"]] == FIGURES
+    for row in found["figures"]:
+        if "cyclictest" in row["note"]:
+            assert "apt-get install rt-tests" in row["note"] and row["peer"] is None
+        elif row["part"] != "real-time":  # where a session may fail on a busy machine, and says so
+            assert row["ours"] is not None and row["peer"] is not None, row
+        else:
+            assert row["peer"] is not None or row["goal_verdict"].startswith("not measured: "), row
+    (tmp_path / "figures.json").write_text(out)
+    _, page, _ = cli("bench", "page", tmp_path / "figures.json")
+    assert all(f"| {name}" in page for name in FIGURES)
+    assert found["date"] in page and found["machine"]["python"] in page
+
+
+def _started(*options: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "hil", "bench", "all", "--quick", "--json", *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def _child_of(pid: int) -> int:
+    children = Path(f"/proc/{pid}/task/{pid}/children")
+    while not (found := children.read_text().split()):
+        time.sleep(0.01)
+    return int(found[0])
+
+
+def _figures(out: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads(out)["figures"]
+    return found
+
+
+def test_a_part_whose_process_dies_is_named_and_the_next_is_measured() -> None:
+    with _started("--only", "start", "--only", "designs") as hil:
+        os.kill(_child_of(hil.pid), signal.SIGKILL)
+        out, err = hil.communicate()
+    start, *rest = _figures(out)
+    assert hil.returncode == 0 and "2 of 2: designs" in err
+    assert start["part"] == "start" and start["goal_verdict"] == "not measured: its process ended with status -9"
+    assert rest[-1]["part"] == "designs" and rest[-1]["ours"] > 0.0
+
+
+def test_an_interrupt_prints_what_was_found_and_leaves_no_process() -> None:
+    with _started("--only", "start", "--only", "sweeps") as hil:
+        child = _child_of(hil.pid)
+        assert hil.stderr is not None and "1 of 2" in hil.stderr.readline() and "numpy" in hil.stderr.readline()
+        hil.send_signal(signal.SIGINT)
+        out, _ = hil.communicate()
+    assert hil.returncode == 130
+    assert all(row["goal_verdict"] == "not measured: interrupted" for row in _figures(out)[1:])
+    assert len(_figures(out)) == sum(len(part.figures) for part in PARTS if part.name in ("start", "sweeps"))
+    assert not Path(f"/proc/{child}").exists()
+
+
+def test_an_unknown_part_is_named_with_those_that_there_are(cli: Hil) -> None:
+    status, _, err = cli("bench", "all", "--only", "speed")
+    assert status == 2 and "--only: no part 'speed'; expected start, sweeps, real-time, logs, designs" in err
+
+
+def test_a_page_is_made_of_figures_alone(cli: Hil, tmp_path: Path) -> None:
+    (tmp_path / "other.json").write_text("[1]")
+    status, _, err = cli("bench", "page", tmp_path / "other.json")
+    assert status == 2 and "not what `hil bench all --json` prints" in err

@@ -1,0 +1,60 @@
+"""All figures of `hil bench all`, and the process in which one part of them is measured.
+
+    python -m hil.bench.catalogue PART [--quick]     one JSON object a line, as soon as it is measured
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any, Final
+
+from hil.bench import part_designs, part_logs, part_real_time, part_start, part_sweeps
+from hil.bench.figure import Part, Row, row_of
+from hil.runtime.real.scheduling import die_with_parent
+
+PARTS: Final[tuple[Part, ...]] = (
+    part_start.PART, part_sweeps.PART, part_real_time.PART, part_logs.PART, part_designs.PART,
+)  # fmt: skip
+"""In the order in which they are measured."""
+
+
+def take(part: Part, *, quick: bool) -> Iterator[Row]:
+    """Measure a part, one row per figure; what fails costs the figures that are measured with it, and no others.
+
+    Args:
+        part: what to measure.
+        quick: whether something smaller is measured, a few seconds in all.
+    """
+    for measure in part.measures:
+        missing, why = {figure.name: figure for figure in measure.figures}, "its peer or itself gave no number"
+        try:
+            for found in measure.take(_tell, quick):
+                yield row_of(part.name, missing.pop(found.name), found, quick=quick)
+        except Exception as error:  # whatever it is, the rest is worth having
+            why = f"{error}" if type(error).__name__.endswith("Error") and str(error) else f"{type(error).__name__}: {error}"
+        for figure in missing.values():
+            yield row_of(part.name, figure, None, " ".join(why.split()))
+
+
+def _tell(text: str) -> None:
+    print(f"  {text}", file=sys.stderr, flush=True)  # noqa: T201 (this is the process's interface)
+
+
+def main(arguments: list[str]) -> None:
+    """Measure the part that is named."""
+    die_with_parent(os.getppid())
+    name, *options = arguments
+    (part,) = (each for each in PARTS if each.name == name)
+    for row in take(part, quick="--quick" in options):
+        print(_line(row), flush=True)  # noqa: T201
+
+
+def _line(row: dict[str, Any]) -> str:
+    return json.dumps(row, allow_nan=False)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

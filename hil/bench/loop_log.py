@@ -1,0 +1,111 @@
+"""What the log of a slot costs the loop in real time: packed by two structs, beside record by record, in turns at 1 kHz.
+
+Both get the records of the same run, each into a pipe that another process empties; caches are as cold as in a session.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any, Final
+
+from hil.compose.loop import Loop, compose
+from hil.experiment import load_experiment
+from hil.log.write.pipe import PipeSink
+from hil.log.write.sinks import Put, Record
+from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from hil.runtime.time.clock import RealClock, monotonic_ns
+from hil.runtime.virtual import run_virtual
+
+EXPERIMENT: Final = "dc-motor-1khz"
+PRIORITY: Final = 60
+SLOTS: Final = 200
+PERIOD_NS: Final = 1_000_000
+
+Call = tuple[tuple[str, ...], tuple[Any, ...]]
+"""Topics, and what is logged of them: time and fields."""
+
+
+class _Calls:
+    """Takes what a rig logs, slot by slot: several records at once, or each for itself."""
+
+    def __init__(self, at_once: bool) -> None:
+        self.slots: list[list[Call]] = [[]]
+        self._at_once = at_once
+
+    def channel(self, topic: str) -> Put | None:
+        return None
+
+    def records(self, topics: Sequence[str]) -> Record | None:
+        if len(topics) > 1 and not self._at_once:
+            return None
+        return lambda *values, of=tuple(topics): self.slots[-1].append((of, values))
+
+    def event(self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object) -> None:
+        """Events are rare."""
+
+    def commit(self) -> None:
+        self.slots.append([])
+
+
+def loop_log_us(slots: int) -> tuple[float, float]:
+    """Return the median time of the log of a slot in the loop, us: ours, and record by record.
+
+    Args:
+        slots: of either, at 1 kHz.
+    """
+    command = [sys.executable, "-m", "hil.bench.loop_log", str(slots)]
+    said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    ours, plain = json.loads(said)
+    return float(ours), float(plain)
+
+
+def _slots_of(loop: Loop, take: Callable[[tuple[str, ...]], Record | None], at_once: bool) -> list[list[tuple[Record, Any]]]:
+    calls = _Calls(at_once)
+    run_virtual(loop, 0, calls)
+    of: dict[tuple[str, ...], Record | None] = {topics: take(topics) for slot in calls.slots for topics, _ in slot}
+    made = [[(put, values) for topics, values in slot if (put := of[topics]) is not None] for slot in calls.slots]
+    return [slot for slot in made if slot][SLOTS // 2 :]
+
+
+def main() -> None:
+    """Print both medians, us."""
+    die_with_parent(os.getppid())
+    loop = compose(load_experiment(EXPERIMENT, [f"duration={SLOTS / 1000!r}"]), certify=False)
+    channels = loop.channels()
+    with ExitStack() as stack:
+        sinks = []
+        for _ in range(2):
+            reading, writing = os.pipe()
+            reader = stack.enter_context(subprocess.Popen(["cat"], stdin=reading, stdout=subprocess.DEVNULL))
+            stack.callback(reader.kill)
+            os.close(reading)
+            sinks.append(PipeSink(writing, channels))
+            stack.callback(sinks[-1].close)
+        ours, plain = sinks
+
+        def by_bytes(topics: tuple[str, ...]) -> Record | None:
+            (topic,) = topics
+            put, pack = plain.channel(topic), channels[topic].schema.pack
+            return None if put is None else lambda t_ns, *values: put(t_ns, pack(*values))
+
+        turns = [(ours, _slots_of(loop, ours.records, True)), (plain, _slots_of(loop, by_bytes, False))]
+        go_real_time(PRIORITY, None, awake=True)
+        clock, taken = RealClock(monotonic_ns() + PERIOD_NS), ([], [])  # type: tuple[RealClock, tuple[list[int], list[int]]]
+        for k in range(2 * int(sys.argv[1])):
+            clock.wait_until(k * PERIOD_NS)
+            sink, slots = turns[k % 2]
+            begun = monotonic_ns()
+            for put, values in slots[k % len(slots)]:
+                put(*values)
+            sink.commit()
+            taken[k % 2].append(monotonic_ns() - begun)
+    print(json.dumps([sorted(each)[len(each) // 2] / 1e3 for each in taken]))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

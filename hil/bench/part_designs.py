@@ -1,0 +1,146 @@
+"""Figures of designs and certificates over many modes, and of the VTOL's: CPU time, one after the other."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from hil.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
+from hil.bench.modes import (
+    CERTIFICATE_GOAL_S,
+    CERTIFICATE_SIDE,
+    H2_GOALS_S,
+    HINF_TIMES,
+    LARGE_GOAL_S,
+    LARGE_PLANT,
+    bench_certificates,
+    design_row,
+    large_problem,
+    motor_problem,
+)  # fmt: skip
+
+if TYPE_CHECKING:
+    from design.tracking.problem import TrackingProblem
+    from design.tracking.synthesis import Design
+
+ALONE, H2_BESIDE = "its evaluations, each alone", "the H2 design of the same loop"
+LARGE = f"{LARGE_PLANT} states and 6 modes"
+VTOL_GOAL_S = 5.0
+LONGEST_S = 120.0
+"""CPU time after which a design that has missed its goal is stopped."""
+
+
+def _motor(norm: str, most: int) -> str:
+    return f"{norm} design, tau_max = d_max = {most}"
+
+
+H2 = {
+    4: Figure(name=_motor("H2", 4), unit="s", peer=ALONE, goal=AtMost(ours=H2_GOALS_S[4]), condition=AtMost(ours=20.0)),
+    8: Figure(name=_motor("H2", 8), unit="s", peer=ALONE, goal=AtMost(ours=H2_GOALS_S[8])),
+}
+HINF = {
+    most: Figure(name=_motor("H-infinity", most), unit="s", peer=H2_BESIDE, goal=AtMost(ours=HINF_TIMES * goal))
+    for most, goal in H2_GOALS_S.items()
+}
+LARGE_H2 = Figure(name=f"H2 design, {LARGE}", unit="s", peer=ALONE, goal=AtMost(ours=LARGE_GOAL_S))
+LARGE_HINF = Figure(name=f"H-infinity design, {LARGE}", unit="s", peer=H2_BESIDE, goal=AtMost(ours=HINF_TIMES * LARGE_GOAL_S))
+VTOL = Figure(name="H-infinity design of the VTOL", unit="s", peer=H2_BESIDE, goal=AtMost(ours=VTOL_GOAL_S))
+CERTIFICATE = Figure(
+    name=f"certificate of {CERTIFICATE_SIDE**2} modes", unit="s", peer="ARPACK, the radius alone",
+    goal=AtMost(ours=CERTIFICATE_GOAL_S),
+)  # fmt: skip
+ONE_MODE = {
+    norm: Figure(name=f"{norm} norm, one mode of 40 states", unit="s", peer="python-control") for norm in ("H2", "H-infinity")
+}
+
+
+def _problem(objective: str, most: int, quick: bool) -> TrackingProblem:
+    """The motor's loop with delays up to `most`, or that of the plant of many states for 0."""
+    if most:
+        return motor_problem(1 if quick else most, objective)
+    return large_problem(2 if quick else LARGE_PLANT, objective)
+
+
+def _h2(tell: Tell, quick: bool, figure: Figure, most: int) -> Iterator[Found]:
+    row = design_row(figure.name, _problem("h2", most, quick), None, tell)
+    peer = row["CPU s"] + row["evaluations"] * (row["alone ms"] - row["H2 evaluation ms"]) / 1e3
+    told = f"norm {row['norm']:.6g}, {row['evaluations']} evaluations; peer projected from 5"
+    yield Found(figure.name, row["CPU s"], peer, told)
+
+
+def _hinf(tell: Tell, quick: bool, figure: Figure, most: int) -> Iterator[Found]:
+    yield _beside_h2(tell, figure, _problem("hinf", most, quick), _problem("h2", most, quick))
+
+
+def _vtol(tell: Tell, quick: bool) -> Iterator[Found]:
+    from hil.compose.design_problem import problem_for, tracking_target
+
+    target = tracking_target("dc-motor" if quick else "vtol")
+    hinf, h2 = (
+        problem_for(target, objective=objective, information="generated", output="stacked", hinf_bound=None)
+        for objective in ("h2" if quick else "hinf", "h2")
+    )
+    yield _beside_h2(tell, VTOL, hinf, h2)
+
+
+def _beside_h2(tell: Tell, figure: Figure, problem: TrackingProblem, other: TrackingProblem) -> Found:
+    """An H-infinity design, stopped where its time is up, beside the H2 design."""
+    from design.tracking.synthesis import solve
+
+    goal_s = figure.goal.ours if figure.goal is not None and figure.goal.ours is not None else 0.0
+    tell(figure.name)
+    peer_s, _ = _cpu(partial(solve, other))
+    limit_s = min(10.0 * goal_s, max(goal_s, LONGEST_S))
+    try:
+        with _at_most(limit_s):
+            ours_s, design = _cpu(partial(solve, problem))
+    except TimeoutError:
+        return Found(figure.name, limit_s, peer_s, f"not done after {limit_s:g} s of CPU time", unfinished=True)
+    norm = design.certificate.hinf_norm if problem.objective == "hinf" else design.certificate.h2_norm
+    return Found(figure.name, ours_s, peer_s, f"norm {norm:.6g}, {design.evaluations} evaluations")
+
+
+def _cpu(task: partial[Design]) -> tuple[float, Design]:
+    begun = time.process_time()
+    design = task()
+    return time.process_time() - begun, design
+
+
+@contextmanager
+def _at_most(cpu_s: float) -> Iterator[None]:
+    """Raise TimeoutError in the block once this process has computed for so long."""
+
+    def up(number: int, frame: FrameType | None) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGPROF, up)
+    signal.setitimer(signal.ITIMER_PROF, cpu_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def _certificates(tell: Tell, quick: bool) -> Iterator[Found]:
+    rows = bench_certificates(tell, side=3 if quick else CERTIFICATE_SIDE, orders=(4 if quick else 40,))
+    for figure, row in zip((CERTIFICATE, *ONE_MODE.values()), rows):
+        both = row["value"], row["peer's value"]
+        yield Found(figure.name, row["CPU s"], row["peer s"], "value {:.6g}, the peer's {:.6g}".format(*both))
+
+
+PART = Part("designs", "designs and certificates over many modes", 480.0, (
+    Measure((CERTIFICATE, *ONE_MODE.values()), _certificates),
+    Measure((H2[4],), partial(_h2, figure=H2[4], most=4)),
+    Measure((LARGE_H2,), partial(_h2, figure=LARGE_H2, most=0)),
+    Measure((HINF[4],), partial(_hinf, figure=HINF[4], most=4)),
+    Measure((LARGE_HINF,), partial(_hinf, figure=LARGE_HINF, most=0)),
+    Measure((VTOL,), _vtol),
+    Measure((H2[8],), partial(_h2, figure=H2[8], most=8)),
+    Measure((HINF[8],), partial(_hinf, figure=HINF[8], most=8)),
+))  # fmt: skip

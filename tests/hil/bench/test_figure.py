@@ -1,0 +1,70 @@
+"""A figure: its ratio, and what is said of its goal and its condition."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from hil.bench.catalogue import PARTS, take
+from hil.bench.figure import NOT_JUDGED, AtMost, Figure, Found, Measure, Part, Row, row_of
+from hil.errors import HilError
+
+BOTH = Figure(name="slot", unit="us", peer="plain", goal=AtMost(ours=35.0), condition=AtMost(ratio=0.5))
+
+
+def _verdicts(row: Row) -> tuple[str, str | None]:
+    return row["goal_verdict"], row["condition_verdict"]
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (Found("slot", 35.0, 70.0), ("reached", "reached")),
+        (Found("slot", 36.0, 70.0), ("missed", "missed")),
+        (Found("slot", 36.0, 73.0), ("missed", "reached")),
+        (Found("slot", 30.0, 70.0, unfinished=True), ("missed", "missed")),
+        (Found("slot", 30.0, None), ("reached", "not measured: its peer is missing")),
+        (Found("slot", float("nan"), 70.0), ("missed", "missed")),
+    ],
+)
+def test_goal_and_condition_are_judged_each_by_its_own_number(found: Found, expected: tuple[str, str]) -> None:
+    row = row_of("part", BOTH, found)
+    assert _verdicts(row) == expected
+    assert row["ratio"] == (None if found.peer is None or found.ours != found.ours else round(found.ours / found.peer, 4))
+
+
+def test_what_was_not_measured_says_why_and_has_no_numbers() -> None:
+    row = row_of("part", BOTH, None, "no disk")
+    assert _verdicts(row) == ("not measured: no disk", "not measured: no disk")
+    assert (row["ours"], row["peer"], row["ratio"], row["goal"]) == (None, None, None, "35 us")
+
+
+def test_nothing_is_judged_where_something_smaller_was_measured() -> None:
+    assert _verdicts(row_of("part", BOTH, Found("slot", 99.0, 9.0), quick=True)) == (NOT_JUDGED, NOT_JUDGED)
+
+
+def test_a_peer_of_zero_has_no_ratio_but_a_verdict() -> None:
+    late = Figure(name="late", unit="%", peer="can:hil", goal=AtMost(ratio=2.0))
+    rows = [row_of("part", late, Found("late", ours, 0.0)) for ours in (0.0, 0.1)]
+    assert [(row["ratio"], row["goal_verdict"]) for row in rows] == [(None, "reached"), (None, "missed")]
+
+
+def test_what_fails_costs_its_own_figures_and_no_others() -> None:
+    first, second, third = (Figure(name=name, unit="s", peer="plain") for name in ("first", "second", "third"))
+
+    def half(tell: object, quick: bool) -> Iterator[Found]:
+        yield Found("first", 1.0, 2.0)
+        raise HilError("no cyclictest\nhere")
+
+    whole = Measure((third,), lambda tell, quick: [Found("third", 2.0, 4.0)])
+    part = Part("part", "", 1.0, (Measure((first, second), half), whole))
+    rows = {row["name"]: row for row in take(part, quick=False)}
+    assert [rows[name]["goal_verdict"] for name in ("first", "second", "third")] == [
+        "measured", "not measured: no cyclictest here", "measured",
+    ]  # fmt: skip
+
+
+def test_no_two_figures_share_a_name() -> None:
+    names = [figure.name for part in PARTS for figure in part.figures]
+    assert len(names) == len(set(names))
