@@ -49,12 +49,17 @@ def assert_probability(
     """
     from design.monte_carlo.sequential import SequentialTest
 
+    __tracebackhide__ = True  # pytest shows the line of the test, not this function
+    if not 0.0 < at_least < 1.0:
+        raise HilError(f"assert_probability: at_least: {at_least:g}; expected a number between 0 and 1")
+    sure = at_least + (0.5 * (1.0 - at_least) if margin is None else margin)
+    if not at_least < sure < 1.0:
+        room = 1.0 - at_least
+        raise HilError(f"assert_probability: margin: {margin:g}; expected a number between 0 and 1 - at_least = {room:g}")
     try:
-        test = SequentialTest(
-            p0=at_least, p1=at_least + (0.5 * (1.0 - at_least) if margin is None else margin), alpha=alpha, beta=beta
-        )
+        test = SequentialTest(p0=at_least, p1=sure, alpha=alpha, beta=beta)
     except ValueError as error:
-        raise HilError(f"assert_probability: {error}") from error
+        raise HilError(f"assert_probability: {error}") from None
     found = frequency(checked_experiment(source, None, None, changes), holds, test, most_runs=most_runs, first_seed=first_seed)
     if not found.holds:
         raise AssertionError(str(found))
@@ -78,6 +83,7 @@ def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
         AssertionError: if the p-value is below ``alpha``.
         HilError: another side, or a law that has no test or too short a record for it.
     """
+    __tracebackhide__ = True  # pytest shows the line of the test, not this function
     network = session.summary["network"]
     sides = {"sc": network["sc"], "ca": network["ca"], **network["nodes"]}
     if side not in sides:

@@ -12,7 +12,7 @@ OURS: Final = ("design", "plants", "transport")
 ROOT: Final = Path(__file__).resolve().parents[1]
 """The folder that holds hil and its three packages: a checkout, or `site-packages`."""
 
-REMEDY: Final = "rename it, or start Python from another folder or with python -P"
+REMEDY: Final = "rename it, or start Python from another folder or with python -P (pytest: --import-mode=importlib)"
 
 
 def shadows() -> dict[str, str]:

@@ -156,12 +156,14 @@ class Runner:
         """Assert that a condition holds with at least some probability; see `hil.assert_probability`."""
         from hil import assert_probability
 
+        __tracebackhide__ = True
         return assert_probability(experiment, holds, **options)
 
     def assert_law(self, session: Session, side: str, *, alpha: float = 1e-6) -> float:
         """Assert that the delays of a run are those of its network law; see `hil.assert_law`."""
         from hil import assert_law
 
+        __tracebackhide__ = True
         return assert_law(session, side, alpha=alpha)
 
 

@@ -12,13 +12,18 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import TextWrapper
+from typing import Final
 
 import click
 
+from hil.cli.terminal import visible
 from hil.own_packages import REMEDY, shadows
 from hil.vcan import what_would_run
 
 Check = tuple[str, bool, str, str]  # what, fine, finding, remedy
+BELOW: Final = " " * len("missing  ")  # where a line of a check goes on
 
 
 def _vcan() -> Check:
@@ -156,7 +161,14 @@ def command(link: str | None, as_json: bool) -> None:
     if as_json:
         print(json.dumps([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks], indent=2))
         return
+    columns = get_terminal_size().columns
     for what, fine, finding, remedy in checks:
-        print(f"{'ok     ' if fine else 'missing'}  {what}: {finding}")
+        print(_wrapped(f"{'ok     ' if fine else 'missing'}  ", f"{what}: {finding}", columns))
         if remedy:
-            print(f"         remedy: {remedy}")
+            print(_wrapped(BELOW, f"remedy: {remedy}", columns))
+
+
+def _wrapped(begin: str, text: str, columns: int) -> str:
+    """Return a line that goes on below itself; no word is cut, so that a path is copied whole."""
+    wrapper = TextWrapper(columns, initial_indent=begin, subsequent_indent=BELOW, break_long_words=False, break_on_hyphens=False)
+    return wrapper.fill(visible(text))

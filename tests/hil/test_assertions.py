@@ -35,9 +35,17 @@ def test_too_few_runs_are_undecided_and_fail() -> None:
         hil.assert_probability("dc-motor-hinf", lambda s: True, at_least=0.9, most_runs=2, duration=1)
 
 
-@pytest.mark.parametrize("wrong", [{"at_least": 1.0}, {"at_least": 0.9, "margin": 0.2}, {"at_least": 0.5, "alpha": 2.0}])
-def test_numbers_that_mean_nothing_are_told(wrong: dict[str, float]) -> None:
-    with pytest.raises(hil.HilError, match="assert_probability: "):
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [
+        ({"at_least": 1.0}, "at_least: 1;"),
+        ({"at_least": 0.9, "margin": 0.2}, "margin: 0.2;"),
+        ({"at_least": 0.9, "margin": 0.0}, "margin: 0;"),
+        ({"at_least": 0.5, "alpha": 2.0}, "alpha: 2;"),
+    ],
+)
+def test_numbers_that_mean_nothing_are_told_by_the_users_own_name(wrong: dict[str, float], field: str) -> None:
+    with pytest.raises(hil.HilError, match=f"^assert_probability: {field} expected"):
         hil.assert_probability("dc-motor-hinf", lambda s: True, **wrong)
 
 

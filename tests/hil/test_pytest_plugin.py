@@ -64,6 +64,27 @@ def test_a_wrong_key_is_one_line_for_each_fault(pytester: pytest.Pytester) -> No
     assert len(result.outlines) < 15, "no traceback of ours"
 
 
+def test_the_assertions_of_the_face_show_the_line_of_the_test_and_none_of_ours(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        import hil
+
+        def test_rare():
+            hil.assert_probability("dc-motor-hinf", lambda s: False, at_least=0.5, duration=1)
+
+        def test_number():
+            hil.assert_probability("dc-motor-hinf", lambda s: True, at_least=1.5)
+
+        def test_side():
+            hil.assert_law(hil.run("dc-motor-hinf", duration=1), "cs")
+        """
+    )
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--no-header")
+    result.assert_outcomes(failed=3)
+    assert all(told in result.stdout.str() for told in ("failed seeds: 0, 1", "at_least: 1.5", "side 'cs'"))
+    assert not any("assertions.py" in line or "Returns:" in line for line in result.outlines), "a traceback of ours"
+
+
 def test_markers_of_other_projects_are_left_alone(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """

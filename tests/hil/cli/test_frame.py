@@ -49,6 +49,7 @@ def test_doctor_gives_a_remedy_for_all_that_is_missing(cli: Hil) -> None:
     checks = json.loads(cli("doctor", "--json")[1])
     assert [check["what"] for check in checks if not check["ok"] and not check["remedy"]] == []
     assert out.count("remedy:") >= sum(not check["ok"] for check in checks)
+    assert all(len(line) <= 80 for line in out.splitlines())
 
 
 def test_doctor_says_in_one_line_who_could_command(cli: Hil) -> None:
