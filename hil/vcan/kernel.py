@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -56,11 +56,11 @@ def small(wanted: Wanted) -> Kernel:
     need_machine(install=wanted.install)
     path = _cached(wanted.source)
     if not path.exists():
-        with _build_lock(path.parent):
+        with _build_lock(path.parent) as lock:
             if not path.exists():  # the run that held the lock may have built it
                 need_for_build(wanted.source, install=wanted.install)
                 path = _cached(wanted.source)  # the source's version is known only now
-                _build(path, wanted.source or SOURCE)
+                _build(path, wanted.source or SOURCE, lock)
     return Kernel(path=path, backend="uml")
 
 
@@ -146,24 +146,26 @@ def _source_version() -> str:
     return subprocess.run(query, check=True, capture_output=True, text=True).stdout
 
 
-def _build(path: Path, source: Path) -> None:
-    """Build into `path`, all at once or not at all; the lock is ours."""
+def _build(path: Path, source: Path, lock: int) -> None:
+    """Build into `path`, all at once or not at all; the build's processes hold the lock as long as one of them lives."""
     directory = path.parent
-    new, log = directory / "kernel.new", directory / "build.log"
-    argv = ["nice", "sh", str(HERE / "build_kernel"), str(source), str(directory / "build"), str(new)]
+    (tree, new), log = _half_built(directory), directory / "build.log"
+    argv = ["nice", "sh", str(HERE / "build_kernel"), str(source), str(tree), str(new)]
     begin = time.monotonic()
     say(f"building a small kernel with vcan, once, some minutes ({path})")
-    with (
-        log.open("wb") as errors,
-        started(argv, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors) as make,
-    ):
-        _show_progress(make.stdout or [])
-        failed = make.wait() != 0
-    shutil.rmtree(directory / "build", ignore_errors=True)
-    if failed:
-        last = log.read_text(errors="replace")[-2000:].strip()
-        raise RunnerError(f"the kernel's build from {source} failed; see {log}:\n{last}")
-    new.rename(path)
+    try:
+        with (
+            log.open("wb") as errors,
+            started(argv, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, pass_fds=(lock,)) as make,
+        ):
+            _show_progress(make.stdout or [])
+            failed = make.wait() != 0
+        if failed:
+            last = log.read_text(errors="replace")[-2000:].strip()
+            raise RunnerError(f"the kernel's build from {source} failed; see {log}:\n{last}")
+        new.rename(path)
+    finally:  # Ctrl-C and SIGTERM too; what SIGKILL leaves is the next run's to remove
+        _remove_half_built(directory)
     say(f"kernel built in {time.monotonic() - begin:.0f} s")
 
 
@@ -184,9 +186,30 @@ def _show_progress(lines: Iterable[bytes]) -> None:
         sys.stderr.write("\r")
 
 
+def clear_half_built() -> None:
+    """Remove what a killed build has left in the cache (700 MB); one that still runs is left alone."""
+    directory = cache_directory()
+    if not any(place.exists() for place in _half_built(directory)):
+        return
+    with suppress(OSError), (directory / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        say(f"removing what a killed build left in {directory}")
+        _remove_half_built(directory)
+
+
+def _half_built(directory: Path) -> tuple[Path, Path]:
+    return directory / "build", directory / "kernel.new"
+
+
+def _remove_half_built(directory: Path) -> None:
+    tree, new = _half_built(directory)
+    shutil.rmtree(tree, ignore_errors=True)
+    new.unlink(missing_ok=True)
+
+
 @contextmanager
-def _build_lock(directory: Path) -> Iterator[None]:
-    """One build at a time; a killed one leaves no lock, and its half-built tree is the next one's to remove."""
+def _build_lock(directory: Path) -> Iterator[int]:
+    """One build at a time; gives the lock's file descriptor. A killed build leaves no lock."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as why:
@@ -197,7 +220,7 @@ def _build_lock(directory: Path) -> Iterator[None]:
         except BlockingIOError:
             say("another run is building the kernel; waiting for it")
             fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+        yield lock.fileno()
 
 
 def _version(kernel: Path) -> str:

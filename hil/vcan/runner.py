@@ -30,6 +30,7 @@ def run_beside_vcan(wanted: Wanted, timeout_s: float | None = None) -> int:
 
 def start(wanted: Wanted) -> list[str]:
     """Return what to execute: the first way that this machine has."""
+    kernel.clear_half_built()
     missing = []
     for name, way in ways(wanted):
         try:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.vcan import RunnerError, Wanted, kernel, packages
+from hil.vcan import RunnerError, Wanted, kernel, packages, runner
 
 # A stand-in for the build, of which only the time it takes is left out; it notes that it ran.
 FAST_BUILD = """#!/bin/sh
@@ -83,6 +83,7 @@ def test_killed_build_leaves_no_kernel_and_no_process_and_the_next_one_succeeds(
     killed.send_signal(number)
     killed.communicate(timeout=30)
     assert not list(cache.glob("linux-vcan-*"))
+    assert (cache / "build").exists() == (number == signal.SIGKILL), "what may clear up does so, Ctrl-C and SIGTERM"
     limit = time.monotonic() + 10
     while (left := processes_that_name(str(place))) and time.monotonic() < limit:
         time.sleep(0.01)
@@ -90,6 +91,23 @@ def test_killed_build_leaves_no_kernel_and_no_process_and_the_next_one_succeeds(
     (cache / "hold").unlink()
     out, err = builder(place).communicate(timeout=30)
     assert Path(out.strip()).exists(), err
+
+
+def test_what_a_killed_build_left_is_removed_by_the_next_run_of_any_kind(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = place / "cache" / "hilrig"
+    monkeypatch.setenv("HILRIG_KERNEL_CACHE", str(place / "cache"))
+    monkeypatch.setattr(runner, "ways", lambda wanted: [("native", lambda wanted: ["true"])])
+    (cache / "hold").touch()
+    building = builder(place)
+    wait_for(cache / "builds")
+    runner.start(Wanted(command=("true",)))
+    assert (cache / "build").exists(), "a build that runs is left alone"
+    building.kill()
+    building.communicate(timeout=30)
+    limit = time.monotonic() + 10
+    while (cache / "build").exists() and time.monotonic() < limit:  # until the last of its processes has let the lock go
+        runner.start(Wanted(command=("true",)))
+    assert not (cache / "build").exists()
 
 
 def test_failed_build_says_why(place: Path) -> None:
