@@ -41,11 +41,11 @@ class AtMost:
         """Return it in words.
 
         >>> AtMost(ours=1.5).text("s"), AtMost(ratio=3.0, plus=0.5).text("%")
-        ('1.5 s', '3 of the peer + 0.5 %')
+        ('1.5 s', '3 times the peer + 0.5 %')
         """
         told = [] if self.ours is None else [f"{self.ours:g} {unit}".strip()]
         if self.ratio is not None:
-            told.append(f"{self.ratio:.3g} of the peer" + (f" + {self.plus:g} {unit}" if self.plus else ""))
+            told.append(f"{self.ratio:.3g} times the peer" + (f" + {self.plus:g} {unit}" if self.plus else ""))
         return ", ".join(told)
 
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
 from typing import Any, Final
 
 from hil.bench.figure import Row
 
-HEADS: Final = ("what", "ours", "peer", "ratio", "goal", "verdict")
+HEADS: Final = ("what", "ours", "peer", "ratio", "goal")
+WIDTH: Final = 130
 
 TEXT: Final = """\
-# Figures
-
-Made by `hil bench page` of what `hil bench all --json` printed: nothing here is typed. Every figure and its peer come from the
-same run, and only ratios of one run mean anything on a machine that others use too. Less is better everywhere. A goal is what
-was aimed at; a condition is what has to hold on any machine. `hil guide performance` says how it is done, and what stands in the
-way of what was missed.
+Made by `hil bench page` of what `hil bench all --json` printed: nothing here is typed. A figure and its peer come from the same
+run, and only ratios of one run mean anything on a machine that others use too. Less is better everywhere. A goal is what was
+aimed at, reached or missed; a condition is what has to hold on any machine. `hil guide performance` says how it is done, and what
+stands in the way of what was missed.
 """
 
 
@@ -24,11 +25,13 @@ def page_of(found: dict[str, Any]) -> str:
     Args:
         found: what `hil.bench.run_parts.run_parts` returns.
     """
-    lines = [TEXT, f"{machine_line(found)}.", "", _sum(found["figures"]), ""]
+    lines = ["# Figures", "", TEXT, *_wrapped(f"{machine_line(found)}."), "", *_wrapped(_sum(found["figures"])), ""]
     for part in dict.fromkeys(row["part"] for row in found["figures"]):
+        rows = [row for row in found["figures"] if row["part"] == part]
         took = f", measured in {found['seconds'][part]:.0f} s" if part in found["seconds"] else ""
-        lines += [f"## {part}{took}", "", _line(HEADS), _line(["---"] * len(HEADS))]
-        lines += [_line(cells(row)) for row in found["figures"] if row["part"] == part]
+        lines += [f"## {part}{took}", "", _line(HEADS), _line(["---", "---:", "---:", "---:", "---"])]
+        lines += [*(_line(cells(row)) for row in rows), ""]
+        lines += [line for row in rows for line in _wrapped(f"- {remark(row)}")]
         lines.append("")
     return "\n".join(lines).rstrip() + "\n"
 
@@ -46,31 +49,36 @@ def machine_line(found: dict[str, Any]) -> str:
 def cells(row: Row) -> tuple[str, ...]:
     """Return a row of the table.
 
-    >>> cells({"name": "a", "ours": 3.0, "peer": 4.0, "ratio": 0.75, "unit": "s", "peer_is": "C", "note": "twice", "goal": "2 s",
-    ...        "goal_verdict": "missed", "condition": None, "condition_verdict": None})
-    ('a (twice)', '3 s', '4 s, C', '0.75', '2 s', 'missed')
+    >>> cells({"name": "a", "ours": 3.0, "peer": 4.0, "ratio": 0.75, "unit": "s", "goal": "2 s", "goal_verdict": "missed",
+    ...        "condition": "0.8 times the peer", "condition_verdict": "reached"})
+    ('a', '3 s', '4 s', '0.75', 'missed: 2 s; condition holds: 0.8 times')
     """
-    goal, verdict = row["goal"] or "-", row["goal_verdict"]
+    judged = []
+    if row["goal"] is not None:
+        judged.append(f"{row['goal_verdict'].partition(':')[0]}: {row['goal']}")
     if row["condition"] is not None:
-        said = f"condition {row['condition']}"
-        both = row["goal"] is not None
-        goal = f"{goal}; {said}" if both else said
-        verdict = f"{verdict}; condition {row['condition_verdict']}" if both else row["condition_verdict"]
-    return (
-        row["name"] + (f" ({row['note']})" if row["note"] else ""),
-        _number(row["ours"], row["unit"]),
-        f"{_number(row['peer'], row['unit'])}, {row['peer_is']}",
-        _number(row["ratio"], ""),
-        goal,
-        verdict,
-    )
+        verdict = row["condition_verdict"].partition(":")[0]
+        judged.append(f"condition {({'reached': 'holds', 'missed': 'fails'}).get(verdict, verdict)}: {row['condition']}")
+    if not judged and row["ours"] is None:
+        judged.append("not measured")
+    numbers = _number(row["ours"], row["unit"]), _number(row["peer"], row["unit"]), _number(row["ratio"], "")
+    return row["name"], *numbers, "; ".join(judged).replace(" the peer", "")
+
+
+def remark(row: Row) -> str:
+    """Return what stands beside a figure, and what else there is to say of it."""
+    verdicts = (row["goal_verdict"], row["condition_verdict"] or "")
+    why = next((verdict for verdict in verdicts if verdict.startswith("not measured")), "")
+    return f"{row['name']}: beside {row['peer_is']}" + "".join(f"; {said}" for said in (row["note"], why) if said)
 
 
 def _number(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:.3g} {unit}".strip() if abs(value) < 1000 else f"{value:,.0f} {unit}".strip()
+    if value is None:
+        return "-"
+    return f"{value:.3g} {unit}".strip() if abs(value) < 1000 else f"{value:,.0f} {unit}".strip()
 
 
-def _sum(rows: list[Row]) -> str:
+def _sum(rows: Sequence[Row]) -> str:
     """Say how many goals and conditions were reached."""
     told = []
     for key in ("goal", "condition"):
@@ -81,5 +89,9 @@ def _sum(rows: list[Row]) -> str:
     return " ".join(told)
 
 
-def _line(values: tuple[str, ...] | list[str]) -> str:
+def _line(values: Sequence[str]) -> str:
     return "| " + " | ".join(value.replace("|", "\\|") for value in values) + " |"
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, subsequent_indent="  " if text.startswith("- ") else "", break_on_hyphens=False)

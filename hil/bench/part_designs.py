@@ -6,11 +6,11 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from hil.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
+from hil.bench.figure import AtMost, Figure, Found, Measure, Part, Row, Tell
 from hil.bench.modes import (
     CERTIFICATE_GOAL_S,
     CERTIFICATE_SIDE,
@@ -66,18 +66,25 @@ def _problem(objective: str, most: int, quick: bool) -> TrackingProblem:
     return large_problem(2 if quick else LARGE_PLANT, objective)
 
 
+@cache
+def _h2_row(tell: Tell, most: int, quick: bool) -> Row:
+    """The H2 design, made once."""
+    return design_row(f"tau_max = d_max = {most}" if most else LARGE, _problem("h2", most, quick), None, tell)
+
+
 def _h2(tell: Tell, quick: bool, figure: Figure, most: int) -> Iterator[Found]:
-    row = design_row(figure.name, _problem("h2", most, quick), None, tell)
+    row = _h2_row(tell, most, quick)
     peer = row["CPU s"] + row["evaluations"] * (row["alone ms"] - row["H2 evaluation ms"]) / 1e3
     told = f"norm {row['norm']:.6g}, {row['evaluations']} evaluations; peer projected from 5"
     yield Found(figure.name, row["CPU s"], peer, told)
 
 
 def _hinf(tell: Tell, quick: bool, figure: Figure, most: int) -> Iterator[Found]:
-    yield _beside_h2(tell, figure, _problem("hinf", most, quick), _problem("h2", most, quick))
+    yield _design(tell, figure, _problem("hinf", most, quick), _h2_row(tell, most, quick)["CPU s"])
 
 
 def _vtol(tell: Tell, quick: bool) -> Iterator[Found]:
+    from design.tracking.synthesis import solve
     from hil.compose.design_problem import problem_for, tracking_target
 
     target = tracking_target("dc-motor" if quick else "vtol")
@@ -85,16 +92,16 @@ def _vtol(tell: Tell, quick: bool) -> Iterator[Found]:
         problem_for(target, objective=objective, information="generated", output="stacked", hinf_bound=None)
         for objective in ("h2" if quick else "hinf", "h2")
     )
-    yield _beside_h2(tell, VTOL, hinf, h2)
+    tell("H2 design of the VTOL")
+    yield _design(tell, VTOL, hinf, _cpu(partial(solve, h2))[0])
 
 
-def _beside_h2(tell: Tell, figure: Figure, problem: TrackingProblem, other: TrackingProblem) -> Found:
-    """An H-infinity design, stopped where its time is up, beside the H2 design."""
+def _design(tell: Tell, figure: Figure, problem: TrackingProblem, peer_s: float) -> Found:
+    """An H-infinity design, stopped where its time is up, beside what the H2 design took."""
     from design.tracking.synthesis import solve
 
     goal_s = figure.goal.ours if figure.goal is not None and figure.goal.ours is not None else 0.0
     tell(figure.name)
-    peer_s, _ = _cpu(partial(solve, other))
     limit_s = min(10.0 * goal_s, max(goal_s, LONGEST_S))
     try:
         with _at_most(limit_s):

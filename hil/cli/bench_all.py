@@ -32,9 +32,10 @@ def everything(only: tuple[str, ...], quick: bool, as_json: bool) -> None:
 
 def _show(found: dict[str, Any]) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
-    from hil.bench.page import HEADS, cells, machine_line
+    from hil.bench.page import HEADS, cells, machine_line, remark
 
     table = Table(title=machine_line(found))
     for i, head in enumerate(HEADS):
@@ -44,11 +45,13 @@ def _show(found: dict[str, Any]) -> None:
         if part not in (None, row["part"]):
             table.add_section()
         part = row["part"]
-        table.add_row(*cells(row))
+        table.add_row(*map(escape, cells(row)))
     console = Console()
     if not console.is_terminal:
         console.width = 200  # a file has no edge to wrap at
-    console.print(table, markup=False)
+    console.print(table)
+    for row in found["figures"]:
+        console.print(remark(row), markup=False, highlight=False)
 
 
 @click.command()

@@ -8,6 +8,7 @@ import pytest
 
 from hil.bench.catalogue import PARTS, take
 from hil.bench.figure import NOT_JUDGED, AtMost, Figure, Found, Measure, Part, Row, row_of
+from hil.bench.page import page_of
 from hil.errors import HilError
 
 BOTH = Figure(name="slot", unit="us", peer="plain", goal=AtMost(ours=35.0), condition=AtMost(ratio=0.5))
@@ -68,3 +69,14 @@ def test_what_fails_costs_its_own_figures_and_no_others() -> None:
 def test_no_two_figures_share_a_name() -> None:
     names = [figure.name for part in PARTS for figure in part.figures]
     assert len(names) == len(set(names))
+
+
+def test_no_line_of_a_page_is_wide_whatever_was_found() -> None:
+    worst = [
+        row_of(part.name, f, found, "it was interrupted " * 20)
+        for part in PARTS for f in part.figures for found in (None, Found(f.name, 1234567.0, 1234567.0, "a long note " * 20))
+    ]  # fmt: skip
+    about = {"cpus": 2, "cpu": "c" * 60, "memory_gb": 8.0, "system": "s" * 80, "python": "3.11.7", "load_before": 0.1}
+    text = page_of({"machine": about, "date": "2026-11-22", "quick": False, "seconds": {"start": 3.0}, "figures": worst})
+    assert max(map(len, text.splitlines())) <= 130
+    assert "| hil --help, CPU time | - | - | - | not measured |" in text
