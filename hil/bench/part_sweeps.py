@@ -77,7 +77,7 @@ def _dask(tell: Tell, quick: bool) -> Iterator[Found]:
     except ImportError:
         raise HilError("dask[distributed] is not installed") from None
     cores = len(os.sched_getaffinity(0))
-    warm, runs = (1, 2) if quick else (4000, 20_000)
+    warm, runs = (1, 2) if quick else (4000, 10_000)
     experiment = load_experiment(MOTOR)
 
     def wall_us(workers: Any) -> float:
