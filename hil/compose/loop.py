@@ -33,6 +33,7 @@ from hil.compose.port import Port, port_of
 from hil.compose.sensors import Shared, sensor_nodes, shared_media
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
+from hil.experiment.absent import Absent
 from hil.experiment.own_modules import is_own
 from hil.experiment.plugins import OBJECT
 from hil.experiment.protocols import Designer, JumpPlant
@@ -155,7 +156,8 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
 
 
 def _compose(experiment: Experiment, certify: bool) -> Loop:
-    faults = size_faults(experiment)
+    lost = [str(part.missing()) for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
+    faults = lost or size_faults(experiment)
     if faults:
         raise ExperimentError(experiment.name, faults)
     experiment = with_law_files(experiment)

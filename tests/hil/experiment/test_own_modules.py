@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import hil
+from hil.cli import main
 from hil.compose.loop import compose
 from hil.experiment import shipped
 from hil.experiment.own_modules import load_own, written_in
@@ -187,6 +188,19 @@ def test_objects_are_named_in_the_log_and_taken_again(tmp_path: Path) -> None:
         hil.verify(log)
     assert hil.verify(log, plant=Cart(2.0), controller=Law(gain=-0.2)).difference is None
     assert hil.verify(log, plant=Cart(2.1), controller=Law(gain=-0.2)).difference is not None
+
+
+@pytest.mark.parametrize("given", [{"plant": Cart(2.0), "controller": Law()}, {"plant": Cart(2.0)}, {"controller": Law()}])
+def test_a_page_is_made_of_a_log_whose_objects_no_file_holds(tmp_path: Path, given: dict[str, Any]) -> None:
+    log = tmp_path / "a.mcap"
+    hil.run("dc-motor-hinf", log=log, **given, **{"limits.state": {}, "duration": 2, "allow_uncertified": True})
+    for command in (["report", log], ["report", log, "--figures", tmp_path], ["export", log, "-o", tmp_path / "a.npz"],
+                    ["layout", "foxglove", log]):  # fmt: skip
+        with pytest.raises(SystemExit) as end:
+            main([*map(str, command)])
+        assert not end.value.code, command
+    page = log.with_suffix(".html").read_text()
+    assert all(f"object {type(part).__module__}.{type(part).__name__}" in page for part in given.values())
 
 
 def test_an_object_of_an_installed_plugin_is_what_its_table_would_make() -> None:
