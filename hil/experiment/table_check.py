@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import json
 import math
 import typing
 from collections.abc import Iterator
@@ -54,6 +55,25 @@ def _dimensions(hint: Any) -> int:
         return 0
     inner = _dimensions(args[0])
     return 1 + inner if inner or args[0] in (float, int) else 0
+
+
+def form(hint: Any) -> str:
+    """Return how an array is written in an experiment file, nothing for what is no array.
+
+    >>> form(tuple[tuple[float, ...], ...] | None), form(float)
+    ('[[number, ...], ...]', '')
+    """
+    args = typing.get_args(hint)
+    if typing.get_origin(hint) is tuple:
+        return f"[{form(args[0]) or _word(args[0])}, ...]" if len(args) == 2 and args[1] is ... else ""
+    if isinstance(hint, type) and issubclass(hint, tuple):  # a NamedTuple: its fields in their order
+        fields = typing.get_type_hints(hint)
+        return f"[{', '.join(json.dumps(name) if kind is str else name for name, kind in fields.items())}]" if fields else ""
+    return next(filter(None, map(form, args)), "")
+
+
+def _word(kind: Any) -> str:
+    return {float: "number", int: "integer", str: '"text"', bool: "true or false"}.get(kind, "value")
 
 
 def infinite_faults(value: Any, at: str) -> Iterator[str]:
@@ -143,6 +163,8 @@ class TableCheck:
             if message.startswith("Invalid enum value"):
                 words = [w for part in (hint, *args) if typing.get_origin(part) is typing.Literal for w in typing.get_args(part)]
                 message += f", expected one of {', '.join(map(str, words))}" if words else ""
+            if message.startswith("Expected `array`") and (written := form(hint)):
+                message += f"; it is written {written}"
             at += where.rstrip("`")
             cause = e.__cause__  # what a class of its own said of its values
             self.faults.append(

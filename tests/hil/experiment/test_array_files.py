@@ -108,3 +108,20 @@ def test_a_fault_of_a_file_stands_with_its_field(folder: Path) -> None:
         hil.load_experiment(folder / "exp.toml", **wrong)
     with pytest.raises(HilError, match=r"controller\.gains: .*shape \(1, 1\); this field takes 4 dimensions"):
         hil.load_experiment(folder / "exp.toml", controller={"kind": "send-all", "gains": {"file": "K.csv"}})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "fault"),
+    [
+        ("inputs", [{"name": "force", "unit": "N"}], 'inputs[0]: expected `array`, got `object`; it is written ["name", "unit"]'),
+        ("inputs", ["force", "N"], 'inputs[0]: expected `array`, got `str`; it is written ["name", "unit"]'),
+        ("outputs", "position", 'outputs: expected `array`, got `str`; it is written [["name", "unit"], ...]'),
+        ("C", 3, "C: expected `array`, got `int`; it is written [[number, ...], ...]"),
+        ("initial_state", 3, "initial_state: expected `array`, got `int`; it is written [number, ...]"),
+    ],
+)
+def test_an_array_of_another_form_is_told_how_it_is_written(key: str, value: object, fault: str) -> None:
+    plant = {"kind": "state-space", "A": [[0, 1], [0, -1]], "B": [[0], [1]], "C": [[1, 0]], key: value}
+    with pytest.raises(hil.HilError) as why:
+        hil.load_experiment("dc-motor-hinf", plant=plant)
+    assert f"plant.{fault}" in str(why.value)
