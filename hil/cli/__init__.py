@@ -5,12 +5,12 @@ from __future__ import annotations
 import errno
 import importlib
 import os
-import signal
 import sys
 from typing import Any
 
 import click
 
+from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
 from hil.own_packages import require_own_packages
 
@@ -43,18 +43,6 @@ COMMANDS = {
 }
 
 ROOTS = ("TransportError", "PlantError", "DesignError")  # the error roots of the other packages, not imported for a name
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM or SIGHUP, raised where Ctrl-C would be: everything is taken down in order."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__()
-        self.status = 128 + number
-
-
-def _terminate(number: int, _frame: object) -> None:
-    raise Terminated(number)
 
 
 def _close_stdout() -> None:
@@ -123,11 +111,9 @@ def main(args: list[str] | None = None) -> Any:
     # Our matrices are small: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    ours = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]  # nohup ignores SIGHUP
-    for number in ours:
-        signal.signal(number, _terminate)
     try:
-        return cli.main(args, prog_name="hil", standalone_mode=True)
+        with signals_as_exceptions():
+            return cli.main(args, prog_name="hil", standalone_mode=True)
     except BrokenPipeError:
         _close_stdout()
         sys.exit(141)
@@ -148,9 +134,6 @@ def main(args: list[str] | None = None) -> Any:
         for line in message_lines(str(e)):
             print(f"hil: {line}", file=sys.stderr)
         sys.exit(2)
-    finally:
-        for number in ours:
-            signal.signal(number, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

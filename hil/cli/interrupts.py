@@ -1,0 +1,86 @@
+"""Ctrl-C and its kin as an exception, and never one that an import swallows.
+
+Some extension modules pass over whatever arises while they are imported: numpy.random does, for the few milliseconds of its
+import. A signal that comes inside an import is raised as soon as the import is over.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Final, NoReturn
+
+LONGEST_IMPORT_S: Final = 0.8
+"""After so long a signal is raised inside an import also: within a second, everything stops."""
+
+_AGAIN_S: Final = 0.005
+
+_held: Final[list[int]] = []
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM or SIGHUP, raised where Ctrl-C would be: everything is taken down in order.
+
+    Args:
+        number: which.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.status = 128 + number
+
+
+@contextmanager
+def signals_as_exceptions() -> Iterator[None]:
+    """Raise KeyboardInterrupt for SIGINT and `Terminated` for SIGTERM and SIGHUP, unless somebody else handles them.
+
+    Raises:
+        KeyboardInterrupt: SIGINT came.
+        Terminated: SIGTERM or SIGHUP came.
+    """
+    plain = (signal.SIG_DFL, signal.default_int_handler)  # nohup ignores SIGHUP, and & ignores SIGINT
+    ours = {n: h for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if (h := signal.getsignal(n)) in plain}
+    for number in ours:
+        signal.signal(number, _see)
+    try:
+        yield
+    finally:
+        for number, handler in ours.items():
+            signal.signal(number, handler)
+
+
+def _see(number: int, frame: FrameType | None) -> None:
+    if not _importing(frame):
+        _raise(number)
+    _held.append(number)
+    if len(_held) > 1:
+        return
+    end = time.monotonic() + LONGEST_IMPORT_S
+    theirs = signal.getsignal(signal.SIGALRM), signal.getitimer(signal.ITIMER_REAL)
+
+    def look(_number: int, frame: FrameType | None) -> None:
+        if _importing(frame) and time.monotonic() < end:
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
+        signal.signal(signal.SIGALRM, theirs[0])
+        signal.setitimer(signal.ITIMER_REAL, *theirs[1])
+        _held.clear()
+        _raise(number)
+
+    signal.signal(signal.SIGALRM, look)
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+
+def _raise(number: int) -> NoReturn:
+    raise KeyboardInterrupt if number == signal.SIGINT else Terminated(number)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
