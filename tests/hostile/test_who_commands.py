@@ -7,17 +7,22 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
 import pytest
+import zenoh
 
 from hil.experiment import shipped
 from hil.key_files import make_keys
 from hil.log.read.run import Run, read_run
+from tests.links.test_zenoh_access import stranger, tls_entries
 from tests.ports import free_port
+from transport.links.contract import control
 
 pytestmark = pytest.mark.realtime
 
@@ -99,3 +104,24 @@ def test_over_tls_the_session_runs_and_says_who_could_command(tmp_path: Path) ->
     assert status in (0, 3) and np.abs(applied(run)).max() > 0.1
     assert summary["who_commands"] == "holders of a certificate of keys/ca.pem that is called controller"
     assert summary["link_counters"]["refused"] == 0 and summary["link_counters"]["received"] > 20
+
+
+def test_over_tls_each_write_of_another_name_is_refused_counted_and_said(tmp_path: Path) -> None:
+    """A certificate of the same authority, but not the controller's, and twenty commands a second for the motor."""
+    make_keys(tmp_path / "keys")
+    port, over = free_port(), Event()
+
+    def write(session: zenoh.Session) -> None:
+        publisher = session.declare_publisher("hil/rig0/control")
+        while not over.wait(0.05):
+            publisher.put(control(1, rows=4))
+
+    with stranger(port, tls_entries(tmp_path / "keys", "rig")) as (zenoh_session, _), ThreadPoolExecutor(1) as pool:
+        writing = pool.submit(write, zenoh_session)
+        try:
+            status, summary, run = session(tmp_path, f"zenoh:tls/127.0.0.1:{port}?keys=keys")
+        finally:
+            over.set()
+            writing.result()
+    assert status in (0, 3) and np.abs(applied(run)).max() > 0.1  # our controller commanded
+    assert summary["link_counters"]["refused"] > 10 and "refused" in summary["problems"]

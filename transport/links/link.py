@@ -32,7 +32,7 @@ class LinkCounters:
         malformed: frames that belong to this link but are no packet: remote frames, fragments out of order.
         errors: error frames and faults of the medium (interface down, buffer full).
         refused: packets that are not authentic (forged, replayed, without a code), and peers of another name than the one
-            whom the link lets speak.
+            whom the link lets speak; in a rig's process over zenoh also what the access-control list denies, and failed logins.
         turned_away: how often a newcomer found no free file descriptor here and had to wait (can:hil).
     """
 

@@ -5,7 +5,9 @@ the peer whose certificate is called *controller* may write the control key at t
 *rig* the reverse at the controller. With a file of passwords the rig's list names the user *controller* in the same way; the
 controller, which connects, knows its rig by the endpoint alone.
 
-A rule must cover the subscriber's own key expression, so both ends subscribe to exactly what the list names.
+A rule must cover the subscriber's own key expression, so both ends subscribe to exactly what the list names. Whoever
+else connects is told that, and nothing else: a zenoh program sends only what somebody listens to, and so what it writes comes
+to this end and is denied here, where `transport.links.zenoh_refusals` counts it.
 """
 
 from __future__ import annotations
@@ -79,22 +81,35 @@ class Access:
 
 def _deny_all_but(subject: dict[str, Any], role: Role, name: str) -> dict[str, Any]:
     says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
+    to, of = ("egress", "ingress") if role == "rig" else ("ingress", "egress")  # of the rig's answers, of questions to it
 
-    def allow(number: str, flow: str, message: str, key: str) -> dict[str, Any]:
-        return {"id": number, "permission": "allow", "flows": [flow], "messages": [message], "key_exprs": [f"hil/{name}/{key}"]}
+    def allow(flow: str, message: str, *keys: str) -> dict[str, Any]:
+        key_exprs = [f"hil/{name}/{key}" for key in keys]
+        return {"id": f"{message} {flow}", "permission": "allow", "flows": [flow], "messages": [message], "key_exprs": key_exprs}
 
-    rules = [
-        allow("hear", "ingress", "put", hears),
-        allow("be asked for", "ingress", "declare_subscriber", says),
-        allow("say", "egress", "put", says),
-        allow("ask for", "egress", "declare_subscriber", hears),
+    told = [
+        allow("egress", "declare_subscriber", hears),
+        allow("egress", "declare_queryable", "info"),
+        allow("egress", "liveliness_token", role),
+    ]
+    peers = [
+        allow("ingress", "put", hears),
+        allow("egress", "put", says),
+        allow("ingress", "declare_subscriber", says),
+        allow("ingress", "declare_queryable", "info"),
+        allow("ingress", "liveliness_token", "rig", "controller"),
+        allow(of, "query", "info"),
+        allow(to, "reply", "info"),
     ]
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": rules,
-        "subjects": [{"id": "peer", **subject}],
-        "policies": [{"id": "only", "rules": [rule["id"] for rule in rules], "subjects": ["peer"]}],
+        "rules": [*told, *peers],
+        "subjects": [{"id": "peer", **subject}, {"id": "anybody"}],
+        "policies": [
+            {"id": "only", "rules": [rule["id"] for rule in (*told, *peers)], "subjects": ["peer"]},
+            {"id": "told", "rules": [rule["id"] for rule in told], "subjects": ["anybody"]},
+        ],
     }
 
 

@@ -33,6 +33,7 @@ from transport.links.callback_thread import CallbackThreads
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
 from transport.links.private_directory import private_directory
 from transport.links.zenoh_access import OPTIONS, Access, access
+from transport.links.zenoh_refusals import add_refused, count_into
 
 if TYPE_CHECKING:
     import zenoh
@@ -87,6 +88,8 @@ class ZenohLink(Closing):
         self._session_id, self._name = os.urandom(8).hex(), name
         self._say_again: Callable[..., None] | None = None
         self._listened_to = Event()
+        if role == "rig" and (who.tls or who.users):
+            count_into(self.counters)
         self._session = zenoh.open(config(role, endpoint, who.config(name)))
         says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
         try:
@@ -170,9 +173,9 @@ def _take(keep: Callable[[], None], queue: SimpleQueue[bytes], counters: LinkCou
 
 
 def _meet(peer: str, counters: LinkCounters, event: zenoh.LinkEvent) -> None:
-    """Count who connects with a certificate of our authority, but another's name: the access-control list keeps it silent."""
+    """Count who connects with a certificate of our authority, but another's name; the access-control list keeps it silent."""
     if str(event.kind).endswith("PUT") and event.link.auth_identifier != peer:
-        counters.refused += 1
+        add_refused(counters)
 
 
 def _note(listened_to: Event, status: zenoh.MatchingStatus) -> None:

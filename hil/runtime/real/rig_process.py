@@ -30,6 +30,7 @@ from hil.runtime.time.kernel import Kernel
 from transport.links.link import Link, Tells, TransportError, wire_version
 from transport.links.local import LOCAL
 from transport.links.opening import open_link
+from transport.links.zenoh_refusals import standard_output_is_free
 
 PACE_NS = 2_000_000
 """Longest pause between two rehearsals, ns."""
@@ -121,6 +122,7 @@ def main() -> None:
     scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.uri), timing.idle == "awake")
     wire = VERSION_1 if wire_version(job.uri) == 1 else session_wire(os.urandom(KEY_BYTES))
     local = job.uri == LOCAL
+    standard_output_is_free()  # results leave through the pipe, words through standard error
     with LocalLink(ControlNode(job.loop)) if local else open_link(job.uri, "rig") as link:
         rehearsed = RehearsedRig(job.loop, wire, local).warm_up()
         if isinstance(link, Tells):

@@ -1,0 +1,129 @@
+"""Whom zenoh turns away is counted, one by one, in a process that leaves its standard output to that: a rig's."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from hil.key_files import make_keys
+from tests.links.test_zenoh_access import stranger, tls_entries
+from tests.ports import free_port
+from tests.waiting import until
+from transport import Link, open_link
+from transport.links.contract import control, expect, sensor
+
+RIG = """
+import sys
+from transport.links.zenoh_refusals import standard_output_is_free
+standard_output_is_free()
+from transport import Link, open_link
+from transport.links.contract import sensor
+with open_link(sys.argv[1], "rig") as rig:
+    for line in sys.stdin:
+        rig.send(sensor(1))
+        print(rig.counters.refused, file=sys.stderr, flush=True)
+"""
+WRITES = 20
+
+
+@contextmanager
+def rig_of(uri: str) -> Iterator[Callable[[], int]]:
+    """A rig's end in a process of its own; what is yielded asks it how many were refused."""
+    command = [sys.executable, "-c", RIG, uri]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+        asked, said = process.stdin, process.stderr
+
+        def refused() -> int:
+            asked.write("\n")
+            asked.flush()
+            return int(said.readline())
+
+        assert refused() == 0  # it is up
+        yield refused
+        asked.close()
+        assert process.stdout.read() == ""  # zenoh's log reaches nobody
+
+
+def hears(controller: Link, ask: Callable[[], int]) -> bool:
+    """Whether the controller hears the rig, which speaks whenever it is asked."""
+    ask()
+    return controller.receive(0.05) == sensor(1)
+
+
+def test_the_controller_alone_is_never_counted(tmp_path: Path) -> None:
+    for uri in uris(tmp_path).values():
+        with rig_of(uri) as refused, open_link(uri, "controller") as controller:
+            until(partial(hears, controller, refused), "the rig")
+            for seq in range(1, 6):
+                controller.send(control(seq))
+            assert refused() == 0
+            expect(controller, sensor(1))
+
+
+def uris(folder: Path) -> dict[str, str]:
+    """A URI with certificates, and one with passwords."""
+    make_keys(folder / "keys")
+    (folder / "users").write_text("controller:letmein\nobserver:look\n")
+    (folder / "users").chmod(0o600)
+    return {
+        "tls": f"zenoh:tls/127.0.0.1:{free_port()}?keys={folder}/keys",
+        "tcp": f"zenoh:tcp/127.0.0.1:{free_port()}?users={folder}/users",
+    }
+
+
+def port_of(uri: str) -> int:
+    return int(uri.partition("?")[0].rpartition(":")[2])
+
+
+@pytest.mark.parametrize("protocol", ["tls", "tcp"])
+def test_each_write_of_one_whom_the_list_does_not_name_is_counted(tmp_path: Path, protocol: str) -> None:
+    uri = uris(tmp_path)[protocol]
+    login = {"transport/auth/usrpwd": {"user": "observer", "password": "look"}}
+    entries = tls_entries(tmp_path / "keys", "rig") if protocol == "tls" else login
+    with rig_of(uri) as refused, stranger(port_of(uri), entries, protocol) as (session, heard):
+        publisher = session.declare_publisher("hil/rig0/control")
+        until(lambda: publisher.matching_status.matching, "word that the rig listens")
+        at_first = 3 if protocol == "tls" else 2  # its two subscriptions, and over tls its connection
+        until(lambda: refused() >= at_first, "its subscriptions to be refused")
+        before = refused()
+        for seq in range(WRITES):
+            publisher.put(control(seq + 1))
+        until(lambda: refused() >= before + WRITES, "its writes to be counted")
+        assert refused() == before + WRITES and heard == []
+
+
+@pytest.mark.parametrize("kind", ["another authority", "no certificate", "no password", "a wrong password"])
+def test_who_does_not_get_in_is_counted(tmp_path: Path, kind: str) -> None:
+    both = uris(tmp_path)
+    make_keys(tmp_path / "others")
+    protocol, entries = {
+        "another authority": ("tls", tls_entries(tmp_path / "others", "controller")),
+        "no certificate": ("tls", {"transport/link/tls/root_ca_certificate": f"{tmp_path}/keys/ca.pem"}),
+        "no password": ("tcp", {}),
+        "a wrong password": ("tcp", {"transport/auth/usrpwd": {"user": "controller", "password": "guess"}}),
+    }[kind]
+    with rig_of(both[protocol]) as refused, stranger(port_of(both[protocol]), dict(entries), protocol) as (session, heard):
+        until(lambda: refused() >= 2, "two tries to be counted")
+        session.put("hil/rig0/control", control(1))
+        assert heard == []
+
+
+def test_a_flood_of_denied_writes_does_not_keep_the_controller_from_the_rig(tmp_path: Path) -> None:
+    """More lines than the pipe holds: what the controller says afterwards still comes, and every write is counted."""
+    uri, writes = uris(tmp_path)["tls"], 20_000
+    with rig_of(uri) as refused, stranger(port_of(uri), tls_entries(tmp_path / "keys", "rig")) as (session, _):
+        publisher = session.declare_publisher("hil/rig0/control", congestion_control=zenoh.CongestionControl.BLOCK)
+        until(lambda: publisher.matching_status.matching, "word that the rig listens")
+        for seq in range(writes):
+            publisher.put(control(seq + 1))
+        until(lambda: refused() >= writes, "its writes to be counted")
+        with open_link(uri, "controller") as controller:
+            until(partial(hears, controller, refused), "the rig")

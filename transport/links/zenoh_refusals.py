@@ -1,0 +1,88 @@
+"""Whom zenoh turns away, counted: it keeps no statistics, and a denied message reaches no callback, but its log has a line.
+
+zenoh writes its log to standard output and to nothing else. So refusals are counted only in a process that says its standard
+output is nobody's, as a rig's process does. A line is counted by what it says and goes nowhere. A pipe of 1 MiB holds what
+strangers cause between two looks; a flood that fills it waits for the next look, 20 ms at most.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import sys
+import time
+from threading import Lock, Thread
+from typing import Final
+
+from transport.links.link import LinkCounters
+
+_SAYS: Final = (
+    "off,zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::access_control=off,"
+    "zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls::unicast=warn"
+)
+_REFUSAL: Final = re.compile(
+    rb"Msg intercepted!"  # a message that the access-control list denies
+    rb"|UsrPwd extension - Recv"  # no password, or a wrong one
+    rb"|WARN[^\n]*zenoh_link_tls::unicast"  # no certificate, or one of another authority
+)
+_BETWEEN_LOOKS_S: Final = 0.02  # a flood wakes the reader fifty times a second, and not once for each line
+_PIPE_BYTES: Final = 1 << 20
+
+_lock: Final = Lock()
+_counted: list[LinkCounters] = []
+_free = False
+
+
+def standard_output_is_free() -> None:
+    """Say that nothing in this process writes to standard output: a link may take it for zenoh's log.
+
+    To be called before zenoh is used.
+    """
+    global _free
+    _free = True
+
+
+def count_into(counters: LinkCounters) -> None:
+    """Count there whom zenoh turns away from now on, if `standard_output_is_free`; what prints then goes to standard error.
+
+    Args:
+        counters: of the rig's end of a link.
+    """
+    if not _free:
+        return
+    _counted.append(counters)
+    if len(_counted) > 1:
+        return
+    import zenoh
+
+    ours, theirs = os.pipe()
+    fcntl.fcntl(theirs, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+    sys.stdout.flush()
+    os.dup2(theirs, 1, inheritable=False)
+    os.close(theirs)
+    sys.stdout = sys.stderr
+    os.environ["RUST_LOG"] = _SAYS  # zenoh prefers it to what it is given
+    zenoh.init_log_from_env_or(_SAYS)
+    Thread(target=_read, args=(ours,), name="zenoh's log", daemon=True).start()
+
+
+def add_refused(counters: LinkCounters, number: int = 1) -> None:
+    """Count that many more refused; from any thread.
+
+    Args:
+        counters: of a link.
+        number: how many.
+    """
+    with _lock:
+        counters.refused += number
+
+
+def _read(fd: int) -> None:
+    rest = b""
+    while text := os.read(fd, _PIPE_BYTES):
+        lines, newline, rest = (rest + text).rpartition(b"\n")
+        for counters in _counted:
+            add_refused(counters, len(_REFUSAL.findall(lines)))
+        rest = rest if newline else rest[-4096:]
+        time.sleep(_BETWEEN_LOOKS_S)
