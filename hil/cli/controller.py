@@ -18,8 +18,6 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
 
     The rig is started elsewhere with `hil run EXPERIMENT --clock real --external --link URI`.
     """
-    import numpy.random  # noqa: F401  (Ctrl-C while it is imported is lost: before anybody is told of Ctrl-C)
-
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
     from hil.experiment.can_frames import link_uri

@@ -92,26 +92,6 @@ def test_an_interrupted_command_says_so_in_one_line(tmp_path: Path, number: int,
     assert rest.split() == ["hil:", "interrupted"]
 
 
-TOLD = """
-import sys
-class Told:
-    def write(self, text):
-        if "Ctrl-C ends it" in text:
-            print("numpy.random" in sys.modules)
-            sys.exit()
-    def flush(self): pass
-sys.stderr = Told()
-from hil.cli import main
-main(["controller", "dc-motor-hinf"])
-"""
-
-
-def test_nobody_is_told_of_ctrl_c_before_the_import_that_loses_it() -> None:
-    """Cython's modules of numpy.random drop a KeyboardInterrupt that comes while they are imported."""
-    done = subprocess.run([sys.executable, "-c", TOLD], capture_output=True, text=True, timeout=60)
-    assert done.stdout == "True\n"
-
-
 def test_a_reader_that_leaves_is_no_failure() -> None:
     read, write = os.pipe()
     os.close(read)
