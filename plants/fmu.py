@@ -56,6 +56,8 @@ class FMU:
     The rig steps it from slot to slot under a held input. Whether two steps are one of their sum is the unit's own affair; A, B
     and C are what a controller is told of it, and no claim on them is a claim on the unit.
 
+    It needs FMPy: pip install 'hilrig[fmu]'.
+
     Args:
         file: the .fmu, relative to the experiment.
         A: n rows of n entries: linear model around the operating point.

@@ -16,13 +16,15 @@ from hil.errors import HilError
 @click.command()
 @click.argument("experiments", type=EXPERIMENT, nargs=-1, required=True)
 @click.option("--runs", type=int, default=200, show_default=True, help="Runs of each; seeds 0, 1, ...")
+@click.option("--duration", metavar="S", help="Length of a run: seconds, or '10 s', '2 min'.")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of all of them.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write a page with the distributions.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
-    experiments: tuple[str, ...], runs: int, sets: tuple[str, ...], jobs: int, output: Path | None, as_json: bool
-) -> None:
+    experiments: tuple[str, ...], runs: int, duration: str | None, sets: tuple[str, ...], jobs: int, output: Path | None,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Run EXPERIMENTS for the same seeds; print and plot the distributions of their metrics.
 
     Streams of random numbers are named, so experiments with the same network laws meet the same delays.
@@ -46,6 +48,8 @@ def command(
     if runs < 2:
         raise HilError(f"--runs: {runs} is below 2")
     check_jobs(jobs)
+    if duration is not None:
+        sets = (*sets, f"duration={duration}")
     if output is not None:
         check_output(output, page=True)  # now, and not after minutes of work
     if len(set(experiments)) < len(experiments):

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 @click.argument("experiment", type=EXPERIMENT)
 @click.option("--runs", type=int, default=100, show_default=True, help="Number of runs, with --until at most; seeds 0, 1, ...")
 @click.option("--first-seed", type=int, default=0, show_default=True)
+@click.option("--duration", metavar="S", help="Length of a run: seconds, or '10 s', '2 min'.")
 @click.option("--grid", "grids", multiple=True, metavar="KEY=A,B,...", help="Run at every combination of these values.")
 @click.option("--range", "ranges", multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
 @click.option("--points", type=int, metavar="N", help="So many points of a Latin hypercube over the ranges.")
@@ -45,6 +46,7 @@ def command(
     experiment: str,
     runs: int,
     first_seed: int,
+    duration: str | None,
     grids: tuple[str, ...],
     ranges: tuple[str, ...],
     points: int | None,
@@ -86,6 +88,8 @@ def command(
     if first_seed + runs > 2**63:
         raise HilError(f"--first-seed: {first_seed}, and the last seed is beyond 2^63 - 1")
     check_jobs(jobs)
+    if duration is not None:
+        sets = (*sets, f"duration={duration}")
     if (scheduler is None) == (backend == "dask"):
         raise HilError("--scheduler: --backend dask needs the address of its scheduler; no other backend takes one")
     if own:

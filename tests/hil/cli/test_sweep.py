@@ -19,6 +19,14 @@ def test_json_has_statistics_of_every_metric(cli: Hil) -> None:
     assert found["metrics"]["sse"]["n"] == 3 and set(found["metrics"]["sse"]["percentiles"]) >= {"5", "50", "95"}
 
 
+def test_the_length_of_a_run_is_asked_for_as_of_hil_run(cli: Hil) -> None:
+    for command in (("sweep", "dc-motor-hinf"), ("compare", "dc-motor-hinf", "dc-motor-h2")):
+        lengths = (SHORT[2:], ("--duration", "4 s"))
+        asked = [cli(*command, "--runs", "2", "--jobs", "1", "--json", *length)[1] for length in lengths]
+        by_set, by_option = (json.loads(out) for out in asked)
+        assert by_option["metrics"] == by_set["metrics"] if command[0] == "sweep" else by_option == by_set
+
+
 @pytest.mark.parametrize("columns", ["40", "80"])
 def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.MonkeyPatch, columns: str) -> None:
     monkeypatch.setenv("COLUMNS", columns)
@@ -44,6 +52,7 @@ def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.Mon
         (["--resume", "no/where"], "No such file"),
         (["--scheduler", "tcp://127.0.0.1:1"], "--scheduler"),
         (["--set", "plant.gain=nan"], "plant.gain: nan"),
+        (["--duration", "2 parsec"], "duration: '2 parsec' is not a duration"),
     ],
 )
 def test_a_bad_sweep_is_refused_before_it_starts(cli: Hil, arguments: list[str], says: str) -> None:
