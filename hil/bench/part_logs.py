@@ -95,7 +95,7 @@ def _read(tell: Tell, name: str, command: tuple[str, ...], folder: Path, slots: 
     return spent([*HIL, command[0], str(log), *options])
 
 
-PART = Part("logs", "a log in virtual time: a slot of it, a million slots, what reads and mends them", 300.0, (
+PART = Part("logs", "a log in virtual time: a slot of it, a million slots, what reads and mends them", 220.0, (
     Measure((SLOT, BARE, DIFFERENT, FULL, CHUNK), _slot),
     Measure((HELD,), _held),
     Measure((

@@ -48,7 +48,7 @@ RATES = {
 
 def _links(tell: Tell, quick: bool) -> Iterator[Found]:
     tell("round trips at 1 kHz over every link, in turns")
-    found = bench_links(1000.0, 0.5 if quick else 10.0, links=_LINKS)
+    found = bench_links(1000.0, 0.5 if quick else 6.0, links=_LINKS)
     rows = {(row["link"].split("/")[0], row["affinity"]): row for row in found}
     can, bare, plain = rows["can:hil:bench-*", "free"], rows["plain-unix:*", "free"], rows["plain-zenoh:unixsock-stream", "free"]
     floor = rows[FLOOR, "free"]
@@ -76,14 +76,14 @@ def _trip(figure: Figure, ours: dict[str, float | str], peer: dict[str, float | 
 
 def _in_loop(tell: Tell, quick: bool) -> Iterator[Found]:
     tell("the log of a slot in the loop, packed at once and record by record, in turns")
-    yield Found(IN_LOOP.name, *loop_log_us(200 if quick else 5000))
+    yield Found(IN_LOOP.name, *loop_log_us(200 if quick else 3000))
 
 
 def _affinities(tell: Tell, quick: bool) -> Iterator[Found]:
     zenoh = f"zenoh:tcp/127.0.0.1:{free_port()}"
     auto = zenoh, "auto"
     ways = [auto, (zenoh, "free"), auto if quick else (zenoh, "shared"), (f"can:hil:affinity{os.getpid()}", "auto")]
-    turns, length_s = (1, 0.2) if quick else (5, 5.0)
+    turns, length_s = (1, 0.2) if quick else (4, 4.0)
     taken: dict[tuple[str, str], list[Turn]] = {way: [] for way in ways}
     with tempfile.TemporaryDirectory(prefix="hil-bench-") as folder:
         for turn in range(turns):
@@ -111,7 +111,7 @@ def _p50(turns: Sequence[Turn]) -> float:
 
 
 def _rates(tell: Tell, quick: bool) -> Iterator[Found]:
-    turns, length_s = (1, 0.2) if quick else (6, 5.0)
+    turns, length_s = (1, 0.2) if quick else (5, 4.0)
     beside = shutil.which("cyclictest") is not None
     taken: dict[Figure, list[Turn]] = {figure: [] for figure in RATES}
     with tempfile.TemporaryDirectory(prefix="hil-bench-") as folder:
@@ -127,7 +127,7 @@ def _rates(tell: Tell, quick: bool) -> Iterator[Found]:
         yield Found(figure.name, ours, peer, told)
 
 
-PART = Part("real-time", "round trips, late answers by affinity, the log in the loop, rates beside cyclictest", 320.0, (
+PART = Part("real-time", "round trips, late answers by affinity, the log in the loop, rates beside cyclictest", 200.0, (
     Measure((CAN, CAN_C, ONE_CPU, BOTH_CPUS, LATE), _links),
     Measure((IN_LOOP,), _in_loop),
     Measure((AUTO_FREE, SHARED_FREE, AUTO_CAN, TRIP), _affinities),

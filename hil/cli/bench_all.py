@@ -15,7 +15,7 @@ import click
 @click.option("--quick", is_flag=True, help="Measure smaller things, some seconds a part; nothing is judged.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def everything(only: tuple[str, ...], quick: bool, as_json: bool) -> None:
-    """Every figure with its peer, their ratio, and whether it reaches its goal; takes about 20 minutes.
+    """Every figure with its peer, their ratio, and whether it reaches its goal; takes a quarter of an hour on two quiet CPUs.
 
     What a machine lacks (cyclictest, dask) is said in the row that needs it. Ctrl-C prints what was measured until then.
     """
