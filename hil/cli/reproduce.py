@@ -8,6 +8,7 @@ import textwrap
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ import click
 
 if TYPE_CHECKING:
     from hil.reproduce import Kept, Reproduction, Step
+    from hil.reproduce.kept import KeptStages
 
 ALL = "all"
 STATE = "reproduce.state"
@@ -49,7 +51,8 @@ def command(chapter: str, as_json: bool, output: Path | None) -> None:
         state = None if output is None else output / STATE if chapter == ALL else output.with_name(output.name + ".state")
         kept = None if state is None else stack.enter_context(KeptStages(state))
         if kept is not None and kept.stages:
-            click.echo(f"goes on: {len(kept.stages)} stages are in {state}", err=True)
+            click.echo(f"goes on: {_stages(kept)} in {state}", err=True)
+        stack.push(partial(_interrupted, kept))
         progress = stack.enter_context(_Progress(names, kept))
         for name in names:
             progress.begin(name)
@@ -67,6 +70,16 @@ def command(chapter: str, as_json: bool, output: Path | None) -> None:
     if as_json:
         found: dict[str, Any] = {name: result.to_json() for name, result in results.items()}
         print(json.dumps(found if chapter == ALL else found[chapter], indent=2))
+
+
+def _stages(kept: KeptStages) -> str:
+    return "1 stage is" if len(kept.stages) == 1 else f"{len(kept.stages)} stages are"
+
+
+def _interrupted(kept: KeptStages | None, kind: type[BaseException] | None, *_: object) -> None:
+    """Say after Ctrl-C what is kept, where something is."""
+    if kind is not None and issubclass(kind, KeyboardInterrupt) and kept is not None and kept.stages:
+        click.echo(f"the same command goes on: {_stages(kept)} in {kept.path}", err=True)
 
 
 def _pages(chapter: str, names: tuple[str, ...], output: Path | None) -> dict[str, Path]:

@@ -123,11 +123,21 @@ def test_the_command_keeps_goes_on_and_cleans_up(tmp_path: Path, monkeypatch: py
     first = CliRunner().invoke(command, ["all", "-o", str(pages)])
     assert first.exit_code != 0 and {p.name for p in pages.iterdir()} == {"ch2.html", "reproduce.state"}
     assert "left" in first.stderr
+    assert f"the same command goes on: 4 stages are in {pages / 'reproduce.state'}" in first.stderr
     stops[0] = ""
     again = CliRunner().invoke(command, ["all", "-o", str(pages)])
     assert again.exit_code == 0 and "goes on: 4 stages" in again.stderr
     assert calls == ["one", "two", "three", "one", "two", "two", "three"]
     assert {p.name for p in pages.iterdir()} == {"ch2.html", "ch3.html", "index.html"}
+
+
+def test_what_one_interrupted_stage_leaves_is_told_and_nothing_where_nothing_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for stops, told in (("one", ""), ("two", "goes on: 1 stage is in")):
+        monkeypatch.setattr(hil.reproduce, "_asked", lambda name, stops=stops: chapter([], stops))
+        done = CliRunner().invoke(command, ["ch2", "-o", str(tmp_path / f"{stops}.html")])
+        assert done.exit_code != 0 and ("goes on" in done.stderr) == bool(told) and told in done.stderr
 
 
 def test_the_rest_is_told_by_the_pace_so_far() -> None:
