@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any
 
 import click
@@ -78,8 +80,9 @@ def command(
     if as_json:
         print(json.dumps({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None}, indent=2))
         return
+    columns = get_terminal_size().columns
     for name in experiments[1:]:
-        print(visible(comparison.verdict(name)))
+        print(fill(visible(comparison.verdict(name)), columns, break_long_words=False, break_on_hyphens=False))
     title = f"mean of {runs} runs; below it the difference from {visible(first)}, 95 % interval"
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("metric")

@@ -23,8 +23,12 @@ def pages() -> dict[str, Path]:
     return {name: found[name] for name in sorted(found, key=lambda n: (ORDER.index(n) if n in ORDER else len(ORDER), n))}
 
 
+def _topics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    return [name for name in pages() if name.startswith(incomplete)]
+
+
 @click.command()
-@click.argument("topic", required=False)
+@click.argument("topic", required=False, shell_complete=_topics)
 def command(topic: str | None) -> None:
     """Print the guide's page on TOPIC; without a topic, list them."""
     import difflib

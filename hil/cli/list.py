@@ -12,9 +12,17 @@ from hil.errors import HilError
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
 
 
+def _kinds(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    """Return for the shell the plug-ins of the group that stands before."""
+    from hil.experiment import plugins as registry
+
+    group = ctx.params.get("group")
+    return [name for name in registry.names(f"hil.{group}") if name.startswith(incomplete)] if group in GROUPS else []  # type: ignore[arg-type]
+
+
 @click.command()
 @click.argument("group", type=click.Choice(GROUPS), required=False)
-@click.argument("kind", required=False)
+@click.argument("kind", required=False, shell_complete=_kinds)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(group: str | None, kind: str | None, as_json: bool) -> None:
     """List the shipped experiments and the installed plug-ins.

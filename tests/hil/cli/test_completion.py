@@ -41,6 +41,11 @@ def test_commands_experiments_and_keys_are_offered() -> None:
     )  # fmt: skip
     assert {"replay", "report", "reproduce", "recover"} <= set(commands)
     assert {"dc-motor-hinf", "dc-motor-h2"} <= set(experiments)
+    grid, bounds, controllers, topics = offered(
+        "hil sweep dc-motor-hinf --grid per", "hil sweep dc-motor-hinf --range plant.ga", "hil list controllers des",
+        "hil guide vc",
+    )  # fmt: skip
+    assert grid == ["period="] and bounds == ["plant.gain="] and controllers == ["designed"] and topics == ["vcan"]
     assert "plant.gain=" in keys and "links.sc.law.matrix=" in laws and nothing == []
 
 

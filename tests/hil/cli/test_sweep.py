@@ -34,6 +34,8 @@ def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.Mon
     assert "…" not in out and "steady_state_error" in out
     _, out, _ = cli("compare", "dc-motor-hinf", "dc-motor-h2", "--runs", "2", *SHORT)
     assert "…" not in out and "dc-motor-hinf" in out
+    verdict = out.partition("mean of 2 runs")[0].splitlines()
+    assert "95 % interval" in " ".join(verdict) and max(map(len, verdict)) <= int(columns)
 
 
 @pytest.mark.parametrize(
