@@ -1,4 +1,4 @@
-"""A controller that knows only wire version 2 in the README: python-can, struct and the CRC; nothing of hilrig.
+"""The controller of `hil guide wire-format`, word for word: python-can, struct and the CRC; nothing of hilrig.
 
 Usage: foreign_controller_2.py CHANNEL [INTERFACE]
 """

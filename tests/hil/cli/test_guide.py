@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 from click.testing import CliRunner
 
@@ -23,3 +26,9 @@ def test_an_unknown_topic_is_refused_with_the_nearest(capsys: pytest.CaptureFixt
     with pytest.raises(SystemExit) as end:
         main(["guide", "real-tim"])
     assert end.value.code == 2 and "did you mean 'real-time'?" in capsys.readouterr().err
+
+
+def test_the_controller_of_the_wire_format_is_the_one_that_is_tested() -> None:
+    (program,) = re.findall(r"```python\n(.*?)```", pages()["wire-format"].read_text(encoding="utf-8"), re.S)
+    tested = (Path(__file__).parents[2] / "foreign_controller_2.py").read_text(encoding="utf-8")
+    assert tested.split('"""\n\n', 1)[1] == program
