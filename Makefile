@@ -11,7 +11,7 @@ WORKERS := $(shell n=$$(nproc 2>/dev/null || echo 4); [ $$n -gt 4 ] && echo $$n 
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test test-slow test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench docs clean
+.PHONY: help run test test-slow test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -69,6 +69,13 @@ sbom: $(INSTALLED) ## what is installed, and under which licence
 bench: $(INSTALLED) ## timing beside cyclictest, round trips of all links
 	$(BIN)/hil bench timing
 	$(BIN)/hil bench links
+
+figures: $(INSTALLED) ## measure every figure of speed, make the guide's page of them: a quarter of an hour, quiet
+	@mkdir -p runs
+	$(BIN)/hil bench all --json > runs/figures.json
+	@cp runs/figures.json hil/guide/figures.json
+	$(BIN)/hil bench page hil/guide/figures.json -o hil/guide/figures.md
+	@grep -qx figures hil/guide/index.md || sed -i 's/^performance$$/performance\nfigures/' hil/guide/index.md
 
 # Sphinx is wanted by nobody but this target: it is installed when it is first asked for.
 docs: $(INSTALLED) ## the guide as a site, in runs/docs

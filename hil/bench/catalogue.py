@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from hil.bench import part_designs, part_logs, part_real_time, part_start, part_sweeps
 from hil.bench.figure import Part, Row, row_of
+from hil.errors import HilError
 from hil.runtime.real.scheduling import die_with_parent
 
 PARTS: Final[tuple[Part, ...]] = (
@@ -34,7 +35,7 @@ def take(part: Part, *, quick: bool) -> Iterator[Row]:
             for found in measure.take(_tell, quick):
                 yield row_of(part.name, missing.pop(found.name), found, quick=quick)
         except Exception as error:  # whatever it is, the rest is worth having
-            why = f"{error}" if type(error).__name__.endswith("Error") and str(error) else f"{type(error).__name__}: {error}"
+            why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
         for figure in missing.values():
             yield row_of(part.name, figure, None, " ".join(why.split()))
 

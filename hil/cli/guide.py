@@ -11,8 +11,8 @@ from hil.errors import HilError
 
 ORDER = (
     "quick-start", "experiments", "own-plant-law-controller", "wire-format", "who-commands", "real-time", "vcan",
-    "performance", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls", "several-sensors", "identification",
-    "reproducing-the-thesis", "errata", "decisions",
+    "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls", "several-sensors",
+    "identification", "reproducing-the-thesis", "errata", "decisions",
 )  # fmt: skip
 """Topics in reading order; a page that is not named here comes last."""
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+from hil.bench.catalogue import PARTS
+from hil.bench.page import page_of
 from hil.cli import main
 from hil.cli.guide import command, pages
 
@@ -20,6 +23,15 @@ def test_without_a_topic_it_lists_every_page_with_its_title() -> None:
 @pytest.mark.parametrize("topic", list(pages()))
 def test_a_page_is_printed_as_it_stands_where_it_is_piped(topic: str) -> None:
     assert CliRunner().invoke(command, [topic]).stdout == pages()[topic].read_text(encoding="utf-8")
+
+
+def test_the_page_of_figures_is_made_of_what_was_measured() -> None:
+    if (page := pages().get("figures")) is None:
+        pytest.skip("no figures were measured for the guide: make figures")
+    found = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))
+    assert page.read_text(encoding="utf-8") == page_of(found)
+    assert not found["quick"]
+    assert [row["name"] for row in found["figures"]] == [figure.name for part in PARTS for figure in part.figures]
 
 
 def test_an_unknown_topic_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
