@@ -1,7 +1,7 @@
-"""An array that grows at its end: in memory while it is small, in a file without a name beyond that.
+"""An array that grows at its end: its last rows in memory, the others in a file without a name.
 
 A long run has gigabytes of columns. What is mapped from a file can be given back to the system at any time, so that memory does
-not grow with the run.
+not grow with the run. It does not grow in a run's first minutes either: what waits for the file is little from the beginning.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ Column: TypeAlias = np.ndarray[Any, np.dtype[Any]]
 T = TypeVar("T", bound=np.generic)
 
 IN_MEMORY: Final = 2 << 20
-"""Bytes up to which an array stays in memory."""
+"""Bytes up to which the array that is asked for is one in memory, and not mapped from the file."""
 
-PENDING: Final = 1 << 19
-"""Bytes that a longer one gathers before it writes them."""
+PENDING: Final = 1 << 16
+"""Bytes that it gathers before it writes them."""
 
 ROWS: Final = 1 << 15
 """Rows of a piece."""
@@ -34,12 +34,12 @@ class Growing:
     Args:
         dtype: of the rows; no objects.
         folder: where the file without a name is made; the system's folder for temporary files if it cannot be made there.
-        in_memory: bytes that stay in memory at most [`IN_MEMORY`, and `PENDING` of what has a file].
+        pending: bytes that it gathers before it writes them [`PENDING`].
     """
 
-    def __init__(self, dtype: Any, folder: str | os.PathLike[str] | None = None, in_memory: int | None = None) -> None:
+    def __init__(self, dtype: Any, folder: str | os.PathLike[str] | None = None, pending: int | None = None) -> None:
         self.dtype = np.dtype(dtype)
-        self._in_memory = in_memory
+        self._most = pending
         self._folder = folder
         self._parts: list[Column] = []
         self._pending = 0  # bytes in the parts
@@ -54,8 +54,7 @@ class Growing:
         """Take rows; they are not copied, and must not change any more."""
         self._parts.append(rows)
         self._pending += rows.nbytes
-        most = self._in_memory or (IN_MEMORY if self._file is None else PENDING)
-        if self._pending >= most and not self._refused:
+        if self._pending >= (self._most or PENDING) and not self._refused:
             self._write()
 
     def _write(self) -> None:
@@ -73,11 +72,13 @@ class Growing:
         self._parts, self._pending = [], 0
 
     def array(self) -> Column:
-        """Return all rows as one array; one that is mapped from the file is read only."""
-        if self._written and self._parts and not self._refused:
+        """Return all rows as one array; one longer than `IN_MEMORY` is mapped from the file, and read only."""
+        short = self._written + self._pending <= IN_MEMORY
+        if self._written and self._parts and not self._refused and not short:
             self._write()
-        parts = [*([_mapped(self._file, self._written, self.dtype)] if self._file is not None and self._written else [])]
-        parts += self._parts
+        parts = list(self._parts)
+        if self._file is not None and self._written:
+            parts.insert(0, (_loaded if short else _mapped)(self._file, self._written, self.dtype))
         if not parts:
             return np.empty(0, self.dtype)
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -94,6 +95,13 @@ def _nameless(folder: str | os.PathLike[str] | None) -> int:
             return os.dup(file.fileno())
     with tempfile.TemporaryFile() as file:
         return os.dup(file.fileno())
+
+
+def _loaded(file: int, length: int, dtype: np.dtype[Any]) -> Column:
+    data, done = bytearray(length), 0
+    while done < length and (got := os.preadv(file, [memoryview(data)[done:]], done)):
+        done += got
+    return np.frombuffer(data, dtype)
 
 
 def _mapped(file: int, length: int, dtype: np.dtype[Any]) -> Column:

@@ -1,6 +1,7 @@
 """Arrays that grow in a file: the same rows, whatever was in memory and whatever the disk refused."""
 
 import os
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -38,6 +39,23 @@ def test_a_long_array_is_no_memory_of_ours(tmp_path) -> None:
         column.extend(rows(1000, seed))
     array = column.array()
     assert not array.flags.owndata and not array.flags.writeable
+
+
+def test_what_waits_for_the_file_is_little_from_the_beginning(tmp_path) -> None:
+    """A session at 1 kHz grew by 308 kB a minute for its first ten: each column waited for its first two megabytes."""
+    column, most = Growing(ROW, tmp_path), 0
+    parts = [rows(300, seed) for seed in range(200)]
+    tracemalloc.start()
+    try:
+        for part in parts:
+            column.extend(part.copy())
+            most = max(most, tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert most < 2 * growing.PENDING and len(column) * ROW.itemsize > 8 * growing.PENDING
+    array = column.array()
+    assert array.flags.writeable  # a short one is the caller's own
+    assert array.tobytes() == np.concatenate(parts).tobytes()
 
 
 def test_a_full_disk_costs_memory_and_not_the_rows(monkeypatch: pytest.MonkeyPatch) -> None:
