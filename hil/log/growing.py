@@ -78,7 +78,8 @@ class Growing:
             self._write()
         parts = list(self._parts)
         if self._file is not None and self._written:
-            parts.insert(0, (_loaded if short else _mapped)(self._file, self._written, self.dtype))
+            mapped = _mapped(self._file, self._written, self.dtype)
+            parts.insert(0, mapped.copy() if short else mapped)
         if not parts:
             return np.empty(0, self.dtype)
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -95,13 +96,6 @@ def _nameless(folder: str | os.PathLike[str] | None) -> int:
             return os.dup(file.fileno())
     with tempfile.TemporaryFile() as file:
         return os.dup(file.fileno())
-
-
-def _loaded(file: int, length: int, dtype: np.dtype[Any]) -> Column:
-    data, done = bytearray(length), 0
-    while done < length and (got := os.preadv(file, [memoryview(data)[done:]], done)):
-        done += got
-    return np.frombuffer(data, dtype)
 
 
 def _mapped(file: int, length: int, dtype: np.dtype[Any]) -> Column:

@@ -6,8 +6,8 @@ the peer whose certificate is called *controller* may write the control key at t
 controller, which connects, knows its rig by the endpoint alone.
 
 A rule must cover the subscriber's own key expression, so both ends subscribe to exactly what the list names. Whoever
-else connects is told that, and nothing else: a zenoh program sends only what somebody listens to, and so what it writes comes
-to this end and is denied here, where `transport.links.zenoh_refusals` counts it.
+else connects is told what this end listens to and answers, and that it is there: a zenoh program sends only what somebody
+listens to, and so what it writes comes to this end and is denied here, where `transport.links.zenoh_refusals` counts it.
 """
 
 from __future__ import annotations
