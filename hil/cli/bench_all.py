@@ -60,8 +60,11 @@ def _show(found: dict[str, Any]) -> None:
 def page(figures: Path, output: Path | None) -> None:
     """Make a page of FIGURES, what `hil bench all --json` has printed, with the machine and the date: in Markdown."""
     from hil.bench.page import page_of
+    from hil.cli.outputs import check_output, write_output
     from hil.errors import HilError
 
+    if output is not None:
+        check_output(output)
     try:
         text = page_of(json.loads(figures.read_text(encoding="utf-8")))
     except (ValueError, KeyError, TypeError) as error:
@@ -69,4 +72,4 @@ def page(figures: Path, output: Path | None) -> None:
     if output is None:
         sys.stdout.write(text)
     else:
-        output.write_text(text, encoding="utf-8")
+        write_output(output, text)
