@@ -103,6 +103,29 @@ class LoopStructure:
         np.add.at(gradient, (e.sc, e.row), e.left.transpose(0, 2, 1) @ gradient_A[e.mode] @ e.right.transpose(0, 2, 1))
         return gradient
 
+    def gain_curvature(self, cost: Array, moments: Array, block: Index) -> Array:
+        """Second derivative, with respect to gains, of sum_i tr(A_i' cost_i A_i moments_i) / 2.
+
+        Args:
+            cost, moments: (N, n, n), held fixed.
+            block: (sc labels, rows), number of the free gain that stands there; gains of one number are equal.
+
+        Returns:
+            (blocks m py, blocks m py), the entries of a gain row by row.
+        """
+        e, (m, py) = self.entries, self.gain_shape[2:]
+        own, count, size = block[e.sc, e.row], int(block.max()) + 1, m * py
+        curvature = np.zeros((count, size, count, size))
+        for mode in np.unique(e.mode):
+            its = np.flatnonzero(e.mode == mode)
+            left, right, number = e.left[its], e.right[its], own[its]
+            by_input = left.transpose(0, 2, 1)[:, None] @ (cost[mode] @ left)[None]
+            by_sample = right[:, None] @ (moments[mode] @ right.transpose(0, 2, 1))[None]
+            pairs = np.einsum("abij,abkl->abikjl", by_input, by_sample).reshape(len(its), len(its), size, size)
+            for one, two in np.ndindex(len(its), len(its)):  # an index may come twice
+                curvature[number[one], :, number[two], :] += pairs[one, two]
+        return curvature.reshape(count * size, count * size)
+
     def applied_input(self, gains: Array) -> Array:
         """(N, m, n) matrices U_i with u(k) = U_i X(k), the (deviation of the) input that acts on the plant."""
         e = self.input_entries

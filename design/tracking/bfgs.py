@@ -45,6 +45,7 @@ def bfgs(
     stop: Callable[[float], bool] | None = None,
     watch: Watcher | None = None,
     ceiling: Callable[[float], None] | None = None,
+    metric: Callable[[Array], Array] | None = None,
 ) -> Descent:
     """Minimise from `start`, a point of the domain.
 
@@ -55,6 +56,8 @@ def bfgs(
         stop: asked with each new value; True ends the descent.
         watch: told (iteration, value).
         ceiling: told every value that is not to be exceeded from now on: above it the objective may answer inf.
+        metric: x -> first guess of the inverse Hessian at x, where the objective was evaluated last; positive definite. Without,
+            a multiple of the identity, fitted to the first step.
     """
     x = np.array(start, dtype=np.float64)
     value, gradient = objective(x)
@@ -63,14 +66,14 @@ def bfgs(
         return Descent(x, value, gradient, 0, 1, "start outside the domain")
     if ceiling is not None:
         ceiling(value)
-    H = np.eye(x.size) / max(1e-300, float(np.linalg.norm(gradient))) * 0.1 * max(1.0, float(np.linalg.norm(x)))
+    H = _steepest(gradient, 0.1 * max(1.0, float(np.linalg.norm(x)))) if metric is None else metric(x)
     for iteration in range(1, iterations + 1):
         if np.linalg.norm(gradient) <= gradient_tolerance * max(1.0, abs(value)):
             return Descent(x, value, gradient, iteration - 1, evaluations, "gradient")
         direction = -H @ gradient
         slope = float(gradient @ direction)
         if not slope < 0.0:
-            H, fresh = np.eye(x.size) / float(np.linalg.norm(gradient)), True
+            H, fresh = _steepest(gradient, 1.0), True
             direction = -H @ gradient
             slope = float(gradient @ direction)
         found, tried = _weak_wolfe(objective, x, value, slope, direction)
@@ -78,13 +81,13 @@ def bfgs(
         if found is None:
             if fresh:
                 return Descent(x, value, gradient, iteration, evaluations, "line search")
-            H, fresh = np.eye(x.size) * 1e-3 / float(np.linalg.norm(gradient)), True
+            H, fresh = _steepest(gradient, 1e-3), True
             continue
         new_x, new_value, new_gradient = found
         s, y = new_x - x, new_gradient - gradient
         product = float(s @ y)
         if product > 1e-14 * np.linalg.norm(s) * np.linalg.norm(y):
-            if fresh and iteration == 1:
+            if fresh and iteration == 1 and metric is None:
                 H = np.eye(x.size) * product / float(y @ y)
             Hy = H @ y
             H += (1.0 + float(y @ Hy) / product) / product * np.outer(s, s)
@@ -101,6 +104,11 @@ def bfgs(
         if idle >= patience:
             return Descent(x, value, gradient, iteration, evaluations, "no more gain")
     return Descent(x, value, gradient, iterations, evaluations, "iterations")
+
+
+def _steepest(gradient: Array, length: float) -> Array:
+    """The inverse Hessian by which the first step goes down the gradient so far."""
+    return np.asarray(np.eye(gradient.size) / max(1e-300, float(np.linalg.norm(gradient))) * length)
 
 
 def _weak_wolfe(

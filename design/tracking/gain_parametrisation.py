@@ -82,6 +82,13 @@ class GainParametrisation:
         flat = total.ravel()
         return flat if self.bound is None else flat * self.bound * np.cos(v)
 
+    def curvature(self, v: Array, curvature: Array) -> Array:
+        """Second derivative with respect to v from the one with respect to the free gains, where K bends less than the norm."""
+        if self.bound is None:
+            return curvature
+        slope = self.bound * np.cos(v)
+        return np.asarray(slope[:, None] * curvature * slope)
+
     def coordinates(self, gains: npt.ArrayLike) -> Array:
         """Coordinates of the nearest K in the space (means of gains that must be equal, clipped to the bound)."""
         K = np.asarray(gains, dtype=np.float64)

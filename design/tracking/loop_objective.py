@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold, solve_bounded_real
-from design.jump_linear.h2 import h2_derivative
+from design.jump_linear.h2 import H2Derivative, h2_derivative
 from design.jump_linear.h2_nearby import H2Nearby
-from design.jump_linear.second_moment import Resolvent, mean_square_radius
+from design.jump_linear.second_moment import Resolvent, expect, mean_square_radius
 from design.jump_linear.stability_proof import StabilityProof, is_positive
 from design.networked_loop.closed_loop import LoopStructure
 from design.processes.delay_chain import Array
 from design.tracking.bfgs import Descent, bfgs
 from design.tracking.gain_parametrisation import GainParametrisation
+
+FLATTEST = 1e-8
+"""Least curvature that a descent starts with, as a share of the largest."""
 
 
 class LoopObjective:
@@ -34,6 +37,7 @@ class LoopObjective:
         self._zero = np.zeros((structure.B.shape[0], structure.C.shape[1], structure.B.shape[2]))
         self._nearby: H2Nearby | None = None
         self._proof: StabilityProof | None = None
+        self._last: H2Derivative | None = None
         if many((structure.base, structure.B, structure.C, self._zero, structure.transition)):
             self._nearby = H2Nearby(structure.B, structure.C, structure.transition, alpha)
             self._proof = StabilityProof(structure.transition)
@@ -51,6 +55,7 @@ class LoopObjective:
             found = h2_derivative(A, s.B, s.C, s.transition, self.alpha)
         else:
             found = self._nearby.derivative(A)
+        self._last = found
         if found is None or not found.square > 0.0:
             return np.inf, np.zeros_like(v)
         norm = float(np.sqrt(found.square))
@@ -74,6 +79,23 @@ class LoopObjective:
             fold = found
         self._fold = fold
         return fold.norm, self.space.gradient(v, s.gain_gradient(fold.gradient_A(s.transition)))
+
+    def descend_h2(self, start: Array) -> Descent:
+        """Descent of the H2 norm; over many modes it starts with the curvature of one loop, and takes a tenth of the steps."""
+        return bfgs(self.h2, start, metric=None if self._nearby is None else self._inverse_curvature)
+
+    def _inverse_curvature(self, v: Array) -> Array:
+        """Inverse of the second derivative of the norm with cost and moments held, of the loop evaluated last.
+
+        That is `gain_curvature` over the norm. Gains that are hardly ever used have hardly any: at least `FLATTEST` of the most.
+        """
+        last = self._last
+        assert last is not None
+        s = self.structure
+        fixed = s.gain_curvature(expect(s.transition, last.S), last.X, self.space.block)
+        values, vectors = np.linalg.eigh(self.space.curvature(v, fixed))
+        values = np.maximum(values, FLATTEST * values[-1])
+        return np.asarray(float(np.sqrt(last.square)) * (vectors / values) @ vectors.T)
 
     def descend_hinf(self, start: Array) -> Descent:
         """Descent of the H-infinity norm, each step below the last: what is above need not be found."""

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -140,7 +139,7 @@ def _multistart(
         first = stabilising(objective, space.coordinates(np.zeros(space.shape)))
     except NotStable as error:
         raise _with_class(problem, objective, error) from None
-    centre = _descend(partial(bfgs, objective.h2), first)
+    centre = _descend(objective.descend_h2, first)
     report("h2", 1, count, centre.value)
     results: list[Descent] = []
     for start in range(count):
@@ -149,7 +148,7 @@ def _multistart(
             results.append(Descent(centre.x, np.inf, centre.gradient, 0, 0, "not stable"))
             continue
         if problem.objective == "h2":
-            result = centre if start == 0 else _descend(partial(bfgs, objective.h2), v)
+            result = centre if start == 0 else _descend(objective.descend_h2, v)
         elif problem.objective == "hinf":
             result = _descend(objective.descend_hinf, v)
         else:

@@ -129,3 +129,26 @@ def test_gains_of_the_wrong_shape_are_refused_with_both_shapes():
         check_gains([[[[0.0]], [[np.nan]]]], (1, 2, 1, 1))
     with pytest.raises(ValueError, match=r"^gains: expected a regular nested list"):
         check_gains([[1.0], [1.0, 2.0]], (1, 2, 1, 1))
+
+
+@pytest.mark.parametrize("selection", SELECTIONS)
+def test_the_curvature_is_the_derivative_of_the_gradient(selection):
+    """Of sum_i tr(A_i' S_i A_i X_i) / 2: its gradient S A X is affine in the gains, so that one step tells all."""
+    structure = loop_structure(*VTOL, LAMBDA, LONG_PI, selection)
+    rng = np.random.default_rng(3)
+    cost, moments = (root @ root.swapaxes(1, 2) for root in rng.normal(size=(2, *structure.base.shape)))
+    gains, used = rng.normal(size=structure.gain_shape), structure.used
+    block = np.full(used.shape, -1)
+    block[used] = np.arange(np.count_nonzero(used)) // 2  # two by two they are equal
+
+    def gradient(free):
+        all_gains = np.where(used[:, :, None, None], gains + free.reshape(-1, *gains.shape[2:])[block], 0.0)
+        by_gain = structure.gain_gradient(cost @ structure.matrices(all_gains) @ moments)
+        total = np.zeros((block.max() + 1, *gains.shape[2:]))
+        np.add.at(total, block[used], by_gain[used])
+        return total.ravel()
+
+    size = (block.max() + 1) * gains.shape[2] * gains.shape[3]
+    expected = np.stack([gradient(step) - gradient(0.0 * step) for step in np.eye(size)])
+    found = structure.gain_curvature(cost, moments, block)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
