@@ -242,7 +242,7 @@ def _kept(sink: McapSink, provenance: Provenance) -> Run:
     return Run(
         arrays=arrays,
         schemas={topic: sink.kept.schemas[topic] for topic in arrays},
-        events=[decode_event(payload) for payload in sink.kept.events],
+        events=[decode_event(payload) for payload in sink.kept.events()],
         metadata=provenance.metadata()["hilrig"],
         codes={name: list(words) for name, words in provenance.codes.items()},
         experiment_text=provenance.experiment_text,

@@ -1,7 +1,8 @@
 """An array that grows at its end: its last rows in memory, the others in a file without a name.
 
 A long run has gigabytes of columns. What is mapped from a file can be given back to the system at any time, so that memory does
-not grow with the run. It does not grow in a run's first minutes either: what waits for the file is little from the beginning.
+not grow with the run. It does not grow in a run's first minutes either: what waits for the file is little, and lies in one place
+that is touched from the beginning.
 """
 
 from __future__ import annotations
@@ -39,47 +40,58 @@ class Growing:
 
     def __init__(self, dtype: Any, folder: str | os.PathLike[str] | None = None, pending: int | None = None) -> None:
         self.dtype = np.dtype(dtype)
-        self._most = pending
+        self._most = max((pending or PENDING) // int(self.dtype.itemsize), 1)  # rows that wait
         self._folder = folder
-        self._parts: list[Column] = []
-        self._pending = 0  # bytes in the parts
+        self._waiting = np.empty(0, self.dtype)
+        self._count = 0  # of them
         self._file: int | None = None
-        self._written = 0
-        self._refused = False  # the disk is full: the rest stays in memory
+        self._written = 0  # rows in the file
+        self._rest: list[Column] = []  # what a full disk refused, and all behind it
 
     def __len__(self) -> int:
-        return (self._written + self._pending) // int(self.dtype.itemsize)
+        return self._written + sum(map(len, self._rest)) + self._count
 
     def extend(self, rows: Column) -> None:
-        """Take rows; they are not copied, and must not change any more."""
-        self._parts.append(rows)
-        self._pending += rows.nbytes
-        if self._pending >= (self._most or PENDING) and not self._refused:
-            self._write()
-
-    def _write(self) -> None:
-        data = memoryview(np.concatenate(self._parts).tobytes())
-        try:
-            if self._file is None:
-                self._file = _nameless(self._folder)
-            done = 0
-            while done < len(data):
-                done += os.pwrite(self._file, data[done:], self._written + done)
-        except OSError:
-            self._refused = True
+        """Take rows; they are copied to one place, so that many small ones leave no holes in memory where they lay."""
+        if self._count + len(rows) > self._most:
+            self._write(self._waiting[: self._count])
+            self._count = 0
+        if len(rows) > self._most or self._rest:
+            self._write(rows)
             return
-        self._written += len(data)
-        self._parts, self._pending = [], 0
+        if not len(self._waiting):
+            self._waiting = np.frombuffer(bytearray(self._most * int(self.dtype.itemsize)), self.dtype)  # touched, whole
+        self._waiting[self._count : self._count + len(rows)] = rows
+        self._count += len(rows)
+
+    def _write(self, rows: Column) -> None:
+        if not self._rest:
+            try:
+                self._append(memoryview(rows.tobytes()))
+                self._written += len(rows)
+                return
+            except OSError:
+                pass
+        self._rest.append(rows.copy())
+
+    def _append(self, data: memoryview) -> None:
+        if self._file is None:
+            self._file = _nameless(self._folder)
+        done, end = 0, self._written * int(self.dtype.itemsize)
+        while done < len(data):
+            done += os.pwrite(self._file, data[done:], end + done)
 
     def array(self) -> Column:
         """Return all rows as one array; one longer than `IN_MEMORY` is mapped from the file, and read only."""
-        short = self._written + self._pending <= IN_MEMORY
-        if self._written and self._parts and not self._refused and not short:
-            self._write()
-        parts = list(self._parts)
+        short = len(self) * int(self.dtype.itemsize) <= IN_MEMORY
+        if self._written and not short:
+            self._write(self._waiting[: self._count])
+            self._count = 0
+        parts = [*self._rest, self._waiting[: self._count].copy()]
         if self._file is not None and self._written:
-            mapped = _mapped(self._file, self._written, self.dtype)
+            mapped = _mapped(self._file, self._written * int(self.dtype.itemsize), self.dtype)
             parts.insert(0, mapped.copy() if short else mapped)
+        parts = [part for part in parts if len(part)]
         if not parts:
             return np.empty(0, self.dtype)
         return parts[0] if len(parts) == 1 else np.concatenate(parts)

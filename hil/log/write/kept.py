@@ -27,7 +27,6 @@ class Kept:
 
     Attributes:
         schemas: of the topics, in full.
-        events: payloads of `/events`.
 
     Raises:
         ValueError: a topic that the session does not have, or that holds raw frames.
@@ -45,7 +44,7 @@ class Kept:
         self._messages = {topic: self._message(topic) for topic in keep}
         self._columns = {topic: Growing(self._dtype(topic), folder) for topic in keep}
         self._ids: Mapping[str, int] = {}
-        self.events: list[bytes] = []
+        self._events, self._lengths = Growing(np.uint8, folder), Growing(np.int64, folder)
 
     def number(self, ids: Mapping[str, int]) -> None:
         """Say under which number a topic stands in the file."""
@@ -70,7 +69,14 @@ class Kept:
         events = messages.get(self._ids[EVENTS_TOPIC])
         for at in () if events is None else events.begins.tolist():
             length = HEAD.unpack_from(data, at)[1]
-            self.events.append(data[at + MESSAGE_OVERHEAD : at + MESSAGE_OVERHEAD - BEHIND + length])
+            payload = data[at + MESSAGE_OVERHEAD : at + MESSAGE_OVERHEAD - BEHIND + length]
+            self._events.extend(np.frombuffer(payload, np.uint8))
+            self._lengths.extend(np.array([len(payload)], np.int64))
+
+    def events(self) -> list[bytes]:
+        """Return the payloads of `/events`."""
+        data, ends = self._events.array(), np.cumsum(self._lengths.array())
+        return [data[begin:end].tobytes() for begin, end in zip([0, *ends.tolist()], ends.tolist())]
 
     def _numbers(self, topic: str) -> Mapping[str, Any]:
         return self.schemas[topic].dtype.fields or {}

@@ -21,6 +21,8 @@ from hil.log.write.sinks import Put, Record
 LIBRARY: Final = "hilrig"
 FLUSH_BYTES: Final = 1 << 16
 FLUSH_S: Final = 0.05
+REAL_FLUSH_BYTES: Final = 1 << 15
+"""In real time, where a burst must not make memory grow."""
 MOST_WAITING: Final = 1 << 21
 """Bytes that wait in memory for a flush."""
 
@@ -61,6 +63,7 @@ class McapSink:
         self._dropped = 0
         self.error: str | None = None
         self._now = now
+        self._flush_bytes = FLUSH_BYTES if now is None else REAL_FLUSH_BYTES
         self._flushed_at = now() if now is not None else 0.0
         self._summary: Mapping[str, Any] = {}
         self._closed = False
@@ -72,8 +75,9 @@ class McapSink:
         except OSError as error:
             raise HilError(f"log {self.path}: cannot be created: {error.strerror or error}") from error
         self._writer = McapWriter(
-            self._disk, profile="ros2", library=LIBRARY, index=index, chunk_ended=self.kept.take, folder=self.path.parent
-        )
+            self._disk, profile="ros2", library=LIBRARY, index=index, chunk_ended=self.kept.take, folder=self.path.parent,
+            room=0 if now is None else 5 * REAL_FLUSH_BYTES // 4,
+        )  # fmt: skip
         try:
             self._open(channels, provenance)
         except OSError as error:
@@ -149,7 +153,7 @@ class McapSink:
 
     def commit(self) -> None:
         """See ``Sink``; ends a chunk when it is due."""
-        if self._writer.open_bytes >= FLUSH_BYTES:
+        if self._writer.open_bytes >= self._flush_bytes:
             self._flush()
         elif self._now is not None:
             now = self._now()

@@ -74,6 +74,7 @@ class McapWriter:
         index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
         chunk_ended: told every chunk that is written: its bytes, and where its messages stand in them.
         folder: where the chunks' index of a long run is kept until the end, see `Growing`.
+        room: bytes of the longest chunk, for which zstd takes its memory now; without, a long chunk after a burst takes more.
 
     Attributes:
         start_ns: log time of time 0 of `messages_of`.
@@ -89,11 +90,13 @@ class McapWriter:
         index: Index = "full",
         chunk_ended: ChunkEnded = lambda data, messages: None,
         folder: Path | None = None,
+        room: int = 0,
     ) -> None:
         self._index = index
         self._chunk_ended = chunk_ended
         self._stream = stream
-        self._compress = zstandard.ZstdCompressor().compress
+        self._zstd = zstandard.ZstdCompressor()
+        self._zstd.compress(bytes(room))  # kept, unless 128 chunks ask for less than a third of it
         self._data_crc = 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
@@ -216,7 +219,7 @@ class McapWriter:
         data, messages = self._open.end(opening)
         first = min(int(own.times.min()) for own in messages.values())
         last = max(int(own.times.max()) for own in messages.values())
-        packed = self._compress(data)
+        packed = self._zstd.compress(data)
         chunk = Chunk(
             compression=COMPRESSION, data=packed, message_start_time=first, message_end_time=last,
             uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data),

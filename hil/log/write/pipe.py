@@ -29,7 +29,8 @@ _END_ID: Final = 0xFFFE
 _BEGIN_ID: Final = 0xFFFD
 _COUNT: Final = Struct("<Q")
 _MAX_PAYLOAD: Final = 1 << 24
-_READ_BYTES: Final = 1 << 18
+_READ_BYTES: Final = 1 << 13
+"""Little, so that what has waited comes in portions: memory does not grow by the longest wait so far."""
 
 
 class PipeSink:
@@ -222,13 +223,13 @@ def pump(
     takers = _takers(sink, channels, taps or {}, report)
     poll = select.poll()
     poll.register(fd, select.POLLIN)
-    data = b""
+    data, room = b"", memoryview(bytearray(_READ_BYTES))  # kept: one for every read would tear the heap
     while True:  # until the writer is gone
         if poll.poll(poll_s * 1000):
-            read = os.read(fd, _READ_BYTES)
-            if not read:
+            count = os.readv(fd, [room])
+            if not count:
                 break
-            torn = _take(data + read if data else read, takers, sink, report)
+            torn = _take(data + room[:count], takers, sink, report)
             sink.commit()
             if torn is None:
                 break
