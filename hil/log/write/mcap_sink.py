@@ -76,7 +76,7 @@ class McapSink:
             raise HilError(f"log {self.path}: cannot be created: {error.strerror or error}") from error
         self._writer = McapWriter(
             self._disk, profile="ros2", library=LIBRARY, index=index, chunk_ended=self.kept.take, folder=self.path.parent,
-            room=0 if now is None else 5 * REAL_FLUSH_BYTES // 4,
+            room=0 if now is None else 2 * REAL_FLUSH_BYTES,
         )  # fmt: skip
         try:
             self._open(channels, provenance)

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Final, Literal, Protocol
 
 import numpy as np
-import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -36,6 +35,7 @@ from mcap.records import (
 )
 
 from hil.log.growing import Growing, pieces
+from hil.log.write.compressor import Compressor
 from hil.log.write.open_chunk import Messages, OpenChunk
 from hil.log.write.packed_records import BEHIND, HEAD, MAGIC, Layouts, Packed
 
@@ -74,7 +74,7 @@ class McapWriter:
         index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
         chunk_ended: told every chunk that is written: its bytes, and where its messages stand in them.
         folder: where the chunks' index of a long run is kept until the end, see `Growing`.
-        room: bytes of the longest chunk, for which zstd takes its memory now; without, a long chunk after a burst takes more.
+        room: bytes of the longest chunk, see `Compressor`.
 
     Attributes:
         start_ns: log time of time 0 of `messages_of`.
@@ -95,8 +95,7 @@ class McapWriter:
         self._index = index
         self._chunk_ended = chunk_ended
         self._stream = stream
-        self._zstd = zstandard.ZstdCompressor()
-        self._zstd.compress(bytes(room))  # kept, unless 128 chunks ask for less than a third of it
+        self._compress = Compressor(room).compress
         self._data_crc = 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
@@ -219,7 +218,7 @@ class McapWriter:
         data, messages = self._open.end(opening)
         first = min(int(own.times.min()) for own in messages.values())
         last = max(int(own.times.max()) for own in messages.values())
-        packed = self._zstd.compress(data)
+        packed = self._compress(data)
         chunk = Chunk(
             compression=COMPRESSION, data=packed, message_start_time=first, message_end_time=last,
             uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data),

@@ -15,9 +15,11 @@ from hil.compose.time_line import time_line
 from hil.errors import HilError
 from hil.experiment.plugins import OBJECT
 from hil.log.write.pipe import PumpReport, pump
+from hil.log.write.rehearsal import rehearse
 from hil.log.write.sinks import Put, Sink
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
+from hil.runtime.real.free_memory import FreeMemory
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
 from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
@@ -81,7 +83,9 @@ def run_real(
     def keep_log() -> None:
         leave_to_loop(loop.experiment.timing.affinity, uri)
         go_ahead_of_others()
-        pump(read_fd, sink, loop.channels(on_can=uri.startswith("can:")), taps=taps, stop=stop_pump.is_set, report=outcome.pump)
+        channels = loop.channels(on_can=uri.startswith("can:"))
+        rehearse(channels)
+        pump(read_fd, sink, channels, taps=taps, stop=stop_pump.is_set, report=outcome.pump)
 
     thread = threading.Thread(target=keep_log, name="log")
     with StopSignals() as signals:
@@ -102,7 +106,9 @@ def run_real(
                 controller = Child("controller", "hil.runtime.real.controller_process", theirs, dump=dump)
                 children.append(controller)
             silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
+            free = FreeMemory(monotonic_ns())
             while rig.poll() is None and signals.seen is None:
+                free.look(monotonic_ns())
                 outcome.rig_silent = silence.look(monotonic_ns(), outcome.pump.records, rig.stopped())
                 if outcome.rig_silent:
                     break
