@@ -1,0 +1,36 @@
+"""A burst is rehearsed with the records of every kind of session, and nothing of it stays."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.log.write import rehearsal
+from hil.log.write.mcap_sink import REAL_FLUSH_BYTES
+from hil.log.write.pipe import PumpReport, pump
+from hil.log.write.rehearsal import rehearse
+
+
+@pytest.mark.parametrize("name", ["dc-motor-1khz", "omni-1khz", "dc-motor-two-nodes"])
+@pytest.mark.parametrize("on_can", [True, False])
+def test_every_record_of_a_session_is_rehearsed(name: str, on_can: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    channels = compose(load_experiment(name), certify=False).channels(on_can=on_can)
+    reports, seen, files = [], set(), os.listdir("/proc/self/fd")
+
+    def watched(fd, sink, table) -> PumpReport:
+        taps = {topic: lambda t_ns, payload, topic=topic: seen.add(topic) for topic in table}
+        chunks = []
+        ended = sink._writer._chunk_ended
+        sink._writer._chunk_ended = lambda data, messages: (chunks.append(len(data)), ended(data, messages))
+        reports.append((pump(fd, sink, table, taps=taps), chunks))
+        return reports[-1][0]
+
+    monkeypatch.setattr(rehearsal, "pump", watched)
+    rehearse(channels)
+    report, chunks = reports[0]
+    assert seen == set(channels) and report.complete and report.malformed == 0 == report.dropped and not report.faults
+    assert max(chunks) >= REAL_FLUSH_BYTES  # one that is as long as they become
+    assert os.listdir("/proc/self/fd") == files
+    assert not Path(os.devnull).is_file()
