@@ -57,11 +57,14 @@ class Fold(NamedTuple):
         """The H-infinity norm."""
         return float(np.sqrt(self.square))
 
+    @property
+    def power(self) -> float:
+        """The norm times sum_i tr F_i W_i F_i', W the worst-case moment: what the derivatives of the norm are divided by."""
+        return self.norm * float(np.sum((self.policy.F @ self.left) * self.policy.F))
+
     def gradient_A(self, transition: Array) -> Array:
-        """d norm / d A_i = E_i(P) (A_i + B_i F_i) W_i / (norm sum_i tr F_i W_i F_i'), W the worst-case moment."""
-        p = self.policy
-        power = float(np.sum((p.F @ self.left) * p.F))
-        return np.asarray(expect(transition, p.P) @ p.A @ self.left / (self.norm * power))
+        """d norm / d A_i = E_i(P) (A_i + B_i F_i) W_i / power."""
+        return np.asarray(expect(transition, self.policy.P) @ self.policy.A @ self.left / self.power)
 
 
 Matrices = tuple[Array, Array, Array, Array, Array]

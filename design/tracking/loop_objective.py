@@ -82,20 +82,26 @@ class LoopObjective:
 
     def descend_h2(self, start: Array) -> Descent:
         """Descent of the H2 norm; over many modes it starts with the curvature of one loop, and takes a tenth of the steps."""
-        return bfgs(self.h2, start, metric=None if self._nearby is None else self._inverse_curvature)
+        return bfgs(self.h2, start, metric=None if self._nearby is None else self._h2_metric)
 
-    def _inverse_curvature(self, v: Array) -> Array:
-        """Inverse of the second derivative of the norm with cost and moments held, of the loop evaluated last.
-
-        That is `gain_curvature` over the norm. Gains that are hardly ever used have hardly any: at least `FLATTEST` of the most.
-        """
+    def _h2_metric(self, v: Array) -> Array:
         last = self._last
         assert last is not None
+        return self._metric(v, last.S, last.X, float(np.sqrt(last.square)))
+
+    def _hinf_metric(self, v: Array) -> Array:
+        fold = self._fold
+        return np.eye(v.size) if fold is None else self._metric(v, fold.policy.P, fold.left, fold.power)
+
+    def _metric(self, v: Array, cost: Array, moments: Array, scale: float) -> Array:
+        """Inverse of a norm's second derivative with cost and moments held, of the loop evaluated last.
+
+        That is `gain_curvature` over the scale. Gains that are hardly ever used have hardly any: at least `FLATTEST` of the most.
+        """
         s = self.structure
-        fixed = s.gain_curvature(expect(s.transition, last.S), last.X, self.space.block)
+        fixed = s.gain_curvature(expect(s.transition, cost), moments, self.space.block)
         values, vectors = np.linalg.eigh(self.space.curvature(v, fixed))
-        values = np.maximum(values, FLATTEST * values[-1])
-        return np.asarray(float(np.sqrt(last.square)) * (vectors / values) @ vectors.T)
+        return np.asarray(scale * (vectors / np.maximum(values, FLATTEST * values[-1])) @ vectors.T)
 
     def descend_hinf(self, start: Array) -> Descent:
         """Descent of the H-infinity norm, each step below the last: what is above need not be found."""
@@ -104,7 +110,7 @@ class LoopObjective:
             self.ceiling = value
 
         try:
-            return bfgs(self.hinf, start, ceiling=lower)
+            return bfgs(self.hinf, start, ceiling=lower, metric=self._hinf_metric)
         finally:
             self.ceiling = np.inf
 
