@@ -103,14 +103,14 @@ class LoopObjective:
         values, vectors = np.linalg.eigh(self.space.curvature(v, fixed))
         return np.asarray(scale * (vectors / np.maximum(values, FLATTEST * values[-1])) @ vectors.T)
 
-    def descend_hinf(self, start: Array) -> Descent:
+    def descend_hinf(self, start: Array, value_tolerance: float = 1e-12) -> Descent:
         """Descent of the H-infinity norm, each step below the last: what is above need not be found."""
 
         def lower(value: float) -> None:
             self.ceiling = value
 
         try:
-            return bfgs(self.hinf, start, ceiling=lower, metric=self._hinf_metric)
+            return bfgs(self.hinf, start, value_tolerance=value_tolerance, ceiling=lower, metric=self._hinf_metric)
         finally:
             self.ceiling = np.inf
 

@@ -34,6 +34,8 @@ __all__ = ["Design", "Progress", "TrackingProblem", "solve"]
 Progress = Callable[[str, int, int, float], None]
 BARRIER_WEIGHTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 MIXED_SLACK = 1.05
+ROUGH = 1e-6
+"""Relative gain below which a descent stops whose result is only a start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,8 +131,9 @@ def certified(problem: TrackingProblem, gains: Array, *, starts: tuple[float, ..
 
 
 def _multistart(
-    problem: TrackingProblem, objective: LoopObjective, progress: Progress | None
+    problem: TrackingProblem, objective: LoopObjective, progress: Progress | None, *, rough: bool = False
 ) -> tuple[Descent, tuple[float, ...]]:
+    """Descend from every start; roughly where the result is only a start itself."""
     space = objective.space
     count = problem.starts or DEFAULT_STARTS[str(problem.objective)]
     rng = np.random.default_rng(problem.seed)
@@ -150,7 +153,7 @@ def _multistart(
         if problem.objective == "h2":
             result = centre if start == 0 else _descend(objective.descend_h2, v)
         elif problem.objective == "hinf":
-            result = _descend(objective.descend_hinf, v)
+            result = objective.descend_hinf(v, ROUGH) if rough else _descend(objective.descend_hinf, v)
         else:
             result = _mixed(problem, objective, v)
         results.append(result)
@@ -172,7 +175,7 @@ def _other_start(
         if coarser.objective == "mixed":
             coarser = replace(coarser, objective="hinf")
         structure, free = coarser.structure(), coarser.space()
-        best, _ = _multistart(coarser, LoopObjective(structure, free, coarser.alpha(structure)), None)
+        best, _ = _multistart(coarser, LoopObjective(structure, free, coarser.alpha(structure)), None, rough=True)
         return space.coordinates(embed(free.gains(best.x), space.shape[1]))
     K = space.gains(centre)
     spread = float(np.abs(K).max()) * 2.0 ** (start % 4 - 1)  # some optima have gains ten times those of the H2 one

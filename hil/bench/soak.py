@@ -24,8 +24,9 @@ from hil.experiment import load_experiment
 from hil.measure.timing import percentiles
 from hil.runtime.time.clock import monotonic_ns, pause
 
-WARM = 0.2
-"""Share of a run after which memory counts: tables, caches and buffers have been filled."""
+WARM = 0.5
+"""Share of a run after which memory counts: tables, caches and buffers are filled, and the heap has found its size, for which
+it takes some 400,000 slots. What leaks goes on leaking."""
 BATCHES = 10
 """Means of so many stretches are what a line is laid through: samples that follow each other closely are not independent."""
 T_95 = 2.306  # Student's t, 8 degrees of freedom, two-sided 95 %

@@ -41,12 +41,13 @@ class Compressor:
         context = self._contexts.get(digits)
         if context is None:
             context = self._contexts[digits] = zstandard.ZstdCompressor()
-            context.compress(_touching(1 << digits))
+            for data in _touching(1 << digits):
+                context.compress(data)
         return context
 
 
-def _touching(length: int) -> bytes:
-    """Return data of which some repeats and some does not, so that zstd writes to all of its memory."""
+def _touching(length: int) -> tuple[bytes, ...]:
+    """Return data of which nothing repeats, and data of which much does, so that zstd writes to all of its memory."""
     number = np.arange(length, dtype=np.uint32) * np.uint32(2654435761)
     mixed = (number ^ number >> np.uint32(15)) * np.uint32(2246822519)
-    return (mixed >> np.uint32(29)).astype(np.uint8).tobytes()
+    return tuple((mixed >> np.uint32(bits)).astype(np.uint8).tobytes() for bits in (24, 29))
