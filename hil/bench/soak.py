@@ -27,6 +27,9 @@ from hil.runtime.time.clock import monotonic_ns, pause
 WARM = 0.5
 """Share of a run after which memory counts: tables, caches and buffers are filled, and the heap has found its size, for which
 it takes some 400,000 slots. What leaks goes on leaking."""
+STEP_KB = 64.0
+"""Growth over the whole of that below which a process does not grow: a heap that has found its size still takes a page now and
+then. One object that leaks per chunk of the log, 20 a second, is 300 kB in five minutes."""
 BATCHES = 10
 """Means of so many stretches are what a line is laid through: samples that follow each other closely are not independent."""
 T_95 = 2.306  # Student's t, 8 degrees of freedom, two-sided 95 %
@@ -100,7 +103,8 @@ def bench_soak(
         `dropped`, `late`, `overrun_share`, `lateness_us`, `timing_why` (what the run says against its times), of cyclictest
         `cyclictest_us` and `cyclictest_missed_share` (None without it), `log_bytes`, `log_predicted` (by its growth in the
         second tenth), `log_ratio`, `memory` (one row per process: `mb`, `slope_kb_per_min`, `plus_minus`, `grows`: the
-        interval lies above 0), of `in_a_row` and `at_once` how often each exit status came, and `short_dropped`, by how.
+        interval lies above what makes `STEP_KB`), of `in_a_row` and `at_once` how often each exit status came, and
+        `short_dropped`, by how.
 
     Raises:
         HilError: the long session did not run, or was too short to judge.
@@ -184,7 +188,7 @@ def _memory(name: str, t: Floats, kb: Floats) -> Row:
     b, half = slope(t[warm], kb[warm])
     return {
         "process": name, "mb": float(kb[-1]) / 1e3, "slope_kb_per_min": 60.0 * b, "plus_minus": 60.0 * half,
-        "grows": b - half > 0,
+        "grows": (b - half) * float(np.ptp(t[warm])) > STEP_KB,
     }  # fmt: skip
 
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 import pickle
 import signal
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import FrameType
 
 from hil.compose.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
+from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import warm_up_controller
 from transport.links.link import TransportError
 from transport.links.opening import open_link
@@ -44,10 +45,17 @@ def stop_on_sigterm() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def serve(loop: Loop, uri: str) -> None:
-    """Answer sensor frames on a link until stopped."""
+def serve(loop: Loop, uri: str, warm: Callable[[], object] = lambda: None) -> None:
+    """Answer sensor frames on a link until stopped.
+
+    Args:
+        loop: the composed experiment.
+        uri: the link.
+        warm: called behind the warm-up, which takes long, and before the link is opened.
+    """
     warm_up_controller(loop)
     node = ControlNode(loop)
+    warm()
     with open_link(uri, "controller") as link:
         while True:
             data = link.receive(IDLE_S)
@@ -64,10 +72,10 @@ def main() -> None:
     try:
         stop_on_sigterm()
         die_with_parent(job.parent)
-        go_real_time(max(timing.priority - 1, 1), cpu_for(timing.affinity, "controller", job.uri))
-        serve(job.loop, job.uri)
+        cpu = cpu_for(timing.affinity, "controller", job.uri)
+        serve(job.loop, job.uri, warm=lambda: go_real_time(max(timing.priority - 1, 1), cpu))
     except Stopped:
-        pass
+        leave_real_time()
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
-from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
+from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import RehearsedRig
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
@@ -118,13 +118,14 @@ def main() -> None:
     signal.signal(signal.SIGTERM, stop)
     sink = PipeSink(job.log_fd, job.loop.channels(on_can=job.uri.startswith("can:")))
     timing = job.loop.experiment.timing
-    # Before the link is opened, so that the threads of a link inherit the priority.
-    scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.uri), timing.idle == "awake")
     wire = VERSION_1 if wire_version(job.uri) == 1 else session_wire(os.urandom(KEY_BYTES))
     local = job.uri == LOCAL
+    rehearsed = RehearsedRig(job.loop, wire, local).warm_up()
+    # Behind the warm-up, which would keep the loops of other sessions from a CPU; before the link is opened, so that its threads
+    # inherit the priority.
+    scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.uri), timing.idle == "awake")
     standard_output_is_free()  # results leave through the pipe, words through standard error
     with LocalLink(ControlNode(job.loop)) if local else open_link(job.uri, "rig") as link:
-        rehearsed = RehearsedRig(job.loop, wire, local).warm_up()
         if isinstance(link, Tells):
             link.tell(about_rig(job.loop.experiment))
         real = RealLoop(job, link, sink, wire)  # before the greeting: nothing stands between its last rehearsal and slot 0
@@ -151,6 +152,7 @@ def main() -> None:
             link=asdict(link.counters),
         )
         sink.close()
+        leave_real_time()
 
 
 if __name__ == "__main__":

@@ -23,15 +23,8 @@ def go_real_time(priority: int, cpu: int | None, awake: bool = False) -> str:
         cpu: index into the CPUs that this process may use, counted from the last; None does not pin.
         awake: keep idle CPUs from sleeping until this process ends.
     """
-    got = []
     libc = ctypes.CDLL(None, use_errno=True)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        got.append(f"SCHED_FIFO {priority}")
-    except OSError:
-        libc.prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
-        got.append("SCHED_OTHER (no permission for SCHED_FIFO)")
-    got.append("memory locked" if libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0 else "memory not locked")
+    got = ["memory locked" if libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0 else "memory not locked"]
     allowed = sorted(os.sched_getaffinity(0))
     if cpu is not None and len(allowed) > cpu + 1:
         try:
@@ -52,7 +45,19 @@ def go_real_time(priority: int, cpu: int | None, awake: bool = False) -> str:
     gc.freeze()
     gc.disable()
     got.append("gc frozen")
+    try:  # last: what takes long keeps no loop of another session from a CPU
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        got.insert(0, f"SCHED_FIFO {priority}")
+    except OSError:
+        libc.prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
+        got.insert(0, "SCHED_OTHER (no permission for SCHED_FIFO)")
     return ", ".join(got)
+
+
+def leave_real_time() -> None:
+    """Go back among the others: the end of a process, which takes long, keeps no loop of another session from a CPU."""
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def cpu_for(affinity: Affinity, role: Literal["rig", "controller"], uri: str) -> int | None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.bench.soak import bench_soak, slope
+from hil.bench.soak import _memory, bench_soak, slope
 from hil.bench.soak_verdict import judge
 
 
@@ -93,3 +93,15 @@ def test_short_sessions_are_judged_too() -> None:
     assert judged(QUIET | BUSY, {"0": 6, "3": 2})[0] == "undecided"
     assert judged(QUIET | BUSY, {"0": 7, "1": 1}) == ("does not hold", ["at once: 1 ended with status 1"])
     assert judged(QUIET, {"0": 8}, 5) == ("does not hold", ["at once: 5 records were dropped"])
+
+
+@pytest.mark.parametrize(("leaks_per_s", "kind", "grows"), [(20, 48, True), (1000, 16, True), (20, 4, False), (0, 0, False)])
+def test_an_object_that_leaks_per_chunk_or_slot_is_growth_and_some_pages_of_a_heap_are_not(
+    leaks_per_s: int, kind: int, grows: bool
+) -> None:
+    """Ten minutes of a session of 57 MB that takes four pages at a time, and a page and a half of noise."""
+    t = np.arange(0.0, 600.0, 1.5)
+    noise = np.random.default_rng(0).normal(scale=6.0, size=t.size)
+    leaked = np.floor(leaks_per_s * kind * t / 1024 / 16) * 16
+    pages = 24.0 * (t > 480.0)
+    assert _memory("session", t, 57_000.0 + leaked + noise + pages)["grows"] is grows

@@ -41,3 +41,21 @@ def test_the_log_keeps_off_the_cpu_that_rig_and_controller_share(affinity: Affin
         left = other.submit(cpus).result()
     assert left == (allowed - {max(allowed)} if leaves and len(allowed) > 1 else allowed)
     assert os.sched_getaffinity(0) == allowed
+
+
+def test_what_takes_long_is_done_before_real_time_and_after_it() -> None:
+    """Locked memory, a collection of garbage, the end of Python: in real time they kept the loops of other sessions waiting."""
+    program = """
+import gc, os
+from hil.runtime.real import scheduling
+policy = lambda: os.sched_getscheduler(0)
+seen, collect = [], gc.collect
+gc.collect = lambda: (seen.append(policy()), collect())
+scheduling.go_real_time(1, None)
+seen.append(policy())
+scheduling.leave_real_time()
+print(*seen, policy())
+"""
+    before, within, after = map(int, subprocess.check_output([sys.executable, "-c", program]).split())
+    assert before == after == os.SCHED_OTHER
+    assert within in (os.SCHED_FIFO, os.SCHED_OTHER)  # as allowed
