@@ -65,6 +65,8 @@ class Growing:
         self._count += len(rows)
 
     def _write(self, rows: Column) -> None:
+        if not len(rows):
+            return
         if not self._rest:
             try:
                 self._append(memoryview(rows.tobytes()))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 
+from hil.errors import HilError
 from hil.log.records import Channel
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES, McapSink
 from hil.log.write.pipe import PipeSink, pump
@@ -17,9 +19,16 @@ FRAME = bytes(64)
 def rehearse(channels: Mapping[str, Channel]) -> None:
     """Carry the longest burst through a pipe to a log, as `pump` does it, in this thread.
 
+    Where it cannot (no descriptor is left), the session's memory grows by a burst, and nothing else is lost.
+
     Args:
         channels: the session's table.
     """
+    with suppress(OSError, HilError):
+        _rehearse(channels)
+
+
+def _rehearse(channels: Mapping[str, Channel]) -> None:
     read_fd, write_fd = os.pipe()
     try:
         _burst(write_fd, channels)

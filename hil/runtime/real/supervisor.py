@@ -108,8 +108,9 @@ def run_real(
             silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
             free = FreeMemory(monotonic_ns())
             while rig.poll() is None and signals.seen is None:
-                free.look(monotonic_ns())
-                outcome.rig_silent = silence.look(monotonic_ns(), outcome.pump.records, rig.stopped())
+                now_ns = monotonic_ns()
+                free.look(now_ns)
+                outcome.rig_silent = silence.look(now_ns, outcome.pump.records, rig.stopped())
                 if outcome.rig_silent:
                     break
                 if controller is not None and restarts and outcome.pump.records and outcome.pump.last_ns >= restarts[0]:

@@ -42,7 +42,7 @@ def test_a_long_array_is_no_memory_of_ours(tmp_path) -> None:
 
 
 def test_what_waits_for_the_file_is_little_from_the_beginning(tmp_path) -> None:
-    """A session at 1 kHz grew by 308 kB a minute for its first ten: each column waited for its first two megabytes."""
+    """Each column waited for its first two megabytes, and grew until then."""
     column, most = Growing(ROW, tmp_path), 0
     parts = [rows(300, seed) for seed in range(200)]
     tracemalloc.start()

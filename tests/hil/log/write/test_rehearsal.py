@@ -1,6 +1,7 @@
 """A burst is rehearsed with the records of every kind of session, and nothing of it stays."""
 
 import os
+import resource
 from pathlib import Path
 
 import pytest
@@ -34,3 +35,18 @@ def test_every_record_of_a_session_is_rehearsed(name: str, on_can: bool, monkeyp
     assert max(chunks) >= REAL_FLUSH_BYTES  # one that is as long as they become
     assert os.listdir("/proc/self/fd") == files
     assert not Path(os.devnull).is_file()
+
+
+def test_a_rehearsal_for_which_no_descriptor_is_left_costs_nothing() -> None:
+    """It runs in the thread that keeps the log: what it raised would cost the log of the session."""
+    files = os.listdir("/proc/self/fd")
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    for spare in (0, 2):  # none for the pipe; none for the log
+        limit, before = max(map(int, files)) + 1 + spare, resource.getrlimit(resource.RLIMIT_NOFILE)
+        channels = compose(load_experiment("dc-motor-1khz"), certify=False).channels()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, most))
+        try:
+            rehearse(channels)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert os.listdir("/proc/self/fd") == files
