@@ -39,14 +39,20 @@ def test_every_record_of_a_session_is_rehearsed(name: str, on_can: bool, monkeyp
 
 def test_a_rehearsal_for_which_no_descriptor_is_left_costs_nothing() -> None:
     """It runs in the thread that keeps the log: what it raised would cost the log of the session."""
-    files = os.listdir("/proc/self/fd")
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    for spare in (0, 2):  # none for the pipe; none for the log
-        limit, before = max(map(int, files)) + 1 + spare, resource.getrlimit(resource.RLIMIT_NOFILE)
-        channels = compose(load_experiment("dc-motor-1khz"), certify=False).channels()
-        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, most))
-        try:
-            rehearse(channels)
-        finally:
-            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    channels = compose(load_experiment("dc-motor-1khz"), certify=False).channels()
+    before, files = resource.getrlimit(resource.RLIMIT_NOFILE), os.listdir("/proc/self/fd")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(map(int, files)) + 8, before[1]))
+    taken: list[int] = []
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            while True:
+                taken.append(os.open(os.devnull, os.O_RDONLY))
+        rehearse(channels)  # none for the pipe
+        for fd in (taken.pop(), taken.pop()):
+            os.close(fd)
+        rehearse(channels)  # none for the log
+    finally:
+        for fd in taken:
+            os.close(fd)
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
     assert os.listdir("/proc/self/fd") == files
