@@ -16,6 +16,8 @@ WORK = "/run/hil-vcan"  # where the guest sees the runner's work directory
 DROPPED = {"HOME", "TMPDIR", "XDG_RUNTIME_DIR", "DISPLAY", "OLDPWD", "_"}
 
 # Carries stdin through a terminal line, which knows no end of file: every chunk comes with its length, the last is 0.
+# Each chunk is asked for: a user-mode kernel never again listens to a line that was full once (line_throttle).
+CHUNK = 2048  # half of what a line holds
 UNFRAME = """
 import os
 def exactly(n):
@@ -23,7 +25,7 @@ def exactly(n):
     while len(data) < n:
         data += os.read(0, n - len(data))
     return data
-while n := int(exactly(6), 16):
+while os.write(0, b"+") and (n := int(exactly(6), 16)):
     os.write(1, exactly(n))
 """
 
@@ -123,11 +125,10 @@ def command(argv: Sequence[str], environ: Mapping[str, str], backend: str, virtu
 
 
 def _stdin(python: str) -> str:
-    """The third terminal, opened once (closing would discard input), and a line to it once it is raw: begin."""
+    """The third terminal, opened once (closing would discard input) and raw before the first chunk is asked for."""
     return f"""exec 3<>/dev/tty3
 stty raw -echo <&3
 {shlex.quote(python)} -ISc {shlex.quote(UNFRAME)} <&3 >/run/in &
-echo begin >&3
 exec 3<&- </run/in"""
 
 

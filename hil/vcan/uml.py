@@ -111,7 +111,7 @@ def _run_kernel(work: Path, stdin: bool, order: dict[str, Any]) -> bool:
     out_r, out_w = os.pipe()
     err_r, err_w = os.pipe()
     in_r, in_w = os.pipe()
-    begin_r, begin_w = os.pipe()
+    ask_r, ask_w = os.pipe()
     with (work / "kernel.log").open("wb") as log:
         args = [
             order["kernel"], f"mem={MEMORY}", "rootfstype=hostfs", "rootflags=/", "ro", f"init={work}/init",
@@ -119,7 +119,7 @@ def _run_kernel(work: Path, stdin: bool, order: dict[str, Any]) -> bool:
             f"con1=null,fd:{out_w}", f"con2=null,fd:{err_w}", "quiet", "loglevel=4", "panic=-1", "noreboot",
         ]  # fmt: skip
         if stdin:
-            args.append(f"con3=fd:{in_r},fd:{begin_w}")
+            args.append(f"con3=fd:{in_r},fd:{ask_w}")
         if order["virtual_time"]:
             args += ["time-travel=inf-cpu", f"time-travel-start={START_NS}"]
         child = subprocess.Popen(
@@ -127,15 +127,15 @@ def _run_kernel(work: Path, stdin: bool, order: dict[str, Any]) -> bool:
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,
-            pass_fds=(log.fileno(), out_w, err_w, in_r, begin_w),
+            pass_fds=(log.fileno(), out_w, err_w, in_r, ask_w),
             # SIGTERM on this process ends the whole kernel, SIGKILL only itself.
             preexec_fn=partial(die_with_parent, signal.SIGTERM),  # noqa: PLW1509 (no thread yet)
             env={"PATH": os.environ["PATH"], "TMPDIR": order["memory"]},  # the guest's memory is an unlinked file there
         )
-    for fd in (out_w, err_w, in_r, begin_w):
+    for fd in (out_w, err_w, in_r, ask_w):
         os.close(fd)
     if stdin:
-        threading.Thread(target=_feed, args=(begin_r, in_w), daemon=True).start()
+        threading.Thread(target=_feed, args=(ask_r, in_w), daemon=True).start()
     with ThreadPoolExecutor() as threads:
         pumps = [threads.submit(_pump, *fds, child) for fds in ((out_r, 1), (err_r, 2))]
         child.wait()
@@ -180,13 +180,11 @@ def _pump(source: int, target: int, child: subprocess.Popen[bytes]) -> bool:
     return True
 
 
-def _feed(begin: int, target: int) -> None:
-    """Carry stdin in frames, once the guest is ready for it."""
-    os.read(begin, 1)
+def _feed(ask: int, target: int) -> None:
+    """Carry stdin in frames, one for each byte by which the guest asks for it, and an empty one at its end."""
     try:
-        while data := os.read(0, 4096):
-            _write(target, guest.frame(data))
-        _write(target, guest.frame(b""))
+        while os.read(ask, 1):
+            _write(target, guest.frame(os.read(0, guest.CHUNK)))
     except OSError:  # the guest has gone
         pass
 

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from pathlib import Path
@@ -77,6 +78,25 @@ def test_streams_stay_apart_and_whole() -> None:
     done = vcan("--", sys.executable, "-c", script, input=data, text=False, stdin=None)
     assert done.stdout == data  # type: ignore[comparison-overlap]
     assert done.stderr == data[::-1]  # type: ignore[comparison-overlap]
+
+
+def test_stdin_that_waited_for_its_reader_comes_to_its_end() -> None:
+    """The command reads late, so that all on the way is full; then bytes come late, when all on the way is empty."""
+    script = "import sys, time; time.sleep(2); r = sys.stdin.buffer.read; print(len(r(300_000)), flush=True); print(len(r()))"
+    argv = [*RUNNER, "--", sys.executable, "-c", script]
+    with subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        assert child.stdin is not None and child.stdout is not None
+        stop = threading.Timer(100, child.kill)
+        stop.start()
+        child.stdin.write(bytes(300_000))
+        child.stdin.flush()
+        first = child.stdout.readline()  # all that came before has been read
+        time.sleep(0.5)
+        child.stdin.write(bytes(100_000))
+        child.stdin.close()
+        rest = child.stdout.read()
+        stop.cancel()
+    assert (first, rest, child.returncode) == (b"300000\n", b"100000\n", 0)
 
 
 def test_command_sees_no_terminal_and_an_empty_stdin() -> None:
