@@ -80,6 +80,7 @@ class Found:
         name: of the figure.
         ours, peer: its numbers; a peer may be missing where the machine lacks its tool.
         note: what else there is to say.
+        between: 95 % interval of the true ratio, where both are shares of few events; a ratio that it holds is undecided.
         unfinished: ours was stopped at this number, and would be larger.
     """
 
@@ -87,6 +88,7 @@ class Found:
     ours: float
     peer: float | None
     note: str = ""
+    between: tuple[float, float] | None = None
     unfinished: bool = False
 
 
@@ -155,6 +157,8 @@ def _verdict(most: AtMost | None, found: Found | None, why: str, quick: bool) ->
         return NOT_JUDGED
     if most.ratio is not None and found.peer is None:
         return "not measured: its peer is missing"
+    if most.ratio is not None and found.between is not None and found.between[0] <= most.ratio < found.between[1]:
+        return f"undecided: the ratio is between {found.between[0]:.2g} and {found.between[1]:.2g}"
     return "reached" if most.met(found.ours, found.peer) and not found.unfinished else "missed"
 
 

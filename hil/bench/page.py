@@ -14,8 +14,9 @@ WIDTH: Final = 130
 TEXT: Final = """\
 Made by `hil bench page` of what `hil bench all --json` printed: nothing here is typed. A figure and its peer come from the same
 run, and only ratios of one run mean anything on a machine that others use too. Less is better everywhere. A goal is what was
-aimed at, reached or missed; a condition is what has to hold on any machine. `hil guide performance` says how it is done, and what
-stands in the way of what was missed.
+aimed at, reached or missed; a condition is what has to hold on any machine. A ratio of few events, as of late answers, is
+undecided where its 95 % interval holds what was to be reached. `hil guide performance` says how it is done, and what stands in
+the way of what was missed.
 """
 
 
@@ -84,8 +85,9 @@ def _sum(rows: Sequence[Row]) -> str:
     for key in ("goal", "condition"):
         verdicts = [row[f"{key}_verdict"] for row in rows if row[key] is not None]
         reached, missed = verdicts.count("reached"), verdicts.count("missed")
-        rest = len(verdicts) - reached - missed
-        told.append(f"Of {len(verdicts)} {key}s {reached} are reached, {missed} missed, {rest} not judged.")
+        open_ = sum(verdict.startswith("undecided") for verdict in verdicts)
+        rest = len(verdicts) - reached - missed - open_
+        told.append(f"Of {len(verdicts)} {key}s {reached} are reached, {missed} missed, {open_} undecided, {rest} not judged.")
     return " ".join(told)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from hil.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
 from hil.bench.links import FLOOR, bench_links, free_port
 from hil.bench.loop_log import loop_log_us
+from hil.bench.shares import of_shares
 from hil.bench.timing import EXPERIMENT, Turn, take_turn
 from hil.errors import HilError
 
@@ -56,15 +57,20 @@ def _links(tell: Tell, quick: bool) -> Iterator[Found]:
     yield _trip(CAN_C, can, floor)
     for figure, how in ((ONE_CPU, "shared"), (BOTH_CPUS, "free")):
         yield _trip(figure, rows["zenoh:unixsock-stream", how], plain)
-    one = rows["zenoh:unixsock-stream", "shared"]
-    if one["note"] == "" == plain["note"]:
-        yield Found(LATE.name, 100 * one["late_share"], 100 * plain["late_share"])
 
 
-_LINKS = (
-    "can:hil:bench-{pid}", "plain-unix:{folder}/bare", "zenoh:unixsock-stream/{folder}/bench",
-    "plain-zenoh:unixsock-stream/{folder}/plain",
-)  # fmt: skip
+_ZENOH = ("zenoh:unixsock-stream/{folder}/bench", "plain-zenoh:unixsock-stream/{folder}/plain")
+_LINKS = ("can:hil:bench-{pid}", "plain-unix:{folder}/bare", *_ZENOH)
+
+
+def _late_answers(tell: Tell, quick: bool) -> Iterator[Found]:
+    tell("late answers over zenoh at 1 kHz, in turns: there are few, so it takes a minute")
+    rows = bench_links(1000.0, 0.5 if quick else 20.0, links=_ZENOH, floor=False)
+    for row in rows:
+        if row["note"]:
+            raise HilError(str(row["note"]))
+    _, shared, plain = ((round(float(row["late_share"]) * int(row["trips"])), int(row["trips"])) for row in rows)
+    yield of_shares(LATE.name, shared, plain)
 
 
 def _trip(figure: Figure, ours: dict[str, float | str], peer: dict[str, float | str]) -> Found:
@@ -92,9 +98,9 @@ def _affinities(tell: Tell, quick: bool) -> Iterator[Found]:
                 taken[uri, how].append(_session(uri, length_s, folder, [f"timing.affinity={how}"]))
     ours, free, shared, can = (_late(taken[way]) for way in ways)
     told = f"{turns} sessions of {length_s:g} s each"
-    yield Found(AUTO_FREE.name, ours, free, told)
-    yield Found(SHARED_FREE.name, shared, free, told)
-    yield Found(AUTO_CAN.name, ours, can, told)
+    yield of_shares(AUTO_FREE.name, ours, free, told)
+    yield of_shares(SHARED_FREE.name, shared, free, told)
+    yield of_shares(AUTO_CAN.name, ours, can, told)
     yield Found(TRIP.name, _p50(taken[auto]), _p50(taken[zenoh, "free"]), told)
 
 
@@ -102,8 +108,9 @@ def _session(uri: str, length_s: float, folder: str, sets: Sequence[str], *, bes
     return take_turn(EXPERIMENT, uri, length_s, Path(folder), sets, beside=beside)
 
 
-def _late(turns: Sequence[Turn]) -> float:
-    return 100 * float(np.mean(np.concatenate([turn.ticks["late"] for turn in turns])))
+def _late(turns: Sequence[Turn]) -> tuple[int, int]:
+    late = np.concatenate([turn.ticks["late"] for turn in turns])
+    return int(late.sum()), len(late)
 
 
 def _p50(turns: Sequence[Turn]) -> float:
@@ -127,8 +134,9 @@ def _rates(tell: Tell, quick: bool) -> Iterator[Found]:
         yield Found(figure.name, ours, peer, told)
 
 
-PART = Part("real-time", "round trips, late answers by affinity, the log in the loop, rates beside cyclictest", 200.0, (
-    Measure((CAN, CAN_C, ONE_CPU, BOTH_CPUS, LATE), _links),
+PART = Part("real-time", "round trips, late answers by affinity, the log in the loop, rates beside cyclictest", 230.0, (
+    Measure((CAN, CAN_C, ONE_CPU, BOTH_CPUS), _links),
+    Measure((LATE,), _late_answers),
     Measure((IN_LOOP,), _in_loop),
     Measure((AUTO_FREE, SHARED_FREE, AUTO_CAN, TRIP), _affinities),
     Measure(tuple(RATES), _rates),

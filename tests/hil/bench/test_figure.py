@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from hil.bench.catalogue import PARTS, take
 from hil.bench.figure import NOT_JUDGED, AtMost, Figure, Found, Measure, Part, Row, row_of
 from hil.bench.page import page_of
+from hil.bench.shares import of_shares, ratio_interval
 from hil.errors import HilError
 
 BOTH = Figure(name="slot", unit="us", peer="plain", goal=AtMost(ours=35.0), condition=AtMost(ratio=0.5))
+
+
+def _about(rows: list[Row]) -> dict[str, object]:
+    machine = {"cpus": 2, "cpu": "c" * 60, "memory_gb": 8.0, "system": "s" * 80, "python": "3.11.7", "load_before": 0.1}
+    return {"machine": machine, "date": "2026-11-22", "quick": False, "seconds": {"start": 3.0}, "figures": rows}
 
 
 def _verdicts(row: Row) -> tuple[str, str | None]:
@@ -51,6 +58,26 @@ def test_a_peer_of_zero_has_no_ratio_but_a_verdict() -> None:
     assert [(row["ratio"], row["goal_verdict"]) for row in rows] == [(None, "reached"), (None, "missed")]
 
 
+@pytest.mark.parametrize(
+    ("ours", "peer", "verdict"),
+    [(0, 31, "reached"), (0, 20, "undecided"), (2, 3, "undecided"), (0, 0, "undecided"), (20, 31, "missed")],
+)
+def test_few_events_decide_only_what_their_interval_leaves_no_doubt_of(ours: int, peer: int, verdict: str) -> None:
+    late = Figure(name="late", unit="%", peer="before", condition=AtMost(ratio=0.1299))
+    row = row_of("part", late, of_shares("late", (ours, 16_000), (peer, 16_000)))
+    assert str(row["condition_verdict"]).partition(":")[0] == verdict
+    assert "1 undecided" in page_of(_about([row])) or verdict != "undecided"
+
+
+def test_the_interval_of_a_ratio_holds_the_true_one_as_often_as_it_says() -> None:
+    draws = np.random.default_rng(14)
+    held = [low <= 0.25 <= high for low, high in (
+        ratio_interval((int(draws.binomial(8000, 0.0025)), 8000), (int(draws.binomial(4000, 0.01)), 4000)) for _ in range(2000)
+    )]  # fmt: skip
+    # 95 % of 2000: fewer than 1863 once in 10,000; of an interval of 90 %, as many as that three times in ten million.
+    assert 1863 <= sum(held) <= 2000
+
+
 def test_what_fails_costs_its_own_figures_and_no_others() -> None:
     first, second, third = (Figure(name=name, unit="s", peer="plain") for name in ("first", "second", "third"))
 
@@ -76,7 +103,6 @@ def test_no_line_of_a_page_is_wide_whatever_was_found() -> None:
         row_of(part.name, f, found, "it was interrupted " * 20)
         for part in PARTS for f in part.figures for found in (None, Found(f.name, 1234567.0, 1234567.0, "a long note " * 20))
     ]  # fmt: skip
-    about = {"cpus": 2, "cpu": "c" * 60, "memory_gb": 8.0, "system": "s" * 80, "python": "3.11.7", "load_before": 0.1}
-    text = page_of({"machine": about, "date": "2026-11-22", "quick": False, "seconds": {"start": 3.0}, "figures": worst})
+    text = page_of(_about(worst))
     assert max(map(len, text.splitlines())) <= 130
     assert "| hil --help, CPU time | - | - | - | not measured |" in text
