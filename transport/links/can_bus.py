@@ -130,22 +130,26 @@ class HilBus(can.BusABC):
             flags = FD_FRAME | msg.bitrate_switch | msg.error_state_indicator << 1
         self._put(identifier, length, flags, data, timeout or 0.0)
 
-    def _put(self, identifier: int, length: int, flags: int, data: bytes | bytearray, wait_s: float) -> None:
+    def _put(self, identifier: int, length: int, flags: int, data: bytes | bytearray, wait_s: float) -> bool:
         now = time()
-        self._mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
+        heard = self._mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
         if self._own:
             self._mesh.echo(FRAME.pack(now, 0, identifier, length, flags | OWN) + data)
+        return heard
 
-    def send_frame(self, identifier: int, data: bytes) -> None:
+    def send_frame(self, identifier: int, data: bytes) -> bool:
         """Send without a `can.Message`, which halves the cost: standard identifier, FD with bit rate switch where `fd`.
 
         Args:
             identifier: of 11 bits.
             data: of a length that such a frame has.
+
+        Returns:
+            Whether everybody on the bus had room for it.
         """
         if self._is_shutdown:
             raise can.CanOperationError(f"{self.channel_info} is shut down")
-        self._put(identifier, len(data), FD_FRAME | BITRATE_SWITCH if self._fd else 0, data, 0.0)
+        return self._put(identifier, len(data), FD_FRAME | BITRATE_SWITCH if self._fd else 0, data, 0.0)
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
         """Receive without a `can.Message`: identifier with the flags of <linux/can.h>, whether FD, data; or None.

@@ -41,15 +41,12 @@ class _Frames(Protocol):
     """A bus as the link uses it; `HilBus` is one."""
 
     @property
-    def dropped(self) -> int: ...
-
-    @property
     def lost(self) -> int: ...
 
     @property
     def turned_away(self) -> int: ...
 
-    def send_frame(self, identifier: int, data: bytes) -> None: ...
+    def send_frame(self, identifier: int, data: bytes) -> bool: ...
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None: ...
 
@@ -61,16 +58,17 @@ class _MessageFrames:
 
     __slots__ = ("_bus", "_fd", "shutdown")
 
-    dropped = lost = turned_away = 0  # no other bus says so
+    lost = turned_away = 0  # no other bus says so
 
     def __init__(self, bus: can.BusABC, fd: bool) -> None:
         self._bus, self._fd = bus, fd
         self.shutdown = bus.shutdown
 
-    def send_frame(self, identifier: int, data: bytes) -> None:
+    def send_frame(self, identifier: int, data: bytes) -> bool:
         fd = self._fd
         message = can.Message(arbitration_id=identifier, is_extended_id=False, is_fd=fd, bitrate_switch=fd, data=data)
         self._bus.send(message, 0.0)
+        return True  # as far as known
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
         message = self._bus.recv(timeout)
@@ -99,8 +97,8 @@ class CanLink(Closing):
         claims: closed with the link.
     """
 
-    __slots__ = ("_bus", "_claims", "_closed", "_counters", "_fd", "_hear", "_join", "_pad", "_parts", "_row", "_say", "_step",
-                 "uri")  # fmt: skip
+    __slots__ = ("_bus", "_claims", "_closed", "_counters", "_fd", "_hear", "_join", "_lengths", "_pad", "_parts", "_row",
+                 "_say", "_step", "uri")  # fmt: skip
 
     def __init__(
         self,
@@ -119,6 +117,7 @@ class CanLink(Closing):
         self._say, heard = own.of(role), own.of("controller" if role == "rig" else "rig")
         self._hear = {identifier: (node, i) for node, ids in enumerate(heard) for i, identifier in enumerate(ids)}
         self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
+        self._lengths = [64 if pad else frame_length(n) for n in range(65)] if fd else [*range(9)]  # of a frame with n bytes
         self._claims, self._join = tuple(claims), join
         self._bus = _frames_of(join(), fd)
         self._closed = False
@@ -131,24 +130,20 @@ class CanLink(Closing):
         return replace(self._counters, dropped=self._counters.dropped + bus.lost, turned_away=bus.turned_away)
 
     def send(self, packet: bytes) -> None:
-        step, say, size, bus = self._step, self._say, len(packet), self._bus
+        step, say, size, send, heard = self._step, self._say, len(packet), self._bus.send_frame, True
         node = node_of(packet) if len(say) > 1 else 0
         if self._closed or node >= len(say) or size > len(say[node]) * step:
             self._counters.dropped += 1
             return
-        dropped, identifier = bus.dropped, say[node][0]
         try:
-            for start in range(0, size, step):
+            for identifier, start in zip(say[node], range(0, size, step)):
                 data = packet[start : start + step]
-                if self._fd and (length := 64 if self._pad else frame_length(len(data))) != len(data):
-                    data += bytes(length - len(data))
-                bus.send_frame(identifier, data)
-                identifier += 1
+                heard &= send(identifier, data.ljust(self._lengths[len(data)], b"\0"))
         except _FAULTS as error:
             self._counters.dropped += 1
             self._fault(error, 0.0)
         else:
-            if bus.dropped == dropped:
+            if heard:
                 self._counters.sent += 1
             else:
                 self._counters.dropped += 1
@@ -193,11 +188,14 @@ class CanLink(Closing):
         (node, index), parts = place, self._parts
         begun, several = parts[node], len(parts) > 1
         if index == 0:
-            self._counters.malformed += bool(begun)  # the one before was never completed
-            size = packet_size(data)
-            if self._fd and size is not None and size <= len(data) and not (several and node_of(data) != node):
+            if begun:
+                self._counters.malformed += 1  # it was never completed
                 parts[node] = b""
-                return data[:size] if self._pad else data  # alone in one frame; the receiver's decoder judges it
+            if fd and not several and len(data) < self._step:
+                return data  # alone in its frame, as no other follows one that is not full; the receiver's decoder judges it
+            size = packet_size(data)
+            if fd and size is not None and size <= len(data) and not (several and node_of(data) != node):
+                return data[:size] if self._pad else data  # alone in a full frame, or one node's of several
         elif not begun or index * self._step != len(begun):
             self._counters.malformed += 1  # one before it is missing
             parts[node] = b""

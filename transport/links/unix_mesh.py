@@ -175,30 +175,36 @@ class Mesh(Closing):
                 with suppress(OSError, ValueError):
                     self._listen()
 
-    def send(self, datagram: bytes, wait_s: float = 0.0) -> None:
+    def send(self, datagram: bytes, wait_s: float = 0.0) -> bool:
         """Send to everyone.
 
         Args:
             datagram: `HEAD` and up to 70 bytes.
             wait_s: how long to wait for room in a full queue, s.
+
+        Returns:
+            Whether everyone who is still there had room for it.
         """
         if self._mark() != self._seen:
             self._admit()
+        heard = True
         for peer in self._peers:
             try:
                 peer.offer(datagram)
             except OSError as error:
-                self._not_sent(peer, datagram, error, wait_s)
+                heard &= self._not_sent(peer, datagram, error, wait_s)
+        return heard
 
-    def _not_sent(self, peer: Peer, datagram: bytes, error: OSError, wait_s: float) -> None:
+    def _not_sent(self, peer: Peer, datagram: bytes, error: OSError, wait_s: float) -> bool:
+        """Try again or count it; return False if the participant is there and had no room."""
         if isinstance(error, BlockingIOError) or error.errno == ENOBUFS:
             if wait_s > 0 and select.select((), (peer.socket,), (), wait_s)[1]:
                 with suppress(OSError):
                     peer.offer(datagram)
-                    return
+                    return True
             peer.missed += 1
             self.dropped += 1
-            return
+            return False
         try:
             unread = bool(peer.socket.recv(1, socket.MSG_PEEK))
         except ConnectionResetError:
@@ -206,6 +212,7 @@ class Mesh(Closing):
         except OSError:
             unread = False
         self._remove(peer, unread=unread)
+        return True
 
     def echo(self, datagram: bytes) -> None:
         """Hand a datagram to oneself."""
@@ -284,7 +291,7 @@ class Mesh(Closing):
         """Leave; what was sent stays readable for the others. The last one alive clears the directory away."""
         if self._closed:
             return
-        with suppress(TransportError, OSError), locked(self.directory, 0.2):
+        with suppress(TransportError, OSError, ValueError), locked(self.directory, 0.2):
             self._path.unlink(missing_ok=True)
             if self._last():
                 for path in self.directory.glob(_OURS):

@@ -17,7 +17,7 @@ import pytest
 
 from tests.file_limit import files_up_to
 from transport import TransportError
-from transport.links.unix_mesh import HEAD, POLLS, Mesh
+from transport.links.unix_mesh import HEAD, POLLS, QUEUE_LIMIT, Mesh
 
 
 @pytest.fixture
@@ -235,3 +235,25 @@ def test_what_arrives_first_is_heard_first_whatever_time_its_sender_says(directo
             early.send(HEAD.pack(0.0, 0) + b"early")
         heard = [datagram[HEAD.size :] for _ in range(60) if (datagram := listener.receive(0.0)) is not None]
     assert heard == [b"honest", b"early"] * 20
+
+
+def test_who_never_leaves_is_gone_with_the_interpreter_without_a_word(directory: Path) -> None:
+    """At its end the interpreter closes sockets in an order of its own, those of the mesh before the mesh as well."""
+    first, second = Mesh(directory), Mesh(directory)
+    first.send(HEAD.pack(0.0, 0) + b"x")
+    second.send(HEAD.pack(0.0, 0) + b"x")
+    for mesh in (first, second):
+        for peer in mesh._peers:
+            peer.socket.close()
+        mesh.close()
+    assert not [path for path in directory.glob("*.sock") if path.is_socket()]
+
+
+def test_sending_says_whether_everybody_had_room(directory: Path) -> None:
+    datagram = HEAD.pack(0.0, 0) + bytes(70)
+    with Mesh(directory) as sender:
+        assert sender.send(datagram)  # nobody is there
+        with Mesh(directory):
+            said = [sender.send(datagram) for _ in range(3 * QUEUE_LIMIT)]
+            assert said[:QUEUE_LIMIT] == [True] * QUEUE_LIMIT and said.count(False) == sender.dropped > 0
+        assert sender.send(datagram)  # it has left
