@@ -85,10 +85,27 @@ def congruence_matrices(A: Array) -> Array:
 
 
 def operator_matrix(A: Array, transition: Array) -> Array:
-    """(N s, N s) matrix of the backward operator; its transpose is the forward operator."""
-    blocks = congruence_matrices(A)
-    modes, size, _ = blocks.shape
-    return np.asarray((transition[:, None, :, None] * blocks[:, :, None, :]).reshape(modes * size, modes * size))
+    """(N s, N s) matrix of the backward operator, in Fortran order; its transpose is the forward operator."""
+    turned = congruence_matrices(A).transpose(2, 0, 1)
+    size, modes, _ = turned.shape
+    columns = np.empty((modes, size, modes, size))  # a column is contiguous, as LAPACK takes it
+    np.multiply(transition.T[:, None, :, None], turned, out=columns)
+    return columns.reshape(modes * size, modes * size).T
+
+
+def _factorised(matrix: Array) -> tuple[Array, npt.NDArray[Any]]:
+    """LU factors of a matrix in Fortran order, which they overwrite; where it is singular, what they solve is not finite."""
+    from scipy.linalg.lapack import dgetrf  # 0.15 s: where a process only certifies a small loop, it is not needed
+
+    factors, pivots, _ = dgetrf(matrix, overwrite_a=1)
+    return factors, pivots
+
+
+def _solved(factors: tuple[Array, npt.NDArray[Any]], right: Array, transpose: int) -> Array:
+    """Solution for right-hand sides (k,) or (k, m), by LAPACK itself: scipy's wrapper takes as long as one solution."""
+    from scipy.linalg.lapack import dgetrs
+
+    return np.asarray(dgetrs(*factors, right, trans=transpose)[0])
 
 
 class Resolvent:
@@ -113,9 +130,7 @@ class Resolvent:
             matrix = operator_matrix(A, transition)
             np.negative(matrix, out=matrix)
             matrix.flat[:: size + 1] += 1.0
-            import scipy.linalg  # 0.15 s: where a process only certifies a small loop, it is not needed
-
-            self.factors = scipy.linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
+            self.factors = _factorised(matrix)
         else:
             self.chains = factors_of(transition)
 
@@ -131,11 +146,9 @@ class Resolvent:
         if self.factors is None:
             flat = families.reshape(-1, *self.A.shape)
             return np.stack([self._free(family, transpose, near) for family in flat]).reshape(families.shape)
-        import scipy.linalg
-
         vectors = to_vector(families)
         flat = vectors.reshape(-1, vectors.shape[-2] * vectors.shape[-1])
-        solution = scipy.linalg.lu_solve(self.factors, flat.T, trans=transpose, check_finite=False).T
+        solution = _solved(self.factors, flat.T, transpose).T
         return to_matrix(np.ascontiguousarray(solution).reshape(vectors.shape), self.n)
 
     def _free(self, right: Array, transpose: int, near: Array | None) -> Array:
@@ -189,13 +202,11 @@ class Bordered:
         self.factors: tuple[Array, npt.NDArray[Any]] | None = None
         size = right.size
         if size <= DENSE_LIMIT:
-            matrix = np.zeros((size + 1, size + 1))
+            matrix = np.zeros((size + 1, size + 1), order="F")
             matrix[:size, :size] = operator_matrix(A, transition)
             matrix.flat[: size * (size + 1) : size + 2] -= 1.0
             matrix[:size, size], matrix[size, :size] = left, right
-            import scipy.linalg  # 0.15 s: where a process only certifies a small loop, it is not needed
-
-            self.factors = scipy.linalg.lu_factor(matrix, overwrite_a=True, check_finite=False)
+            self.factors = _factorised(matrix)
         else:
             self.chains = factors_of(transition)
 
@@ -208,9 +219,7 @@ class Bordered:
             near: (N s,) a guess of all but the last entry, of use to GMRES alone.
         """
         if self.factors is not None:
-            import scipy.linalg
-
-            return np.asarray(scipy.linalg.lu_solve(self.factors, rhs, trans=1 if transposed else 0, check_finite=False))
+            return _solved(self.factors, rhs, int(transposed))
         shape = (len(self.A), self.n * (self.n + 1) // 2)
         left, right, inner = (to_matrix(v.reshape(shape), self.n) for v in (self.left, self.right, rhs[:-1]))
         guess = None if near is None else to_matrix(near.reshape(shape), self.n)
