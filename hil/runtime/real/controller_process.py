@@ -45,17 +45,17 @@ def stop_on_sigterm() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def serve(loop: Loop, uri: str, warm: Callable[[], object] = lambda: None) -> None:
+def serve(loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None) -> None:
     """Answer sensor frames on a link until stopped.
 
     Args:
         loop: the composed experiment.
         uri: the link.
-        warm: called behind the warm-up, which takes long, and before the link is opened.
+        before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
     """
     warm_up_controller(loop)
     node = ControlNode(loop)
-    warm()
+    before_open()
     with open_link(uri, "controller") as link:
         while True:
             data = link.receive(IDLE_S)
@@ -73,7 +73,7 @@ def main() -> None:
         stop_on_sigterm()
         die_with_parent(job.parent)
         cpu = cpu_for(timing.affinity, "controller", job.uri)
-        serve(job.loop, job.uri, warm=lambda: go_real_time(max(timing.priority - 1, 1), cpu))
+        serve(job.loop, job.uri, before_open=lambda: go_real_time(max(timing.priority - 1, 1), cpu))
     except Stopped:
         leave_real_time()
 
