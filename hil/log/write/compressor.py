@@ -26,7 +26,8 @@ class Compressor:
     def __init__(self, room: int = 0) -> None:
         self._contexts: dict[int, zstandard.ZstdCompressor] = {}
         for digits in range(SHORTEST, max(room - 1, 0).bit_length() + 1):
-            self._context(digits)
+            for data in _touching(1 << digits):
+                self._context(digits).compress(data)
 
     @property
     def memory(self) -> int:
@@ -41,8 +42,6 @@ class Compressor:
         context = self._contexts.get(digits)
         if context is None:
             context = self._contexts[digits] = zstandard.ZstdCompressor()
-            for data in _touching(1 << digits):
-                context.compress(data)
         return context
 
 

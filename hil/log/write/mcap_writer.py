@@ -215,9 +215,7 @@ class McapWriter:
         if not self._open.size:
             return
         opening = self._opening.end()  # type: ignore[no-untyped-call]
-        data, messages = self._open.end(opening)
-        first = min(int(own.times.min()) for own in messages.values())
-        last = max(int(own.times.max()) for own in messages.values())
+        data, messages, first, last = self._open.end(opening)
         packed = self._compress(data)
         chunk = Chunk(
             compression=COMPRESSION, data=packed, message_start_time=first, message_end_time=last,

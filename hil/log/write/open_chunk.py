@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hil.log.write.packed_records import TIMES_AT, Layout, Layouts
+from hil.log.write.packed_records import BEGIN, TIMES_AT, WITHIN, Integers, Layout, Layouts, places
 
 _MAX_ALIKE = 1024  # the lengths of messages may come from the link
-
-Integers = npt.NDArray[np.uint64]
 
 
 class Placed(NamedTuple):
@@ -29,6 +27,21 @@ class Placed(NamedTuple):
 
 Messages = dict[int, Placed]
 """The messages of a chunk by their channels, which come in the order of their first messages."""
+
+
+class Ended(NamedTuple):
+    """A chunk that takes no more.
+
+    Attributes:
+        data: its bytes.
+        messages: where in them its messages stand.
+        first, last: the smallest and the largest log time, ns.
+    """
+
+    data: bytes
+    messages: Messages
+    first: int
+    last: int
 
 
 class OpenChunk:
@@ -49,7 +62,7 @@ class OpenChunk:
 
     def __len__(self) -> int:
         """Return how many messages there are."""
-        return sum(len(layout.channels) for layout in self._layouts)
+        return sum(len(layout.places) for layout in self._layouts)
 
     def add(self, channel_id: int, message: bytes) -> None:
         """Take one message, head included."""
@@ -61,7 +74,7 @@ class OpenChunk:
         if layout is None:
             if len(self._alike) >= _MAX_ALIKE:
                 self._alike.clear()
-            layout = self._alike[channel_id, size] = Layout((channel_id,), (0,), size, TIMES_AT)
+            layout = self._alike[channel_id, size] = Layout(places((channel_id,), (0,)), size, size, TIMES_AT)
         self._rows.append(message)
         self._layouts.append(layout)
         self.size += size
@@ -91,41 +104,41 @@ class OpenChunk:
 
         return add
 
-    def end(self, opening: bytes) -> tuple[bytes, Messages]:
-        """Return the bytes of the chunk, and where in them its messages stand; the next chunk is open then.
+    def end(self, opening: bytes) -> Ended:
+        """Return the chunk; the next one is open then.
 
         Args:
             opening: what stands before the first message.
         """
         rows, layouts = self._rows, self._layouts
-        sizes = np.fromiter([layout.size for layout in layouts], np.uint64, len(layouts))
-        begins = np.cumsum(sizes) - sizes + np.uint64(len(opening))
-        own: dict[Layout, list[int]] = {}
-        for i, layout in enumerate(layouts):
-            own.setdefault(layout, []).append(i)
-        found: dict[int, list[Placed]] = {}
+        kinds = np.fromiter(map(id, layouts), np.uint64, len(layouts))
+        own = {layout: (kinds == id(layout)).nonzero()[0] for layout in dict.fromkeys(layouts)}
+        sizes = np.empty(len(rows), np.uint64)
         for layout, numbers in own.items():
-            packed = np.frombuffer(b"".join([rows[i] for i in numbers]), np.uint8).reshape(len(numbers), -1)
-            times = packed[:, layout.time_at : layout.time_at + 8].copy().view("<u8").ravel()
-            at = begins[numbers]
-            for channel, begin in zip(layout.channels, layout.begins):
-                found.setdefault(channel, []).append(Placed(times, at + np.uint64(begin)))
-            if layout.spread is not None:
-                spread, size = layout.spread(packed), layout.size
-                for i, start in zip(numbers, range(0, len(spread), size)):
-                    rows[i] = spread[start : start + size]
-        data = b"".join((opening, *rows))
+            sizes[numbers] = layout.size
+        begins = sizes.cumsum() - sizes + np.uint64(len(opening))
+        data = np.empty(len(opening) + self.size, np.uint8)
+        data[: len(opening)] = np.frombuffer(opening, np.uint8)
+        where, times = [], []
+        for layout, numbers in own.items():
+            packed, at, width = b"".join([rows[i] for i in numbers.tolist()]), begins[numbers], layout.width
+            messages = np.frombuffer(packed, f"V{width}") if layout.spread is None else layout.spread(packed)
+            everywhere = np.ndarray(len(data) - layout.size + 1, messages.dtype, data, strides=1)  # a row at every byte
+            everywhere[at] = messages
+            where.append((at[:, np.newaxis] + layout.places).ravel())
+            times.append(np.ndarray(len(at), "<u8", packed, layout.time_at, width).repeat(len(layout.places)))
         rows.clear()  # the same lists: the functions of `adds` append to them
         layouts.clear()
         self.size = 0
-        placed = [(channel, _in_order(parts)) for channel, parts in found.items()]
-        placed.sort(key=lambda of_channel: int(of_channel[1].begins[0]))
-        return data, dict(placed)
+        when = np.concatenate(times)
+        return Ended(data.tobytes(), _by_channel(np.concatenate(where), when), int(when.min()), int(when.max()))
 
 
-def _in_order(parts: list[Placed]) -> Placed:
-    if len(parts) == 1:
-        return parts[0]
-    times, begins = (np.concatenate(column) for column in zip(*parts))
-    order = np.argsort(begins)
-    return Placed(times[order], begins[order])
+def _by_channel(where: Integers, times: Integers) -> Messages:
+    order = where.argsort()
+    where, times = where[order], times[order]
+    channels, begins = where >> BEGIN, where & WITHIN
+    edges = [0, *((channels[1:] != channels[:-1]).nonzero()[0] + 1).tolist(), len(channels)]
+    found = [(int(channels[a]), Placed(times[a:b], begins[a:b])) for a, b in pairwise(edges)]
+    found.sort(key=lambda of_channel: int(of_channel[1].begins[0]))
+    return dict(found)

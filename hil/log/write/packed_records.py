@@ -36,7 +36,13 @@ TIMES_AT: Final = 15
 
 _TIMES: Final = MESSAGE_OVERHEAD - TIMES_AT
 
-Bytes = npt.NDArray[np.uint8]
+BEGIN: Final = np.uint64(40)
+"""Bits of a place, see `places`, that say where in its chunk a message begins: chunks are shorter than a TB."""
+
+WITHIN: Final = np.uint64((1 << 40) - 1)
+
+Integers = npt.NDArray[np.uint64]
+Voids = npt.NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,18 +50,23 @@ class Layout:
     """What is known of a row, and how rows become messages.
 
     Args:
-        channels: number of the channel of each message.
-        begins: where in their bytes each message begins.
+        places: of each message, see `places`.
         size: of all their bytes.
+        width: bytes of a row.
         time_at: where in a row its time stands, 64 bits, ns.
-        spread: writes the messages of rows, (n, row), one behind the other; None where a row is a message already.
+        spread: turns rows, one behind the other, into their messages, (n,); None where a row is a message already.
     """
 
-    channels: tuple[int, ...]
-    begins: tuple[int, ...]
+    places: Integers
     size: int
+    width: int
     time_at: int
-    spread: Callable[[Bytes], bytes] | None = None
+    spread: Callable[[bytes], Voids] | None = None
+
+
+def places(channels: Sequence[int], begins: Sequence[int]) -> Integers:
+    """Return where messages begin, in numbers that sort by channel, then by place: channel 2^40 + begin."""
+    return np.array(channels, np.uint64) << BEGIN | np.array(begins, np.uint64)
 
 
 class Packed(NamedTuple):
@@ -115,18 +126,24 @@ class Layouts:
             mould += HEAD.pack(Opcode.MESSAGE, BEHIND + behind, number, 0, 0, 0) + before + bytes(width) + tail
             mould += bytes(length * frame)
             codes += own + (f"{length}s" if frame else "")
-        channels = tuple(record.channel_id for record in self._records)
-        return struct.Struct(f"<{codes}").pack, Layout(channels, tuple(begins), len(mould), 0, _spreader(mould, copies))
+        where = places([record.channel_id for record in self._records], begins)
+        row = struct.Struct(f"<{codes}")
+        return row.pack, Layout(where, len(mould), row.size, 0, _spreader(mould, copies, row.size))
 
 
-def _spreader(mould: bytes, copies: Sequence[tuple[int, int, int]]) -> Callable[[Bytes], bytes]:
-    constants = np.frombuffer(mould, np.uint8)
+def _spreader(mould: bytes, copies: Sequence[tuple[int, int, int]], width: int) -> Callable[[bytes], Voids]:
+    """Return what copies from rows of a width what belongs into the mould."""
+    names = [f"part{i}" for i in range(len(copies))]
+    formats = [f"V{end - begin}" for _, begin, end in copies]
+    begins, aims = [begin for _, begin, _ in copies], [at for at, _, _ in copies]
+    source = np.dtype({"names": names, "formats": formats, "offsets": begins, "itemsize": width})
+    target = np.dtype({"names": names, "formats": formats, "offsets": aims, "itemsize": len(mould)})
 
-    def spread(rows: Bytes) -> bytes:
-        out = np.empty((len(rows), len(constants)), np.uint8)
-        out[:] = constants
-        for at, begin, end in copies:
-            out[:, at : at + end - begin] = rows[:, begin:end]
-        return out.tobytes()
+    def spread(rows: bytes) -> Voids:
+        own = np.frombuffer(rows, source)
+        out = np.frombuffer(bytearray(mould * len(own)), target)
+        for name in names:
+            out[name] = own[name]
+        return out.view(f"V{len(mould)}")
 
     return spread
