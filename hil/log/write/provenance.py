@@ -26,13 +26,15 @@ PACKAGES: Final = ("numpy", "scipy", "control", "cvxpy", "python-can", "eclipse-
 
 def package_versions() -> dict[str, str]:
     """Versions of hilrig and of the packages that can change a result, read without importing them."""
-    found = {}
-    for name in ("hilrig", *PACKAGES):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "absent"
-    return found
+    return {name: _version_of(name) for name in ("hilrig", *PACKAGES)}
+
+
+@cache
+def _version_of(package: str) -> str:  # each takes 0.6 ms to read
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "absent"
 
 
 @cache
