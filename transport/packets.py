@@ -89,18 +89,14 @@ def encode_control(packet: ControlPacket) -> bytes:
     >>> len(encode_control(packet)), decode(encode_control(packet)) == packet
     (48, True)
     """
-    rows, selection, tau = packet.rows, packet.selection, packet.tau
-    count = len(rows)
-    inputs = len(rows[0]) if count else 0
-    values = rows[0] if count == 1 else tuple([value for row in rows for value in row])
-    if count > MAX_ROWS or (count and not 0 < inputs <= MAX_INPUTS) or (count > 1 and [*map(len, rows)].count(inputs) != count):
-        raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected up to 255 rows of one length, 1 to 255")
-    if not 0 <= selection < len(SELECTIONS):
-        raise FieldError("selection", f"{selection}, expected a code from 0 to {len(SELECTIONS) - 1}")
+    rows, tau = packet.rows, packet.tau
+    inputs = len(rows[0]) if rows else 0
+    if len(rows) > 1 and [*map(len, rows)].count(inputs) != len(rows):
+        raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected one length")
     if not -1 <= tau <= TAU_LIMIT:
         tau = -1 if tau < 0 else TAU_LIMIT
     write = version2.write_control if packet.version == 2 else version1.write_control
-    body = write(packet, tau, inputs, values)
+    body = write(packet, tau, inputs)
     return crc_hqx(body, CRC_START).to_bytes(2, "little") + body
 
 

@@ -32,13 +32,15 @@ class GainIndex:
 
     def __init__(self, sojourns: Sequence[int]) -> None:
         self._range = sojourn_ranges(sojourns)
-        self._tau = self._index = -1
+        self._tau = self._index = self._last = -1
 
     def at(self, tau: int) -> int:
         """Return the index of the gain; called once a slot, in order."""
-        first, last = self._range[min(tau, len(self._range) - 1)]
-        self._index = min(self._index + 1, last) if tau == self._tau else first
-        self._tau = tau
+        if tau != self._tau:
+            self._tau = tau
+            self._index, self._last = self._range[tau] if tau < len(self._range) else self._range[-1]
+        elif self._index < self._last:
+            self._index += 1
         return self._index
 
 

@@ -74,14 +74,14 @@ class AgeImpairment:
         self._max_age = max_age
         self._gaps = gaps
         self._held: deque[tuple[int, object]] = deque()  # what the receiver may still use
-        self._unused: set[int] = set()  # slots of those that it has not used yet
-        self._newest = -1
+        self._newest = -1  # slot of the newest that it has used
+        self._skipped: set[int] = set()  # slots of older ones that it has not used: a law with gaps may come back to them
         self._next = 0
 
     @property
     def pending(self) -> int:
         """Number of offered packets that may still arrive for the first time."""
-        return len(self._unused)
+        return len(self._skipped) + sum(tick > self._newest for tick, _ in self._held)
 
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
@@ -89,7 +89,6 @@ class AgeImpairment:
         if k < self._next or (held and k <= held[-1][0]):
             _check_offer(k, self._next, held[-1][0] if held else -1)
         held.append((k, packet))
-        self._unused.add(k)
 
     def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
         """Return the decisions of slot k and its one arrival (none before the first), see `Impairment.collect`."""
@@ -108,42 +107,34 @@ class AgeImpairment:
         if target < 0:
             draws.append(Draw(k, -1, mode, age, nan, NONE_YET))
             return []
-        # Ages grow by at most one, so k - age never falls and older packets are done with; a law with gaps may come
-        # back to them.
-        held, unused = self._held, self._unused
-        if self._gaps:
-            self._forget(k, k - self._max_age, draws)
-            found = self._newest_until(target)
-        else:
-            if len(held) > 1 and held[1][0] <= target:
-                if held[0][0] not in unused:  # the usual case: one packet is done with in every slot
-                    held.popleft()
-                if len(held) > 1 and held[1][0] <= target:
-                    self._forget(k, target, draws)
-            found = held[0] if held and held[0][0] <= target else None
+        # Without gaps ages grow by at most one, so that k - age never falls and older packets are done with.
+        held, newest = self._held, self._newest
+        floor = k - self._max_age if self._gaps else target
+        while len(held) > 1 and held[1][0] <= floor:
+            tick = held.popleft()[0]
+            if tick > newest or tick in self._skipped:
+                self._skipped.discard(tick)
+                draws.append(Draw(k, tick, NO_MODE, k - tick, nan, SUPERSEDED))
+        found = self._newest_until(target) if self._gaps else held[0] if held and held[0][0] <= target else None
         if found is None or found[0] != target:
             draws.append(Draw(k, target, mode, age, nan, ABSENT))
             if found is None:
                 return []
             mode = NO_MODE
         tick = found[0]
-        reason = REPEATED
-        if tick in unused:
-            reason = DELIVERED if tick > self._newest else DISORDERED
-            unused.remove(tick)
-        if tick > self._newest:
+        if tick > newest:
+            reason = DELIVERED
+            if self._gaps:
+                self._skipped.update(older for older, _ in held if newest < older < tick)
             self._newest = tick
+        elif tick in self._skipped:
+            reason = DISORDERED
+            self._skipped.remove(tick)
+        else:
+            reason = REPEATED
         age = k - tick
         draws.append(_new(Draw, (k, tick, mode, age, age * self._period_s, reason)))
         return [found]
-
-    def _forget(self, k: int, floor: int, draws: list[Draw]) -> None:
-        held, unused = self._held, self._unused
-        while len(held) > 1 and held[1][0] <= floor:
-            tick, _ = held.popleft()
-            if tick in unused:
-                unused.remove(tick)
-                draws.append(Draw(k, tick, NO_MODE, k - tick, nan, SUPERSEDED))
 
     def _newest_until(self, target: int) -> tuple[int, object] | None:
         for held in reversed(self._held):

@@ -8,6 +8,8 @@ from math import copysign, inf
 from struct import Struct
 from typing import Final, NamedTuple, TypeAlias, TypeVar
 
+from transport.errors import FieldError
+
 MORE: Final = 1
 """Sensor flag: further frames of the same slot follow."""
 EMPTY: Final = 2
@@ -99,6 +101,18 @@ class Layout(NamedTuple):
     write: Struct
     read: Struct
     size: int
+
+
+def check_control(count: int, inputs: int, selection: int) -> None:
+    """Refuse rows or a selection that no control packet has.
+
+    Raises:
+        FieldError: more than 255 rows or inputs, rows without inputs, or a code that is none of `SELECTIONS`.
+    """
+    if count > MAX_ROWS or (count and not 0 < inputs <= MAX_INPUTS):
+        raise FieldError("rows", f"{count} rows of {inputs}, expected up to {MAX_ROWS} rows of 1 to {MAX_INPUTS}")
+    if not 0 <= selection < len(SELECTIONS):
+        raise FieldError("selection", f"{selection}, expected a code from 0 to {len(SELECTIONS) - 1}")
 
 
 @lru_cache(maxsize=1024)

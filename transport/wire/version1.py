@@ -21,14 +21,26 @@ control packet of 48 bytes: each one CAN FD frame.
 from __future__ import annotations
 
 from functools import cache, lru_cache
+from itertools import chain
 from struct import Struct
 from typing import Final
 
 from transport.errors import FieldError
-from transport.wire.fields import MAX_OUTPUTS, SELECTIONS, ControlPacket, Layout, Reader, SensorPacket, frame_length, single
+from transport.wire.fields import (
+    MAX_OUTPUTS,
+    SELECTIONS,
+    ControlPacket,
+    Layout,
+    Reader,
+    SensorPacket,
+    check_control,
+    frame_length,
+    single,
+)
 
 SENSOR: Final = 0x11
 CONTROL: Final = 0x12
+_flat: Final = chain.from_iterable
 
 
 @cache
@@ -61,16 +73,16 @@ def write_sensor(packet: SensorPacket) -> bytes:
         return write(*head, *map(single, y))
 
 
-def write_control(packet: ControlPacket, tau: int, inputs: int, values: tuple[float, ...]) -> bytes:
-    """Bytes behind the CRC of a control packet of version 1; tau, inputs and values as `transport.packets` checked them."""
-    head = (
-        CONTROL, packet.selection, packet.seq & 0xFFFFFFFF, packet.sample_ns, packet.control_ns, tau, len(packet.rows), inputs
-    )  # fmt: skip
-    write = _control_layout(len(values)).write.pack
+def write_control(packet: ControlPacket, tau: int, inputs: int) -> bytes:
+    """Bytes behind the CRC of a control packet of version 1; tau in its range, and so many inputs in every row."""
+    rows, selection = packet.rows, packet.selection
+    check_control(len(rows), inputs, selection)
+    head = (CONTROL, selection, packet.seq & 0xFFFFFFFF, packet.sample_ns, packet.control_ns, tau, len(rows), inputs)
+    write = _control_layout(len(rows) * inputs).write.pack
     try:
-        return write(*head, *values)
+        return write(*head, *_flat(rows))
     except OverflowError:
-        return write(*head, *map(single, values))
+        return write(*head, *map(single, _flat(rows)))
 
 
 def sensor_reader(data: bytes) -> Reader[SensorPacket]:

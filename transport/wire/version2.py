@@ -31,11 +31,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import chain
 from struct import Struct
 from typing import Final
 
 from transport.errors import FieldError
-from transport.wire.fields import MAX_OUTPUTS, SELECTIONS, ControlPacket, Layout, Reader, SensorPacket, frame_length, single
+from transport.wire.fields import (
+    MAX_OUTPUTS,
+    SELECTIONS,
+    ControlPacket,
+    Layout,
+    Reader,
+    SensorPacket,
+    check_control,
+    frame_length,
+    single,
+)
 
 SENSOR: Final = 0x21
 CONTROL: Final = 0x22
@@ -47,6 +58,7 @@ MAX_REFERENCES: Final = 127
 TAG_BYTES: Final = 8
 _TAGGED: Final = 0x80
 _NO_TRAILER: Final = (0, b"")
+_flat: Final = chain.from_iterable
 _new: Final = tuple.__new__  # a packet of a named tuple, without its Python constructor
 
 
@@ -89,8 +101,12 @@ def _sensor_writer(
 
 
 @lru_cache(maxsize=1024)
-def _control_writer(values: int, tagged: bool) -> Callable[..., bytes]:
-    return _control_layout(values, tagged).write.pack
+def _control_writer(count: int, inputs: int, selection: int, tagged: bool) -> tuple[Callable[..., bytes], int]:
+    """How a packet is packed, and its byte 3; one that cannot be written is refused."""
+    check_control(count, inputs, selection)
+    if count * inputs > MAX_VALUES:
+        raise FieldError("rows", f"{count * inputs} values, expected up to {MAX_VALUES}")
+    return _control_layout(count * inputs, tagged).write.pack, _TAGGED | selection if tagged else selection
 
 
 def _trailer(freshness: int, tag: bytes) -> tuple[int, bytes]:
@@ -104,27 +120,26 @@ def write_sensor(packet: SensorPacket) -> bytes:
     seq, flags, sample_ns, y, node, samples, reference, nodes, nonce, freshness, tag, _ = packet
     trailer = _trailer(freshness, tag) if tag else ()
     pack, shape, samples, references = _sensor_writer(len(y), flags & 3, samples, len(reference), node, nodes, bool(tag))
-    values = (*y, *reference)
+    seq &= 0xFFFFFFFF
     try:
-        return pack(SENSOR, shape, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes, *values, *trailer)
+        return pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, *y, *reference, *trailer)
     except OverflowError:
-        values = tuple(map(single, values))
-        return pack(SENSOR, shape, seq & 0xFFFFFFFF, nonce, sample_ns, node, samples, references, nodes, *values, *trailer)
+        values = map(single, (*y, *reference))
+        return pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, *values, *trailer)
 
 
-def write_control(packet: ControlPacket, tau: int, inputs: int, values: tuple[float, ...]) -> bytes:
-    """Bytes behind the CRC of a control packet of version 2; tau, inputs and values as `transport.packets` checked them."""
-    if len(values) > MAX_VALUES:
-        raise FieldError("rows", f"{len(values)} values, expected up to {MAX_VALUES}")
+def write_control(packet: ControlPacket, tau: int, inputs: int) -> bytes:
+    """Bytes behind the CRC of a control packet of version 2; tau in its range, and so many inputs in every row."""
     seq, sample_ns, control_ns, _, selection, rows, nonce, freshness, tag, _ = packet
     trailer = _trailer(freshness, tag) if tag else ()
-    shape = _TAGGED | selection if tag else selection
-    pack, count = _control_writer(len(values), bool(tag)), len(rows)
+    count = len(rows)
+    pack, shape = _control_writer(count, inputs, selection, bool(tag))
+    seq &= 0xFFFFFFFF
     try:
-        return pack(CONTROL, shape, seq & 0xFFFFFFFF, nonce, sample_ns, control_ns, tau, count, inputs, *values, *trailer)
+        return pack(CONTROL, shape, seq, nonce, sample_ns, control_ns, tau, count, inputs, *_flat(rows), *trailer)
     except OverflowError:
-        values = tuple(map(single, values))
-        return pack(CONTROL, shape, seq & 0xFFFFFFFF, nonce, sample_ns, control_ns, tau, count, inputs, *values, *trailer)
+        values = map(single, _flat(rows))
+        return pack(CONTROL, shape, seq, nonce, sample_ns, control_ns, tau, count, inputs, *values, *trailer)
 
 
 @lru_cache(maxsize=1024)

@@ -127,14 +127,13 @@ class Answers:
             packet: an answer in time.
         """
         expected, rows = self._row_counts[packet.selection], packet.rows
-        fault = None
-        if len(rows) != expected or len(rows[0]) != self._inputs:
+        if len(rows) == expected and len(rows[0]) == self._inputs:
+            if isfinite(sum(map(sum, rows))):
+                return True
+            fault = "a row is not finite"
+        else:
             shape = f"{len(rows)} rows of {len(rows[0]) if rows else 0}"
             fault = f"{shape}, expected {expected} of {self._inputs} for {SELECTIONS[packet.selection]!r}"
-        elif not isfinite(sum(rows[0]) if len(rows) == 1 else sum(map(sum, rows))):
-            fault = "a row is not finite"
-        if fault is None:
-            return True
         self.refused += 1
         if self.refused == 1:
             self._journal.event(self._t_ns, "refused", f"control packet refused: {fault}", tick=self._k, severity="error")

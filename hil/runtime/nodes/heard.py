@@ -64,7 +64,8 @@ class NewestSample:
             return False
         if sample_ns >= self._sampled_ns[node]:
             self._sampled_ns[node] = sample_ns
-            self.sample_ns = max(self.sample_ns, sample_ns)
+            if sample_ns > self.sample_ns:
+                self.sample_ns = sample_ns
             self._y = y[: self._width] if self._whole else self._with(node, y)
         return True
 
