@@ -27,7 +27,7 @@ SLOTS: Final = 200
 PERIOD_NS: Final = 1_000_000
 
 Call = tuple[tuple[str, ...], tuple[Any, ...]]
-"""Topics, and what is logged of them: time and fields."""
+"""Topics, and what is logged of them: time in ns, and fields."""
 
 
 class _Calls:
@@ -43,7 +43,11 @@ class _Calls:
     def records(self, topics: Sequence[str]) -> Record | None:
         if len(topics) > 1 and not self._at_once:
             return None
-        return lambda *values, of=tuple(topics): self.slots[-1].append((of, values))
+
+        def note(t_ns: int, values: Sequence[Any]) -> None:
+            self.slots[-1].append((tuple(topics), (t_ns, values)))
+
+        return note
 
     def event(self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object) -> None:
         """Events are rare."""
@@ -91,7 +95,9 @@ def main() -> None:
         def by_bytes(topics: tuple[str, ...]) -> Record | None:
             (topic,) = topics
             put, pack = plain.channel(topic), channels[topic].schema.pack
-            return None if put is None else lambda t_ns, *values: put(t_ns, pack(*values))
+            if put is None:
+                return None
+            return lambda t_ns, values: put(t_ns, pack(*values))
 
         turns = [(ours, _slots_of(loop, ours.records, True)), (plain, _slots_of(loop, by_bytes, False))]
         go_real_time(PRIORITY, None, awake=True)

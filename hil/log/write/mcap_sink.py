@@ -118,7 +118,7 @@ class McapSink:
             return None
         writer = self._writer
         add = writer.records_of([self._packed(topic) for topic in topics])
-        return add if self._now is None else lambda t_ns, *values: add(writer.start_ns + t_ns, *values)
+        return add if self._now is None else lambda t_ns, values: add(writer.start_ns + t_ns, values)
 
     def _packed(self, topic: str) -> Packed:
         schema = self._channels[topic].schema

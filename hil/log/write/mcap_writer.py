@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
@@ -167,10 +167,10 @@ class McapWriter:
 
         return add
 
-    def records_of(self, records: Sequence[Packed]) -> Callable[..., None]:
+    def records_of(self, records: Sequence[Packed]) -> Callable[[int, Sequence[Any]], None]:
         """Return the function that adds one message of each of these channels, packed at once.
 
-        It takes time in ns, then the numbers of the first record, of the second, and so on; the bytes of a frame stand behind
+        It takes time in ns, and the numbers of the first record, of the second, and so on; the bytes of a frame stand behind
         its numbers.
 
         Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -79,14 +79,14 @@ class OpenChunk:
         self._layouts.append(layout)
         self.size += size
 
-    def adds(self, layouts: Layouts) -> Callable[..., None]:
+    def adds(self, layouts: Layouts) -> Callable[[int, Sequence[Any]], None]:
         """Return the function that takes a row: its time in ns, 0 where it is less, and its values."""
         at, layout_of, count, messages = layouts.frame_at, layouts.of, layouts.count, layouts.messages
         keep, note = self._rows.append, self._layouts.append
         length = 0  # of the last frame
         pack, layout = layout_of(length)
 
-        def add(t_ns: int, *values: Any) -> None:
+        def add(t_ns: int, values: Sequence[Any]) -> None:
             nonlocal length, pack, layout
             if self.closed:
                 self.refused += messages

@@ -74,7 +74,7 @@ class PipeSink:
             return None
         pack, records = PipeBlock(channels).pack, self._records
 
-        def put(t_ns: int, *values: Any) -> None:
+        def put(t_ns: int, values: Sequence[Any]) -> None:
             records.append(pack(t_ns, self._behind, values))
 
         return put

@@ -34,7 +34,7 @@ class PipeBlock:
         made = ByFrameLength([(len(channel.schema.codes), channel.schema.raw) for channel in channels], self._layout)
         self._values, self._frame_at, self._layout_of = made.count, made.frame_at, made.of
 
-    def pack(self, t_ns: int, behind_ns: int, values: tuple[Any, ...]) -> bytes:
+    def pack(self, t_ns: int, behind_ns: int, values: Sequence[Any]) -> bytes:
         """Return the records as they go into the pipe.
 
         Args:

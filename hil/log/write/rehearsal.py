@@ -53,7 +53,7 @@ def _burst(fd: int, channels: Mapping[str, Channel]) -> None:
         while length < 2 * REAL_FLUSH_BYTES:
             for put, values, size in rows:
                 if put is not None:
-                    put(k, *values)
+                    put(k, values)
                 length += size
             source.commit()
             k += 1

@@ -7,7 +7,7 @@ ever raises into the loop: what it cannot keep it counts.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from hil.log.events import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
@@ -16,8 +16,8 @@ Put = Callable[[int, bytes], None]
 """Takes the nominal session time in ns and the payload of one record."""
 
 
-Record = Callable[..., None]
-"""Takes the nominal session time in ns, then the fields of one record."""
+Record = Callable[[int, Sequence[Any]], None]
+"""Takes the nominal session time in ns, and the fields of a record, or of several, one behind the other."""
 
 
 class Sink(Protocol):
@@ -40,7 +40,7 @@ class PacksRecords(Protocol):
     """A sink that packs the numbers of records itself, quicker than it takes bytes."""
 
     def records(self, topics: Sequence[str]) -> Record | None:
-        """Function that takes time in ns and the fields of one record of each topic, in order; None if it does not take all."""
+        """Function that takes the fields of one record of each topic, in order; None if it does not take all."""
         ...
 
 
@@ -58,11 +58,11 @@ class Dated(Protocol):
 
 
 def record_to(sink: Sink, channel: Channel) -> Record | None:
-    """Return the function that logs a record of a topic: time in ns, then its fields; None if nobody wants them."""
+    """Return the function that logs a record of a topic; None if nobody wants them."""
     if isinstance(sink, PacksRecords):
         return sink.records((channel.topic,))
     put, pack = sink.channel(channel.topic), channel.schema.pack
-    return None if put is None else lambda t_ns, *values: put(t_ns, pack(*values))
+    return None if put is None else lambda t_ns, values: put(t_ns, pack(*values))
 
 
 def records_to(sink: Sink, topics: Sequence[str]) -> Record | None:

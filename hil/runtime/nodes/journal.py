@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from math import nan
 
 from hil.experiment.can_frames import FirstIdentifiers
@@ -61,7 +62,7 @@ class Journal:
         draws, numbers = sent[0][0], self._numbers
         at_once = self._asked_at_once.get(len(draws)) if len(sent) == 1 == len(frames) else None
         if at_once is not None:  # the usual slot
-            at_once(t_ns, *state, k, *y, k, *r, k, *_values_of(draws, numbers[0]), k, *self._sensor_ids[0], 0, frames[0])
+            at_once(t_ns, (*state, k, *y, k, *r, k, *_values_of(draws, numbers[0]), k, *self._sensor_ids[0], 0, frames[0]))
             return
         self.sensed(t_ns, k, state, y, r)
         for (draws, _), number in zip(sent, numbers):
@@ -76,12 +77,12 @@ class Journal:
         u, packet_tick, d, row, status, _, injected = applied
         at_once = self._answered_at_once.get(len(draws))
         if at_once is not None and injected is None and packet is not None:
-            values = packet.rows[0] if len(packet.rows) == 1 else [v for row_of in packet.rows for v in row_of]
-            if len(values) == self._row_values:  # the usual slot
-                at_once(
-                    t_ns, *u, *w, k, packet_tick, d, row, status, *_values_of(draws), k, *self._control_id, 0, data,
-                    *values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection,
-                )  # fmt: skip
+            _, sample_ns, control_ns, tau, selection, rows, _, _, _, _ = packet
+            if rows and len(rows) * len(rows[0]) == self._row_values:  # the usual slot
+                at_once(t_ns, (
+                    *u, *w, k, packet_tick, d, row, status, *_values_of(draws), k, *self._control_id, 0, data,
+                    *chain.from_iterable(rows), sample_ns, control_ns, k, tau, selection,
+                ))  # fmt: skip
                 return
         self.applied(t_ns, k, applied, w)
         if injected is not None:
@@ -93,17 +94,17 @@ class Journal:
     def sensed(self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float]) -> None:
         """Record the plant's state, its outputs and the reference in slot k."""
         if self._state:
-            self._state(t_ns, *state, k)
+            self._state(t_ns, (*state, k))
         if self._y:
-            self._y(t_ns, *y, k)
+            self._y(t_ns, (*y, k))
         if self._r:
-            self._r(t_ns, *r, k)
+            self._r(t_ns, (*r, k))
 
     def asked(self, t_ns: int, k: int, frames: Sequence[bytes]) -> None:
         """Record the sensor frames of slot k."""
         if self._sensor:
             for frame in frames:
-                self._sensor(t_ns, k, *self._sensor_id(frame), 0, frame)
+                self._sensor(t_ns, (k, *self._sensor_id(frame), 0, frame))
 
     def _sensor_id(self, frame: bytes) -> tuple[int, ...]:
         """Return what the record of a sensor frame holds; -1 if its mangled number names no node, as nobody sends it then."""
@@ -116,37 +117,37 @@ class Journal:
         log = self._log[topic]
         if log:
             for tick, packet_tick, mode, age, latency_s, reason in draws:
-                log(t_ns, latency_s, tick, packet_tick, mode, age, *number, reason)
+                log(t_ns, (latency_s, tick, packet_tick, mode, age, *number, reason))
 
     def applied(self, t_ns: int, k: int, applied: Applied, w: Sequence[float]) -> None:
         """Record what the actuator applied in slot k, and the disturbance w that comes on top."""
         if self._u:
             u, packet_tick, d, row, status, *_ = applied
-            self._u(t_ns, *u, *w, k, packet_tick, d, row, status)
+            self._u(t_ns, (*u, *w, k, packet_tick, d, row, status))
 
     def injected(self, t_ns: int, k: int, injected: Injected) -> None:
         """Record what the passivity controller saw and did in slot k."""
         if self._passivity:
-            self._passivity(t_ns, *injected, k)
+            self._passivity(t_ns, (*injected, k))
 
     def answered(self, t_ns: int, k: int, packet: ControlPacket, data: bytes) -> None:
         """Record the control packet that answered slot k in time."""
         if self._control:
-            self._control(t_ns, k, *self._control_id, 0, data)
+            self._control(t_ns, (k, *self._control_id, 0, data))
         if self._rows:
             values = [v for row in packet.rows for v in row][: self._row_values]
             values += [nan] * (self._row_values - len(values))
-            self._rows(t_ns, *values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection)
+            self._rows(t_ns, (*values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection))
 
     def late(self, t_ns: int, seq: int, data: bytes) -> None:
         """Record a control frame that came too late for the slot that it answers."""
         if self._control:
-            self._control(t_ns, seq, *self._control_id, 1, data)
+            self._control(t_ns, (seq, *self._control_id, 1, data))
 
 
 def _values_of(draws: Sequence[Draw], number: tuple[int, ...] = ()) -> Sequence[float]:
     """Return the fields of the records of some decisions, one after the other."""
-    if len(draws) == 1:
-        tick, packet_tick, mode, age, latency_s, reason = draws[0]
-        return latency_s, tick, packet_tick, mode, age, *number, reason
-    return [v for draw in draws for v in (draw[4], *draw[:4], *number, draw[5])]
+    values: tuple[float, ...] = ()
+    for tick, packet_tick, mode, age, latency_s, reason in draws:
+        values += (latency_s, tick, packet_tick, mode, age, *number, reason)
+    return values

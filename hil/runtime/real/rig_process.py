@@ -97,7 +97,7 @@ class RealLoop:
             lateness_us = (self._woken_ns - t_ns) / 1e3
             work_us = (end - self._woken_ns - exchange.waited_ns) / 1e3
             late = rig.answers.late - self._late
-            self._log(t_ns, lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun)
+            self._log(t_ns, (lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun))
         self._sink.commit()
 
 

@@ -30,8 +30,8 @@ def write(path: Path, slots: int) -> float:
         assert state is not None and frame is not None
         held = []
         for k in range(slots):
-            state(k * PERIOD_NS, 0.1 * k, 1.0, k)
-            frame(k * PERIOD_NS, k, 0, bytes(40))
+            state(k * PERIOD_NS, (0.1 * k, 1.0, k))
+            frame(k * PERIOD_NS, (k, 0, bytes(40)))
             sink.commit()
             if k in (FEW - 1, MANY - 1) and tracemalloc.is_tracing():
                 held.append(tracemalloc.get_traced_memory()[0])

@@ -196,18 +196,18 @@ def test_several_records_at_once_are_those_one_by_one_whatever_the_length_of_the
         assert together is not None
         for k in range(150):  # more lengths than layouts are kept
             frame = bytes([k]) * k
-            together(k - 1, 0.1 * k, 2.0, k, k, 1, frame, 0.3, k)
+            together(k - 1, (0.1 * k, 2.0, k, k, 1, frame, 0.3, k))
             for log, values in zip(singly, ((0.1 * k, 2.0, k), (k, 1, frame), (0.3, k))):
                 assert log is not None
-                log(k - 1, *values)
+                log(k - 1, values)
             at_once.event(k, "between", "two slots")
             one.event(k, "between", "two slots")
         with pytest.raises(TypeError, match="7 values, expected 8 in 3 records"):
-            together(0, 0.1, 2.0, 1, 1, 1, b"", 0.3)
+            together(0, (0.1, 2.0, 1, 1, 1, b"", 0.3))
         assert at_once.messages + at_once.dropped == 0
     assert (tmp_path / "at once").read_bytes() == (tmp_path / "one").read_bytes()
     assert at_once.messages == 150 * 4
-    together(0, 0.1, 2.0, 1, 1, 1, b"", 0.3, 1)  # the file is closed: all three are counted
+    together(0, (0.1, 2.0, 1, 1, 1, b"", 0.3, 1))  # the file is closed: all three are counted
     assert at_once.dropped == 3
     with pytest.raises(ValueError, match="records: 2 carry frames, expected one at most"):
         at_once.records(("/link/sensor", "/link/control"))

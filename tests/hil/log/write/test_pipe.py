@@ -113,17 +113,17 @@ def test_several_records_at_once_are_those_one_by_one_whatever_the_length_of_the
         sink.behind(17 * k)
         for way in ("together", "singly", "packed by the schema"):
             if way == "together":
-                together(k - 1, *(value for values in one_by_one for value in values))
+                together(k - 1, [value for values in one_by_one for value in values])
             for topic, log, put, values in zip(topics, singly, puts, one_by_one):
                 if way == "singly" and log is not None:
-                    log(k - 1, *values)
+                    log(k - 1, values)
                 elif way != "together" and put is not None:
                     put(k - 1, TABLE[topic].schema.pack(*values))
             sink.commit()
             written.append(os.read(read, 1 << 20))
         assert written[0] == written[1] == written[2]
     with pytest.raises(TypeError, match="7 values, expected 8 in 3 records"):
-        together(0, 0.1, 2.0, 1, 1, 1, b"", 0.3)
+        together(0, (0.1, 2.0, 1, 1, 1, b"", 0.3))
     with pytest.raises(ValueError, match="2 carry frames"):
         sink.records(("/link/sensor", "/link/control"))
     assert sink.records(("/link/sensor", "/of/nobody")) is None
@@ -135,8 +135,8 @@ def test_records_packed_at_once_are_counted_one_by_one_when_the_pipe_is_full(end
     together = sink.records(("/plant/measurement", "/reference"))
     assert together is not None
     for k in range(3):
-        together(k, 0.1, k, 3.0, k)
-        together(k, 0.2, k, 3.0, k)
+        together(k, (0.1, k, 3.0, k))
+        together(k, (0.2, k, 3.0, k))
         sink.commit()
     assert sink.dropped == 12
 
