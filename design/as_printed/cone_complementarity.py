@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from design.errors import DesignError
-from design.jump_linear.bounded_real import solve_bounded_real
+from design.jump_linear.coupled_riccati import solve_bounded_real
 from design.jump_linear.second_moment import Resolvent, expect
 from design.processes.delay_chain import Array
 from design.tracking.loop_objective import LoopObjective

@@ -16,6 +16,9 @@ in (P, gamma^2), which Newton finds in a few steps, and whose null vectors give 
 The left null vector is the second moment of the state under the worst disturbance: where it is positive
 semidefinite, one is its largest eigenvalue, and the fold is the norm.
 
+Newton's method starts at the fold of a system nearby. Where that is too far, it starts at the fold that a solution at a
+larger gamma predicts (`predict_fold`).
+
 References: Theorem 7.4; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 2000 (bordered fold).
 """
 
@@ -26,22 +29,16 @@ from typing import NamedTuple
 import numpy as np
 
 from design.errors import NotStable
+from design.jump_linear.coupled_riccati import Matrices, Policy, many, policy_at, solve_bounded_real
 from design.jump_linear.mjls import MJLS
-from design.jump_linear.second_moment import DENSE_LIMIT, Array, Bordered, Resolvent, expect, to_matrix, to_vector
-from design.jump_linear.stability_proof import StabilityProof, is_positive
+from design.jump_linear.second_moment import Array, Bordered, Resolvent, expect, to_matrix, to_vector
 
-FOLD_TOLERANCE = 1e-12
-NEWTON_STEPS = 40
-
-
-class Policy(NamedTuple):
-    """A solution of the bounded-real equations at one gamma: P, worst disturbance F, closed-loop matrices, V."""
-
-    P: Array
-    F: Array
-    A: Array
-    C: Array
-    V: Array
+FOLD_TOLERANCE, COST_TOLERANCE = 1e-12, 1e-7
+"""Relative Newton steps in gamma^2 and in P at which the fold is found."""
+NEAR = 0.1
+"""How far below gamma^2, as a share of it, a predicted fold may lie for Newton's method to be tried."""
+FREE_STEPS = 3
+"""Newton steps that may have any length. A later one that is not half as long as the one before says that no fold is near."""
 
 
 class Fold(NamedTuple):
@@ -67,9 +64,6 @@ class Fold(NamedTuple):
         return np.asarray(expect(transition, self.policy.P) @ self.policy.A @ self.left / self.power)
 
 
-Matrices = tuple[Array, Array, Array, Array, Array]
-
-
 def hinf_norm(system: MJLS) -> float:
     """H-infinity norm (7.27): the largest sqrt(E sum |z|^2 / E sum |w|^2) from any initial mode with x(0) = 0.
 
@@ -85,73 +79,13 @@ def hinf_norm(system: MJLS) -> float:
     return found.norm if isinstance(found, Fold) else float(np.sqrt(found))
 
 
-def solve_bounded_real(matrices: Matrices, square: float, extra: float = 0.0, near: Policy | None = None) -> Policy | None:
-    """Smallest solution of the bounded-real equations at gamma^2 = `square`, or None if gamma is not above the norm.
-
-    Newton's method from w = 0, every step one coupled Lyapunov equation; its iterates rise to the solution.
-    `extra` adds extra * I to C_i' C_i, which makes (7.28) strict at the result. `near` is a solution at a larger gamma:
-    its disturbance leaves the loop stable here too, and Newton's method rises from there in fewer steps.
-    """
-    A, B, C, _, transition = matrices
-    identity = extra * np.eye(A.shape[-1])
-    policy: Policy | None = None
-    closed, output = A, C
-    F = np.zeros((A.shape[0], B.shape[2], A.shape[1]))
-    if near is not None:
-        F, closed, output = near.F, near.A, near.C
-    ones = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
-    proof = StabilityProof(transition) if many(matrices) else None
-    for _ in range(NEWTON_STEPS):
-        weight = output.transpose(0, 2, 1) @ output - square * (F.transpose(0, 2, 1) @ F) + identity
-        if proof is None:
-            P, probe = Resolvent(closed, transition).cost(np.stack([weight, ones]))
-            stable = is_positive(probe)
-        else:
-            stable = proof.holds(closed)
-            last = policy or near
-            P = Resolvent(closed, transition).cost(weight, near=last.P if last else None) if stable else weight
-        if not stable or not np.isfinite(P).all():
-            return None
-        previous = policy
-        policy = _policy(matrices, P, square)
-        if policy is None:
-            return None
-        if previous is not None:
-            scale = np.abs(P).max() + 1e-300
-            if np.abs(P - previous.P).max() <= 1e-11 * scale:
-                return policy
-        F, closed, output = policy.F, policy.A, policy.C
-    return None
-
-
-def many(matrices: Matrices) -> bool:
-    """Whether GMRES solves the equations: then every product counts, and each solve starts from another one's result."""
-    modes, n, _ = matrices[0].shape
-    return bool(modes > 1 and modes * n * (n + 1) // 2 > DENSE_LIMIT)
-
-
-def _policy(matrices: Matrices, P: Array, square: float) -> Policy | None:
-    A, B, C, D, transition = matrices
-    E = expect(transition, P)
-    BE = B.transpose(0, 2, 1) @ E
-    V = square * np.eye(B.shape[2]) - BE @ B - D.transpose(0, 2, 1) @ D
-    if not is_positive(V):
-        return None
-    F = np.asarray(np.linalg.solve(V, BE @ A + D.transpose(0, 2, 1) @ C), dtype=np.float64)
-    return Policy(P, F, A + B @ F, C + D @ F, V)
-
-
-def locate_norm(matrices: Matrices, guess: Fold | None = None) -> Fold | float:
+def locate_norm(matrices: Matrices, above: tuple[float, Policy] | None = None) -> Fold | float:
     """The fold of a mean-square stable system; only gamma^2 where the norm is reached without one (finite memory).
 
     Args:
         matrices: (A, B, C, D, transition).
-        guess: fold of a system nearby, from which Newton's method starts.
+        above: a gamma^2 above that of the norm, and the solution there.
     """
-    if guess is not None:
-        fold = refine_fold(matrices, guess)
-        if fold is not None:
-            return fold
     A, B, C, D, transition = matrices
     identity = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
     C2 = C.transpose(0, 2, 1) @ C
@@ -160,24 +94,47 @@ def locate_norm(matrices: Matrices, guess: Fold | None = None) -> Fold | float:
     low = float(np.linalg.eigvalsh(gain).max())  # an impulse is one disturbance
     if low <= 0.0:
         return 0.0
-    high, policy = low, None
+    high, policy = (low, None) if above is None else above
     while policy is None:
         high *= 4.0
         policy = solve_bounded_real(matrices, high)
-    near = 0.5  # Newton is tried at ever closer brackets, not at every one
+    near = NEAR  # Newton is tried at ever closer folds, not at every one
     while high / low > 1.0 + 1e-12:
-        if high / low - 1.0 < near:
-            near = 0.1 * (high / low - 1.0)
-            fold = refine_fold(matrices, Fold(high, policy, identity, identity))
+        middle = float(np.sqrt(low * high)) if high / low > 1.01 else 0.5 * (low + high)
+        guess = predict_fold(matrices, high, policy)
+        away = high / low - 1.0 if guess is None else 1.0 - guess.square / high
+        if away < near:
+            near = 0.1 * away
+            fold = refine_fold(matrices, guess or Fold(high, policy, identity, identity))
             if fold is not None and low * (1 - 1e-9) <= fold.square <= high * (1 + 1e-9):
                 return fold
-        middle = float(np.sqrt(low * high)) if high / low > 1.01 else 0.5 * (low + high)
-        attempt = solve_bounded_real(matrices, middle, near=policy if many(matrices) else None)
+            if guess is not None:
+                middle = max(middle, 0.5 * (guess.square + high))
+        attempt = solve_bounded_real(matrices, middle, near=policy)
         if attempt is None:
             low = middle
         else:
             high, policy = middle, attempt
     return high
+
+
+def predict_fold(matrices: Matrices, square: float, policy: Policy) -> Fold | None:
+    """Where the fold will be, from the solution at gamma^2 = `square` above it; None where that does not tell.
+
+    Near the fold P = P* - Z sqrt(gamma^2 - gamma*^2). The first two derivatives of P by gamma^2, P' = L P' - F'F and
+    P'' = L P'' + 2 F''V F' with V F' = B' E(P') (A + B F) - F, say how far away gamma*^2 is, and what P* and Z are.
+    """
+    B, transition = matrices[1], matrices[4]
+    resolvent = Resolvent(policy.A, transition)
+    first = -resolvent.cost(policy.F.transpose(0, 2, 1) @ policy.F)
+    turn = np.linalg.solve(policy.V, B.transpose(0, 2, 1) @ expect(transition, first) @ policy.A - policy.F)
+    second = 2.0 * resolvent.cost(turn.transpose(0, 2, 1) @ policy.V @ turn)
+    fall, bend = (float(np.trace(family, axis1=1, axis2=2).sum()) for family in (first, second))
+    if not 0.0 < -0.5 * fall < square * bend:
+        return None
+    away = -0.5 * fall / bend
+    identity = np.broadcast_to(np.eye(policy.A.shape[-1]), policy.A.shape)
+    return Fold(square - away, policy._replace(P=policy.P - 2.0 * away * first), -first, identity)
 
 
 def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None:
@@ -187,8 +144,9 @@ def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None
     P, square = guess.policy.P, guess.square
     right, left = _unit(to_vector(guess.right).ravel()), _unit(to_vector(guess.left).ravel())
     shape = (A.shape[0], n * (n + 1) // 2)
-    for _ in range(steps):
-        policy = _policy(matrices, P, square)
+    moved = np.inf
+    for step in range(steps):
+        policy = policy_at(matrices, P, square)
         if policy is None:
             return None
         E = expect(transition, P)
@@ -232,14 +190,17 @@ def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None
             return None
         P, square = P + dP, square + float(change)
         right, left = _unit(v[:size]), _unit(w[:size])
-        if abs(change) <= FOLD_TOLERANCE * square and np.abs(dP).max() <= 1e-7 * np.abs(P).max():
+        before, moved = moved, float(np.abs(dP).max() / np.abs(P).max())
+        if abs(change) <= FOLD_TOLERANCE * square and moved <= COST_TOLERANCE:
             return _verified(matrices, P, square, right.reshape(shape), left.reshape(shape))
+        if step >= FREE_STEPS and moved > max(0.5 * before, COST_TOLERANCE):
+            return None
     return None
 
 
 def _verified(matrices: Matrices, P: Array, square: float, right: Array, left: Array) -> Fold | None:
     """The fold if it is the norm: V > 0, P >= 0, and null vectors that are positive semidefinite."""
-    policy = _policy(matrices, P, square)
+    policy = policy_at(matrices, P, square)
     if policy is None:
         return None
     n = P.shape[-1]

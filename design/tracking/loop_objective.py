@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold, solve_bounded_real
+from design.jump_linear.bounded_real import Fold, locate_norm, refine_fold
+from design.jump_linear.coupled_riccati import many, solve_bounded_real
 from design.jump_linear.h2 import H2Derivative, h2_derivative
 from design.jump_linear.h2_nearby import H2Nearby
 from design.jump_linear.second_moment import Resolvent, expect, mean_square_radius
@@ -69,11 +70,15 @@ class LoopObjective:
         matrices = (A, s.B, s.C, self._zero, s.transition)
         fold = None if self._fold is None else refine_fold(matrices, self._fold)
         if fold is None:
-            if not self._stable(A):
+            above = None
+            if np.isfinite(self.ceiling):
+                policy = solve_bounded_real(matrices, self.ceiling**2)
+                if policy is None:
+                    return np.inf, np.zeros_like(v)
+                above = self.ceiling**2, policy
+            elif not self._stable(A):
                 return np.inf, np.zeros_like(v)
-            if np.isfinite(self.ceiling) and solve_bounded_real(matrices, self.ceiling**2) is None:
-                return np.inf, np.zeros_like(v)
-            found = locate_norm(matrices)
+            found = locate_norm(matrices, above)
             if not isinstance(found, Fold):
                 return self._without_fold(v, float(np.sqrt(found)))
             fold = found

@@ -85,6 +85,7 @@ def solve(problem: TrackingProblem, *, progress: Progress | None = None) -> Desi
         NotStable: no gains stabilise the loop; `value` is the radius (or eigenvalue) that decides it.
         Infeasible: a mixed bound below the smallest H-infinity norm found, which is `value`.
     """
+    import scipy.linalg  # noqa: F401 - it brings a BLAS of its own, and only those that are loaded are held to one thread
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other

@@ -10,9 +10,10 @@ from design.jump_linear.bounded_real import (
     bounded_real_margin,
     hinf_norm,
     locate_norm,
+    predict_fold,
     refine_fold,
-    solve_bounded_real,
 )
+from design.jump_linear.coupled_riccati import solve_bounded_real
 from design.jump_linear.h2 import h2_norm
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Resolvent, expect
@@ -162,6 +163,55 @@ def test_refined_fold_of_a_neighbour_is_the_fold_found_from_nothing():
     refined, fresh = refine_fold(other.matrices, first), locate_norm(other.matrices)
     assert isinstance(fresh, Fold) and refined is not None
     assert np.isclose(refined.norm, fresh.norm, rtol=1e-10)
+
+
+@pytest.mark.parametrize("plant, gains, R", [(MOTOR, PRINTED_HINF, 0.01), (VTOL, PRINTED_VTOL_HINF, VTOL_R)])
+def test_a_solution_far_above_the_fold_predicts_it(plant, gains, R):
+    """Newton's method starts from there: from the solution itself it ends nowhere, at 1.15 as at 1.2 times the norm."""
+    matrices = loop(plant, gains, R=R).matrices
+    fold = locate_norm(matrices)
+    assert isinstance(fold, Fold)
+    square = 1.15**2 * fold.square
+    policy = solve_bounded_real(matrices, square)
+    found = refine_fold(matrices, predict_fold(matrices, square, policy))
+    assert found is not None and np.isclose(found.norm, fold.norm, rtol=1e-11)
+    near = 1.001**2 * fold.square
+    guess = predict_fold(matrices, near, solve_bounded_real(matrices, near))
+    assert np.isclose(guess.square, fold.square, rtol=2e-4)  # a tenth of what it is above
+    assert np.abs(guess.policy.P - fold.policy.P).max() < 0.01 * np.abs(fold.policy.P).max()
+
+
+def test_from_a_solution_above_the_norm_is_found_too():
+    matrices = loop(VTOL, PRINTED_VTOL_HINF, R=VTOL_R).matrices
+    fresh = locate_norm(matrices)
+    for factor in (1.0001, 1.3, 40.0):
+        square = factor**2 * fresh.square
+        found = locate_norm(matrices, (square, solve_bounded_real(matrices, square)))
+        assert isinstance(found, Fold) and np.isclose(found.norm, fresh.norm, rtol=1e-11)
+
+
+def test_no_fold_is_predicted_where_there_is_none():
+    """The norm of one step of memory is reached where V is singular, and P does not depend on gamma."""
+    system = MJLS(A=np.zeros((1, 1, 1)), B=[[1.0]], C=[[1.0]], transition=[[1.0]])
+    policy = solve_bounded_real(system.matrices, 4.0)
+    assert predict_fold(system.matrices, 4.0, policy) is None
+    assert np.isclose(hinf_norm(system), 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_norm_is_found_where_the_radius_is_almost_one(seed):
+    """Rounding then keeps Newton's steps above what ends it elsewhere: gammas above the norm were said to be below it."""
+    slow = 1e-6
+    basis = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
+    weights = np.array([[np.sqrt(slow), 1.0, 1.0]])
+    system = MJLS(
+        A=(basis @ np.diag([1.0 - slow, 0.6, -0.3]) @ basis.T)[None], B=basis @ weights.T, C=weights @ basis.T, transition=[[1.0]]
+    )
+    norm = 1.0 + 1.0 / 0.4 + 1.0 / 1.3  # at frequency zero the three parts add up
+    assert np.isclose(hinf_norm(system), norm, rtol=1e-7)
+    assert solve_bounded_real(system.matrices, (0.99 * norm) ** 2) is None
+    for factor in (1.01, 1.1, 2.0):
+        assert solve_bounded_real(system.matrices, (factor * norm) ** 2) is not None
 
 
 def test_fold_derivative_is_the_difference_quotient():
