@@ -142,7 +142,9 @@ def decode(data: bytes) -> SensorPacket | ControlPacket | None:
     """
     length = len(data)
     reader_of = _READERS.get(data[2]) if length >= 4 else None
-    found = None if reader_of is None else reader_of(data)
+    if reader_of is None:
+        return None
+    found = reader_of(data)
     if found is None:
         return None
     size, read = found

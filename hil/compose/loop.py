@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -124,21 +126,20 @@ class Loop:
 
 
 def _schedule(start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float, ...]]]) -> Callable[[int], tuple[float, ...]]:
-    """Piecewise constant in the slot; asked in ascending order it costs one comparison."""
+    """Piecewise constant in the slot; it is looked up where a piece begins."""
     ordered = sorted(changes)
-    ticks = [k for k, _ in ordered]
+    edges = [k for k, _ in ordered]
     values = [start, *(v for _, v in ordered)]
-    position = 0
-    if not ticks:
-        return lambda k: start
+    begins, ends = [-sys.maxsize, *edges], [*edges, sys.maxsize]
+    begin = end = 0
+    value = start
 
     def at(k: int) -> tuple[float, ...]:
-        nonlocal position
-        while position < len(ticks) and ticks[position] <= k:
-            position += 1
-        while position > 0 and ticks[position - 1] > k:
-            position -= 1
-        return values[position]
+        nonlocal begin, end, value
+        if not begin <= k < end:
+            piece = bisect_right(edges, k)
+            begin, end, value = begins[piece], ends[piece], values[piece]
+        return value
 
     return at
 

@@ -108,23 +108,23 @@ class AgeImpairment:
             draws.append(Draw(k, -1, mode, age, nan, NONE_YET))
             return []
         # Without gaps ages grow by at most one, so that k - age never falls and older packets are done with.
-        held, newest = self._held, self._newest
-        floor = k - self._max_age if self._gaps else target
+        held, newest, gaps = self._held, self._newest, self._gaps
+        floor = k - self._max_age if gaps else target
         while len(held) > 1 and held[1][0] <= floor:
             tick = held.popleft()[0]
             if tick > newest or tick in self._skipped:
                 self._skipped.discard(tick)
                 draws.append(Draw(k, tick, NO_MODE, k - tick, nan, SUPERSEDED))
-        found = self._newest_until(target) if self._gaps else held[0] if held and held[0][0] <= target else None
+        found = self._newest_until(target) if gaps else held[0] if held else None
         if found is None or found[0] != target:
             draws.append(Draw(k, target, mode, age, nan, ABSENT))
-            if found is None:
+            if found is None or found[0] > target:
                 return []
-            mode = NO_MODE
+            mode, age = NO_MODE, k - found[0]
         tick = found[0]
         if tick > newest:
             reason = DELIVERED
-            if self._gaps:
+            if gaps:
                 self._skipped.update(older for older, _ in held if newest < older < tick)
             self._newest = tick
         elif tick in self._skipped:
@@ -132,7 +132,6 @@ class AgeImpairment:
             self._skipped.remove(tick)
         else:
             reason = REPEATED
-        age = k - tick
         draws.append(_new(Draw, (k, tick, mode, age, age * self._period_s, reason)))
         return [found]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple
 
 from hil.runtime.nodes.port_damper import Injected, PortDamper
 from hil.runtime.nodes.safety import Safety
@@ -105,7 +105,7 @@ class ActuatorNode:
             self.u = self._command = self._zero
         return reason
 
-    def apply(self, k: int, arrivals: Iterable[tuple[int, object]]) -> Applied:
+    def apply(self, k: int, arrivals: Iterable[tuple[int, Any]]) -> Applied:
         """Take what arrived in slot k, measure d_k, choose the row, and set the input for this slot.
 
         Args:
@@ -114,23 +114,21 @@ class ActuatorNode:
         """
         for g, arrived in arrivals:
             if g >= self._held_tick:
-                self._held_tick, self._held = g, cast(ControlPacket, arrived)
-        held, g = self._held, self._held_tick
-        d = k - g if held is not None else -1
-        self._measured_d[k] = d
-        self._measured_d.pop(k - self._d_max - 2, None)
+                self._held_tick, self._held = g, arrived
+        held, g, d_max, measured_d = self._held, self._held_tick, self._d_max, self._measured_d
+        d = measured_d[k] = -1 if held is None else k - g
+        measured_d.pop(k - d_max - 2, None)
         row, status, reason, safety = -1, SAFE, None, self._safety
         if safety.tripped is None:
-            if held is None or d > self._d_max:
+            if held is None or d > d_max:
                 status = HOLD if held is not None else NONE_YET
-                reason = safety.starved() if k > self._d_max else None
+                reason = safety.starved() if k > d_max else None
             else:
                 rule, status = held.selection, OK
-                row = 0 if rule == CONSTANT else row_index(SELECTIONS[rule], d, g, self._measured_d, self._d_max)
+                row = 0 if rule == CONSTANT else row_index(SELECTIONS[rule], d, g, measured_d, d_max)
                 u = held.rows[row]
                 reason = safety.check_command(u)
                 if reason is None:
-                    safety.fed()
                     self.u = self._command = u
         if reason is not None:
             self._latch(reason)

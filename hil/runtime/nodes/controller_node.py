@@ -40,26 +40,31 @@ class ControlNode:
             self.malformed += 1
             return None
         seq, flags = packet.seq, packet.flags
-        if seq == HELLO and self._heard.sample_ns >= 0:
-            self._heard, self._to_come = self._begin(), 0
-        if self._restarts and seq != HELLO and self._down(seq):
-            return None
-        t_ns = seq * self._period_ns if seq != HELLO else 0
-        ahead = packet.sample_ns > t_ns and seq != HELLO  # a sample from the future
-        if not flags & EMPTY and (ahead or not self._heard.take(packet)):
+        hello = seq == HELLO
+        if hello:
+            t_ns, ahead = 0, False
+            if self._heard.sample_ns >= 0:
+                self._heard, self._to_come = self._begin(), 0
+        else:
+            if self._restarts and self._down(seq):
+                return None
+            t_ns = seq * self._period_ns
+            ahead = packet.sample_ns > t_ns  # a sample from the future
+        heard = self._heard
+        if not flags & EMPTY and (ahead or not heard.take(packet)):
             self.malformed += 1  # two rigs on one link, or a rig with another plant
             return None
         if flags & MORE:
             return None
-        sample_ns = self._heard.sample_ns
-        if sample_ns < 0 or seq == HELLO:
+        sample_ns = heard.sample_ns
+        if sample_ns < 0 or hello:
             nothing = ControlPacket(seq, -1, t_ns, 0, self._selection, self._zeros, packet.nonce, version=packet.version)
             return encode_control(nothing)
         tau = (t_ns - sample_ns) // self._period_ns
         if tau < 0:  # a slot from before the newest sample
             self.malformed += 1
             return None
-        rows = self._heard.rows(seq)
+        rows = heard.rows(seq)
         answer = (seq, sample_ns, t_ns, tau, self._selection, rows, packet.nonce, 0, b"", packet.version)
         return encode_control(_new(ControlPacket, answer))
 

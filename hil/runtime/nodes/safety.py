@@ -40,20 +40,17 @@ class Safety:
         return None
 
     def check_command(self, u: Sequence[float]) -> str | None:
-        """Trip on a command beyond its bound; return the reason when this call trips."""
+        """Trip on a command beyond its bound; return the reason when this call trips. Any other command feeds the watchdog."""
         if self.tripped is None and self._inputs is not None:
             for value, bound in zip(u, self._inputs):
                 if abs(value) > bound:
                     return self.trip(self._beyond(u))
+        self._missing = 0
         return None
 
     def _beyond(self, u: Sequence[float]) -> str:
         wrong = ((i, value, bound) for i, (value, bound) in enumerate(zip(u, self._inputs or ())) if abs(value) > bound)
         return "command {} = {:.4g} is beyond its limit {:g}".format(*next(wrong))
-
-    def fed(self) -> None:
-        """A usable command was applied in this slot."""
-        self._missing = 0
 
     def starved(self) -> str | None:
         """No usable command in this slot; return the reason when this trips the watchdog."""

@@ -34,5 +34,5 @@ def test_watchdog_counts_slots_in_a_row_only() -> None:
     for _ in range(10):
         assert safety.starved() is None
         assert safety.starved() is None
-        safety.fed()
+        assert safety.check_command((0.0,)) is None
     assert [safety.starved() is not None for _ in range(4)] == [False, False, True, False]
