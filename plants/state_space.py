@@ -18,8 +18,6 @@ from plants.parts.noisy import NoisyRun
 from plants.parts.protocols import PlantRun
 from plants.parts.validation import require_not_negative, require_positive, require_rows, require_whole_nanoseconds
 
-SHORTEST_STEP_S: Final = 1e-5
-
 LETTERS: Final = {"inputs": "u", "outputs": "y", "states": "x"}
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -87,8 +85,6 @@ class LinearPlant:
             for i, entry in enumerate(self._sized(field, noise, size)):
                 require_not_negative(f"{field}[{i}]", entry)
         require_whole_nanoseconds("noise_step_s", self.noise_step_s)
-        if self.noise_step_s < SHORTEST_STEP_S:
-            raise FieldError("noise_step_s", f"{self.noise_step_s:g} s, expected at least {SHORTEST_STEP_S:g} s")
 
     def _sized(self, field: str, given: tuple[float, ...], size: int) -> tuple[float, ...]:
         if given and len(given) != size:

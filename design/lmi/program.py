@@ -15,17 +15,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
+from design.errors import FieldError
 from design.lmi.conic_solver import clarabel, excluded, triangle
 
 FloatArray = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
 Function = Callable[..., Array]
+
+LARGEST_GAIN: Final = 1e9
+"""Its square stands in an inequality beside 1, and the solver has 16 digits."""
 
 
 def transpose(matrix: Array) -> Array:
@@ -60,6 +64,16 @@ def add_schur_rows(rows: list[list[Array | None]], tops: Iterable[Array], corner
     """Add sum_k T_k' Y_k^-1 T_k to the first block of ``rows`` (see `symmetric_blocks`) by a new row [T_k, 0, -Y_k] for each."""
     for top, corner in zip(tops, corners):
         rows.append([top, *([None] * (len(rows) - 1)), -corner])
+
+
+def check_gain_bound(bound: float) -> None:
+    """Refuse everything but a norm above 0 that a solver in double precision can keep gains below.
+
+    Raises:
+        FieldError: of the field ``gain_bound``.
+    """
+    if not 0.0 < bound <= LARGEST_GAIN:
+        raise FieldError("gain_bound", f"{bound!r}, expected a norm above 0, at most {LARGEST_GAIN:g}")
 
 
 def gain_limit(x: Array, u: Array, s: Array | float = 1.0, *, bound: float) -> Array:

@@ -82,10 +82,10 @@ def certify_wall(
         moment = loop.jump_system(wall.touched, material_chain, sc, ca).radius()
         details |= {"mean_square_radius": moment, "stable": moment < 1.0 if varies else radius < 1.0}
         if varies and moment >= 1.0:
-            reason = f"in contact the second moment grows (radius {moment:.4f}) under the delays and materials of this loop"
+            reason = f"in contact the second moment grows (radius {moment:.5g}) under the delays and materials of this loop"
             return _verdict("refused", reason, beta, moment, "second-moment radius in contact", 1.0, details)
     if not varies and radius >= 1.0:
-        reason = f"the contact with {where} samples is not stable for the hand that is there (spectral radius {radius:.4f})"
+        reason = f"the contact with {where} samples is not stable for the hand that is there (spectral radius {radius:.5g})"
         return _verdict("refused", reason, beta, radius, "spectral radius in contact", 1.0, details)
     needed = damping_needed(coupler, period_s, delays)
     held = [is_passive_over(coupler, period_s, beta, d) for d in delays]

@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
+from scipy.linalg import expm, logm
 
 from design.errors import FieldError
 
 Array = npt.NDArray[np.float64]
+
+LEAST_LEFT: Final = 1e-12
+"""Of a speed at the end of a sample: of less, a model in double precision has too few digits to tell how it was lost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,3 +70,21 @@ class HeldDevice:
         field[1] = np.array([-self.hand_stiffness_n_per_m, -self.total_damping_n_s_per_m, 1.0]) / mass
         held = expm(field * period_s)
         return held[:2, :2], held[:2, 2]
+
+
+def continuous(A: Array, B: Array, period_s: float) -> Array:
+    """Return the equations of a device whose force is held: (x, v, f)' = M (x, v, f), by the matrix logarithm.
+
+    Args:
+        A, B: of one sample, shapes (2, 2) and (2, 1), for the state (position, speed).
+        period_s: sample period in s.
+
+    Returns:
+        M in 1/s, shape (3, 3).
+
+    Raises:
+        FieldError: the speed is gone within a sample, so that its damping cannot be told.
+    """
+    if not np.linalg.det(A) > LEAST_LEFT:
+        raise FieldError("plant", f"its speed is gone within a sample of {period_s:g} s, so that its damping cannot be told")
+    return np.asarray(np.real(logm(np.block([[A, B], [np.zeros((1, 2)), np.ones((1, 1))]]))) / period_s)

@@ -117,15 +117,13 @@ def damping_of(task: DesignTask) -> float:
         task: a plant of state (position, speed) under one force.
 
     Raises:
-        ValueError: another kind of plant.
+        FieldError: another kind of plant, or one whose damping cannot be told.
     """
-    import numpy as np
-    from scipy.linalg import logm
+    from design.passivity.device import continuous
 
     model = task.model
     if model.A.shape != (2, 2) or model.B.shape != (2, 1):
         raise FieldError("wall", "needs a device with a position, a speed and one force, such as an omni with a hand")
-    held = np.block([[model.A, model.B], [np.zeros((1, 2)), np.ones((1, 1))]])
-    field_ = np.real(logm(held)) / model.period_s
+    rates = continuous(model.A, model.B, model.period_s)
     # an ulp less than it may be: taps made for less damping hold for more
-    return float(-field_[1, 1] / field_[1, 2]) * (1.0 - 1e-9)
+    return float(-rates[1, 1] / rates[1, 2]) * (1.0 - 1e-9)

@@ -54,16 +54,14 @@ class DesignedFollowing:
             DesignError: the coupled Riccati equations do not converge.
         """
         import numpy as np
-        from scipy.linalg import logm
 
-        from design.passivity.device import HeldDevice
+        from design.passivity.device import HeldDevice, continuous
         from design.passivity.model_following import follow_wall
 
         model, count = task.model, len(self.wall.materials)
         if model.A.shape != (2, 2) or model.B.shape != (2, 1) or model.C.shape[0] != 3:
             raise FieldError("wall", "needs a device with a position, a speed and one force that measures position, y and z")
-        held = np.block([[model.A, model.B], [np.zeros((1, 2)), np.ones((1, 1))]])
-        rates = np.real(logm(held)) / model.period_s
+        rates = continuous(model.A, model.B, model.period_s)
         mass = 1.0 / float(rates[1, 2])
         device = HeldDevice(
             mass_kg=mass, damping_n_s_per_m=max(-float(rates[1, 1]) * mass, 0.0),

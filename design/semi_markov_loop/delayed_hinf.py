@@ -29,6 +29,7 @@ from design.lmi.program import (
     Inequality,
     LmiProgram,
     add_schur_rows,
+    check_gain_bound,
     gain_limit,
     symmetric_blocks,
     symmetric_part,
@@ -259,8 +260,7 @@ def delayed_hinf(
         ValueError: data that do not fit.
         Infeasible: no such gains exist (proved) or none could be verified.
     """
-    if not np.isfinite(gain_bound) or gain_bound <= 0:
-        raise FieldError("gain_bound", f"{gain_bound!r} is not a finite positive norm")
+    check_gain_bound(gain_bound)
     if process.modes != system.modes:
         raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
     starts = sections if sections is not None else ((0.0,),) * system.modes

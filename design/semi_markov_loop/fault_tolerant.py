@@ -28,6 +28,7 @@ from design.lmi.program import (
     LmiProgram,
     LmiSolution,
     add_schur_rows,
+    check_gain_bound,
     gain_limit,
     symmetric_blocks,
     symmetric_part,
@@ -209,8 +210,7 @@ def fault_tolerant_feedback(
         Infeasible: no start could be found, or ``gamma`` was not reached; the message says how far.
     """
     check_loop(system, process)
-    if not np.isfinite(gain_bound) or gain_bound <= 0:
-        raise FieldError("gain_bound", f"{gain_bound!r} is not a finite positive norm")
+    check_gain_bound(gain_bound)
     check_stabilisable(system, process.failure)
     if measured not in ((), ("r",), ("eta", "r")):
         raise FieldError("measured", f"{measured!r} is not (), ('r',) or ('eta', 'r')")

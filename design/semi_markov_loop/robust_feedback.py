@@ -28,7 +28,16 @@ import numpy as np
 from design.controllers.scheduled_gain import Schedule, ScheduledGain
 from design.errors import FieldError, Infeasible
 from design.lmi.decision import decide
-from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
+from design.lmi.program import (
+    Array,
+    LmiProgram,
+    LmiSolution,
+    add_schur_rows,
+    check_gain_bound,
+    gain_limit,
+    symmetric_blocks,
+    symmetric_part,
+)
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method
@@ -164,8 +173,7 @@ class FeedbackRequest:
     condition: float = CONDITION
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.gain_bound) or self.gain_bound <= 0:
-            raise FieldError("gain_bound", f"{self.gain_bound!r} is not a finite positive norm")
+        check_gain_bound(self.gain_bound)
         if self.method not in ("pwl", "pwc"):
             raise FieldError("method", f"{self.method!r} is not pwl or pwc")
         if self.points < 1:

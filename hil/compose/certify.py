@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from msgspec.structs import replace
 
 from design.controllers import Controller, LoopModel
@@ -43,7 +44,7 @@ def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) 
 
 
 def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
-    """Return the verdict on a loop: ``undecided`` where no certifier knows its kind.
+    """Return the verdict on a loop: ``undecided`` where no certifier knows its kind, or a number of its proof overflows.
 
     Args:
         loop: the loop that will run.
@@ -53,7 +54,10 @@ def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -
         ForeignVerdict: a certifier answered for another loop than the one it was handed.
     """
     for certifier in certifiers:
-        verdict = certifier(loop)
+        try:
+            verdict = certifier(loop)
+        except (np.linalg.LinAlgError, OverflowError) as error:
+            return undecided(loop, "mean-square stability", f"its proof leaves what double precision holds: {error}")
         if verdict is not None:
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")

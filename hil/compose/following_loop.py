@@ -54,7 +54,7 @@ def certify_model_following(loop: LoopToCertify) -> Verdict | None:
         return limited_to_model(loop.plant, verdict)
     m, b, k = worst
     reason = (
-        f"not stable when a passive hand of {m:g} kg, {b:g} N s/m and {k:g} N/m is added (spectral radius {number:.4f}); "
+        f"not stable when a passive hand of {m:g} kg, {b:g} N s/m and {k:g} N/m is added (spectral radius {number:.5g}); "
         f"{own:.4f} for the hand that it was made for"
     )
     verdict = Verdict(

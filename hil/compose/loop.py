@@ -152,7 +152,8 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
             not set.
     """
     # Small matrices: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
-    with threadpool_limits(1, user_api="blas"):
+    # What overflows is judged where its number is: certificates say undecided, a run is stopped by its limits.
+    with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return _compose(experiment, certify)
 
 

@@ -186,7 +186,7 @@ def _radius(target: TrackingTarget, design: Design, change: Array) -> float:
 
 def _decided(structure: LoopStructure, margin: float, worst: float) -> tuple[State, str]:
     if worst > 1.0 + STABILITY_MARGIN:
-        return "refused", f"the second-moment radius is {worst:.4f} at an end of the intervals, expected below 1"
+        return "refused", f"the second-moment radius is {worst:.5g} at an end of the intervals, expected below 1"
     if structure.between is not None:
         return "undecided", "the small-gain theorem is not computed over a sojourn law whose tail is cut"
     if margin <= 1.0:

@@ -82,7 +82,7 @@ def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:
         digest: of the loop that the verdict is on.
     """
     radius = certificate.mean_square_radius
-    stable = f"second-moment radius {radius:.4f}"
+    stable = f"second-moment radius {radius:.5g}"
     if certificate.state == "certified":
         reason = f"the loop is mean-square stable over this network ({stable})"
     elif certificate.state == "refused":

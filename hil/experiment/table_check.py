@@ -18,6 +18,8 @@ from hil.experiment.protocols import NamesField
 from hil.experiment.tables import HIDDEN, Experiment, Seconds, Table
 
 INFINITE = "is not a finite number"
+LARGEST = 1e30
+"""No quantity of a rig is larger; products of some that are would leave what a double holds."""
 
 
 def _hook(kind: type, value: object) -> object:
@@ -80,6 +82,8 @@ def infinite_faults(value: Any, at: str) -> Iterator[str]:
     """Yield the numbers that are not finite, or beyond what any field holds, wherever they stand."""
     if isinstance(value, float) and not math.isfinite(value):
         yield f"{at}: {value} {INFINITE}"
+    elif isinstance(value, float) and abs(value) > LARGEST:
+        yield f"{at}: {value} is beyond {LARGEST:g}"
     elif isinstance(value, int) and value.bit_length() > 64:
         yield f"{at}: an integer of {value.bit_length()} bits, at most 64 are allowed"
     elif isinstance(value, dict):

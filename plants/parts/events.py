@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
+
+from plants.errors import PlantError
+
+MOST_EVENTS: Final = 100_000
+"""So many in one advance are refused: what changes every few nanoseconds would hold a run for ever."""
 
 
 class Source(Protocol):
@@ -28,8 +33,12 @@ def pass_time(now_ns: int, end_ns: int, sources: Sequence[Source], move: Callabl
         end_ns: where it goes.
         sources: what may happen.
         move: called with the ends of every piece of time between two events.
+
+    Raises:
+        PlantError: there are more than `MOST_EVENTS`.
     """
-    while True:
+    begin_ns = now_ns
+    for _ in range(MOST_EVENTS):
         nearest: Source | None = None
         event_ns = end_ns
         for source in sources:
@@ -41,6 +50,8 @@ def pass_time(now_ns: int, end_ns: int, sources: Sequence[Source], move: Callabl
         if nearest is None:
             return
         nearest.fire()
+    what = type(nearest).__name__
+    raise PlantError(f"{what}: more than {MOST_EVENTS} changes in {(end_ns - begin_ns) / 1e9:g} s, too many to be run")
 
 
 class HeldNoise:

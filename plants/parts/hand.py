@@ -11,7 +11,7 @@ import numpy as np
 
 from plants.errors import FieldError
 from plants.parts.linear import NS_PER_S
-from plants.parts.validation import require_finite, require_not_negative, require_positive
+from plants.parts.validation import require_finite, require_not_negative, require_positive, require_step
 
 NEVER_NS = 1 << 62
 Way = Literal["straight", "lissajous", "wander"]
@@ -48,7 +48,7 @@ class Push:
             raise FieldError("stop_s", f"{self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
         require_not_negative("tremor_n", self.tremor_n)
         require_positive("tremor_correlation_s", self.tremor_correlation_s)
-        require_positive("tremor_hold_s", self.tremor_hold_s)
+        require_step("tremor_hold_s", self.tremor_hold_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +91,7 @@ class Slide:
             require_not_negative(name, value)
         require_not_negative("y_hz", self.y_hz)
         require_not_negative("z_hz", self.z_hz)
-        require_positive("turn_s", self.turn_s)
+        require_step("turn_s", self.turn_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,16 +7,20 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
 from plants.errors import FieldError
 from plants.parts.linear import NS_PER_S
-from plants.parts.validation import require_finite, require_not_negative, require_positive
+from plants.parts.validation import SHORTEST_STEP_S, require_finite, require_not_negative, require_positive
 
 NEVER_NS = 1 << 62
 
 Generator = tuple[tuple[float, ...], ...]
+
+MOST_RATE: Final = 1.0 / SHORTEST_STEP_S
+"""Jumps in a second that a run can follow."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +95,8 @@ def _check_generator(path: str, matrix: Sequence[Sequence[float]], modes: int) -
                 require_finite(f"{path}[{i}][{j}]", rate)
             else:
                 require_not_negative(f"{path}[{i}][{j}]", rate)
+                if rate > MOST_RATE:
+                    raise FieldError(f"{path}[{i}][{j}]", f"{rate!r} 1/s, expected at most {MOST_RATE:g} 1/s")
         total = math.fsum(row)
         if abs(total) > 1e-9 * max(1.0, abs(row[i])):
             raise FieldError(f"{path}[{i}]", f"row sums to {total:.6g}, expected 0")

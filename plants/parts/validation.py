@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 from plants.errors import FieldError
+
+SHORTEST_STEP_S: Final = 1e-5
+"""What changes more often than every 10 us would take a run longer than it lasts."""
 
 
 def require_finite(path: str, value: float) -> None:
@@ -27,6 +31,12 @@ def require_positive(path: str, value: float) -> None:
     """Refuse everything but a finite number above 0."""
     if not (math.isfinite(value) and value > 0):
         raise FieldError(path, f"{value!r}, expected a finite number > 0")
+
+
+def require_step(path: str, value: float) -> None:
+    """Refuse everything but a finite time between two changes that a rig can follow, in s."""
+    if not (math.isfinite(value) and value >= SHORTEST_STEP_S):
+        raise FieldError(path, f"{value!r} s, expected at least {SHORTEST_STEP_S:g} s")
 
 
 def require_not_negative(path: str, value: float) -> None:
@@ -50,11 +60,11 @@ def require_rows(path: str, rows: Sequence[Sequence[float]]) -> None:
 
 
 def require_whole_nanoseconds(path: str, seconds: float) -> None:
-    """Refuse a duration that is not above 0 or that is no whole number of nanoseconds (events live on that grid)."""
-    require_positive(path, seconds)
+    """Refuse a time between two changes that is too short, or no whole number of nanoseconds (events live on that grid)."""
+    require_step(path, seconds)
     nanoseconds = seconds * 1e9
-    if round(nanoseconds) < 1 or abs(nanoseconds - round(nanoseconds)) > 1e-6 * nanoseconds:
-        raise FieldError(path, f"{seconds!r}, expected a whole number of nanoseconds, at least 1e-9 s")
+    if abs(nanoseconds - round(nanoseconds)) > 1e-6 * nanoseconds:
+        raise FieldError(path, f"{seconds!r} s, expected a whole number of nanoseconds")
 
 
 def require_choice(path: str, value: str, choices: Sequence[str]) -> None:

@@ -12,7 +12,6 @@ import json
 import signal
 import struct
 import tempfile
-import traceback
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -27,7 +26,7 @@ from hypothesis import strategies as st
 from mcap.opcode import Opcode
 
 from design.tracking.design_file import load_design
-from hil.cli.terminal import LONGEST, message_lines
+from hil.cli.terminal import message_lines
 from hil.errors import HilError
 from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.log.read.mcap_walk import walk
@@ -38,6 +37,7 @@ from tests.hostile.boundaries import BOUNDARIES, DESIGN
 from tests.hostile.logs import foreign_log, motor, use_log, words, write_log
 from tests.hostile.mutation import mutated
 from tests.hostile.structured import damaged, edited, leaf, value
+from tests.hostile.tally import Note, Tally
 from tests.hostile.watchdog import Hangs, within
 from transport.laws.trace import read_ages
 
@@ -47,57 +47,6 @@ PARTS = 4
 
 BATCH = 100
 """Damaged inputs from each seed that hypothesis draws."""
-
-MOST_MB = 300
-"""Memory that the inputs of a test may take beyond what was there."""
-
-Note = Callable[[str, object], None]
-
-
-def _memory_kb(what: str) -> int:
-    status = Path("/proc/self/status").read_text()
-    return int(status.partition(f"{what}:")[2].split()[0])
-
-
-class Tally:
-    """Tries inputs at one boundary, counts them, and keeps the first of each kind of failure."""
-
-    def __init__(self, boundary: str, refusals: tuple[type[Exception], ...]) -> None:
-        self.boundary, self._refusals = boundary, refusals
-        self.read = self.refused = 0
-        self._failures: dict[tuple[str, str], str] = {}
-        Path("/proc/self/clear_refs").write_text("5")  # the peak is what it is now
-        self._before_kb = _memory_kb("VmRSS")
-
-    def attack(self, attempt: Callable[[], object], data: Any) -> None:
-        """Try one input; any exception but a refusal is a failure, and so are a hang and a message without end."""
-        try:
-            with within():
-                read = attempt()
-        except self._refusals as error:
-            self.refused += 1
-            if sum(len(line.encode()) + 6 for line in message_lines(str(error))) > LONGEST:
-                self._fail("message", "", f"{str(error)[:200]!r} for {data!r:.500}")
-        except (Exception, Hangs) as error:
-            at = traceback.extract_tb(error.__traceback__)
-            own = [frame for frame in at if "/tests/" not in frame.filename] or at
-            told = f"{error!r:.300}\nfor {data!r:.1500}\n{''.join(traceback.format_list(own[-3:]))}"
-            self._fail(type(error).__name__, f"{own[-1].filename}:{own[-1].lineno}", told)
-        else:
-            self.read += read is not False
-            self.refused += read is False
-
-    def _fail(self, kind: str, where: str, told: str) -> None:
-        self._failures.setdefault((kind, where), f"{self.boundary}: {told}")
-
-    def end(self, note: Note) -> None:
-        """Note the counts, and fail if anything did."""
-        for name in ("boundary", "read", "refused"):
-            note(name, getattr(self, name))
-        grown_mb = (_memory_kb("VmHWM") - self._before_kb) / 1e3
-        assert not self._failures, "\n\n".join(self._failures.values())
-        assert grown_mb < MOST_MB, f"{self.boundary}: {grown_mb:.0f} MB for inputs of some kilobytes"
-
 
 # What hypothesis draws
 
@@ -283,7 +232,7 @@ def test_a_hang_is_seen_by_its_work_and_by_its_waiting() -> None:
 
 
 def test_a_traceback_a_long_message_and_much_memory_fail(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.hostile.test_boundaries.MOST_MB", 40)
+    monkeypatch.setattr("tests.hostile.tally.MOST_MB", 40)
     noted: dict[str, object] = {}
 
     def too_long() -> None:

@@ -173,7 +173,8 @@ def test_the_published_gains_give_the_known_transient():
         ({"noise_std": -1.0}, "^noise_std: "),
         ({"noise_period_s": 0.0}, "^noise_period_s: "),
         ({"substep_s": 1.5e-9}, "^substep_s: "),
-        ({"substep_s": 1e-9}, "^substep_s: 1e-09, expected at least a millionth"),
+        ({"substep_s": 1e-9}, "^substep_s: 1e-09 s, expected at least 1e-05 s"),
+        ({"substep_s": 1e-5, "max_delay_s": 20.0}, "^substep_s: 1e-05, expected at least a millionth"),
     ],
 )
 def test_parameters_out_of_range_are_refused_by_name(parameters, message):

@@ -27,6 +27,7 @@ from hil.runtime.real.warm_up import RehearsedRig
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
+from plants.errors import PlantError
 from transport.links.link import Link, Tells, TransportError, wire_version
 from transport.links.local import LOCAL
 from transport.links.opening import open_link
@@ -158,5 +159,5 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except TransportError as e:
+    except (TransportError, PlantError) as e:
         sys.exit(f"hil: {e}")

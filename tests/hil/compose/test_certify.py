@@ -39,7 +39,7 @@ def test_a_motor_over_chains_is_certified_with_its_radius_and_the_keys_of_before
 def test_the_number_that_decides_turns_the_verdict() -> None:
     gains = [composed("dc-motor-local", f"controller.gain=[[{gain}]]").verdict for gain in (-0.05, -0.4515)]
     assert [v.state for v in gains if v] == ["certified", "refused"]
-    with pytest.raises(ExperimentError, match=r"refused: .*radius 1\.0540"):
+    with pytest.raises(ExperimentError, match=r"refused: .*radius 1\.054"):
         compose(load_experiment("dc-motor-local", ["allow_uncertified=false"]))
 
 
@@ -225,3 +225,13 @@ def test_delayed_states_that_a_certifier_does_not_read_leave_it_undecided(tmp_pa
     verdict = compose(load_experiment(path)).verdict
     assert verdict is not None and verdict.state == state
     assert ("delayed states" in verdict.reason) == (state == "undecided")
+
+
+def test_a_proof_that_overflows_says_undecided() -> None:
+    experiment = load_experiment("dc-motor-local")
+    states = {}
+    for gain in (-0.03, -0.4515, 1e160):
+        law = dataclasses.replace(experiment.controller, gain=((gain,),))  # as an object: a file is refused such a number
+        certificate = compose(replace(experiment, controller=law, allow_uncertified=True)).certificate
+        states[gain] = certificate["state"], "double precision" in certificate["reason"]
+    assert states == {-0.03: ("certified", False), -0.4515: ("refused", False), 1e160: ("undecided", True)}
