@@ -28,7 +28,7 @@ from transport.medium.draws import (
     Draw,
 )
 
-__all__ = ["REASONS", "AgeImpairment", "Draw", "Impairment", "PacketImpairment", "impair"]
+__all__ = ["REASONS", "AgeImpairment", "Draw", "GappedAgeImpairment", "Impairment", "PacketImpairment", "impair"]
 
 Arrivals = list[tuple[int, object]]
 _new = tuple.__new__  # a Draw without its Python constructor
@@ -62,26 +62,23 @@ class Impairment(Protocol):
 
 
 class AgeImpairment:
-    """Apply an age law: exactly one packet in every slot, the one of slot k - age.
+    """Apply an age law without gaps: exactly one packet in every slot, the one of slot k - age.
 
-    Where that packet was never offered, the next older one stands in for it, and an "absent" row says so. A packet is
-    forgotten as soon as no later slot can ask for it, so that at most `max_age + 2` are held.
+    Where that packet was never offered, the next older one stands in for it, and an "absent" row says so. Ages grow by at most
+    one, so that k - age never falls: one packet is in use, at most `max_age + 1` newer ones wait, all older ones are forgotten.
     """
 
-    def __init__(self, process: AgeProcess, *, period_s: float, max_age: int, gaps: bool) -> None:
+    def __init__(self, process: AgeProcess, *, period_s: float) -> None:
         self._draw = process.draw
         self._period_s = period_s
-        self._max_age = max_age
-        self._gaps = gaps
-        self._held: deque[tuple[int, object]] = deque()  # what the receiver may still use
-        self._newest = -1  # slot of the newest that it has used
-        self._skipped: set[int] = set()  # slots of older ones that it has not used: a law with gaps may come back to them
+        self._used: tuple[int, object] | None = None
+        self._held: deque[tuple[int, object]] = deque()  # newer ones, which no slot has asked for yet
         self._next = 0
 
     @property
     def pending(self) -> int:
         """Number of offered packets that may still arrive for the first time."""
-        return len(self._skipped) + sum(tick > self._newest for tick, _ in self._held)
+        return len(self._held)
 
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
@@ -97,7 +94,63 @@ class AgeImpairment:
             _check_collect(k, self._next)
             for slot in range(self._next, k):
                 self._step(slot, draws)
-        arrivals = self._step(k, draws)
+        self._next = k + 1
+        return draws, self._step(k, draws)
+
+    def _step(self, k: int, draws: list[Draw]) -> Arrivals:
+        mode, age = self._draw()
+        target = k - age
+        if target < 0:
+            draws.append(Draw(k, -1, mode, age, nan, NONE_YET))
+            return []
+        used, held, reason = self._used, self._held, REPEATED
+        while held and held[0][0] <= target:
+            if used is not None and reason == DELIVERED:
+                draws.append(Draw(k, used[0], NO_MODE, k - used[0], nan, SUPERSEDED))
+            used, reason = held.popleft(), DELIVERED
+        if used is None or used[0] != target:
+            draws.append(Draw(k, target, mode, age, nan, ABSENT))
+            if used is None or used[0] > target:
+                return []
+            mode, age = NO_MODE, k - used[0]
+        self._used = used
+        draws.append(_new(Draw, (k, used[0], mode, age, age * self._period_s, reason)))
+        return [used]
+
+
+class GappedAgeImpairment:
+    """Apply an age law with gaps, which may come back to older packets, see `AgeImpairment`.
+
+    A packet is forgotten as soon as no later slot can ask for it, so that at most `max_age + 2` are held.
+    """
+
+    def __init__(self, process: AgeProcess, *, period_s: float, max_age: int) -> None:
+        self._draw = process.draw
+        self._period_s = period_s
+        self._max_age = max_age
+        self._held: deque[tuple[int, object]] = deque()  # what the receiver may still use
+        self._unused: set[int] = set()  # slots of those that it has not used yet
+        self._newest = -1
+        self._next = 0
+
+    @property
+    def pending(self) -> int:
+        """Number of offered packets that may still arrive for the first time."""
+        return len(self._unused)
+
+    def offer(self, k: int, packet: object) -> None:
+        """Send a packet in slot k, see `Impairment.offer`."""
+        _check_offer(k, self._next, self._held[-1][0] if self._held else -1)
+        self._held.append((k, packet))
+        self._unused.add(k)
+
+    def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
+        """Return the decisions of slot k and its one arrival (none before the first), see `Impairment.collect`."""
+        _check_collect(k, self._next)
+        draws: list[Draw] = []
+        arrivals: Arrivals = []
+        for slot in range(self._next, k + 1):
+            arrivals = self._step(slot, draws)
         self._next = k + 1
         return draws, arrivals
 
@@ -107,39 +160,29 @@ class AgeImpairment:
         if target < 0:
             draws.append(Draw(k, -1, mode, age, nan, NONE_YET))
             return []
-        # Without gaps ages grow by at most one, so that k - age never falls and older packets are done with.
-        held, newest, gaps = self._held, self._newest, self._gaps
-        floor = k - self._max_age if gaps else target
-        while len(held) > 1 and held[1][0] <= floor:
-            tick = held.popleft()[0]
-            if tick > newest or tick in self._skipped:
-                self._skipped.discard(tick)
-                draws.append(Draw(k, tick, NO_MODE, k - tick, nan, SUPERSEDED))
-        found = self._newest_until(target) if gaps else held[0] if held else None
+        self._forget(k, k - self._max_age, draws)
+        found = next((held for held in reversed(self._held) if held[0] <= target), None)
         if found is None or found[0] != target:
             draws.append(Draw(k, target, mode, age, nan, ABSENT))
-            if found is None or found[0] > target:
+            if found is None:
                 return []
-            mode, age = NO_MODE, k - found[0]
-        tick = found[0]
-        if tick > newest:
-            reason = DELIVERED
-            if gaps:
-                self._skipped.update(older for older, _ in held if newest < older < tick)
-            self._newest = tick
-        elif tick in self._skipped:
-            reason = DISORDERED
-            self._skipped.remove(tick)
-        else:
-            reason = REPEATED
-        draws.append(_new(Draw, (k, tick, mode, age, age * self._period_s, reason)))
+            mode = NO_MODE
+        tick, reason = found[0], REPEATED
+        if tick in self._unused:
+            reason = DELIVERED if tick > self._newest else DISORDERED
+            self._unused.remove(tick)
+        self._newest = max(self._newest, tick)
+        age = k - tick
+        draws.append(Draw(k, tick, mode, age, age * self._period_s, reason))
         return [found]
 
-    def _newest_until(self, target: int) -> tuple[int, object] | None:
-        for held in reversed(self._held):
-            if held[0] <= target:
-                return held
-        return None
+    def _forget(self, k: int, floor: int, draws: list[Draw]) -> None:
+        held, unused = self._held, self._unused
+        while len(held) > 1 and held[1][0] <= floor:
+            tick, _ = held.popleft()
+            if tick in unused:
+                unused.remove(tick)
+                draws.append(Draw(k, tick, NO_MODE, k - tick, nan, SUPERSEDED))
 
 
 @dataclass(slots=True)
@@ -243,8 +286,9 @@ def impair(law: NetworkLaw, rng: np.random.Generator, period_s: float, deadline_
     if law.family == "age":
         age_law = cast(AgeLaw, law)
         # A foreign law that does not say is taken to have gaps: that is safe, it only holds packets for longer.
-        gaps = law.allow_gaps if isinstance(law, GapLaw) else True
-        return AgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age, gaps=gaps)
+        if not isinstance(law, GapLaw) or law.allow_gaps:
+            return GappedAgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age)
+        return AgeImpairment(age_law.start(rng), period_s=period_s)
     if law.family == "packet":
         packet_law = cast(PerPacketLaw, law)
         process = packet_law.start(rng, period_s, deadline_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -91,14 +92,17 @@ class OpenChunk:
             if self.closed:
                 self.refused += messages
                 return
-            if len(values) != count:
-                raise TypeError(f"{len(values)} values, expected {count} in {messages} records")
-            if at is not None and len(values[at]) != length:
-                length = len(values[at])
-                pack, layout = layout_of(length)
             if t_ns < 0:
                 t_ns = 0
-            keep(pack(t_ns, t_ns, *values))
+            try:
+                if at is not None and len(values[at]) != length:
+                    length = len(values[at])
+                    pack, layout = layout_of(length)
+                keep(pack(t_ns, t_ns, *values))
+            except (struct.error, LookupError, TypeError):
+                if len(values) != count:
+                    raise TypeError(f"{len(values)} values, expected {count} in {messages} records") from None
+                raise
             note(layout)
             self.size += layout.size
 

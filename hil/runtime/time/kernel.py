@@ -45,12 +45,12 @@ class Kernel:
 
     def run(self) -> None:
         """Run until no event is left, or :meth:`stop`."""
-        heap, seq, wait = self._heap, self._seq, self.clock.wait_until
+        heap, seq, wait, push, pop = self._heap, self._seq, self.clock.wait_until, heapq.heappush, heapq.heappop
         while heap and not self.stopped:
             wait(heap[0][0])
             if self.stopped:
                 return
-            t_ns, _, handler, period_ns, last = heapq.heappop(heap)
+            t_ns, _, handler, period_ns, last = pop(heap)
             handler(t_ns)
             if t_ns < last:
-                heapq.heappush(heap, (t_ns + period_ns, next(seq), handler, period_ns, last))
+                push(heap, (t_ns + period_ns, next(seq), handler, period_ns, last))
