@@ -18,8 +18,8 @@ from hil.experiment.protocols import NamesField
 from hil.experiment.tables import HIDDEN, Experiment, Seconds, Table
 
 INFINITE = "is not a finite number"
-LARGEST = 1e30
-"""No quantity of a rig is larger; products of some that are would leave what a double holds."""
+LARGEST, SMALLEST = 1e30, 1e-100
+"""No quantity of a rig is larger, or smaller and not 0; products of some that are would leave what a double holds."""
 
 
 def _hook(kind: type, value: object) -> object:
@@ -84,6 +84,8 @@ def infinite_faults(value: Any, at: str) -> Iterator[str]:
         yield f"{at}: {value} {INFINITE}"
     elif isinstance(value, float) and abs(value) > LARGEST:
         yield f"{at}: {value} is beyond {LARGEST:g}"
+    elif isinstance(value, float) and 0.0 < abs(value) < SMALLEST:
+        yield f"{at}: {value} is below {SMALLEST:g} and not 0"
     elif isinstance(value, int) and value.bit_length() > 64:
         yield f"{at}: an integer of {value.bit_length()} bits, at most 64 are allowed"
     elif isinstance(value, dict):

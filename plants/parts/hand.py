@@ -126,7 +126,7 @@ class Hand:
         require_not_negative("damping_n_s_per_m", self.damping_n_s_per_m)
         require_not_negative("stiffness_n_per_m", self.stiffness_n_per_m)
         require_finite("reach_m", self.reach_m)
-        require_positive("approach_s", self.approach_s)
+        require_step("approach_s", self.approach_s)
 
 
 class PushRun:

@@ -15,6 +15,9 @@ from plants.errors import FieldError
 SHORTEST_STEP_S: Final = 1e-5
 """What changes more often than every 10 us would take a run longer than it lasts."""
 
+LONGEST_STEP_S: Final = 1e9
+"""The clock of a run holds no longer time."""
+
 
 def require_finite(path: str, value: float) -> None:
     """Refuse NaN and infinity.
@@ -34,9 +37,10 @@ def require_positive(path: str, value: float) -> None:
 
 
 def require_step(path: str, value: float) -> None:
-    """Refuse everything but a finite time between two changes that a rig can follow, in s."""
-    if not (math.isfinite(value) and value >= SHORTEST_STEP_S):
-        raise FieldError(path, f"{value!r} s, expected at least {SHORTEST_STEP_S:g} s")
+    """Refuse everything but a time between two changes that a rig can follow, in s."""
+    if not SHORTEST_STEP_S <= value <= LONGEST_STEP_S:
+        limit = f"at most {LONGEST_STEP_S:g} s" if value > LONGEST_STEP_S else f"at least {SHORTEST_STEP_S:g} s"
+        raise FieldError(path, f"{value!r} s, expected {limit}")
 
 
 def require_not_negative(path: str, value: float) -> None:

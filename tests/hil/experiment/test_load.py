@@ -121,6 +121,8 @@ FAULTS: list[tuple[str, str, str]] = [
      "plant.gain: an integer of"),
     ("number whose products leave a double", changed('kind = "dc-motor"', 'kind = "dc-motor"\ngain = -1.1e30'),
      "plant.gain: -1.1e+30 is beyond 1e+30"),
+    ("number whose square is 0", changed('kind = "dc-motor"', 'kind = "dc-motor"\npole = 1e-101'),
+     "plant.pole: 1e-101 is below 1e-100 and not 0"),
     ("nested too deeply", "a = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
     ("dotted too deeply", ".".join(["a"] * 4000) + " = 1", "nested too deeply"),
     ("empty", "", "period: missing"),
