@@ -46,8 +46,7 @@ class Answers:
         self._t_ns = 0
         self._nonce = 0
         self._thrown = self._logged = 0
-        self._answered: dict[int, bytes] = {}
-        self._missing: set[int] = set()
+        self._answered: dict[int, bytes | None] = {}  # of the last slots; None where nothing came in time
         self._packet: ControlPacket | None = None
         self.data = b""
         self.late = 0
@@ -65,7 +64,6 @@ class Answers:
         self._t_ns, self._k, self._packet = t_ns, k, None
         self._nonce = self._wire.nonce(k)
         self._answered.pop(k - REMEMBERED, None)
-        self._missing.discard(k - REMEMBERED)
         self._thrown = self._logged = 0
         return self._nonce
 
@@ -94,10 +92,11 @@ class Answers:
             return True
         if open_now and when == "late":
             self._late(seq, data)  # the slot is not booked as missing before it is closed
-        elif seq in self._missing:
-            self._missing.remove(seq)
-            self._late(seq, data)
         elif seq in self._answered:
+            if self._answered[seq] is None:
+                del self._answered[seq]
+                self._late(seq, data)
+                return False
             if data != self._answered[seq]:
                 self._contradict(f"slot {seq} was answered twice, differently", seq)
             self._foreign(seq, data)
@@ -112,7 +111,7 @@ class Answers:
         """End the slot; return its answer, None if none came in time."""
         if self._packet is None:
             self.late += 1
-            self._missing.add(self._k)
+            self._answered[self._k] = None
             if self.first_late is None:
                 self.first_late = self._k
                 self._journal.event(
