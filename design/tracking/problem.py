@@ -20,6 +20,7 @@ Method = Literal["direct", "ccl"]
 OBJECTIVES: tuple[str, ...] = get_args(Objective)
 METHODS: tuple[str, ...] = get_args(Method)
 DEFAULT_STARTS = {"h2": 2, "hinf": 4, "mixed": 2}
+MOST_STARTS = 10_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,8 +75,10 @@ class TrackingProblem:
                 raise FieldError("hinf_bound", f"only a mixed design takes one, objective is {self.objective!r}")
             if not (np.isfinite(self.hinf_bound) and self.hinf_bound > 0):
                 raise FieldError("hinf_bound", f"{self.hinf_bound:g}, expected a finite number > 0")
-        if self.starts < 0 or self.seed < 0:
-            raise FieldError("starts" if self.starts < 0 else "seed", "expected a number >= 0")
+        if not 0 <= self.starts <= MOST_STARTS:
+            raise FieldError("starts", f"{self.starts}, expected a number from 0 to {MOST_STARTS}")
+        if self.seed < 0:
+            raise FieldError("seed", "expected a number >= 0")
         object.__setattr__(self, "sc", as_chain(self.sc, "Lambda"))
         object.__setattr__(self, "ca", as_chain(self.ca, "Pi"))
         space = self.space()  # refuses every shape that does not fit

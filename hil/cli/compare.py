@@ -47,8 +47,8 @@ def command(
     from hil.sweeps.comparison import compare
     from hil.sweeps.seeds import statistics
 
-    if runs < 2:
-        raise HilError(f"--runs: {runs} is below 2")
+    if not 2 <= runs < 2**63:
+        raise HilError(f"--runs: {runs} is {'below 2' if runs < 2 else 'not below 2^63'}")
     check_jobs(jobs)
     if duration is not None:
         sets = (*sets, f"duration={duration}")

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from design.tracking.synthesis import Design
     from hil.compose.design_problem import TrackingTarget
 
+NUMBER = click.FloatRange(-1e30, 1e30)
+"""As in an experiment: products of larger ones leave what a double holds."""
+
 
 class GainsOrWall(click.Command):
     """Hands what follows ``wall`` to `hil.cli.design_wall`."""
@@ -43,16 +46,16 @@ class GainsOrWall(click.Command):
     show_default=True,
     help="What a gain may depend on besides tau: d at application, d at generation (printed rule), nothing, ...",
 )
-@click.option("--gain-bound", type=float, help="Bound on every |entry| of every gain.")
-@click.option("--hinf-bound", type=float, help="Bound of a mixed design [1.05 times the smallest H-infinity norm].")
-@click.option("--input-weight", type=float, help="Weight R of the input, equal for every input [0.01].")
+@click.option("--gain-bound", type=NUMBER, help="Bound on every |entry| of every gain.")
+@click.option("--hinf-bound", type=NUMBER, help="Bound of a mixed design [1.05 times the smallest H-infinity norm].")
+@click.option("--input-weight", type=NUMBER, help="Weight R of the input, equal for every input [0.01].")
 @click.option("--output", "z", type=click.Choice(["stacked", "sum"]), default="stacked", show_default=True,
               help="z = [Q x; R u], or Q x + R u as printed, whose terms may cancel.")  # fmt: skip
-@click.option("--period", type=float, help="Sample period in s [the thesis's, or the experiment's].")
+@click.option("--period", type=NUMBER, help="Sample period in s [the thesis's, or the experiment's].")
 @click.option("--samples", type=click.IntRange(1, 2), default=1, show_default=True, help="Samples per sensor packet.")
 @click.option("--sojourns", type=click.IntRange(1), default=1, show_default=True,
               help="Lengths of stay at the measured tau that a gain tells apart, over semi-Markov delays.")  # fmt: skip
-@click.option("--integral", type=float, default=0.0, help="Weight of the integrated error in z; > 0 adds integral action.")
+@click.option("--integral", type=NUMBER, default=0.0, help="Weight of the integrated error in z; > 0 adds integral action.")
 @click.option("--starts", type=click.IntRange(0), default=0, help="Starts of the multistart [by objective].")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--method", type=click.Choice(["direct", "ccl"]), default="direct", show_default=True,
@@ -61,7 +64,7 @@ class GainsOrWall(click.Command):
               help="Guarantee the design for a parameter of the plant within gain=10% or pole=0.3 (to either side); repeatable.")
 @click.option("--local", type=click.Choice(["lqr", "lqg", "hinf"]),
               help="Design for the plant without a network, by python-control, and judge it over the network.")
-@click.option("--noise", type=float, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
+@click.option("--noise", type=NUMBER, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
 @click.option("--orders", is_flag=True, help="Gains over historical data: try every order of the nodes' turns.")
 @click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
 @click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")

@@ -1,0 +1,99 @@
+"""Every option of the commands that compute, with words that nobody expects: a status of ours, one message, no traceback.
+
+The words go through a shell's door, ``hil`` itself in a process of its own, so that warnings and stray output count as well.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from random import Random
+
+import click
+import pytest
+
+from hil.cli import cli
+from tests.hostile.logs import our_log
+
+FEW = 12
+PARTS = 4
+PATIENCE_S = 120.0
+
+WORDS = (
+    "-1", "0", "1e308", "nan", "inf", "-inf", "9" * 20, "1e-300", "", "x", "[1]", "\x1b[2J", "a=b", "=", "../x", "/dev/full", "/",
+    "/proc/self/mem", "a\nb",
+)  # fmt: skip
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "run": ("dc-motor-hinf", "--duration", "0.2", "--quiet", "--force", "-o", "o.mcap"),
+    "sweep": ("dc-motor-hinf", "--runs", "3", "--set", "duration=0.5 s"),
+    "compare": ("dc-motor-hinf", "dc-motor-h2", "--runs", "3", "--set", "duration=0.5 s"),
+    "replay": ("r.mcap",),
+    "report": ("r.mcap", "-o", "report.html"),
+    "export": ("r.mcap",),
+    "recover": ("r.mcap", "-o", "recovered.mcap"),
+    "layout": ("r.mcap",),
+    "design": ("dc-motor-ours-h2",),
+    "identify": ("r.mcap",),
+    "laws": ("dc-motor-hinf",),
+    "dbc": ("dc-motor-two-nodes",),
+    "schema": (),
+    "guide": (),
+}
+STATUSES = range(7)
+"""Of `hil run --help`; 1 also says that something looked for was not found."""
+
+Words = tuple[str, ...]
+
+
+def _inputs() -> list[Words]:
+    """Every option with every word, and every word in the place of the first argument."""
+    found: list[Words] = []
+    with click.Context(cli) as context:
+        for name, rest in COMMANDS.items():
+            command = cli.get_command(context, name)
+            assert command is not None
+            for parameter in command.params:
+                if isinstance(parameter, click.Option) and not parameter.is_eager:
+                    said = [()] if parameter.is_flag else [(word,) for word in WORDS]
+                    found += [(name, *rest, parameter.opts[-1], *words) for words in said]
+            found += [(name, word, *rest[1:]) for word in WORDS if rest]
+    return found
+
+
+def _attack(given: list[Words], folder: Path) -> None:
+    (folder / "r.mcap").write_bytes(our_log())
+    bad = []
+    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), "OMP_NUM_THREADS": "1"}
+    for words in given:
+        done = subprocess.run(
+            [sys.executable, "-m", "hil", *words], cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True,
+            timeout=PATIENCE_S, text=True, errors="replace",
+        )  # fmt: skip
+        if done.returncode not in STATUSES or any(word in done.stderr for word in ("Traceback", "Warning", "Exception ignored")):
+            bad.append(f"hil {words} ended with {done.returncode}: {done.stderr[-1500:]}")
+    assert not bad, "\n\n".join(bad)
+
+
+def test_a_word_that_nobody_expects_gets_one_message(tmp_path: Path) -> None:
+    _attack(Random(15).sample(_inputs(), FEW), tmp_path)
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("part", range(PARTS))
+def test_every_option_with_every_word_gets_one_message(part: int, tmp_path: Path) -> None:
+    _attack(_inputs()[part::PARTS], tmp_path)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compare", "dc-motor-hinf", "dc-motor-h2", "--runs", "9" * 20),
+        ("design", "dc-motor-ours-h2", "--starts", "9" * 20),
+        ("design", "dc-motor-ours-h2", "--gain-bound", "1e308"),
+        ("design", "dc-motor-ours-h2", "--integral", "1e308"),
+    ],
+)
+def test_what_once_failed(words: Words, tmp_path: Path) -> None:
+    _attack([words], tmp_path)
