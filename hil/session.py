@@ -292,8 +292,7 @@ def _run_real(
     try:
         real = run_real(loop, loop.experiment.seed, uri, sink, external=external, taps=taps)
     except HilError:  # nothing ran: nothing is left behind
-        sink.close()
-        sink.path.unlink(missing_ok=True)
+        sink.discard()
         raise
     sink.drop(real.pump.dropped)
     out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes}

@@ -128,7 +128,7 @@ def command(
                 )
     except HilError:
         with suppress(OSError):
-            if path is not None and not path.stat().st_size:
+            if path is not None and path.is_file() and not path.stat().st_size:  # a device has no bytes either, and stays
                 path.unlink()
         for each in made:
             with suppress(OSError):

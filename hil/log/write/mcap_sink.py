@@ -183,6 +183,11 @@ class McapSink:
         self._writer.refuse()
         self._disk.close()
 
+    def discard(self) -> None:
+        """Close the file and leave none behind; a device stays."""
+        self.close()
+        self._disk.discard()
+
     def sha256(self) -> str:
         """SHA-256 of the closed file in hexadecimal.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -155,3 +156,14 @@ def test_a_run_whose_timing_is_not_valid_says_why() -> None:
     timing = timing_metrics(np.full(3, 10.0), np.full(3, np.nan), late, np.zeros(3), period_s=1e-3)
     timing["scheduler"] = "SCHED_FIFO 60"
     assert timing_rows(timing)[0] == ("timing", "NOT VALID: 2 of 3 slots had no answer in time; SCHED_FIFO 60")
+
+
+def test_a_device_that_takes_no_log_stays(cli: Hil, tmp_path: Path) -> None:
+    device = tmp_path / "full"
+    try:
+        os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 7))  # not that of the machine
+    except PermissionError:
+        pytest.skip("needs to make a device: CAP_MKNOD")
+    status, _, told = cli("run", "dc-motor-hinf", "--duration", "1", "-o", device, "--force")
+    assert status == 2 and "No space left" in told
+    assert device.is_char_device()

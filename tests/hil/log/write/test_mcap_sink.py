@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -155,6 +156,17 @@ def test_a_full_device_is_refused_at_open() -> None:
     with pytest.raises(HilError, match=r"log /dev/full: cannot be written: No space left"):
         McapSink("/dev/full", TABLE, provenance())
     assert os.path.exists("/dev/full")
+
+
+def test_a_log_is_discarded_and_a_device_stays(tmp_path: Path) -> None:
+    device, file = tmp_path / "null", tmp_path / "run.mcap"
+    try:
+        os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 3))  # not that of the machine
+    except PermissionError:
+        pytest.skip("needs to make a device: CAP_MKNOD")
+    for path in (device, file):
+        McapSink(path, TABLE, provenance()).discard()
+    assert device.is_char_device() and not file.exists()
 
 
 def test_a_disk_that_fills_up_stops_the_log_and_not_the_session(tmp_path: Path) -> None:
