@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,11 +21,11 @@ def written_whole(target: Path, *, replace: bool) -> Iterator[Path]:
     keeps the target's ending, by which some writers choose their format.
 
     Args:
-        target: the file to make; a symbolic link is replaced, not followed.
+        target: the file to make; a symbolic link is replaced, not followed, and anything else that is no file stays.
         replace: whether a file that is there may be replaced. Otherwise one that has come since the command looked is kept.
 
     Raises:
-        HilError: it exists (without `replace`), or cannot be written; nothing is left behind.
+        HilError: it exists (without `replace`), is no regular file, or cannot be written; nothing is left behind.
     """
     part = target.with_name(f".hil-{secrets.token_hex(6)}.part{target.suffix[:16]}")
     try:
@@ -32,6 +33,10 @@ def written_whole(target: Path, *, replace: bool) -> Iterator[Path]:
         os.close(os.open(part, flags, 0o666))
         yield part
         if replace:
+            with suppress(FileNotFoundError):
+                mode = target.lstat().st_mode
+                if not stat.S_ISREG(mode) and not stat.S_ISLNK(mode):  # root could put a file in the place of a device
+                    raise HilError(f"{target}: cannot be written: it is no regular file")
             part.replace(target)
         else:
             _put(part, target)

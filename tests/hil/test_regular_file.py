@@ -52,3 +52,11 @@ def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), written_whole(tmp_path / "out", replace=True) as part:
         part.write_text(str(1 / 0))
     assert os.listdir(tmp_path) == []
+
+
+def test_a_device_is_not_replaced(tmp_path: Path) -> None:
+    target = tmp_path / "pipe"  # as a device, which only root can make
+    os.mkfifo(target)
+    with pytest.raises(HilError, match="pipe: cannot be written: it is no"), written_whole(target, replace=True) as part:
+        part.write_text("new")
+    assert target.is_fifo() and [*tmp_path.iterdir()] == [target]

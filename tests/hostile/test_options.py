@@ -6,8 +6,10 @@ The words go through a shell's door, ``hil`` itself in a process of its own, so 
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from random import Random
 
@@ -22,7 +24,7 @@ PARTS = 4
 PATIENCE_S = 120.0
 
 WORDS = (
-    "-1", "0", "1e308", "nan", "inf", "-inf", "9" * 20, "1e-300", "", "x", "[1]", "\x1b[2J", "a=b", "=", "../x", "/dev/full", "/",
+    "-1", "0", "1e308", "nan", "inf", "-inf", "9" * 20, "1e-300", "", "x", "[1]", "\x1b[2J", "a=b", "=", "../x", "device", "/",
     "/proc/self/mem", "a\nb",
 )  # fmt: skip
 COMMANDS: dict[str, tuple[str, ...]] = {
@@ -64,6 +66,10 @@ def _inputs() -> list[Words]:
 
 def _attack(given: list[Words], folder: Path) -> None:
     (folder / "r.mcap").write_bytes(our_log())
+    device = folder / "device"  # as /dev/full; that of the machine is not put at risk
+    with suppress(PermissionError):
+        os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 7))
+    before = device.exists()
     bad = []
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), "OMP_NUM_THREADS": "1"}
     for words in given:
@@ -73,6 +79,10 @@ def _attack(given: list[Words], folder: Path) -> None:
         )  # fmt: skip
         if done.returncode not in STATUSES or any(word in done.stderr for word in ("Traceback", "Warning", "Exception ignored")):
             bad.append(f"hil {words} ended with {done.returncode}: {done.stderr[-1500:]}")
+        if before and not device.is_char_device():
+            bad.append(f"hil {words} put something in the place of a device")
+            device.unlink(missing_ok=True)
+            os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 7))
     assert not bad, "\n\n".join(bad)
 
 
