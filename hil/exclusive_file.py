@@ -32,11 +32,11 @@ def written_whole(target: Path, *, replace: bool) -> Iterator[Path]:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         os.close(os.open(part, flags, 0o666))
         yield part
+        with suppress(FileNotFoundError):
+            mode = target.lstat().st_mode
+            if not stat.S_ISREG(mode) and not stat.S_ISLNK(mode):  # root could put a file in the place of a device
+                raise HilError(f"{target}: cannot be written: it is no regular file")
         if replace:
-            with suppress(FileNotFoundError):
-                mode = target.lstat().st_mode
-                if not stat.S_ISREG(mode) and not stat.S_ISLNK(mode):  # root could put a file in the place of a device
-                    raise HilError(f"{target}: cannot be written: it is no regular file")
             part.replace(target)
         else:
             _put(part, target)

@@ -74,8 +74,8 @@ def bench_links(
 
     Returns:
         One row per link and affinity, the floor first: `link`, `affinity`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio
-        of the p50), `trips`, `lost`, `late_share` (lost, or later than the deadline of a session at this rate) and `note`, which
-        says what was missing where there are no numbers.
+        of the p50), `trips`, `lost`, `late` (lost, or later than the deadline of a session at this rate), `late_share` and
+        `note`, which says what was missing where there are no numbers.
     """
     number = max(round(SLICE_S * rate_hz), 1)
     slices = max(round(duration_s * rate_hz / number), 1)
@@ -111,6 +111,7 @@ def bench_links(
 def _row(way: Way, taken: list[int], floor_us: float, late_ns: float, note: str) -> Row:
     p50, p99, p99_9 = (_percentile(taken, q) for q in (0.5, 0.99, 0.999))
     lost = sum(trip < 0 for trip in taken)
+    late = sum(not 0 <= trip <= late_ns for trip in taken)
     return {
         "link": way[0],
         "affinity": way[1],
@@ -120,7 +121,8 @@ def _row(way: Way, taken: list[int], floor_us: float, late_ns: float, note: str)
         "times_floor": p50 / floor_us,
         "trips": len(taken),
         "lost": lost,
-        "late_share": sum(not 0 <= trip <= late_ns for trip in taken) / len(taken) if taken else math.nan,
+        "late": late,
+        "late_share": late / len(taken) if taken else math.nan,
         "note": note,
     }
 

@@ -69,7 +69,7 @@ def _late_answers(tell: Tell, quick: bool) -> Iterator[Found]:
     for row in rows:
         if row["note"]:
             raise HilError(str(row["note"]))
-    _, shared, plain = ((round(float(row["late_share"]) * int(row["trips"])), int(row["trips"])) for row in rows)
+    _, shared, plain = ((int(row["late"]), int(row["trips"])) for row in rows)
     yield of_shares(LATE.name, shared, plain)
 
 

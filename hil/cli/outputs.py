@@ -63,10 +63,7 @@ def write_output(path: Path, text: str, *, replace: bool = True) -> None:
     Raises:
         HilError: if it cannot be written, or is there and is no regular file.
     """
-    target = _target(path)
-    if target.exists() and not target.is_file():
-        raise HilError(f"{path}: cannot be written: it is no regular file")
-    with written_whole(target, replace=replace) as part, open(part, "w", encoding="utf-8") as file:
+    with written_whole(_target(path), replace=replace) as part, open(part, "w", encoding="utf-8") as file:
         file.write(text)
 
 

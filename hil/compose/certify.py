@@ -44,7 +44,7 @@ def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) 
 
 
 def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
-    """Return the verdict on a loop: ``undecided`` where no certifier knows its kind, or a number of its proof overflows.
+    """Return the verdict on a loop: ``undecided`` where no certifier knows its kind, or a proof cannot be computed.
 
     Args:
         loop: the loop that will run.
@@ -57,7 +57,7 @@ def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -
         try:
             verdict = certifier(loop)
         except (np.linalg.LinAlgError, OverflowError) as error:
-            return undecided(loop, "mean-square stability", f"its proof leaves what double precision holds: {error}")
+            return undecided(loop, "mean-square stability", f"its proof cannot be computed in double precision: {error}")
         if verdict is not None:
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
