@@ -31,6 +31,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "can:hil: a process stops": ("test_who_cannot_get_the_lock_says_that_somebody_stopped_in_mid_join",
                                  "test_a_lock_on_all_channels_bars_none"),
     "log folder cannot": ("test_read_only_log_folder_is_refused_before_anything_starts",),
+    "a `pickle.py`": ("test_no_file_of_the_working_folder_runs", "test_every_python_of_ours_starts_without_its_working_folder",
+                      "test_the_module_that_the_experiment_names_runs_in_both_processes_and_imports_what_lies_beside_it"),
     "garbage on the link": ("test_garbage_from_the_link_is_counted_and_changes_nothing",),
     "a second rig or controller of ours": ("test_a_taken_port_is_refused_with_a_hint",
                                            "test_a_bare_uri_is_a_socket_in_a_directory_of_our_own"),

@@ -17,6 +17,7 @@ from importlib import import_module
 from typing import Any, Literal, TypeVar, get_args
 
 from design.errors import DesignError, FieldError
+from design.monte_carlo.safe_path import safe_path
 
 Backend = Literal["serial", "loky", "threading", "dask"]
 Result = TypeVar("Result")
@@ -72,6 +73,7 @@ def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers)
         if workers.backend == "dask":
             options["client"] = stack.enter_context(_client(workers))
         stack.enter_context(parallel_config(**options))
+        stack.enter_context(safe_path())
         with _workers_ignore_interrupts():
             results = Parallel(return_as="generator")(delayed(task)(job) for job in jobs)
         stack.enter_context(closing(results))

@@ -21,6 +21,7 @@ from typing import IO, Any, Final, cast
 
 from hil.bench import plain_socket, plain_zenoh
 from hil.experiment.tables import Affinity, Timing
+from hil.own_python import python_module
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link
@@ -193,7 +194,7 @@ def _open(stack: ExitStack, make: Callable[[], _Pair]) -> _Pair | str:
 
 
 def _python(uri: str, affinity: Affinity, rate_hz: float) -> Callable[[], _Pair]:
-    command = [sys.executable, "-m", "hil.bench.links"]
+    command = python_module("hil.bench.links")
     return lambda: _Pair([*command, "echo", uri, affinity], [*command, "drive", uri, affinity, str(rate_hz)])
 
 

@@ -17,6 +17,7 @@ from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import Put, Record
+from hil.own_python import python_module
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.runtime.virtual import run_virtual
@@ -62,7 +63,7 @@ def loop_log_us(slots: int) -> tuple[float, float]:
     Args:
         slots: of either, at 1 kHz.
     """
-    command = [sys.executable, "-m", "hil.bench.loop_log", str(slots)]
+    command = python_module("hil.bench.loop_log", str(slots))
     said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     ours, plain = json.loads(said)
     return float(ours), float(plain)

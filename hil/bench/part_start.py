@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from hil.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
 from hil.bench.processes import HIL, NUMPY, Spent, spent
+from hil.own_python import PYTHON
 
 MOTOR, SOLVED = "dc-motor-hinf", "smjls-robust"
 SCIPY = "import scipy.linalg; "
@@ -39,7 +39,7 @@ def _start(tell: Tell, quick: bool) -> Iterator[Found]:
         yield Found(HELP.name, _least([*HIL, "--help"], times).cpu_s, numpy.cpu_s)
         one = [*HIL, "run", MOTOR, "--duration", "50 ms", "-o", str(Path(folder) / "slot.mcap"), "--force", "--quiet"]
         yield Found(SLOT.name, _least(one, times).cpu_s, numpy.cpu_s)
-        ours, peer = (_least([sys.executable, "-c", text + COMPOSE], times) for text in ("", SCIPY))
+        ours, peer = (_least([*PYTHON, "-c", text + COMPOSE], times) for text in ("", SCIPY))
         yield Found(COMPOSING.name, ours.cpu_s, peer.cpu_s, "start of Python included")
 
 

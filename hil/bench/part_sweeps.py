@@ -10,6 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from design.monte_carlo.safe_path import safe_path
 from hil.bench.engines import SWEEPS, bench_sweep
 from hil.bench.figure import FLAT, AtMost, Figure, Found, Measure, Part, Tell
 from hil.bench.processes import HIL, Spent, spent
@@ -88,7 +89,7 @@ def _dask(tell: Tell, quick: bool) -> Iterator[Found]:
 
     tell(f"{runs} runs over {cores} workers of dask, and over {cores} processes")
     cluster = partial(LocalCluster, n_workers=cores, threads_per_worker=1, dashboard_address=None, processes=not quick)
-    with cluster() as started:
+    with safe_path(), cluster() as started:
         ours = wall_us(Workers(backend="dask", scheduler=started.scheduler_address))
     yield Found(DASK.name, ours, wall_us(here(-1)), f"{runs} runs, {cores} workers each, started before")
 

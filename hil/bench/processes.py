@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -15,9 +14,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from hil.errors import HilError
+from hil.own_python import PYTHON
 
-HIL: Final = (sys.executable, "-m", "hil")
-NUMPY: Final = (sys.executable, "-c", "import numpy")
+HIL: Final = (*PYTHON, "-m", "hil")
+NUMPY: Final = (*PYTHON, "-c", "import numpy")
 """The least that a command of ours has to start: what the start of every one is set beside."""
 
 _LOOK_S: Final = 0.01

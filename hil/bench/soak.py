@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,6 +21,7 @@ from hil.bench.timing import EXPERIMENT, read_cyclictest, start_cyclictest
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.timing import percentiles
+from hil.own_python import python_module
 from hil.runtime.time.clock import monotonic_ns, pause
 
 WARM = 0.5
@@ -129,7 +129,7 @@ def _start(folder: Path, number: int, duration_s: float) -> subprocess.Popen[byt
     log = folder / f"{number}.mcap"
     with open(folder / f"{number}.json", "wb") as out:
         return subprocess.Popen(
-            [sys.executable, "-m", "hil", "run", EXPERIMENT, "--clock", "real", "--link", f"can:hil:soak{os.getpid()}-{number}",
+            [*python_module("hil"), "run", EXPERIMENT, "--clock", "real", "--link", f"can:hil:soak{os.getpid()}-{number}",
              "--duration", str(duration_s), "--json", "--force", "-o", str(log)],
             cwd=folder, stdout=out, stderr=subprocess.DEVNULL,
         )  # fmt: skip

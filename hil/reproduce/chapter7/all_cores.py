@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+from design.monte_carlo.safe_path import safe_path
 from hil.reproduce.chapter import ReportProgress
 
 T = TypeVar("T")
@@ -19,9 +20,10 @@ def on_all_cores(
     run = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", batch_size=1, return_as="generator_unordered")
     found: dict[int, T] = {}
     report_progress(f"{len(asked)} pieces", 0, len(asked))
-    for at, result in run(delayed(_numbered)(at, work, *arguments) for at, arguments in enumerate(asked)):
-        found[at] = result
-        report_progress(names[at], len(found), len(asked))
+    with safe_path():
+        for at, result in run(delayed(_numbered)(at, work, *arguments) for at, arguments in enumerate(asked)):
+            found[at] = result
+            report_progress(names[at], len(found), len(asked))
     return [found[at] for at in range(len(asked))]
 
 

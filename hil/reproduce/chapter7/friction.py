@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from design.monte_carlo.safe_path import safe_path
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.measure.many import ManyView
@@ -96,7 +97,8 @@ def errors_of_all(motor: Imperfections, seeds: Sequence[int], jobs: int = -1) ->
     names = sorted(EXPERIMENT, key="local".__ne__)  # it slips and sticks most: the longest first
     backend = "sequential" if jobs == 1 else "loky"
     work = Parallel(n_jobs=jobs, inner_max_num_threads=None if jobs == 1 else 1, backend=backend, batch_size=1)
-    return dict(zip(names, work(delayed(errors_of)(loop_of(name, motor), seeds) for name in names), strict=True))
+    with safe_path():
+        return dict(zip(names, work(delayed(errors_of)(loop_of(name, motor), seeds) for name in names), strict=True))
 
 
 def misfit(found: dict[str, Array]) -> float:

@@ -7,8 +7,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from typing import IO, Protocol
+from typing import IO, Any, Protocol
 
+from hil.own_python import python_module
 from hil.runtime.time.clock import monotonic_ns
 
 GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
@@ -40,6 +41,7 @@ class Child:
         job: what it reads, pickled, from its standard input.
         pass_fds: what it inherits.
         dump: pickles the job.
+        folders: of modules that it may need to read the job; they stand behind everything that is installed.
     """
 
     def __init__(
@@ -49,11 +51,12 @@ class Child:
         job: object,
         pass_fds: tuple[int, ...] = (),
         dump: Callable[[object, IO[bytes]], None] = pickle.dump,
+        folders: Sequence[str] = (),
     ) -> None:
         self.name = name
         # A new session keeps the terminal's Ctrl-C away: this process ends its children in order.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            python_module(module, *folders),
             stdin=subprocess.PIPE,
             stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
             pass_fds=pass_fds,
@@ -103,6 +106,12 @@ class Child:
         """End it for certain: nothing outlives SIGKILL, not even what is stopped."""
         self._process.kill()
         self._process.wait()
+
+
+def read_job() -> Any:
+    """Return, in a `Child`, the job that it was given."""
+    sys.path.extend(folder for folder in sys.argv[1:] if folder not in sys.path)
+    return pickle.load(sys.stdin.buffer)
 
 
 def _has_fileno(stream: object) -> bool:

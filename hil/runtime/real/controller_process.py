@@ -5,7 +5,6 @@ Started as ``python -m hil.runtime.real.controller_process`` with a pickled :cla
 
 from __future__ import annotations
 
-import pickle
 import signal
 import sys
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from types import FrameType
 
 from hil.compose.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.real.child import read_job
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import warm_up_controller
 from transport.links.link import TransportError
@@ -67,7 +67,7 @@ def serve(loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None
 
 def main() -> None:
     """Run one job from standard input."""
-    job: Job = pickle.load(sys.stdin.buffer)
+    job: Job = read_job()
     timing = job.loop.experiment.timing
     try:
         stop_on_sigterm()

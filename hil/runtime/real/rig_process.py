@@ -7,7 +7,6 @@ non-blocking pipe; nothing here writes a file.
 from __future__ import annotations
 
 import os
-import pickle
 import signal
 import sys
 from dataclasses import asdict, dataclass
@@ -20,6 +19,7 @@ from hil.log.write.sinks import record_to
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
+from hil.runtime.real.child import read_job
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
@@ -104,7 +104,7 @@ class RealLoop:
 
 def main() -> None:
     """Run one job from standard input; exit status `NOBODY` if no controller answered."""
-    job: Job = pickle.load(sys.stdin.buffer)
+    job: Job = read_job()
     die_with_parent(job.parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     loops: list[RealLoop] = []

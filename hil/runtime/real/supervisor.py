@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-import pickle
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import IO
+from functools import partial
+from pathlib import Path
 
 from hil.compose.loop import Loop
 from hil.compose.time_line import time_line
@@ -94,8 +95,8 @@ def run_real(
                 loop=loop, uri=uri, seed=seed, parent=parent, log_fd=write_fd,
                 hello_timeout_s=hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S),
             )  # fmt: skip
-            dump = _dump_of(loop)
-            rig = Child("rig", "hil.runtime.real.rig_process", job, (write_fd,), dump)
+            start = _starter(loop)
+            rig = start("rig", "hil.runtime.real.rig_process", job, (write_fd,))
             children.append(rig)
             os.close(write_fd)
             write_fd = -1
@@ -103,7 +104,7 @@ def run_real(
             controller = None
             if not external and uri != LOCAL:
                 theirs = controller_process.Job(loop=loop, uri=uri, parent=parent)
-                controller = Child("controller", "hil.runtime.real.controller_process", theirs, dump=dump)
+                controller = start("controller", "hil.runtime.real.controller_process", theirs)
                 children.append(controller)
             silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
             free = FreeMemory(monotonic_ns())
@@ -116,7 +117,7 @@ def run_real(
                 if controller is not None and restarts and outcome.pump.records and outcome.pump.last_ns >= restarts[0]:
                     restarts.popleft()
                     controller.kill()  # a fault on the time line: it loses what it knew, and takes the time that a start takes
-                    controller = Child("controller", "hil.runtime.real.controller_process", theirs, dump=dump)
+                    controller = start("controller", "hil.runtime.real.controller_process", theirs)
                     children.append(controller)
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
                     outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
@@ -142,11 +143,10 @@ def run_real(
     return outcome
 
 
-def _dump_of(loop: Loop) -> Callable[[object, IO[bytes]], None]:
-    """Return what pickles a loop: the class of an object that was built in Python goes with it, for no process can import it."""
+def _starter(loop: Loop) -> Callable[..., Child]:
+    """Return what starts a process with a loop: what was built in Python takes its class along, or the folders it is found in."""
     if not any(told.startswith(OBJECT) for told in loop.experiment.origins().values()):
-        return pickle.dump
+        return Child
     from cloudpickle import dump
 
-    by_value: Callable[[object, IO[bytes]], None] = dump
-    return by_value
+    return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path])

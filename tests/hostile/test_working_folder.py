@@ -1,0 +1,95 @@
+"""Files of the folder one stands in: none of them runs in a process that we start, whatever it is called."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.experiment import shipped
+
+ROOT = Path(__file__).parents[2]
+HIL = str(Path(sys.executable).with_name("hil"))
+NAMES = (
+    "pickle", "can", "design", "numpy", "zenoh", "json", "struct", "msgspec", "signal", "transport", "plants", "hil", "joblib",
+    "multiprocessing", "socket", "selectors",
+)  # fmt: skip
+NOTE = """import os, pathlib
+pathlib.Path(__file__).with_name(f"RAN-{__name__}-{os.getpid()}").touch()
+raise ImportError(__file__)
+"""
+
+REAL = [HIL, "run", "dc-motor-hinf", "--clock", "real", "--duration", "0.5", "--quiet", "-o", "run.mcap", "--link"]
+SPREAD = """
+from design.monte_carlo.parallel import Workers, spread
+assert list(spread(abs, [-1, -2, -3], Workers(backend="loky", jobs=2))) == [1, 2, 3]
+"""
+PLUG_IN = """
+def test_mine(hil):
+    assert hil.run("dc-motor-hinf", clock="real", link="can:hil:shadowed{pid}", duration="0.5 s").summary["ticks"] == 10
+"""
+
+COMMANDS = {
+    "real time over can:hil": [*REAL, f"can:hil:shadow{os.getpid()}"],
+    "real time over zenoh": [*REAL, f"zenoh:?name=shadow{os.getpid()}"],
+    "real time in one process": [*REAL, "local:"],
+    "workers of a sweep": [sys.executable, "-P", "-c", SPREAD],
+    "sweep": [HIL, "sweep", "dc-motor-hinf", "--runs", "4", "--jobs", "2"],
+    "benchmark": [sys.executable, "-P", "-c", "from hil.bench.loop_log import loop_log_us; loop_log_us(5)"],
+    "plug-in of pytest": [HIL.replace("/hil", "/pytest"), "-q", "-p", "no:cacheprovider", "inside/test_mine.py"],
+}
+
+
+@pytest.fixture
+def shadowed(tmp_path: Path) -> Path:
+    """A folder with sixteen files that say when they run."""
+    for name in NAMES:
+        (tmp_path / f"{name}.py").write_text(NOTE)
+    (tmp_path / "inside").mkdir()
+    (tmp_path / "inside" / "test_mine.py").write_text(PLUG_IN.format(pid=os.getpid()))
+    return tmp_path
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("what", COMMANDS)
+def test_no_file_of_the_working_folder_runs(shadowed: Path, what: str) -> None:
+    done = subprocess.run(COMMANDS[what], cwd=shadowed, capture_output=True, text=True, timeout=120)
+    assert not [path.name for path in shadowed.glob("RAN-*")], done.stderr
+    assert done.returncode in (0, 3, 6), (done.returncode, done.stdout, done.stderr)  # 3, 6: a machine that is busy
+
+
+@pytest.mark.realtime
+def test_the_module_that_the_experiment_names_runs_in_both_processes_and_imports_what_lies_beside_it(tmp_path: Path) -> None:
+    """Its folder stands behind everything that is installed: a `json.py` in it does not run."""
+    (tmp_path / "json.py").write_text(NOTE)
+    (tmp_path / "beside.py").write_text("ZERO = (0.0,)\n")
+    (tmp_path / "mine.py").write_text(
+        "from dataclasses import dataclass\nfrom beside import ZERO\nfrom design.controllers import Constant\n"
+        "@dataclass(frozen=True, kw_only=True)\nclass Mine(Constant):\n    value: tuple[float, ...] = ZERO\n"
+    )
+    text = shipped()["dc-motor-hinf"].read_text().replace('kind = "hinf"', 'kind = "mine:Mine"')
+    (tmp_path / "e.toml").write_text(text)
+    done = subprocess.run(
+        [HIL, "run", "e.toml", "--clock", "real", "--duration", "0.5", "--json", "--link", f"can:hil:own{os.getpid()}",
+         "-o", "run.mcap", "--set", "allow_uncertified=true"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert done.stdout, done.stderr
+    assert json.loads(done.stdout)["ticks"] == 10 and not list(tmp_path.glob("RAN-*"))
+
+
+def test_every_python_of_ours_starts_without_its_working_folder() -> None:
+    """`-P` stands in one place; the guest's processes start with `-I`."""
+    starts = {
+        str(path.relative_to(ROOT)): line.strip()
+        for package in ("hil", "design", "plants", "transport")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for line in path.read_text().splitlines()
+        if "sys.executable" in line
+    }
+    assert starts.pop("hil/own_python.py") == 'PYTHON: Final = (sys.executable, "-P")'
+    assert all("-I" in line or line == "python=sys.executable," for line in starts.values()), starts
