@@ -72,9 +72,9 @@ bench: $(INSTALLED) ## timing beside cyclictest, round trips of all links
 
 figures: $(INSTALLED) ## measure every figure of speed, make the guide's page of them: a quarter of an hour, quiet
 	@mkdir -p runs
-	$(BIN)/hil bench all --json > runs/figures.json
+	$(BIN)/python -m tests.bench all --json > runs/figures.json
 	@cp runs/figures.json hil/guide/figures.json
-	$(BIN)/hil bench page hil/guide/figures.json -o hil/guide/figures.md
+	$(BIN)/python -m tests.bench page hil/guide/figures.json -o hil/guide/figures.md
 	@grep -qx figures hil/guide/index.md || sed -i 's/^performance$$/performance\nfigures/' hil/guide/index.md
 
 # Sphinx is wanted by nobody but this target: it is installed when it is first asked for.

@@ -7,7 +7,6 @@ from typing import Any, get_args
 
 import click
 
-from hil.cli import bench_all
 from hil.experiment.tables import Affinity
 
 SECONDS = (0.001, 86_400)
@@ -15,14 +14,10 @@ SECONDS = (0.001, 86_400)
 
 @click.group()
 def command() -> None:
-    """Measure timing, links, designs and Monte Carlo on this machine."""
+    """Measure timing, links and endurance on this machine."""
 
 
-command.add_command(bench_all.everything)
-command.add_command(bench_all.page)
-
-
-def _status(text: str) -> None:
+def status_line(text: str) -> None:
     click.echo(text, err=True)
 
 
@@ -33,7 +28,7 @@ def _check(option: str, value: float, low: float, high: float) -> None:
         raise HilError(f"{option}: {value:g}; expected a number from {low:g} to {high:g}")
 
 
-def _table(title: str, rows: list[dict[str, Any]]) -> None:
+def show_table(title: str, rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -46,15 +41,6 @@ def _table(title: str, rows: list[dict[str, Any]]) -> None:
     if not console.is_terminal:
         console.width = 160  # a file has no edge to wrap at
     console.print(table)
-
-
-def _show(as_json: bool, parts: dict[str, tuple[str, list[dict[str, Any]]]]) -> None:
-    """Print tables, each by its title; or as JSON, each by its key."""
-    if as_json:
-        print(json.dumps({key: rows for key, (_, rows) in parts.items()}, indent=2))
-        return
-    for title, rows in parts.values():
-        _table(title, rows)
 
 
 @command.command()
@@ -78,7 +64,7 @@ def timing(
     _check("--duration over --turns", duration / turns, *SECONDS)
     rows = bench_timing(
         duration_s=duration, turns=turns, links=links or LINKS, experiments=experiments or (EXPERIMENT,), sets=sets,
-        affinities=affinities, progress=_status,
+        affinities=affinities, progress=status_line,
     )  # fmt: skip
     if as_json:
         print(json.dumps(rows, indent=2))
@@ -93,9 +79,9 @@ def timing(
         for name, values in shown.items():
             points = {q: float(values[q]) for q in ("p50", "p99", "p99_9", "max")}
             flat.append({"experiment": row["experiment"], "link": row["link"], "lateness in us": name, **points})
-    _table("wake-up lateness", flat)
+    show_table("wake-up lateness", flat)
     of = f"of {rows[-1]['link']}"
-    _table("round trips and overruns", [
+    show_table("round trips and overruns", [
         {"experiment": row["experiment"], "link": row["link"], "affinity": row["affinity"],
          **{f"{q} us": v for q, v in row["round_trip_us"].items()},
          f"p50 {of}": row["round_trip_ratio"],
@@ -120,40 +106,7 @@ def links(rate: float, duration: float, as_json: bool) -> None:
     if as_json:
         print(json.dumps(rows, indent=2))
     else:
-        _table(f"round trips at {rate:g} Hz, us", rows)
-
-
-@command.command()
-@click.option("--json", "as_json", is_flag=True)
-def design(as_json: bool) -> None:
-    """Every synthesis with its time and its certificate, beside the route of the thesis."""
-    from hil.bench.design import bench_design, bench_scheduled
-
-    tracking, scheduled = bench_design(progress=_status), bench_scheduled(progress=_status)
-    _show(as_json, {
-        "tracking": ("tracking over a network (Chapter 7), beside the iterated LMIs (ccl)", tracking),
-        "scheduled": ("scheduled state feedback (Chapters 2 to 4)", scheduled),
-    })  # fmt: skip
-
-
-@command.command()
-@click.option("--json", "as_json", is_flag=True)
-def montecarlo(as_json: bool) -> None:
-    """The batch engine beside a numpy loop and scipy's solve_ivp."""
-    from hil.bench.montecarlo import bench_montecarlo
-
-    rows = bench_montecarlo(progress=_status)
-    print(json.dumps(rows, indent=2)) if as_json else _table("Monte Carlo", rows)
-
-
-@command.command()
-@click.option("--json", "as_json", is_flag=True)
-def auth(as_json: bool) -> None:
-    """A code in every frame: microseconds and bytes beside the same frames without."""
-    from hil.bench.auth import bench_auth
-
-    rows = bench_auth()
-    print(json.dumps(rows, indent=2)) if as_json else _table("one packet sent and heard, with a code and without", rows)
+        show_table(f"round trips at {rate:g} Hz, us", rows)
 
 
 @command.command()
@@ -178,7 +131,7 @@ def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
     except ValueError as error:
         raise HilError(f"--for: {error}") from None
     _check("--for", duration_s, 5.0, 7 * 86_400)
-    row = bench_soak(duration_s=duration_s, sessions=sessions, at_once=at_once, progress=_status)
+    row = bench_soak(duration_s=duration_s, sessions=sessions, at_once=at_once, progress=status_line)
     if as_json:
         print(json.dumps(row, indent=2))
     else:
@@ -187,7 +140,7 @@ def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
 
 
 def _soak(row: dict[str, Any]) -> None:
-    _table("memory while it runs, slope with its 95 % confidence interval", row["memory"])
+    show_table("memory while it runs, slope with its 95 % confidence interval", row["memory"])
     print(f"exit status {row['status']}, {row['ticks']} of {row['ticks_expected']} slots, {row['dropped']} records dropped")
     ratio = f"{row['log_ratio']:.3f} of the {row['log_predicted'] / 1e6:.1f} MB that its second tenth predicts"
     print(f"log {row['log_bytes'] / 1e6:.1f} MB, {ratio}")
@@ -203,45 +156,3 @@ def _soak(row: dict[str, Any]) -> None:
 
 def _us(lateness: dict[str, float | None]) -> str:
     return ", ".join(f"{q.replace('_', '.')} {'-' if us is None else f'{us:.0f}'} us" for q, us in lateness.items())
-
-
-@command.command()
-@click.option("--json", "as_json", is_flag=True)
-def engines(as_json: bool) -> None:
-    """A sweep beside run by run, a log beside mcap's own writer: CPU time."""
-    from hil.bench.engines import bench_log, bench_memory, bench_sweep
-
-    sweeps, logs, memory = bench_sweep(_status), bench_log(_status), bench_memory(_status)
-    _show(as_json, {
-        "sweep": ("a sweep in lockstep, beside run by run", sweeps),
-        "log": ("one slot in virtual time, with a log, beside mcap's own writer", logs),
-        "memory": ("memory that every further slot holds, beside mcap's own writer", memory),
-    })  # fmt: skip
-
-
-@command.command()
-@click.option("--h2", multiple=True, type=click.IntRange(1, 8), default=(1, 2, 3, 4, 8), show_default=True, metavar="DELAY",
-              help="Largest delay of both directions; several allowed.")  # fmt: skip
-@click.option("--hinf", multiple=True, type=click.IntRange(1, 8), default=(1, 2, 3, 4), show_default=True, metavar="DELAY",
-              help="The same for H-infinity.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True)
-def modes(h2: tuple[int, ...], hinf: tuple[int, ...], as_json: bool) -> None:
-    """Designs and certificates over many modes, beside the plain way, ARPACK and python-control: CPU time."""
-    from hil.bench.modes import bench_certificates, bench_modes
-
-    designs, certificates = bench_modes(_status, h2=h2, hinf=hinf), bench_certificates(_status)
-    _show(as_json, {
-        "designs": ("designs over many modes (the gain knows both delays, one start)", designs),
-        "certificates": ("certificates over many modes, norms of one", certificates),
-    })  # fmt: skip
-
-
-@command.command()
-@click.option("--runs", type=click.IntRange(1, 1_000_000), default=1000, show_default=True, help="Runs of each sweep.")
-@click.option("--json", "as_json", is_flag=True)
-def commands(runs: int, as_json: bool) -> None:
-    """Whole commands, each in a process of its own: run, report, sweeps, a session in real time; CPU and wall time."""
-    from hil.bench.commands import bench_commands
-
-    rows = bench_commands(_status, runs=runs)
-    print(json.dumps(rows, indent=2)) if as_json else _table('commands, beside python -c "import numpy"', rows)

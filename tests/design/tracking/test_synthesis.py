@@ -16,7 +16,7 @@ from design.tracking.gain_parametrisation import COARSER, INFORMATION, embed, ga
 from design.tracking.loop_objective import LoopObjective
 from design.tracking.stabilise import closed_classes, stabilising
 from design.tracking.synthesis import TrackingProblem, solve
-from hil.bench.modes import shortening_chain
+from tests.bench.modes import shortening_chain
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF, VTOL, VTOL_R
 
 # What the issue demands: stacked z, R = 0.01, uniform initial distribution.

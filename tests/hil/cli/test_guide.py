@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from hil.bench.catalogue import PARTS
-from hil.bench.page import page_of
 from hil.cli import main
 from hil.cli.guide import command, pages
+from tests.bench.catalogue import PARTS
+from tests.bench.page import page_of
 
 
 def test_without_a_topic_it_lists_every_page_with_its_title() -> None:

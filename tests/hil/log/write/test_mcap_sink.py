@@ -13,7 +13,6 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from hil.bench.plain_log import PlainSink
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -23,6 +22,7 @@ from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import commit
 from hil.log.write.sinks import MemorySink, TeeSink, record_to, records_to
 from hil.runtime.virtual import run_virtual
+from tests.bench.plain_log import PlainSink
 from tests.file_limit import files_up_to
 from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
 

@@ -1,4 +1,4 @@
-"""``hil bench all``: every figure is there; a part that dies and an interrupt lose nothing that was measured before."""
+"""``python -m tests.bench all``: every figure is there; a part that dies and an interrupt lose no measured figure."""
 
 from __future__ import annotations
 
@@ -8,13 +8,32 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hil.bench.catalogue import PARTS
-from tests.hil.cli.conftest import Hil
+from tests.bench.__main__ import main
+from tests.bench.catalogue import PARTS
+
+Bench = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def bench(capsys: pytest.CaptureFixture[str]) -> Bench:
+    """Call ``python -m tests.bench`` in this process: (exit status, standard output, standard error)."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        status = 0
+        try:
+            main([*map(str, arguments)])
+        except SystemExit as end:
+            status = int(end.code or 0)
+        return status, *capsys.readouterr()
+
+    return call
+
 
 FIGURES = """
 hil --help, CPU time
@@ -72,8 +91,8 @@ H-infinity design, tau_max = d_max = 8
 
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
-def test_every_figure_is_measured_with_its_peer(cli: Hil, tmp_path: Path) -> None:
-    status, out, err = cli("bench", "all", "--quick", "--json")
+def test_every_figure_is_measured_with_its_peer(bench: Bench, tmp_path: Path) -> None:
+    status, out, err = bench("all", "--quick", "--json")
     found = json.loads(out)
     assert status == 0 and "5 of 5: designs" in err
     assert [row["name"] for row in found["figures"]] == FIGURES
@@ -85,13 +104,13 @@ def test_every_figure_is_measured_with_its_peer(cli: Hil, tmp_path: Path) -> Non
         else:
             assert row["peer"] is not None or row["goal_verdict"].startswith("not measured: "), row
     (tmp_path / "figures.json").write_text(out)
-    _, page, _ = cli("bench", "page", tmp_path / "figures.json")
+    _, page, _ = bench("page", tmp_path / "figures.json")
     assert all(f"| {name}" in page for name in FIGURES)
     assert found["date"] in page and found["machine"]["python"] in page
 
 
 def _started(*options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "hil", "bench", "all", "--quick", "--json", *options]
+    command = [sys.executable, "-m", "tests.bench", "all", "--quick", "--json", *options]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -129,12 +148,12 @@ def test_an_interrupt_prints_what_was_found_and_leaves_no_process() -> None:
     assert not Path(f"/proc/{child}").exists()
 
 
-def test_an_unknown_part_is_named_with_those_that_there_are(cli: Hil) -> None:
-    status, _, err = cli("bench", "all", "--only", "speed")
+def test_an_unknown_part_is_named_with_those_that_there_are(bench: Bench) -> None:
+    status, _, err = bench("all", "--only", "speed")
     assert status == 2 and "--only: no part 'speed'; expected start, sweeps, real-time, logs, designs" in err
 
 
-def test_a_page_is_made_of_figures_alone(cli: Hil, tmp_path: Path) -> None:
+def test_a_page_is_made_of_figures_alone(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("[1]")
-    status, _, err = cli("bench", "page", tmp_path / "other.json")
-    assert status == 2 and "not what `hil bench all --json` prints" in err
+    status, _, err = bench("page", tmp_path / "other.json")
+    assert status == 2 and "not what `python -m tests.bench all --json` prints" in err

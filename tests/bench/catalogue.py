@@ -1,6 +1,6 @@
-"""All figures of `hil bench all`, and the process in which one part of them is measured.
+"""All figures of `python -m tests.bench all`, and the process in which one part of them is measured.
 
-    python -m hil.bench.catalogue PART [--quick]     one JSON object a line, as soon as it is measured
+    python -m tests.bench.catalogue PART [--quick]     one JSON object a line, as soon as it is measured
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import sys
 from collections.abc import Iterator
 from typing import Any, Final
 
-from hil.bench import part_designs, part_logs, part_real_time, part_start, part_sweeps
-from hil.bench.figure import Part, Row, row_of
 from hil.errors import HilError
 from hil.runtime.real.scheduling import die_with_parent
+from tests.bench import part_designs, part_logs, part_real_time, part_start, part_sweeps
+from tests.bench.figure import Part, Row, row_of
 
 PARTS: Final[tuple[Part, ...]] = (
     part_start.PART, part_sweeps.PART, part_real_time.PART, part_logs.PART, part_designs.PART,
@@ -41,7 +41,7 @@ def take(part: Part, *, quick: bool) -> Iterator[Row]:
 
 
 def _tell(text: str) -> None:
-    print(f"  {text}", file=sys.stderr, flush=True)  # noqa: T201 (this is the process's interface)
+    print(f"  {text}", file=sys.stderr, flush=True)
 
 
 def main(arguments: list[str]) -> None:
@@ -50,7 +50,7 @@ def main(arguments: list[str]) -> None:
     name, *options = arguments
     (part,) = (each for each in PARTS if each.name == name)
     for row in take(part, quick="--quick" in options):
-        print(_line(row), flush=True)  # noqa: T201
+        print(_line(row), flush=True)
 
 
 def _line(row: dict[str, Any]) -> str:

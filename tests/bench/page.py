@@ -1,4 +1,4 @@
-"""The page of all figures in Markdown, made of what ``hil bench all --json`` has printed."""
+"""The page of all figures in Markdown, made of what ``python -m tests.bench all --json`` has printed."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, Final
 
-from hil.bench.figure import Row
+from tests.bench.figure import Row
 
 HEADS: Final = ("what", "ours", "peer", "ratio", "goal")
 WIDTH: Final = 130
 
 TEXT: Final = """\
-Made by `hil bench page` of what `hil bench all --json` printed: nothing here is typed. A figure and its peer come from the same
-run, and only ratios of one run mean anything on a machine that others use too. Less is better everywhere. A goal is what was
-aimed at, reached or missed; a condition is what has to hold on any machine. A ratio of few events, as of late answers, is
-undecided where its 95 % interval holds what was to be reached. `hil guide performance` says how it is done, and what stands in
-the way of what was missed.
+Made by `python -m tests.bench page` of what `python -m tests.bench all --json` printed: nothing here is typed. A figure and its
+peer come from the same run, and only ratios of one run mean anything on a machine that others use too. Less is better
+everywhere. A goal is what was aimed at, reached or missed; a condition is what has to hold on any machine. A ratio of few events,
+as of late answers, is undecided where its 95 % interval holds what was to be reached. `hil guide performance` says how it is
+done, and what stands in the way of what was missed.
 """
 
 
@@ -24,7 +24,7 @@ def page_of(found: dict[str, Any]) -> str:
     """Return the page.
 
     Args:
-        found: what `hil.bench.run_parts.run_parts` returns.
+        found: what `tests.bench.run_parts.run_parts` returns.
     """
     lines = ["# Figures", "", TEXT, *_wrapped(f"{machine_line(found)}."), "", *_wrapped(_sum(found["figures"])), ""]
     for part in dict.fromkeys(row["part"] for row in found["figures"]):

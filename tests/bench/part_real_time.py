@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
 from hil.bench.links import FLOOR, bench_links, free_port
-from hil.bench.loop_log import loop_log_us
-from hil.bench.shares import of_shares
 from hil.bench.timing import EXPERIMENT, Turn, take_turn
 from hil.errors import HilError
+from tests.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
+from tests.bench.loop_log import loop_log_us
+from tests.bench.shares import of_shares
 
 BARE, PLAIN, C = "bare Unix sockets of Python", "plainest zenoh-python, both CPUs", "UDP in C"
 

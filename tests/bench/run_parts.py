@@ -15,10 +15,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Final
 
-from hil.bench.catalogue import PARTS
-from hil.bench.figure import Part, Row, Tell, row_of
 from hil.errors import HilError
 from hil.own_python import python_module
+from tests.bench.catalogue import PARTS
+from tests.bench.figure import Part, Row, Tell, row_of
 
 GRACE_S: Final = 0.4
 
@@ -76,7 +76,7 @@ def _run(part: Part, rows: dict[str, Row], quick: bool) -> str:
         own = Path(folder) / "can"  # what a process leaves that is killed goes with the folder
         own.mkdir(mode=0o700)
         about = {"TMPDIR": folder, "HIL_CAN_DIR": str(own), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        command = python_module("hil.bench.catalogue", part.name, *(["--quick"] if quick else []))
+        command = python_module("tests.bench.catalogue", part.name, *(["--quick"] if quick else []))
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, text=True, env=os.environ | about, start_new_session=True
         )

@@ -7,9 +7,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.bench.engines import bench_log, bench_memory
-from hil.bench.figure import FLAT, AtMost, Figure, Found, Measure, Part, Tell
-from hil.bench.processes import HIL, Spent, spent
+from tests.bench.engines import bench_log, bench_memory
+from tests.bench.figure import FLAT, AtMost, Figure, Found, Measure, Part, Tell
+from tests.bench.processes import HIL, Spent, spent
 
 MOTOR = "dc-motor-hinf"
 PLAIN = "mcap's own writer"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.bench import engines
+from tests.bench import engines
 
 
 def test_a_sweep_is_set_beside_the_plain_engine(monkeypatch: pytest.MonkeyPatch) -> None:

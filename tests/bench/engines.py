@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.bench.plain_log import PlainSink
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.write.mcap_sink import McapSink
@@ -21,6 +20,7 @@ from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, Sink
 from hil.runtime.virtual import run_virtual
 from hil.sweeps.seeds import run_one_by_one, run_seeds
+from tests.bench.plain_log import PlainSink
 
 SWEEPS = ("dc-motor-hinf", "dc-motor-smith", "vtol-h2")
 TURNS = 5

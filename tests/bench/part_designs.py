@@ -10,8 +10,8 @@ from functools import cache, partial
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from hil.bench.figure import AtMost, Figure, Found, Measure, Part, Row, Tell
-from hil.bench.modes import (
+from tests.bench.figure import AtMost, Figure, Found, Measure, Part, Row, Tell
+from tests.bench.modes import (
     CERTIFICATE_GOAL_S,
     CERTIFICATE_SIDE,
     H2_GOALS_S,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.bench.modes import bench_certificates, bench_modes
+from tests.bench.modes import bench_certificates, bench_modes
 
 
 def test_designs_have_a_norm_and_an_evaluation_beside_the_plain_one() -> None:

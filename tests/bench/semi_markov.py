@@ -1,6 +1,7 @@
 """The syntheses that Chapters 2 to 4 are measured by: what each must reach, and within what time.
 
-``hil bench design`` runs them. A case returns the number reached with the certificate that proves it; nothing else counts.
+``python -m tests.bench design`` runs them.
+A case returns the number reached with the certificate that proves it; nothing else counts.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ def loop_log_us(slots: int) -> tuple[float, float]:
     Args:
         slots: of either, at 1 kHz.
     """
-    command = python_module("hil.bench.loop_log", str(slots))
+    command = python_module("tests.bench.loop_log", str(slots))
     said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     ours, plain = json.loads(said)
     return float(ours), float(plain)
@@ -111,7 +111,7 @@ def main() -> None:
                 put(*values)
             sink.commit()
             taken[k % 2].append(monotonic_ns() - begun)
-    print(json.dumps([sorted(each)[len(each) // 2] / 1e3 for each in taken]))  # noqa: T201
+    print(json.dumps([sorted(each)[len(each) // 2] / 1e3 for each in taken]))
 
 
 if __name__ == "__main__":

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from hil.bench.catalogue import PARTS, take
-from hil.bench.figure import NOT_JUDGED, AtMost, Figure, Found, Measure, Part, Row, row_of
-from hil.bench.page import page_of
-from hil.bench.shares import of_shares, ratio_interval
 from hil.errors import HilError
+from tests.bench.catalogue import PARTS, take
+from tests.bench.figure import NOT_JUDGED, AtMost, Figure, Found, Measure, Part, Row, row_of
+from tests.bench.page import page_of
+from tests.bench.shares import of_shares, ratio_interval
 
 BOTH = Figure(name="slot", unit="us", peer="plain", goal=AtMost(ours=35.0), condition=AtMost(ratio=0.5))
 

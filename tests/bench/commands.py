@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil.bench.processes import HIL, NUMPY, spent
+from tests.bench.processes import HIL, NUMPY, spent
 
 Row = dict[str, Any]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.bench.auth import bench_auth
+from tests.bench.auth import bench_auth
 
 
 def test_every_packet_has_its_length_with_and_without_a_code_and_both_took_time() -> None:

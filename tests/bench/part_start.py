@@ -7,9 +7,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
-from hil.bench.processes import HIL, NUMPY, Spent, spent
 from hil.own_python import PYTHON
+from tests.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
+from tests.bench.processes import HIL, NUMPY, Spent, spent
 
 MOTOR, SOLVED = "dc-motor-hinf", "smjls-robust"
 SCIPY = "import scipy.linalg; "

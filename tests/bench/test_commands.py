@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hil.bench import commands
-from hil.bench.processes import HIL, spent
 from hil.errors import HilError
+from tests.bench import commands
+from tests.bench.processes import HIL, spent
 
 
 @pytest.mark.slow  # eight processes; that every command runs is tested elsewhere

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from hil.bench.figure import Found
+from tests.bench.figure import Found
 
 LEVEL: Final = 0.95
 

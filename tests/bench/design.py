@@ -113,7 +113,7 @@ def bench_scheduled(*, progress: Callable[[str], None] = lambda text: None) -> l
     Args:
         progress: told what is running.
     """
-    from hil.bench.semi_markov import LIMIT_S, bench_cases
+    from tests.bench.semi_markov import LIMIT_S, bench_cases
 
     rows = []
     for case in bench_cases():

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from design.monte_carlo.safe_path import safe_path
-from hil.bench.engines import SWEEPS, bench_sweep
-from hil.bench.figure import FLAT, AtMost, Figure, Found, Measure, Part, Tell
-from hil.bench.processes import HIL, Spent, spent
 from hil.errors import HilError
+from tests.bench.engines import SWEEPS, bench_sweep
+from tests.bench.figure import FLAT, AtMost, Figure, Found, Measure, Part, Tell
+from tests.bench.processes import HIL, Spent, spent
 
 MOTOR = "dc-motor-hinf"
 ALONE = "run by run"

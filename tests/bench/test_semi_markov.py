@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.bench.semi_markov import BenchCase, bench_cases
+from tests.bench.semi_markov import BenchCase, bench_cases
 
 
 @pytest.mark.slow  # the same numbers are asserted, more cheaply, in the tests of each synthesis
