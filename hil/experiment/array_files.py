@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import HilError
-from hil.experiment.mat_file import variables
+from hil.experiment.mat_file import npy_of_mat
 from hil.regular_file import read_regular
 
 MAX_BYTES: Final = 16_000_000
@@ -117,15 +117,9 @@ def _of_npz(data: bytes, key: str) -> NDArray[Any]:
 
 
 def _of_mat(data: bytes, key: str) -> NDArray[Any]:
-    names = []
-    for found in variables(data, MAX_BYTES):
-        names.append(found.name)
-        if found.name == key:
-            if found.kind != "numbers":
-                raise HilError(f"key {key!r}: holds {found.kind}, expected a full matrix of real numbers")
-            _bounded(found.shape, "f")
-            return found.array()
-    raise HilError(f"has no key {key!r}; it has {_listed(names)}")
+    if "\0" in key:
+        raise HilError(f"has no key {key!r}")
+    return _of_npy(npy_of_mat(data, key, MOST_NUMBERS))
 
 
 def _bounded(shape: tuple[int, ...], kind: str) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 from hil.errors import ExperimentError, HilError
 from hil.experiment import plugins as registry
 from hil.experiment.check import Checker
-from hil.experiment.old_names import new_path, with_new_names
 from hil.experiment.table_check import infinite_faults
 from hil.experiment.tables import Experiment, Seconds
 from hil.experiment.toml_text import DEEPEST, parse_toml
@@ -75,7 +74,7 @@ def parse_experiment(
 ) -> Experiment:
     """Check the text of an experiment; see :func:`load_experiment`."""
     try:
-        raw = with_new_names(parse_toml(text))
+        raw = parse_toml(text)
     except ValueError as e:
         raise HilError(f"{source}: not valid TOML: {e}") from e
     for change in sets:
@@ -114,7 +113,7 @@ def experiment_from_resolved(
         ExperimentError: with every fault found.
     """
     checker = Checker(folder, objects)
-    experiment = checker.experiment(with_new_names(_without_none(resolved)), text)
+    experiment = checker.experiment(_without_none(resolved), text)
     if checker.faults or experiment is None:
         raise ExperimentError(f"{source}: resolved experiment", checker.faults)
     return experiment
@@ -141,7 +140,7 @@ def _without_none(value: Any) -> Any:
 
 def _apply(raw: dict[str, Any], change: str) -> None:
     path, eq, value = change.partition("=")
-    keys = new_path(path.strip().split("."))
+    keys = path.strip().split(".")
     if not eq or not all(keys):
         raise HilError(f"--set {change!r}: expected path=value, such as plant.gain=170")
     if len(keys) > DEEPEST:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from hil.log.read.mcap_file import open_mcap
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.run import Run as Run
-from hil.log.write.provenance import READABLE
+from hil.log.write.provenance import FORMAT
 
 
 def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: int | None = None) -> Run:
@@ -84,8 +83,7 @@ class _Reading:
             messages = content.messages.pop(number)
             if channel.topic == EVENTS_TOPIC:
                 payloads = [message[MESSAGE_PAYLOAD_AT:] for message in messages]
-                decode = _json_events if channel.message_encoding == "json" else decode_events
-                self._events += decode(payloads, len(self._events))
+                self._events += decode_events(payloads, len(self._events))
                 continue
             columns = self._columns.get(number)
             if columns is None:
@@ -141,8 +139,8 @@ def _check_head(content: Content) -> None:
     head = content.metadata.get("hilrig")
     if head is None:
         raise HilError("is an MCAP file, but not a log of hilrig: it has no metadata record 'hilrig'")
-    if head.get("format") not in READABLE:
-        raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {' and '.join(READABLE)}")
+    if head.get("format") != FORMAT:
+        raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {FORMAT}")
 
 
 def _run(content: Content, columns: dict[str, Columns], events: list[dict[str, Any]]) -> Run:
@@ -176,11 +174,6 @@ def _run(content: Content, columns: dict[str, Columns], events: list[dict[str, A
 def _attached_json(content: Content, name: str) -> dict[str, Any]:
     attachment = content.attachments.get(name)
     return _json_object(attachment.data, f"attachment {name}") if attachment is not None else {}
-
-
-def _json_events(payloads: Sequence[bytes], first: int) -> list[dict[str, Any]]:
-    """Return events as log format 1 has them."""
-    return [_json_object(payload, f"event {index}") for index, payload in enumerate(payloads, first)]
 
 
 def _json_object(text: str | bytes, what: str) -> dict[str, Any]:

@@ -16,10 +16,7 @@ CHECKOUT: Final = Path(__file__).parents[3]
 """The folder of this package: the root of a checkout, or `site-packages`."""
 
 FORMAT: Final = "2"
-"""Version of the log's layout: attachments, metadata and topics. In version 1 events are JSON, and times session time always."""
-
-READABLE: Final = ("1", FORMAT)
-"""Versions that are read."""
+"""Version of the log's layout: attachments, metadata and topics."""
 
 PACKAGES: Final = ("numpy", "scipy", "control", "cvxpy", "python-can", "eclipse-zenoh", "mcap", "zstandard", "msgspec")
 

@@ -279,17 +279,3 @@ def test_the_build_writes_the_schema_that_hil_prints(tmp_path: Path, monkeypatch
     assert json.loads((tmp_path / hook.SCHEMA).read_text()) == json.loads(json.dumps(experiment_schema()))
     ignored = subprocess.run(["git", "check-ignore", "-q", str(root / hook.SCHEMA)], cwd=root)
     assert ignored.returncode in (0, 128), "the schema is made, not kept"
-
-
-def test_a_field_is_read_under_its_old_name_too() -> None:
-    """Files and logs from before `watchdog_slots` say `watchdog_ticks`; what is written has the new name."""
-    old = parse_experiment(GOOD.replace("watchdog_slots = 3", "") + "watchdog_ticks = 7\n")
-    assert old.limits.watchdog_slots == 7
-    assert parse_experiment(GOOD, sets=["limits.watchdog_ticks=9"]).limits.watchdog_slots == 9
-    resolved = old.resolved()
-    limits = {("watchdog_ticks" if k == "watchdog_slots" else k): v for k, v in resolved["limits"].items()}
-    logged = {**resolved, "limits": limits}
-    again = experiment_from_resolved(logged, GOOD, "a log")
-    assert again.limits.watchdog_slots == 7 and "watchdog_ticks" not in again.resolved()["limits"]
-    with pytest.raises(ExperimentError, match=r"limits\.watchdog_ticks: unknown field"):
-        parse_experiment(GOOD + "watchdog_slots = 7\nwatchdog_ticks = 7\n")
