@@ -39,7 +39,7 @@ COMMANDS = {
     "real time in one process": [*REAL, "local:"],
     "workers of a sweep": [sys.executable, "-P", "-c", SPREAD],
     "sweep": [HIL, "sweep", "dc-motor-hinf", "--runs", "4", "--jobs", "2"],
-    "benchmark": [sys.executable, "-P", "-c", "from hil.bench.loop_log import loop_log_us; loop_log_us(5)"],
+    "benchmark": [sys.executable, "-P", "-c", "from tests.bench.loop_log import loop_log_us; loop_log_us(5)"],
     "plug-in of pytest": [HIL.replace("/hil", "/pytest"), "-q", "-p", "no:cacheprovider", "inside/test_mine.py"],
 }
 
