@@ -29,7 +29,7 @@ def main(key: str, most_numbers: int) -> str | None:
         return "is a MATLAB 7.3 file; save it with -v7"
     file, out = io.BytesIO(data), io.BytesIO()
     try:
-        said = {str(name): (tuple(map(int, shape)), str(group)) for name, shape, group in whosmat(file)}
+        said = {str(name): (tuple(map(int, shape)), str(group)) for name, shape, group in whosmat(file)}  # type: ignore[arg-type]
         if key not in said:
             return f"has no key {key!r}; it has {', '.join(repr(name)[:40] for name in list(said)[:20]) or 'none'}"
         shape, group = said[key]
@@ -38,7 +38,7 @@ def main(key: str, most_numbers: int) -> str | None:
         if min(shape, default=0) < 0 or math.prod(max(length, 1) for length in shape) > most_numbers:
             return f"key {key!r}: an array of shape {shape}; at most {most_numbers} numbers"
         file.seek(0)
-        np.save(out, loadmat(file, variable_names=[key])[key], allow_pickle=False)
+        np.save(out, loadmat(file, variable_names=[key])[key], allow_pickle=False)  # type: ignore[arg-type]
     except Exception as error:  # scipy raises what it likes on a damaged file
         return f"is no whole .mat file: {type(error).__name__}: {error}"
     sys.stdout.buffer.write(out.getbuffer())
