@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -37,8 +38,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         group.addoption(f"--hil-{name}", action="store_true", help=f"run tests marked {name}: {what}")
 
 
+def signals_of_a_terminal() -> None:
+    """Take signals as a process started in a terminal does: what tests start inherits what is ignored or blocked here.
+
+    A script's ``make test &`` ignores SIGINT, ``nohup`` SIGHUP.
+    """
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, signal.valid_signals())
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Register our markers and what they require of the machine; a property has 40 examples where slow tests do not run."""
+    signals_of_a_terminal()
     config.stash[REQUIREMENTS] |= NEEDS
     # How long an example takes says how busy the machine is, and nothing of us.
     settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])

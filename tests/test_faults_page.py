@@ -16,6 +16,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "rig killed": ("test_killed_rig_ends_the_session_and_keeps_the_log",),
     "session killed": ("test_killed_session_leaves_no_orphan_and_a_log_whole_but_for_the_last_tenth",),
     "Ctrl-C": ("test_stop_ends_everything_and_closes_the_log", "test_all_are_asked_at_once_share_one_grace_and_are_killed"),
+    "started with a signal ignored": ("test_what_is_ignored_stays_ignored_and_sigterm_still_stops",),
     "link cut": ("test_link_down_for_a_second_trips_the_watchdog_whose_safe_state_stays",
                  "test_a_cut_cable_is_survived_and_both_ends_meet_again"),
     "disk full": ("test_full_disk_costs_the_log_and_not_the_run",),

@@ -7,7 +7,6 @@ import re
 import shlex
 import sys
 import tempfile
-import time
 import tomllib
 import types
 from collections.abc import Iterator
@@ -29,6 +28,7 @@ from hil.measure.view import view_of
 from hil.session import run_session
 from plants import check_plant
 from tests.hil.report.runs import run_of
+from tests.waiting import until
 from transport import open_link
 
 ROOT = Path(__file__).parents[2]
@@ -171,8 +171,10 @@ def test_key_expressions_of_the_guide_are_those_of_the_link() -> None:
         config.insert_json5(key, value)
     with open_link(uri, "rig") as rig, zenoh.open(config) as session:
         session.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
-        end = time.monotonic() + 10
-        while not heard and time.monotonic() < end:
+
+        def anything() -> bool:
             rig.send(b"hello")
-            time.sleep(0.02)
+            return bool(heard)
+
+        until(anything, "a sample of the link")
     assert heard and f"`{heard[0]}`" in TEXT["wire-format"]

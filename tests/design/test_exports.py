@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from tests.waiting import LIMIT_S
+
 ORDERS = [
     "import design; design.robust_feedback; design.delayed_hinf; rf, dh = design.robust_feedback, design.delayed_hinf",
     "from design import analyse_delayed, delayed_hinf as dh, robust_feedback as rf",
@@ -19,7 +21,7 @@ ORDERS = [
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_name_means_the_function_every_time(order):
     code = f"{order}; import types; assert isinstance(rf, types.FunctionType) and isinstance(dh, types.FunctionType), (rf, dh)"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=LIMIT_S)
     assert found.returncode == 0, found.stderr
 
 

@@ -17,7 +17,7 @@ import pytest
 from hil.bench.timing import read_cyclictest, start_cyclictest
 from hil.experiment import load_experiment
 from hil.log.read.run import Run, read_run
-from tests.waiting import until
+from tests.waiting import LIMIT_S, until
 
 pytestmark = pytest.mark.realtime
 
@@ -107,7 +107,7 @@ def test_eight_senders_for_ten_seconds_make_no_slot_late_and_are_said(tmp_path: 
     try:
         status, summary, run = under_flood(tmp_path, 8, 13.0, 10.0, *WIDE)
     finally:
-        beside.communicate(timeout=60)
+        beside.communicate(timeout=LIMIT_S)
     assert status == 6 and summary["safety"] is None and "flood" in summary["problems"], summary
     timed = run.arrays["/timing/tick"]
     assert len(timed) == summary["ticks"] == 260  # 13 s: it ran to its end

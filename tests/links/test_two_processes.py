@@ -13,6 +13,7 @@ from time import monotonic
 import pytest
 
 from tests.ports import free_port
+from tests.waiting import LIMIT_S
 from transport import Link, open_link
 from transport.links.contract import SEND_LIMIT_S, control, sensor
 
@@ -67,12 +68,12 @@ def answered(rig: Link, seq: int, within_s: float) -> bool:
 
 def test_every_question_gets_its_answer(uri: str) -> None:
     with open_link(uri, "rig") as rig, controller(uri):
-        assert answered(rig, 1, 30)
+        assert answered(rig, 1, LIMIT_S)
         while rig.receive(0.1) is not None:
             pass
         for seq in range(2, 302):
             rig.send(sensor(seq, 3))
-            answer = rig.receive(10)
+            answer = rig.receive(LIMIT_S)
             assert answer is not None and int.from_bytes(answer[4:8], "little") == seq
             assert len(answer) == len(control(seq, 2, 3))
 
@@ -80,17 +81,17 @@ def test_every_question_gets_its_answer(uri: str) -> None:
 def test_a_controller_that_is_killed_is_silent_and_its_successor_answers(uri: str) -> None:
     with open_link(uri, "rig") as rig:
         with controller(uri) as first:
-            assert answered(rig, 1, 30)
+            assert answered(rig, 1, LIMIT_S)
             first.kill()
             first.wait()
         assert not answered(rig, 2, 0.2)
         with controller(uri):
-            assert answered(rig, 3, 30)
+            assert answered(rig, 3, LIMIT_S)
 
 
 def test_a_controller_that_is_stopped_never_blocks_the_rig_and_answers_again(uri: str) -> None:
     with open_link(uri, "rig") as rig, controller(uri) as sleeper:
-        assert answered(rig, 1, 30)
+        assert answered(rig, 1, LIMIT_S)
         os.kill(sleeper.pid, signal.SIGSTOP)
         slowest = 0.0
         for seq in range(2, 5002):
@@ -99,4 +100,4 @@ def test_a_controller_that_is_stopped_never_blocks_the_rig_and_answers_again(uri
             slowest = max(slowest, monotonic() - begin)
         assert slowest < SEND_LIMIT_S
         os.kill(sleeper.pid, signal.SIGCONT)
-        assert answered(rig, 9999, 30)
+        assert answered(rig, 9999, LIMIT_S)

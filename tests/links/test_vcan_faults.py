@@ -9,6 +9,7 @@ from time import monotonic
 import can
 import pytest
 
+from tests.waiting import until
 from transport import Link, open_link
 from transport.links.contract import SEND_LIMIT_S, control, expect, sensor
 
@@ -153,10 +154,13 @@ def test_link_outlives_an_interface_that_vanishes_and_comes_back(ends: Ends, bus
         assert controller.receive(0.01) is None
     assert rig.counters.dropped == 3
     add_bus()
-    end = monotonic() + 30
-    while controller.receive(0.02) is None and monotonic() < end:  # reopening is tried now and then only
+
+    def reopened() -> bool:  # tried now and then only
         rig.send(sensor(9))
         rig.receive(0)
+        return controller.receive(0.02) is not None
+
+    until(reopened, "the link to come back")
     while controller.receive(0.02) is not None:
         pass
     rig.send(sensor(10))

@@ -17,6 +17,7 @@ from time import monotonic
 import pytest
 
 from tests.ports import free_port
+from tests.waiting import LIMIT_S
 from transport import Link, TransportError, open_link
 from transport.links.contract import SEND_LIMIT_S, control, expect, meet, sensor
 
@@ -78,19 +79,19 @@ def uri(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 def test_controller_may_come_first_and_finds_a_rig_that_was_killed_and_restarted(uri: str) -> None:
     with open_link(uri, "controller") as link:
         with other_end(uri, "rig") as rig:
-            assert answered(link, 30)
+            assert answered(link, LIMIT_S)
             rig.kill()
             rig.wait()
             while link.receive(0.2) is not None:
                 pass  # what it had answered before, to the end of the queue
             assert not answered(link, 0.3)
         with other_end(uri, "rig"):
-            assert answered(link, 30)
+            assert answered(link, LIMIT_S)
 
 
 def test_a_stopped_controller_never_blocks_the_rig(uri: str) -> None:
     with open_link(uri, "rig") as link, other_end(uri, "controller") as controller:
-        assert answered(link, 30)
+        assert answered(link, LIMIT_S)
         os.kill(controller.pid, signal.SIGSTOP)
         slowest = 0.0
         for seq in range(30_000):
@@ -99,7 +100,7 @@ def test_a_stopped_controller_never_blocks_the_rig(uri: str) -> None:
             slowest = max(slowest, monotonic() - begin)
         assert slowest < SEND_LIMIT_S
         os.kill(controller.pid, signal.SIGCONT)
-        assert answered(link, 30)
+        assert answered(link, LIMIT_S)
 
 
 class Forwarder:
@@ -158,7 +159,7 @@ class Forwarder:
 def test_a_packet_wakes_one_thread_of_zenoh_which_keeps_its_python_thread_state(tmp_path: Path) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
     program = [sys.executable, "-c", THREADS, f"zenoh:unixsock-stream/{tmp_path}/z"]
-    said = subprocess.run(program, env=environment, capture_output=True, text=True, timeout=60, check=True).stdout.split()
+    said = subprocess.run(program, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=True).stdout.split()
     states, threads = int(said[0]), said[1:]
     assert {name.partition("-")[0] for name in threads} & {"app", "acc", "net", "tx", "rx"} == {"app"}, threads
     assert states >= 2, "the thread that calls back has one of its own, beside the main thread, also while it does not call"
@@ -174,7 +175,7 @@ def test_a_cut_cable_is_survived_and_both_ends_meet_again() -> None:
         ):
             meet(rig, controller)
             forwarder.cut()
-            deadline = monotonic() + 30
+            deadline = monotonic() + LIMIT_S
             while controller.receive(0.05) is not None or rig.receive(0.05) is not None:
                 assert monotonic() < deadline
             for seq in range(200):
@@ -193,7 +194,7 @@ def test_a_cut_cable_is_survived_and_both_ends_meet_again() -> None:
 @pytest.mark.parametrize("role", ["rig", "controller"])
 def test_a_process_that_never_closes_its_link_ends_all_the_same(role: str, end: str, uri: str) -> None:
     program = f"import sys\nfrom transport import open_link\nlink = open_link({uri!r}, {role!r})\n{end}"
-    subprocess.run([sys.executable, "-c", program], stderr=subprocess.DEVNULL, timeout=20, check=False)
+    subprocess.run([sys.executable, "-c", program], stderr=subprocess.DEVNULL, timeout=LIMIT_S, check=False)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.0.7", "[::]", "[fe80::1]", "example.org", "127.0.0.1.example.org"])

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from hil.vcan import RunnerError, Wanted, kernel, packages, runner
+from tests.waiting import LIMIT_S
 
 # A stand-in for the build, of which only the time it takes is left out; it notes that it ran.
 FAST_BUILD = """#!/bin/sh
@@ -54,7 +55,7 @@ def builder(place: Path) -> subprocess.Popen[str]:
 
 
 def wait_for(path: Path) -> None:
-    limit = time.monotonic() + 30
+    limit = time.monotonic() + LIMIT_S
     while not path.exists():
         assert time.monotonic() < limit, f"{path} never came"
         time.sleep(0.01)
@@ -68,7 +69,7 @@ def test_two_runs_at_once_build_one_kernel(place: Path) -> None:
     second = builder(place)
     assert "another run is building" in second.stderr.readline()  # type: ignore[union-attr]
     (cache / "hold").unlink()
-    paths = {run.communicate(timeout=30)[0] for run in (first, second)}
+    paths = {run.communicate(timeout=LIMIT_S)[0] for run in (first, second)}
     assert len(paths) == 1
     assert (cache / "builds").read_text() == "built\n"
     assert not (cache / "build").exists()
@@ -81,15 +82,15 @@ def test_killed_build_leaves_no_kernel_and_no_process_and_the_next_one_succeeds(
     killed = builder(place)
     wait_for(cache / "builds")
     killed.send_signal(number)
-    killed.communicate(timeout=30)
+    killed.communicate(timeout=LIMIT_S)
     assert not list(cache.glob("linux-vcan-*"))
     assert (cache / "build").exists() == (number == signal.SIGKILL), "what may clear up does so, Ctrl-C and SIGTERM"
-    limit = time.monotonic() + 10
+    limit = time.monotonic() + LIMIT_S
     while (left := processes_that_name(str(place))) and time.monotonic() < limit:
         time.sleep(0.01)
     assert not left
     (cache / "hold").unlink()
-    out, err = builder(place).communicate(timeout=30)
+    out, err = builder(place).communicate(timeout=LIMIT_S)
     assert Path(out.strip()).exists(), err
 
 
@@ -103,8 +104,8 @@ def test_what_a_killed_build_left_is_removed_by_the_next_run_of_any_kind(place: 
     runner.start(Wanted(command=("true",)))
     assert (cache / "build").exists(), "a build that runs is left alone"
     building.kill()
-    building.communicate(timeout=30)
-    limit = time.monotonic() + 10
+    building.communicate(timeout=LIMIT_S)
+    limit = time.monotonic() + LIMIT_S
     while (cache / "build").exists() and time.monotonic() < limit:  # until the last of its processes has let the lock go
         runner.start(Wanted(command=("true",)))
     assert not (cache / "build").exists()
@@ -112,7 +113,7 @@ def test_what_a_killed_build_left_is_removed_by_the_next_run_of_any_kind(place: 
 
 def test_failed_build_says_why(place: Path) -> None:
     (place / "build_kernel").write_text("#!/bin/sh\necho 'CONFIG_CAN did not take' >&2\nexit 1\n")
-    _, err = builder(place).communicate(timeout=30)
+    _, err = builder(place).communicate(timeout=LIMIT_S)
     assert "CONFIG_CAN did not take" in err
     assert not list((place / "cache" / "hilrig").glob("linux-vcan-*"))
 

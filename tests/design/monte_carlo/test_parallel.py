@@ -18,6 +18,7 @@ from design.monte_carlo.parallel import Workers, spread
 from design.monte_carlo.studies import CHUNK, mean_states, settling_times
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov
+from tests.waiting import LIMIT_S
 
 # Newton's iteration, whose number of steps depends on all members of a batch: the hard case for equal bits.
 RATE = WeibullRate(scale_s=1.0, shape=1.7)
@@ -39,7 +40,7 @@ def cluster() -> Iterator[str]:
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, silence_logs=50
     ) as local:
-        local.wait_for_workers(2, timeout=60)
+        local.wait_for_workers(2, timeout=LIMIT_S)
         yield local.scheduler_address
 
 
@@ -92,7 +93,7 @@ def process_of(_: int) -> int:
 def test_the_cluster_really_is_two_other_processes(cluster: str) -> None:
     from distributed import Client
 
-    with Client(cluster, set_as_default=False, timeout=10) as client:
+    with Client(cluster, set_as_default=False, timeout=LIMIT_S) as client:
         workers = set(client.run(os.getpid).values())
     assert len(workers) == 2
     assert os.getpid() not in workers

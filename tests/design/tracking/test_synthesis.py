@@ -12,12 +12,14 @@ from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.steady_state import check_held, steady_state
 from design.processes.delay_chain import DelayChain
+from design.tracking.bfgs import bfgs
 from design.tracking.gain_parametrisation import COARSER, INFORMATION, embed, gain_parametrisation, selection_of
 from design.tracking.loop_objective import LoopObjective
 from design.tracking.stabilise import closed_classes, stabilising
 from design.tracking.synthesis import TrackingProblem, solve
 from tests.bench.modes import shortening_chain
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF, VTOL, VTOL_R
+from tests.waiting import LIMIT_S
 
 # What the issue demands: stacked z, R = 0.01, uniform initial distribution.
 H2_GOALS = {
@@ -286,13 +288,17 @@ def test_above_its_ceiling_an_hinf_norm_need_not_be_found_and_below_it_is():
         assert objective.hinf(v)[0] == pytest.approx(found, rel=1e-12)
 
 
-@pytest.mark.parametrize("bound, norm, most", [(None, 4.15438716358, 60), (8.0, np.inf, 90)])
-def test_over_many_modes_a_descent_starts_with_the_curvature_of_its_loop(bound, norm, most):
-    """It took 385 evaluations over these 25 modes, and 450 over 81, where it took a minute and a half."""
-    chain = shortening_chain(4)
+@pytest.mark.parametrize("bound", [None, 8.0])
+def test_over_many_modes_a_descent_starts_with_the_curvature_of_its_loop(bound, monkeypatch):
+    """Beside the same descent without: over these 16 modes a fifth of the evaluations, over 81 a tenth."""
+    chain = shortening_chain(3)
     A, B, C = MOTOR
-    found = solve(TrackingProblem(A=A, B=B, C=C, sc=chain, ca=chain, starts=1, gain_bound=bound))
-    assert found.evaluations <= most and found.certificate.h2_norm <= norm
+    design = TrackingProblem(A=A, B=B, C=C, sc=chain, ca=chain, starts=1, gain_bound=bound)
+    found = solve(design)
+    monkeypatch.setattr(LoopObjective, "descend_h2", lambda self, start: bfgs(self.h2, start))
+    plain = solve(design)
+    assert 2 * found.evaluations < plain.evaluations
+    assert found.certificate.h2_norm == pytest.approx(plain.certificate.h2_norm, rel=1e-9)
 
 
 def test_a_design_holds_every_blas_to_one_thread_scipys_own_too():
@@ -304,6 +310,7 @@ def test_a_design_holds_every_blas_to_one_thread_scipys_own_too():
         "solve(TrackingProblem(A=[[0.9]], B=[[1.0]], C=[[1.0]], sc=[[1.0]], ca=[[1.0]], starts=1), progress=tell)\n"
     )
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    told = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=60)
+    python = [sys.executable, "-c", code]
+    told = subprocess.run(python, env=environment, capture_output=True, text=True, check=True, timeout=LIMIT_S)
     counts = set(told.stdout.split())
     assert counts and all(line.strip("[],") == "1" for line in counts), told.stdout

@@ -14,6 +14,7 @@ import pytest
 from hil.cli import COMMANDS
 from hil.experiment import shipped
 from tests.hil.cli.conftest import Hil
+from tests.waiting import LIMIT_S
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -87,7 +88,7 @@ def test_an_interrupted_command_says_so_in_one_line(tmp_path: Path, number: int,
         assert process.stderr is not None
         assert "Ctrl-C ends it" in process.stderr.readline()
         process.send_signal(number)
-        rest = process.communicate(timeout=20)[1]
+        rest = process.communicate(timeout=LIMIT_S)[1]
     assert process.returncode == status
     assert rest.split() == ["hil:", "interrupted"]
 

@@ -15,7 +15,7 @@ import pytest
 
 from hil.log.read.run import read_run
 from tests.hil.cli.conftest import Hil
-from tests.waiting import until
+from tests.waiting import LIMIT_S, until
 
 
 def test_json_holds_every_promised_key(cli: Hil) -> None:
@@ -124,7 +124,7 @@ def test_external_link_that_cannot_be_opened_leaves_no_log(tmp_path: Path) -> No
     done = subprocess.run(
         [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--external",
          "--link", "zenoh:tcp/999.1.1.1:1", "-o", "x.mcap"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S,
     )  # fmt: skip
     assert done.returncode == 2 and "999.1.1.1" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -134,7 +134,7 @@ def test_external_link_that_cannot_be_opened_leaves_no_log(tmp_path: Path) -> No
 def test_runs_at_the_same_time_get_a_log_each(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--duration", "2", "--json"]
     runs = [subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) for _ in range(4)]
-    paths = {json.loads(run.communicate(timeout=60)[0])["log"]["path"] for run in runs}
+    paths = {json.loads(run.communicate(timeout=LIMIT_S)[0])["log"]["path"] for run in runs}
     assert len(paths) == 4 and all((tmp_path / path).stat().st_size > 1000 for path in paths)
 
 

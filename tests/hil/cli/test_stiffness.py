@@ -18,6 +18,7 @@ from design.passivity.condition import is_passive_over
 from hil.cli import main
 from hil.cli.design import command as design
 from hil.cli.stiffness_map import command as stiffness_map
+from tests.waiting import LIMIT_S
 
 MAP = ("--period", "0.05,0.001", "--delay", "0,6", "--hand", "0,10")
 WALL = ("wall", "--period", "0.001", "--delay", "0..4", "--hand", "5")
@@ -77,9 +78,9 @@ def test_the_header_compiles_as_c99_and_renders_what_the_rig_renders(tmp_path: P
         '    while (scanf("%lf", &x) == 1) printf("%.17g\\n", hil_wall_force(&w, x, 800.0, 5.0));\n    return 0;\n}\n'
     )
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
-    subprocess.run(["cc", *flags, "main.c", "-o", "wall"], cwd=tmp_path, check=True, timeout=60)
+    subprocess.run(["cc", *flags, "main.c", "-o", "wall"], cwd=tmp_path, check=True, timeout=LIMIT_S)
     text = "\n".join(map(repr, positions))
-    out = subprocess.run([tmp_path / "wall"], input=text, capture_output=True, text=True, check=True, timeout=60).stdout
+    out = subprocess.run([tmp_path / "wall"], input=text, capture_output=True, text=True, check=True, timeout=LIMIT_S).stdout
     wall = Wall(materials=(Material(stiffness_n_per_m=800.0, damping_n_s_per_m=5.0),))
     contact, past, expected = Contact(wall, 0.001), [0.0] * 64, []
     for x in positions:

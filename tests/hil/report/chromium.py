@@ -15,6 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from tests.waiting import LIMIT_S
+
 FLAGS = [
     "--headless",
     "--no-sandbox",
@@ -94,7 +96,7 @@ class Page:
                 pass
         shutil.rmtree(self._home, ignore_errors=True)
 
-    def open(self, file: Path, timeout_s: float = 30.0) -> None:
+    def open(self, file: Path, timeout_s: float = LIMIT_S) -> None:
         self._loaded = False
         self.command("Page.navigate", url=file.resolve().as_uri())
         end = time.monotonic() + timeout_s
@@ -140,7 +142,7 @@ class Page:
         data = json.dumps(message).encode() + b"\0"
         while data:
             data = data[os.write(self._write, data) :]
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + LIMIT_S
         while True:
             answer = self._take(end)
             if answer.get("id") == self._number:

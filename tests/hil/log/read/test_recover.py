@@ -23,6 +23,7 @@ from hil.log.read.recover import recover
 from hil.log.read.run import Run, read_run
 from tests.file_limit import files_up_to
 from tests.hil.log.recording import assert_same_arrays, provenance, record_chunks
+from tests.waiting import LIMIT_S
 
 
 @pytest.fixture(scope="module")
@@ -274,7 +275,7 @@ def test_a_killed_session_loses_its_last_100_ms_at_most(tmp_path: Path) -> None:
     while told < 400_000_000:
         told = int(session.stdout.readline())
     session.send_signal(signal.SIGKILL)
-    told = max([told, *(int(line) for line in session.communicate(timeout=30)[0].splitlines()[:-1])])
+    told = max([told, *(int(line) for line in session.communicate(timeout=LIMIT_S)[0].splitlines()[:-1])])
     assert session.returncode == -signal.SIGKILL
     report = recover(path, tmp_path / "b.mcap")
     assert told - report.last_ns < 100_000_000

@@ -25,6 +25,7 @@ from hil.runtime.virtual import run_virtual
 from tests.bench.plain_log import PlainSink
 from tests.file_limit import files_up_to
 from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
+from tests.waiting import LIMIT_S
 
 
 def write(path: Path, ticks: int = 500) -> tuple[McapSink, MemorySink]:
@@ -108,7 +109,7 @@ def test_the_same_records_give_the_same_file_in_two_processes(tmp_path: Path) ->
         environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": os.getcwd()}
         done = subprocess.run(
             [sys.executable, "-c", _WRITE, tmp_path / seed / f"run{seed}.mcap"],
-            env=environment, capture_output=True, text=True, check=True, timeout=60,
+            env=environment, capture_output=True, text=True, check=True, timeout=LIMIT_S,
         )  # fmt: skip
         hashes.append(done.stdout)
     assert hashes[0] == hashes[1]

@@ -20,6 +20,7 @@ from hil.log.write.mcap_sink import McapSink
 from hil.log.write.pipe import PipeSink, PumpReport, pump
 from hil.log.write.sinks import MemorySink, record_to, records_to
 from tests.hil.log.recording import TABLE, assert_same_arrays, provenance, record
+from tests.waiting import LIMIT_S
 
 Ends = tuple[int, int]
 
@@ -235,7 +236,7 @@ def test_a_rig_that_is_killed_leaves_a_whole_log(ends: Ends, tmp_path: Path, how
     os.close(write)
     with McapSink(tmp_path / "run.mcap", TABLE, provenance()) as sink:
         report = pump(read, sink, TABLE)
-    out, _ = rig.communicate(timeout=30)
+    out, _ = rig.communicate(timeout=LIMIT_S)
     assert rig.returncode == -signal.SIGKILL
     assert report == PumpReport(records=int(out), torn_bytes=torn)
     run = read_run(tmp_path / "run.mcap")
