@@ -8,12 +8,15 @@ are jumps of X, and everything random is the mode. With xi = [X; 1] and eta = th
 is a jump-linear system again, so one second-moment recursion of [eta; s] gives, at every tick, the mean of the error
 (through the 1), its variance, mean and variance of its square, and mean and variance of the sums of Table 7.2.
 
-Before the first sample has come the controller answers zeros, and before the first packet the input is 0; the rows of
-packets under way when the reference steps were computed for the old one. All of this is in the recursion.
+Before slot 0 the plant was at rest in its first state: the samples that the first packet carries beside the newest are
+y(0). Before the first sample has come the controller answers zeros, and before the first packet the input is 0; the rows
+of packets under way when the reference steps were computed for the old one. What else acts on the state and is known (a load)
+is a drive f(k). All of this is in the recursion.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +37,7 @@ class Prediction:
 
     Args:
         error_mean, error_sd: (K, p) in output units.
-        square_mean, square_sd: (K,) of |e(k)|^2.
+        square_mean, square_sd: (K,) of |e(k)|^2, e over the tracked outputs.
         sum_mean, sum_sd: (sums,) of T sum |e(k)|^2 from each start tick on, output units squared times s.
     """
 
@@ -61,6 +64,8 @@ def predict_tracking(
     disturbance: npt.ArrayLike | None = None,
     initial: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
     x0: npt.ArrayLike | None = None,
+    drive: npt.ArrayLike | None = None,
+    tracked: Sequence[int] | None = None,
     samples: int = 1,
     integral: bool = False,
     sums_from: tuple[int, ...] = (0,),
@@ -77,7 +82,9 @@ def predict_tracking(
             step's value from t = 0 on.
         disturbance: (K,) or (K, m) input disturbance w(k); default none.
         initial: distributions of the S-C and C-A mode at k = 0; default stationary.
-        x0: (n,) plant state at k = 0; default 0.
+        x0: (n,) plant state at k = 0 and before; default 0.
+        drive: (K, n), f(k) in x(k+1) = A x(k) + B (u(k) + w(k)) + f(k), states' units; default none.
+        tracked: outputs whose squares are summed, of one unit; default all.
         samples, integral: as the gains were designed.
         sums_from: start ticks of the sums.
 
@@ -97,7 +104,11 @@ def predict_tracking(
     star = steady_state(A, B, C) if r.any() else None
     if star is not None:
         check_held(A, B, C, star, r)
-    walk = _Recursion(structure, K, sc, period_s, np.asarray(C, dtype=np.float64), sums_from)
+    f = _signal(np.zeros((len(r), n)) if drive is None else drive, n, "drive", len(r))
+    output = np.asarray(C, dtype=np.float64)
+    summed = np.zeros(p)
+    summed[list(range(p) if tracked is None else tracked)] = 1.0
+    walk = _Recursion(structure, K, sc, period_s, output, sums_from, summed)
 
     def ideal(value: Array) -> Array:
         """Steady closed-loop state at a constant reference."""
@@ -111,7 +122,9 @@ def predict_tracking(
 
     start = -ideal(r[0])
     if x0 is not None:
-        start[:n] += np.asarray(x0, dtype=np.float64)
+        first = np.asarray(x0, dtype=np.float64)
+        start[:n] += first
+        start[n : n + structure.stored_outputs * p] += np.tile(output @ first, structure.stored_outputs)
     with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
         walk.begin(start, _initial_modes(structure, sc, ca, initial))
         mean, second, square, fourth = np.empty((len(r), p)), np.empty((len(r), p)), np.empty(len(r)), np.empty(len(r))
@@ -121,7 +134,7 @@ def predict_tracking(
             walk.aim(r[k] - aim[k])
             mean[k], second[k], square[k], fourth[k] = walk.read()
             hold = np.zeros(m) if star is None else star.input @ r[k]
-            walk.step(k, w[k], hold)
+            walk.step(k, w[k], f[k], hold)
         sums = walk.sums()
     return Prediction(
         error_mean=mean,
@@ -137,13 +150,14 @@ class _Recursion:
     """Second moments of [eta; s], mode by mode."""
 
     def __init__(
-        self, structure: LoopStructure, gains: Array, sc: DelayChain, period_s: float, C: Array, sums_from: tuple[int, ...]
-    ) -> None:
+        self, structure: LoopStructure, gains: Array, sc: DelayChain, period_s: float, C: Array, sums_from: tuple[int, ...],
+        summed: Array,
+    ) -> None:  # fmt: skip
         self.structure, self.gains, self.sums_from = structure, gains, sums_from
         self.tau = sc.delay[structure.sc_mode]
         self.d = structure.base.shape[-1] + 1
         self.size = self.d * (self.d + 1) // 2
-        self.period_s, self.p = period_s, C.shape[0]
+        self.period_s, self.p, self.summed = period_s, C.shape[0], summed
         self.G = np.zeros((self.p, self.d))
         self.G[:, : C.shape[1]] = C
         self.aim(np.zeros(self.p))
@@ -154,7 +168,7 @@ class _Recursion:
     def aim(self, offset: Array) -> None:
         """e = C x^ + offset, offset = r - target."""
         self.G[:, -1] = offset
-        self.square = to_vector(self.G.T @ self.G)
+        self.square = to_vector(self.G.T @ (self.summed[:, None] * self.G))
 
     def begin(self, X: Array, weights: Array) -> None:
         """Start at a known state, with the mode's distribution."""
@@ -170,16 +184,17 @@ class _Recursion:
         W = self._complete(congruence_matrices(matrix.T[None]), np.zeros(len(self.sums_from)))
         self.M = W @ self.M @ W.transpose(0, 2, 1)
 
-    def step(self, k: int, w: Array, hold: Array) -> None:
-        """One tick under the disturbance w; `hold` is u*, from which the silent first packets deviate."""
+    def step(self, k: int, w: Array, f: Array, hold: Array) -> None:
+        """One tick under the disturbance w and the drive f; `hold` is u*, from which the silent first packets deviate."""
         silent = bool((self.tau > k).any())
         counted = tuple(k >= first for first in self.sums_from)
-        key = (k if silent else -1, w.tobytes(), hold.tobytes() if silent else b"", counted, self.G[:, -1].tobytes())
+        key = (k if silent else -1, w.tobytes(), f.tobytes(), hold.tobytes() if silent else b"", counted, self.G[:, -1].tobytes())
         if key not in self._lifted:
             affine = np.zeros((self.closed.shape[0], self.d, self.d))
             affine[:, :-1, :-1] = self.closed
             affine[:, -1, -1] = 1.0
             affine[:, :-1, -1] = self.structure.B @ w
+            affine[:, : f.size, -1] += f
             if silent:
                 self._silence(affine, self.tau > k, hold)
             weights = self.period_s * np.array(counted, dtype=np.float64)

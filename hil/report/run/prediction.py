@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from design.controllers import GainTable, integrates
-from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
+from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import with_unit
 from hil.measure.step_response import target_of
-from hil.measure.tracking import squared_unit
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.report.html.figures import Band, Block, Figure, Section, Series, Table
 from hil.session import simulate
@@ -24,36 +22,49 @@ FEWEST = 20
 MOST_SLOTS = 100_000
 """Slots that are predicted at most: the first ones of a longer run."""
 
+RARE = 20.0
+"""Where the sd is so many times the mean, few runs make the mean."""
+
 
 def theory_section(view: RunView) -> Section | None:
     """Return the panels of predicted mean and spread, with the run and a Monte Carlo band over them.
 
-    None where there is no prediction: a controller that is no table of gains, a network law without a chain, a reference that
-    no input holds, faults on the time line, or a log whose experiment cannot be made again here.
+    None where there is no prediction, see `hil.measure.prediction.predict`, or where the log's experiment cannot be made again.
     """
-    if view.experiment is None or view.experiment.fault:
+    if view.experiment is None:
         return None
     try:
         loop = compose(view.experiment, certify=False)
     except HilError:
         return None
-    chains = delay_chains(loop.experiment)
-    if not isinstance(loop.controller, GainTable) or None in chains:
-        return None
-    names = list(view.signals.outputs)
     slots = min(len(view.run.arrays[topic]) for topic in (MEASUREMENT, REFERENCE))
     ticks = min(slots, MOST_SLOTS)
-    y, r = (matrix(view.run.arrays[topic][:ticks], names) for topic in (MEASUREMENT, REFERENCE))
-    if ticks < 2:
-        return None
-    predicted = _predict(loop, loop.controller, chains, r[:ticks])
+    predicted = predict(loop, ticks) if ticks >= 2 else None
     if predicted is None:
         return None
-    many = _emulate(loop, names, ticks)
+    names = list(predicted.names)
+    y, r = (matrix(view.run.arrays[topic][:ticks], names) for topic in (MEASUREMENT, REFERENCE))
+    part = "" if ticks == slots else f" All numbers are of the first {ticks} slots of {slots}."
+    left = f" It leaves out: {', '.join(predicted.left_out)}." if predicted.left_out else ""
+    within = "A run lies in the band most of the time." if not left else "So a run may leave the band."
+    return Section(
+        title="Theory and emulation",
+        blocks=(*_errors(loop, view, predicted, y - r), _sums(loop, predicted, y - target_of(r), bool(left))),
+        intro=(
+            "The covariance recursion of the jump-linear loop predicts the error from the first slot on: from the plant's linear "
+            "model, its first state, known disturbances and loads, the gains and the chains of delays. It knows no limit that stops "
+            f"a run.{left} {within}{part}"
+        ),
+    )
+
+
+def _errors(loop: Loop, view: RunView, predicted: PredictedTracking, error: np.ndarray[Any, Any]) -> list[Block]:
+    ticks = len(error)
+    many = _emulate(loop, list(predicted.names), ticks)
     t = np.arange(ticks) * loop.model.period_s
     blocks: list[Block] = []
-    for c, name in enumerate(names):
-        mean, sd = predicted.error_mean[:ticks, c], predicted.error_sd[:ticks, c]
+    for c, name in enumerate(predicted.names):
+        mean, sd = predicted.error_mean[:, c], predicted.error_sd[:, c]
         bands = [Band(label="predicted mean +- 2 sd", x=t, lower=mean - 2 * sd, upper=mean + 2 * sd, colour=2)]
         if many is not None:
             low, high = np.percentile(many[:, :, c], (2.5, 97.5), axis=0)
@@ -63,7 +74,7 @@ def theory_section(view: RunView) -> Section | None:
                 title=f"Tracking error of {name.replace('_', ' ')}",
                 series=(
                     Series(label="predicted mean", x=t, y=mean, style="dashed", colour=2),
-                    Series(label="this run", x=t, y=y[:ticks, c] - r[:ticks, c], colour=1),
+                    Series(label="this run", x=t, y=error[:, c], colour=1),
                 ),
                 bands=tuple(bands),
                 y_label="error",
@@ -71,57 +82,26 @@ def theory_section(view: RunView) -> Section | None:
                 height_px=280,
             )
         )
-    squared = squared_unit(view.signals)
-    part = "" if ticks == slots else f" Both are of the first {ticks} slots of {slots}."
-    sums: list[list[Any]] = []
-    rows = zip(("whole run", "from 5 s on"), predicted.sum_mean, predicted.sum_sd, _starts(loop, ticks))
-    for label, mean_sum, sd_sum, start in rows:
-        error = y[start:ticks] - target_of(r)[start:ticks]
-        sums.append([label, float(mean_sum), float(sd_sum), float((error**2).sum() * loop.model.period_s)])
-    blocks.append(
-        Table(
-            columns=(with_unit("squared tracking error", squared), "predicted mean", "predicted sd", "this run"),
-            rows=sums,
-            note="Squared error against the value stepped to, summed over the samples, times T, as in Table 7.2.",
-        )
+    return blocks
+
+
+def _sums(loop: Loop, predicted: PredictedTracking, error: np.ndarray[Any, Any], simplified: bool) -> Table:
+    """The squared errors of the tracked outputs; where these have several units, a row for each."""
+    rows: list[list[Any]] = []
+    units = {each.unit for each in predicted.sums}
+    for each in predicted.sums:
+        own = error[each.start :, [predicted.names.index(name) for name in each.outputs]]
+        title = each.title if len(units) == 1 else with_unit(each.title, each.unit)
+        rows.append([title, each.mean, each.sd, float((own**2).sum() * loop.model.period_s)])
+    whose = "linear model" if simplified else "predicted"
+    rare = any(each.sd > RARE * abs(each.mean) for each in predicted.sums)
+    head = with_unit("squared tracking error", units.pop()) if len(units) == 1 else "squared tracking error"
+    return Table(
+        columns=(head, f"{whose} mean", f"{whose} sd", "this run"),
+        rows=rows,
+        note="Squared error of the tracked outputs against the value stepped to, summed over the samples, times T: Table 7.2."
+        + (" A mean so far below its sd is made by few runs: most lie far below it." if rare else ""),
     )
-    return Section(
-        title="Theory and emulation",
-        blocks=tuple(blocks),
-        intro=(
-            "The covariance recursion of the jump-linear loop predicts the error, with transients, from the nominal linear "
-            "model, the gains and the chains. A run of this model seldom leaves the band." + part
-        ),
-    )
-
-
-def _starts(loop: Loop, ticks: int) -> tuple[int, ...]:
-    after = round(5.0 / loop.model.period_s)
-    return (0, after) if after < ticks else (0,)
-
-
-def _predict(loop: Loop, controller: GainTable, chains: tuple[Any, Any], r: np.ndarray[Any, Any]) -> Any | None:
-    from design.errors import DesignError
-    from design.networked_loop.prediction import predict_tracking
-
-    model, at = loop.model, loop.disturbance()
-    gains = gains_over(controller, model, *chains)
-    common: dict[str, Any] = {
-        "period_s": model.period_s,
-        "disturbance": np.array([at(k) for k in range(len(r))]),
-        "samples": loop.samples,
-        "integral": integrates(controller),
-        "initial": initial_laws(loop.experiment),
-    }
-    arguments = (model.A, model.B, model.C, *chains, gains, controller.selection, r)
-    try:
-        error = predict_tracking(*arguments, **common)
-        table = predict_tracking(*arguments, **common, target=target_of(r), sums_from=_starts(loop, len(r)))
-    except (ValueError, DesignError):
-        return None
-    from dataclasses import replace
-
-    return replace(error, sum_mean=table.sum_mean, sum_sd=table.sum_sd)
 
 
 def _emulate(loop: Loop, names: list[str], ticks: int) -> np.ndarray[Any, Any] | None:

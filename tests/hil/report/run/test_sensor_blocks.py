@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
@@ -45,11 +46,12 @@ def test_two_nodes_of_a_motor_are_drawn_with_what_theory_says_of_them() -> None:
         "Controller to actuator", "markov"]]  # fmt: skip
     section = theory_section(view)
     assert section is not None
-    angle, speed = section.blocks[:2]
-    assert isinstance(angle, Figure) and isinstance(speed, Figure) and "speed" in speed.title
-    for figure in (angle, speed):
-        assert len(figure.bands) == 2 and np.isfinite(figure.bands[0].upper).all()
-        assert (figure.bands[0].upper - figure.bands[0].lower).max() > 0.0
+    figure, sums = section.blocks  # the speed follows no reference: it has no error
+    assert isinstance(figure, Figure) and isinstance(sums, Table) and "angle" in figure.title
+    assert len(figure.bands) == 2 and np.isfinite(figure.bands[0].upper).all()
+    assert (figure.bands[0].upper - figure.bands[0].lower).max() > 0.0
+    assert sums.columns[0] == "squared tracking error (rad² s)"
+    assert sums.rows[0][3] == pytest.approx(summarise(view)["metrics"]["sse"], rel=1e-9)
 
 
 def test_a_run_of_one_node_has_no_such_section() -> None:

@@ -1,0 +1,196 @@
+"""What theory predicts of an experiment's tracking error: exact over the randomness of its network, from slot 0 on.
+
+    x(k+1) = A x(k) + B (u(k) + w(k)) + f(k),   x(0) the plant's own first state
+
+f is what else acts on the plant and is known: its motion without an input, less what A and w(k) make of it (a load torque).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import GainTable, integrates
+from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
+from hil.compose.loop import Loop
+from hil.experiment.protocols import BeyondModel, HasStateDelays, JumpPlant
+from hil.measure.signals import signals_of
+from hil.measure.step_response import AFTER_S, target_of
+from hil.measure.tracking import squared_unit
+
+if TYPE_CHECKING:
+    from design.networked_loop.prediction import Prediction
+
+Matrix = NDArray[np.float64]
+SAME = 1e-9
+"""Two drives that differ by less than this share of what they are computed from are one."""
+
+LOOKED_AT = 100
+"""Slots in which a plant is asked whether chance moves it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictedSum:
+    """A squared tracking error, summed over time, as the measure `Tracking` defines it.
+
+    Args:
+        name: quantity of a sweep that it predicts: ``sse``, ``sse_after_5s``, or ``sse.NAME`` of one output where the tracked
+            outputs have several units.
+        title: for people.
+        unit: of the sum.
+        outputs: names of the outputs whose squares are added.
+        start: first slot.
+        mean, sd: over the randomness of the network.
+    """
+
+    name: str
+    title: str
+    unit: str
+    outputs: tuple[str, ...]
+    start: int
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictedTracking:
+    """The prediction of an experiment.
+
+    Args:
+        names: the tracked outputs.
+        error_mean, error_sd: (slots, tracked) of y - r, outputs' units.
+        sums: the squared errors that a sweep of the experiment measures.
+        left_out: what acts in the experiment and is not in the prediction, noun phrases.
+    """
+
+    names: tuple[str, ...]
+    error_mean: Matrix
+    error_sd: Matrix
+    sums: tuple[PredictedSum, ...]
+    left_out: tuple[str, ...]
+
+
+def predict(loop: Loop, slots: int) -> PredictedTracking | None:
+    """Return what theory predicts of the first slots of a loop, None where it predicts nothing.
+
+    That is: a controller that is no table of gains, a network law without a chain, a plant that jumps or has delayed states,
+    faults on the time line, or a reference that no input holds.
+
+    Args:
+        loop: the composed experiment.
+        slots: 2 or more.
+    """
+    from design.errors import DesignError
+
+    plant, chains = loop.experiment.plant, delay_chains(loop.experiment)
+    if (
+        not isinstance(loop.controller, GainTable)
+        or None in chains
+        or loop.experiment.fault
+        or isinstance(plant, JumpPlant)
+        or (isinstance(plant, HasStateDelays) and np.any(plant.state_delays()))
+    ):
+        return None
+    at, signals, motion = loop.reference(), signals_of(plant), drive_of(loop, slots)
+    r: Matrix = np.array([at(k) for k in range(slots)], dtype=np.float64)
+    goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
+    columns = [list(signals.outputs).index(name) for name in signals.tracked]
+    starts = {"sse": 0, "sse_after_5s": _first_slot_after(loop, AFTER_S)}
+    starts = {name: start for name, start in starts.items() if start < slots}
+    one_unit = signals.tracked_unit() is not None
+    groups = [signals.tracked] if one_unit else [(name,) for name in signals.tracked]
+    sums: list[PredictedSum] = []
+    try:
+        error = _moments(loop, loop.controller, chains, r, motion)
+        for group in groups:
+            tracked = [list(signals.outputs).index(name) for name in group]
+            found = _moments(
+                loop, loop.controller, chains, r, motion, target=goal, tracked=tracked, sums_from=tuple(starts.values())
+            )
+            for (name, start), mean, sd in zip(starts.items(), found.sum_mean, found.sum_sd):
+                title = "whole run" if name == "sse" else f"from {AFTER_S:g} s on"
+                own = name if one_unit else f"{name}.{group[0]}"
+                title = title if one_unit else f"{group[0].replace('_', ' ')}, {title}"
+                unit = squared_unit(signals if one_unit else signals.only(group[0]))
+                sums.append(
+                    PredictedSum(name=own, title=title, unit=unit, outputs=group, start=start, mean=float(mean), sd=float(sd))
+                )
+    except (ValueError, DesignError):
+        return None
+    return PredictedTracking(
+        names=signals.tracked, error_mean=error.error_mean[:, columns], error_sd=error.error_sd[:, columns], sums=tuple(sums),
+        left_out=left_out(loop),
+    )  # fmt: skip
+
+
+def left_out(loop: Loop) -> tuple[str, ...]:
+    """Return what acts in a loop and is not in its prediction, noun phrases."""
+    plant = loop.experiment.plant
+    beyond = tuple(plant.beyond_model()) if isinstance(plant, BeyondModel) else ()
+    damped = loop.experiment.limits.passivity is not None
+    found = (*beyond, *(("any load",) if beyond else ()), *(("the plant's noise",) if _draws(loop) else ()))
+    return (*found, *(("the passivity controller",) if damped else ()))
+
+
+def _draws(loop: Loop) -> bool:
+    """Return whether chance moves the plant or its sensors: whether two generators give two motions."""
+    e, zero = loop.experiment, (0.0,) * loop.model.B.shape[1]
+    one, other = (e.plant.start(np.random.default_rng(seed)) for seed in (0, 1))
+    for _ in range(min(LOOKED_AT, e.ticks)):
+        if one.measure() != other.measure() or tuple(one.state) != tuple(other.state):
+            return True
+        one.advance(e.period_ns, zero)
+        other.advance(e.period_ns, zero)
+    return False
+
+
+def drive_of(loop: Loop, slots: int) -> tuple[Matrix, Matrix]:
+    """Return the plant's first state (n,) and what acts on it beside its inputs, (slots, n), in states' units.
+
+    The plant itself moves, without an input: f(k) = x(k+1) - A x(k) - B w(k). Where it has more than its model, f would not be
+    the same with an input: then it is 0, and `left_out` says so.
+    """
+    e, A, B, at = loop.experiment, loop.model.A, loop.model.B, loop.disturbance()
+    run = e.plant.start(np.random.default_rng(0))
+    state = first = np.array(run.state)
+    drive = np.zeros((slots, len(A)))
+    if isinstance(e.plant, BeyondModel) and e.plant.beyond_model():
+        return first, drive
+    zero, last = (0.0,) * B.shape[1], np.zeros(len(A))
+    with np.errstate(all="ignore"):
+        for k in range(slots):
+            run.advance(e.period_ns, zero, at(k))
+            before, state = state, np.array(run.state)
+            f = state - A @ before - B @ at(k)
+            size = SAME * (np.abs(A) @ np.abs(before) + np.abs(B) @ np.abs(at(k)) + np.abs(state))
+            if not np.isfinite(f).all():  # an unstable plant, alone, leaves the range of numbers: what acted before goes on
+                drive[k:] = last
+                break
+            if (np.abs(f) <= size).all():
+                f = np.zeros(len(A))
+            last = drive[k] = last if (np.abs(f - last) <= size).all() else f
+    return first, drive
+
+
+def _moments(
+    loop: Loop, controller: GainTable, chains: tuple[Any, Any], r: Matrix, motion: tuple[Matrix, Matrix], *,
+    target: Matrix | None = None, tracked: Sequence[int] | None = None, sums_from: tuple[int, ...] = (0,),
+) -> Prediction:  # fmt: skip
+    from design.networked_loop.prediction import predict_tracking
+
+    model, at = loop.model, loop.disturbance()
+    x0, drive = motion
+    return predict_tracking(
+        model.A, model.B, model.C, *chains, gains_over(controller, model, *chains), controller.selection, r,
+        period_s=model.period_s, disturbance=np.array([at(k) for k in range(len(r))]), samples=loop.samples,
+        integral=integrates(controller), initial=initial_laws(loop.experiment), x0=x0, drive=drive, target=target,
+        tracked=tracked, sums_from=sums_from,
+    )  # fmt: skip
+
+
+def _first_slot_after(loop: Loop, begin_s: float) -> int:
+    return -(-round(begin_s * 1e9) // loop.experiment.period_ns)
