@@ -52,8 +52,8 @@ def theory_section(view: RunView) -> Section | None:
         blocks=(*_errors(loop, view, predicted, y - r), _sums(loop, predicted, y - target_of(r), bool(left))),
         intro=(
             "The covariance recursion of the jump-linear loop predicts the error from the first slot on: from the plant's linear "
-            "model, its first state, known disturbances and loads, the gains and the chains of delays. It knows no limit that stops "
-            f"a run.{left} {within}{part}"
+            "model, its first state, known disturbances and loads, the gains and the chains of delays. It knows no limit that "
+            f"stops a run.{left} {within}{part}"
         ),
     )
 
