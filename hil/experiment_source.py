@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,6 +25,9 @@ Source = str | Path | Experiment
 OBJECTS = ("plant", "controller")
 """Tables of an experiment for which an object may stand."""
 
+LAW = re.compile(r"links\.(sc|ca)\.law|nodes\.[^.]+\.law")
+"""The same for network laws."""
+
 
 def load_experiment(
     source: str | Path, sets: Sequence[str] = (), *, seed: int | None = None, duration: str | float | None = None, **changes: Any
@@ -39,15 +43,17 @@ def load_experiment(
             `control.TransferFunction`, or what `plants.from_control` made of it; ``controller`` a fixed gain as one of them, a
             matrix (m, p) or a number, or a model in discrete time that the error y - r drives and whose output adds to u*. Both
             take an object of any class, one of a notebook's cell too, that is a plant (`plants.Plant`) or a controller
-            (`design.controllers.Controller`); the log says so, and `verify` takes it again.
+            (`design.controllers.Controller`); the log says so, and `verify` takes it again. ``links.sc.law``, ``links.ca.law``
+            and ``nodes.NAME.law`` take an object that is a network law, likewise.
 
     Raises:
         HilError: with every fault found, each with the path of its field.
     """
     tables = {path: _table_of(path, value) for path, value in changes.items()}
     objects = {path: value for path, value in tables.items() if path in OBJECTS and not isinstance(value, str | Mapping)}
-    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in tables.items() if path not in objects)]
-    found = read_experiment(source, said, seed=seed, duration=None if duration is None else str(duration))
+    laws = {path: value for path, value in tables.items() if LAW.fullmatch(path) and not isinstance(value, str | Mapping)}
+    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in tables.items() if path not in objects | laws)]
+    found = read_experiment(source, said, seed=seed, duration=None if duration is None else str(duration), laws=laws)
     return with_objects(found, **objects)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,13 +27,15 @@ if TYPE_CHECKING:
 
 
 def verify(
-    log: str | Path, *, plant: object = None, controller: object = None, folder: str | Path | None = None
-) -> LogVerdict:
+    log: str | Path, *, plant: object = None, controller: object = None, laws: Mapping[str, object] | None = None,
+    folder: str | Path | None = None,
+) -> LogVerdict:  # fmt: skip
     """Run controller and plant of a log again on what was recorded; compare every record, bit for bit.
 
     Args:
         log: the file.
         plant, controller: what ran, where it was built in Python.
+        laws: network laws that were built in Python, by their paths, such as ``{"links.sc.law": Mine()}``.
         folder: where the file of an own module or an FMU stands, which the log names and does not hold.
 
     Returns:
@@ -46,7 +48,7 @@ def verify(
     where = None if folder is None else str(folder)
     given = {"plant": plant, "controller": controller}
     made = {name: None if value is None else object_of(name, value) for name, value in given.items()}
-    return verify_run(run, str(log), experiment_of(run, str(log), folder=where, **made))
+    return verify_run(run, str(log), experiment_of(run, str(log), folder=where, laws=laws, **made))
 
 
 def run(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from operator import itemgetter
@@ -54,14 +54,16 @@ class Verdict:
 
 
 def experiment_of(
-    run: Run, source: str, *, plant: object = None, controller: object = None, folder: str | None = None
-) -> Experiment:
+    run: Run, source: str, *, plant: object = None, controller: object = None, laws: Mapping[str, object] | None = None,
+    folder: str | None = None,
+) -> Experiment:  # fmt: skip
     """Return the experiment that a log carries.
 
     Args:
         run: the log.
         source: its name, for messages.
         plant, controller: what ran, where it was built in Python; no file holds it.
+        laws: network laws that were built in Python, by their paths.
         folder: where the file of an own module or an FMU stands; nothing of it is read without being asked to.
 
     Raises:
@@ -70,6 +72,7 @@ def experiment_of(
     if not run.resolved:
         raise HilError(f"{source}: the log carries no resolved experiment")
     objects = {name: given for name, given in (("plant", plant), ("controller", controller)) if given is not None}
+    objects |= laws or {}
     experiment = experiment_from_resolved(run.resolved, run.experiment_text, source, folder=folder, objects=objects)
     absent = [part for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
     if absent:
@@ -90,7 +93,7 @@ def changed_files(run: Run, experiment: Experiment) -> list[str]:
         experiment: made again from it.
     """
     now = experiment.origins()
-    pairs = {name: (run.metadata.get(name), now.get(name)) for name in ("plant", "controller")}
+    pairs = {name: (run.metadata.get(name), now.get(name)) for name in ("plant", "controller", *now)}
     return [f"{name}: {was} ran; now it is {told}" for name, (was, told) in pairs.items() if was and told and was != told]
 
 

@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 import click
 
+from hil.cli.durations import Duration
 from hil.experiment.tables import Affinity
 
 SECONDS = (0.001, 86_400)
@@ -44,7 +45,7 @@ def show_table(title: str, rows: list[dict[str, Any]]) -> None:
 
 
 @command.command()
-@click.option("--duration", type=float, default=20.0, show_default=True, help="Seconds for each link.")
+@click.option("--duration", type=Duration(), default="20s", show_default=True, help="Of the sessions over each link.")
 @click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Sessions that share these.")
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
 @click.option("--experiment", "experiments", multiple=True, metavar="NAME|FILE",
@@ -94,7 +95,7 @@ def timing(
 
 @command.command()
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Round trips per second.")
-@click.option("--duration", type=float, default=10.0, show_default=True, help="Seconds for each link.")
+@click.option("--duration", type=Duration(), default="10s", show_default=True, help="On each link.")
 @click.option("--json", "as_json", is_flag=True)
 def links(rate: float, duration: float, as_json: bool) -> None:
     """Round trips of all links side by side, with C over UDP as the floor."""
@@ -110,28 +111,20 @@ def links(rate: float, duration: float, as_json: bool) -> None:
 
 
 @command.command()
-@click.option("--for", "duration", default="10min", show_default=True, metavar="TIME", help="Length of the long session.")
+@click.option("--for", "duration", type=Duration(5.0, 7 * 86_400), default="10min", show_default=True,
+              help="Length of the long session.")  # fmt: skip
 @click.option("--sessions", type=click.IntRange(0, 1000), default=0, show_default=True, help="Short sessions in a row.")
 @click.option("--at-once", type=click.IntRange(0, 64), default=0, show_default=True, help="Short sessions at the same time.")
 @click.option("--json", "as_json", is_flag=True)
-def soak(duration: str, sessions: int, at_once: int, as_json: bool) -> None:
+def soak(duration: float, sessions: int, at_once: int, as_json: bool) -> None:
     """Endurance at 1 kHz over can:hil: memory of each process, log, overruns beside cyclictest.
 
     Exit status 0: it holds. 1: it does not. 4: undecided, the machine was too busy to tell.
     """
-    import re
-
     from hil.bench.soak import bench_soak
     from hil.bench.soak_verdict import STATUS
-    from hil.errors import HilError
-    from hil.experiment.tables import Seconds
 
-    try:
-        duration_s = float(Seconds.parse(re.sub(r"(?<=\d)(?=[a-z])", " ", duration.strip())))
-    except ValueError as error:
-        raise HilError(f"--for: {error}") from None
-    _check("--for", duration_s, 5.0, 7 * 86_400)
-    row = bench_soak(duration_s=duration_s, sessions=sessions, at_once=at_once, progress=status_line)
+    row = bench_soak(duration_s=duration, sessions=sessions, at_once=at_once, progress=status_line)
     if as_json:
         print(json.dumps(row, indent=2))
     else:

@@ -18,7 +18,7 @@ from hil.errors import HilError
 @click.command()
 @click.argument("experiments", type=EXPERIMENT, nargs=-1, required=True)
 @click.option("--runs", type=int, default=200, show_default=True, help="Runs of each; seeds 0, 1, ...")
-@click.option("--duration", metavar="S", help="Length of a run: seconds, or '10 s', '2 min'.")
+@click.option("--duration", metavar="S", help="Length of a run: 10, 10s, 2min.")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of all of them.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write a page with the distributions.")

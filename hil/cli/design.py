@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.durations import Duration
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class GainsOrWall(click.Command):
 @click.option("--input-weight", type=NUMBER, help="Weight R of the input, equal for every input [0.01].")
 @click.option("--output", "z", type=click.Choice(["stacked", "sum"]), default="stacked", show_default=True,
               help="z = [Q x; R u], or Q x + R u as printed, whose terms may cancel.")  # fmt: skip
-@click.option("--period", type=NUMBER, help="Sample period in s [the thesis's, or the experiment's].")
+@click.option("--period", type=Duration(above=True), help="Sample period, such as 25ms [the thesis's, or the experiment's].")
 @click.option("--samples", type=click.IntRange(1, 2), default=1, show_default=True, help="Samples per sensor packet.")
 @click.option("--sojourns", type=click.IntRange(1), default=1, show_default=True,
               help="Lengths of stay at the measured tau that a gain tells apart, over semi-Markov delays.")  # fmt: skip

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
+from hil.cli.durations import Duration
 from hil.cli.number_lists import NumberList
 from hil.errors import HilError
 
 
 @click.command()
-@click.option("--period", type=float, default=0.001, show_default=True, help="Sample period T in s.")
+@click.option("--period", type=Duration(above=True), default="1ms", show_default=True, help="Sample period T.")
 @click.option("--delay", type=NumberList(whole=True), default="0..6", show_default=True, help="Delays in samples that are safe.")
 @click.option("--hand", type=click.FloatRange(min=0.0), default=0.0, show_default=True, help="Least damping of a hand in N s/m.")
 @click.option("--damping", type=click.FloatRange(min=0.0), help="Damping b of the device in N s/m [the Omni's].")

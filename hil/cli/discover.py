@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from hil.cli.durations import Duration
 from hil.errors import HilError
 
 NOBODY = 1  # exit status: nobody is there
@@ -14,7 +15,7 @@ NOBODY = 1  # exit status: nobody is there
 
 @click.command()
 @click.argument("links", nargs=-1, metavar="[LINK]...")
-@click.option("--wait", default=1.0, show_default=True, type=click.FloatRange(0.1, 60), help="How long to wait for answers, s.")
+@click.option("--wait", default="1s", show_default=True, type=Duration(0.1, 60), help="How long to wait for answers.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
 def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
     """Say which rigs and controllers are on zenoh LINKs: by default on those of this user on this machine.

@@ -6,6 +6,8 @@ import math
 
 import click
 
+from transport.durations import in_seconds
+
 MOST = 200
 
 
@@ -16,12 +18,14 @@ class NumberList(click.ParamType[tuple[float, ...]]):
         whole: whole numbers only.
         least: smallest number that is allowed.
         above: whether ``least`` itself is refused.
+        times: durations, in seconds or with a unit.
     """
 
     name = "LIST"
 
-    def __init__(self, *, whole: bool = False, least: float = 0.0, above: bool = False) -> None:
+    def __init__(self, *, whole: bool = False, least: float = 0.0, above: bool = False, times: bool = False) -> None:
         self.whole, self.least, self.above = whole, least, above
+        self._number = int if whole else in_seconds if times else float
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         if isinstance(value, tuple):
@@ -33,7 +37,7 @@ class NumberList(click.ParamType[tuple[float, ...]]):
                 if dots and self.whole:
                     found += range(int(first), min(int(last), int(first) + MOST) + 1)
                 else:
-                    found.append(int(part) if self.whole else float(part))
+                    found.append(self._number(part))
                     float(found[-1])  # no number of a list is beyond these
             except (ValueError, OverflowError):
                 what = "whole number or range such as 0..8" if self.whole else "number"

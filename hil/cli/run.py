@@ -60,7 +60,7 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
 @click.option("--clock", type=click.Choice(["virtual", "real"]), default="virtual", show_default=True)
 @click.option("--link", metavar="URI", help="Link in real time, such as can:hil:rig0 or zenoh:tcp/127.0.0.1:7447.")
 @click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
-@click.option("--duration", type=str, metavar="S", help="Length of the run: seconds, or '10 s', '2 min'.")
+@click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
 @click.option("--force", is_flag=True, help="Overwrite an existing log.")
 @click.option("--log-mode", "log_mode", metavar="OCTAL", default="600", show_default=True, help="Who may read the log.")

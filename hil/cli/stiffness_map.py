@@ -15,7 +15,7 @@ from hil.errors import HilError
 
 
 @click.command()
-@click.option("--period", type=NumberList(above=True), default="0.001,0.05", show_default=True, help="Sample periods T in s.")
+@click.option("--period", type=NumberList(above=True, times=True), default="1ms,50ms", show_default=True, help="Sample periods.")
 @click.option("--delay", type=NumberList(whole=True), default="0,1,2,4,6,8", show_default=True, help="Largest delays in samples.")
 @click.option("--hand", type=NumberList(), default="0,5,10", show_default=True, help="Least damping of a hand in N s/m.")
 @click.option("--lever", type=float, default=1.0, show_default=True, help="Tip per angle, m/rad; 1: kg and N s/m at the tip.")

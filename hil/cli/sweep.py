@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.argument("experiment", type=EXPERIMENT)
 @click.option("--runs", type=int, default=100, show_default=True, help="Number of runs, with --until at most; seeds 0, 1, ...")
 @click.option("--first-seed", type=int, default=0, show_default=True)
-@click.option("--duration", metavar="S", help="Length of a run: seconds, or '10 s', '2 min'.")
+@click.option("--duration", metavar="S", help="Length of a run: 10, 10s, 2min.")
 @click.option("--grid", "grids", type=CHANGE, multiple=True, metavar="KEY=A,B,...", help="Run at all combinations of them.")
 @click.option("--range", "ranges", type=CHANGE, multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
 @click.option("--points", type=int, metavar="N", help="So many points of a Latin hypercube over the ranges.")

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import click
 
+from hil.cli.durations import Duration
+
 
 @click.command(context_settings={"allow_interspersed_args": False})
 @click.option("--backend", type=click.Choice(["auto", "native", "uml", "debian"]), default="auto", show_default=True,
               help="This kernel's vcan, our user-mode kernel, or Debian's package of one.")  # fmt: skip
 @click.option("--virtual-time", is_flag=True, help="The clock jumps to the next timer when all sleep (uml only).")
-@click.option("--timeout", type=click.FloatRange(min=0, min_open=True), metavar="S", help="End COMMAND after S seconds.")
+@click.option("--timeout", type=Duration(above=True), help="End COMMAND after that time, such as 90s.")
 @click.option("--rw", multiple=True, metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path),
               help="One more directory in which files stay.")  # fmt: skip
 @click.option("--source", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path),

@@ -14,7 +14,7 @@ from hil.experiment import plugins as registry
 from hil.experiment.absent import Absent
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.own_modules import is_own
-from hil.experiment.own_plugins import own_fault
+from hil.experiment.own_plugins import in_own_words, own_fault
 from hil.experiment.plugins import OBJECT
 from hil.experiment.protocols import NamesFiles
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
@@ -41,7 +41,7 @@ class Checker:
     Args:
         folder: where the files stand that the experiment names; None for one that a log carries: no file is read, and no module
             run, because a log says so.
-        objects: what stands for the table of a plant or a controller, by its name.
+        objects: what stands for the table of a plant, a controller or a network law, by its path.
     """
 
     def __init__(self, folder: str | None = ".", objects: Mapping[str, object] | None = None) -> None:
@@ -114,7 +114,8 @@ class Checker:
         """Return the sensor nodes, each with the network law that it names."""
 
         def law(table: dict[str, Any], path: str) -> dict[str, Any]:
-            return {"law": self._law(table["law"], f"{path}.law", folder)} if "law" in table else {}
+            named = "law" in table or f"{path}.law" in self._objects
+            return {"law": self._law(table.get("law"), f"{path}.law", folder)} if named else {}
 
         found = self._named(Node, raw, "nodes", law)
         if found is None:
@@ -152,14 +153,18 @@ class Checker:
             return None
 
     def plugin(self, group: registry.Group, raw: Any, path: str) -> Any:
+        if path in self._objects:
+            made = self._objects[path]
+            cls = type(made)
+            installed = registry.kind_of_class(group, cls) if dataclasses.is_dataclass(cls) else None
+            self.kinds[path] = installed or registry.object_kind(cls)
+            if group == "hil.laws" and installed is None:
+                return made if self._sound(group, made, path, f"{cls.__module__}.{cls.__qualname__}") else None
+            return made
         if not isinstance(raw, dict):
             self.faults.append(f"{path}: missing table" if raw is None else f"{path}: expected a table, got {raw!r:.60}")
             return None
         kind = raw.get("kind")
-        if path in self._objects:
-            made = self._objects[path]
-            self.kinds[path] = registry.object_kind(type(made))
-            return made
         if not isinstance(kind, str):
             self.faults.append(f"{path}.kind: missing; one of {', '.join(registry.names(group))}")
             return None
@@ -174,26 +179,42 @@ class Checker:
             self.faults.append(f"{path}.kind: {e}")
             return None
         self.kinds[path] = kind
+        if not is_own(kind):
+            return self._filled(cls, kind, rest, path)
+        try:
+            with in_own_words():
+                made = self._filled(cls, kind, rest, path)
+        except AssertionError as e:
+            self.faults.append(f"{path}: {kind!r}: {e}")
+            return None
+        return made if made is None or self._sound(group, made, path, repr(kind)) else None
+
+    def _sound(self, group: registry.Group, made: object, path: str, kind: str) -> bool:
+        """Return whether an object of the user's own is what its place asks for; what it is not is kept as a fault."""
+        fault = own_fault(group, made)
+        if fault is not None:
+            self.faults.append(f"{path}: {kind}: {fault}")
+        return fault is None
+
+    def _filled(self, cls: type, kind: str, rest: dict[str, Any], path: str) -> Any:
+        """Return an instance of a plug-in's class, with the files that it names found; None: what is faulty is kept."""
         made = self._tables.table(cls, rest, path, {})
-        if isinstance(made, NamesFiles):
-            if self._folder is None:
-                return self._absent(path, kind, rest)
-            try:
-                made = made.with_files(self._folder)
-            except (ValueError, PlantError) as e:
-                self.faults.append(fault_at(path, e))
-                return None
-        if made is not None and is_own(kind):
-            fault = own_fault(group, made)
-            if fault is not None:
-                self.faults.append(f"{path}: {kind!r}: {fault}")
-                return None
-        return made
+        if not isinstance(made, NamesFiles):
+            return made
+        if self._folder is None:
+            return self._absent(path, kind, rest)
+        try:
+            return made.with_files(self._folder)
+        except (ValueError, PlantError) as e:
+            self.faults.append(fault_at(path, e))
+            return None
 
     def _absent(self, path: str, kind: str, said: dict[str, Any]) -> Absent | None:
         """Return what stands for something that a log cannot make again."""
         if self._folder is not None or path not in ("plant", "controller"):
-            self.faults.append(f"{path}.kind: {kind!r} cannot be made from a file; give the object in Python")
+            helps = "give the object in Python" + (" (hil.verify(..., laws={...}))" if path.endswith("law") else "")
+            helps = "say where its file stands (--folder DIR)" if is_own(kind) and self._folder is None else helps
+            self.faults.append(f"{path}.kind: {kind!r} cannot be made from a log or an experiment file; {helps}")
             return None
         self.kinds[path] = kind
         why = f"{kind}, which the log does not hold"

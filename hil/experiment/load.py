@@ -31,14 +31,16 @@ def shipped() -> dict[str, Path]:
 
 
 def load_experiment(
-    source: str | Path, sets: typing.Sequence[str] = (), *, seed: int | None = None, duration: str | None = None
-) -> Experiment:
+    source: str | Path, sets: typing.Sequence[str] = (), *, seed: int | None = None, duration: str | None = None,
+    laws: typing.Mapping[str, object] | None = None,
+) -> Experiment:  # fmt: skip
     """Read and check an experiment.
 
     Args:
         source: name of a shipped experiment, or path of a TOML file.
         sets: changes ``path=value``, value in TOML notation (a bare word is taken as a string).
         seed, duration: short for ``seed=...`` and ``duration="..."``, after the other changes.
+        laws: network laws that were built in Python, by the paths of the tables that they stand for.
 
     Raises:
         ExperimentError: with every fault found, each with the path of its field.
@@ -66,12 +68,13 @@ def load_experiment(
         text = data.decode()
     except UnicodeDecodeError as e:
         raise HilError(f"{name}: not a text file: byte 0x{data[e.start]:02x} at offset {e.start} is not UTF-8") from e
-    return parse_experiment(text, sets=changes, source=name, folder=str(path.parent))
+    return parse_experiment(text, sets=changes, source=name, folder=str(path.parent), laws=laws)
 
 
 def parse_experiment(
-    text: str, *, sets: typing.Sequence[str] = (), source: str = "experiment", folder: str = "."
-) -> Experiment:
+    text: str, *, sets: typing.Sequence[str] = (), source: str = "experiment", folder: str = ".",
+    laws: typing.Mapping[str, object] | None = None,
+) -> Experiment:  # fmt: skip
     """Check the text of an experiment; see :func:`load_experiment`."""
     try:
         raw = parse_toml(text)
@@ -79,7 +82,7 @@ def parse_experiment(
         raise HilError(f"{source}: not valid TOML: {e}") from e
     for change in sets:
         _apply(raw, change)
-    checker = Checker(folder)
+    checker = Checker(folder, laws)
     try:
         experiment = checker.experiment(raw, text)
     except RecursionError as e:
@@ -107,7 +110,7 @@ def experiment_from_resolved(
         text: the file as it was written.
         source: the log, for messages.
         folder: where the files stand that the experiment names.
-        objects: "plant" and "controller" to what ran.
+        objects: "plant", "controller" and paths of network laws to what ran.
 
     Raises:
         ExperimentError: with every fault found.

@@ -80,8 +80,10 @@ def _module(path: Path, expected: str | None = None) -> ModuleType:
     sys.modules[name] = module  # dataclasses look their module up while it runs
     try:
         exec(compile(text, str(path), "exec"), vars(module))
-    except (Exception, SystemExit) as error:  # whatever a stranger's module does when it runs
+    except BaseException as error:  # whatever a stranger's module raises when it runs
         del sys.modules[name]
+        if isinstance(error, KeyboardInterrupt):
+            raise
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = lines[-1] if lines else error.lineno if isinstance(error, SyntaxError) else None
         where = f"{path}, line {line}" if line else str(path)

@@ -1,66 +1,75 @@
-"""What a plant or a controller of somebody's own has to be before it runs, told in one sentence instead of a traceback."""
+"""What a plug-in of somebody's own has to be before it runs, told in one sentence instead of a traceback."""
 
 from __future__ import annotations
 
-import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 from design.controllers import Controller
+from hil.experiment.asked import needs, words
 from hil.experiment.plugins import Group
-from hil.experiment.protocols import Designer, Plant
+from hil.experiment.protocols import Designer
 from plants.errors import PlantError
 from plants.parts.check import check_plant
 
+__all__ = ["in_own_words", "own_fault", "words"]
+
+PLANT = {
+    "inputs": "what is commanded, a tuple of plants.Signal",
+    "outputs": "what is measured",
+    "states": "what the log keeps",
+    "model": "a method that gives the linear model that a design sees",
+    "start": "a method that gives the running plant",
+}
+
 
 def own_fault(group: Group, made: object) -> str | None:
-    """Return why an object is no plant, or no controller, that a rig can run; None if it is one, or something else is asked for.
+    """Return why an object is no plant, controller or network law that a rig can run; None if it is one, or is something else.
 
     Args:
         group: what it has to be.
         made: of a class of the user's own.
     """
-    checks = {"hil.plants": own_plant_fault, "hil.controllers": own_controller_fault}
-    return checks[group](made) if group in checks else None
-
-
-def own_plant_fault(made: object) -> str | None:
-    """Return why an object is no plant that a rig can run, None if it is one.
-
-    Args:
-        made: of a class of the user's own.
-    """
-    if not isinstance(made, Plant):
-        return f"is no plant: {_lacking(made, ('inputs', 'outputs', 'states', 'model', 'start'))}"
+    checks: dict[Group, Callable[[Any], None]] = {
+        "hil.plants": _check_plant, "hil.controllers": _check_controller, "hil.laws": _check_law,
+    }  # fmt: skip
+    if group not in checks:
+        return None
+    name = {"hil.plants": "plant", "hil.controllers": "controller", "hil.laws": "law"}[group]
     try:
-        check_plant(made)
-    except PlantError as error:
-        return f"check_plant: {error}"
-    except Exception as error:  # whatever a stranger's plant does when it runs
-        return f"check_plant: {words(error)}"
+        with in_own_words():
+            checks[group](made)
+    except AssertionError as fault:
+        return f"check_{name}: {str(fault).partition(chr(10))[0]}"  # pytest adds lines of its own
     return None
 
 
-def own_controller_fault(made: object) -> str | None:
-    """Return why an object is no controller, None if it is one.
-
-    Args:
-        made: of a class of the user's own.
-    """
-    if isinstance(made, Controller | Designer):
-        return None
-    return f"is no controller: {_lacking(made, ('start',))}"
-
-
-def words(error: Exception) -> str:
-    """Return what an exception of the user's own code says, with the line that raised it.
-
-    Args:
-        error: as it was caught.
-    """
-    frames = traceback.extract_tb(error.__traceback__)
-    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{where}"
+@contextmanager
+def in_own_words() -> Iterator[None]:
+    """Tell whatever a stranger's code raises, BaseException and SystemExit too, as one AssertionError in its author's words."""
+    try:
+        yield
+    except (AssertionError, KeyboardInterrupt):
+        raise
+    except PlantError as error:
+        raise AssertionError(str(error)) from error
+    except BaseException as error:
+        raise AssertionError(words(error)) from error
 
 
-def _lacking(made: object, wanted: tuple[str, ...]) -> str:
-    there = dir(made)
-    return f"{type(made).__qualname__} lacks {', '.join(name for name in wanted if name not in there)}"
+def _check_plant(made: Any) -> None:
+    needs(made, f"{type(made).__qualname__}, a plant,", PLANT)
+    check_plant(made)
+
+
+def _check_controller(made: Any) -> None:
+    """See that it is one; how it answers is seen once its loop is known, see `hil.compose.fit.check_own`."""
+    if not isinstance(made, Controller | Designer):
+        needs(made, f"{type(made).__qualname__}, a controller,", {"start": "a method that returns the running controller"})
+
+
+def _check_law(made: Any) -> None:
+    from hil.experiment.law_checks import check_law  # with the emulated network, which no other reading of a file needs
+
+    check_law(made)

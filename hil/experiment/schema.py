@@ -13,9 +13,8 @@ from docstring_parser.google import parse
 from hil.experiment import plugins as registry
 from hil.experiment.faults import Fault
 from hil.experiment.nodes import Node
-from hil.experiment.tables import HIDDEN, UNITS, Direction, Experiment, Seconds
-
-PATTERN = rf"^\s*[-+0-9.eE]+( ({'|'.join(UNITS)}))?\s*$"
+from hil.experiment.tables import HIDDEN, Direction, Experiment, Seconds
+from transport.durations import PATTERN
 
 KEYS_OF_FAULT = dict(zip(Fault.__struct_fields__, Fault.__struct_encode_fields__))  # "for" is no name in Python
 FILE: dict[str, Any] = {

@@ -8,14 +8,13 @@ from typing import Any
 
 import msgspec
 
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-
+from transport.durations import in_seconds
 
 LONGEST_S = 6e9  # 1e8 slots of 60 s; in nanoseconds it still is a number of 64 bits
 
 
 class Seconds(float):
-    """A duration: a bare number in seconds or a string with a unit, ``"50 ms"``."""
+    """A duration: a bare number in seconds or a string with a unit, ``"50 ms"`` or ``"50ms"``."""
 
     @classmethod
     def parse(cls, value: object) -> Seconds:
@@ -29,14 +28,7 @@ class Seconds(float):
         if not isinstance(value, str):
             seconds = float(value) if isinstance(value, float) or value.bit_length() <= 64 else math.inf
         else:
-            number, _, unit = value.strip().partition(" ")
-            scale = UNITS.get(unit.strip() or "s")
-            try:
-                if scale is None:
-                    raise ValueError
-                seconds = float(number) * scale
-            except ValueError:
-                raise ValueError(f"{value!r:.60} is not a duration: write a number and one of {', '.join(UNITS)}") from None
+            seconds = in_seconds(value)
         if not math.isfinite(seconds):
             raise ValueError(f"{value!r:.60} is not a finite number of seconds")
         return cls(seconds)

@@ -14,6 +14,7 @@ import msgspec
 
 from hil.errors import HilError
 from hil.experiment.array_files import numbers_from_file
+from hil.experiment.field_types import frame_of, holds_tables, table_for, tag_of
 from hil.experiment.protocols import NamesField
 from hil.experiment.tables import HIDDEN, Experiment, Seconds, Table
 
@@ -109,7 +110,8 @@ class TableCheck:
 
     def table(self, cls: type, raw: dict[str, Any], path: str, given: dict[str, Any]) -> Any:
         """Convert one table into ``cls``; ``given`` holds fields that were made elsewhere (None: faulty there)."""
-        hints = typing.get_type_hints(cls)
+        tag = tag_of(cls)
+        hints = typing.get_type_hints(cls, include_extras=issubclass(cls, msgspec.Struct))
         if issubclass(cls, msgspec.Struct):
             required = {f.encode_name for f in msgspec.structs.fields(cls) if f.required}
             known = list(cls.__struct_encode_fields__)
@@ -122,6 +124,8 @@ class TableCheck:
         before, values, broken = len(self.faults), dict(given), set(given)
         for key, value in raw.items():
             at = joined(path, key)
+            if tag == (key, value):
+                continue
             if key not in known:
                 near = difflib.get_close_matches(key, known, n=1)
                 names = [name for name in known if cls is not Experiment or name not in HIDDEN]
@@ -138,7 +142,9 @@ class TableCheck:
             if key in required and fields[key] not in values and key not in broken:
                 self.faults.append(f"{joined(path, key)}: missing")
         if issubclass(cls, Table):
-            self.faults += [joined(path, fault) for fault in cls.faults(values)]
+            said = {fault.partition(": ")[0] for fault in self.faults[before:]}  # what is wrong is not also missing
+            found = (joined(path, fault) for fault in cls.faults(values))
+            self.faults += [fault for fault in found if fault.partition(": ")[0] not in said]
         if len(self.faults) > before or any(v is None for v in given.values()):
             return None
         try:
@@ -146,6 +152,14 @@ class TableCheck:
         except (ValueError, TypeError) as e:
             self.faults.append(fault_at(path, e))
             return None
+
+    def _entries(self, frame: tuple[Any, list[Any]], value: dict[str, Any] | list[Any], at: str) -> Any:
+        """Fill the tables of a list or of a dict, however deep they stand."""
+        outer, kinds = frame
+        if isinstance(value, dict):
+            made = [self._value(kind, entry, joined(at, key)) for kind, (key, entry) in zip(kinds, value.items())]
+            return msgspec.convert(dict(zip(value, made)), outer, dec_hook=_hook)
+        return msgspec.convert([self._value(kind, v, f"{at}[{i}]") for i, (kind, v) in enumerate(zip(kinds, value))], outer)
 
     def _value(self, hint: Any, value: Any, at: str) -> Any:
         args = typing.get_args(hint)
@@ -155,15 +169,18 @@ class TableCheck:
             except HilError as e:
                 self.faults.append(f"{at}: {e}")
                 return None
-        kinds: list[type] = [kind for kind in (hint, *args) if isinstance(kind, type) and issubclass(kind, Table)]
-        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
-            kinds = [hint]
-        if kinds and isinstance(value, dict):  # a table, or one that may be left out
-            return self.table(kinds[0], value, at, {})
-        if typing.get_origin(hint) is tuple and isinstance(value, list) and len(args) == 2 and args[1] is ...:
-            return tuple(self._value(args[0], v, f"{at}[{i}]") for i, v in enumerate(value))
+        if isinstance(value, dict) and (kind := table_for(hint, value)) is not None:
+            return self.table(kind, value, at, {})
         try:
+            if isinstance(value, dict | list) and holds_tables(hint) and (frame := frame_of(hint, value)) is not None:
+                return self._entries(frame, value, at)
+            if typing.get_origin(hint) is tuple and isinstance(value, list) and len(args) == 2 and args[1] is ...:
+                return tuple(self._value(args[0], v, f"{at}[{i}]") for i, v in enumerate(value))
             return msgspec.convert(value, hint, dec_hook=_hook)
+        except TypeError as e:  # msgspec takes no union of two classes; and a value of an own class may be anything
+            word = "a table" if holds_tables(hint) else _word(hint)
+            self.faults.append(f"{at}: expected {word}, got {value!r:.60}" if not isinstance(value, dict) else f"{at}: {e}")
+            return None
         except (msgspec.ValidationError, ValueError) as e:
             message, _, where = str(e).partition(" - at `$")
             if message.startswith("Invalid enum value"):

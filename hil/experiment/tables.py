@@ -15,12 +15,12 @@ from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from hil.experiment.nodes import Medium, Node, identifier_faults
 from hil.experiment.own_modules import written_in
 from hil.experiment.plain_form import plain
-from hil.experiment.table import UNITS, Seconds, Table, not_negative
+from hil.experiment.table import Seconds, Table, not_negative
 from transport.links.link import TransportError
 from transport.links.opening import check_uri
 
 __all__ = [
-    "HIDDEN", "UNITS", "Direction", "Experiment", "Links", "Pulse", "Report", "Seconds", "Step",
+    "HIDDEN", "Direction", "Experiment", "Links", "Pulse", "Report", "Seconds", "Step",
     "Table", "Timing",
 ]  # fmt: skip
 if TYPE_CHECKING:
@@ -267,18 +267,22 @@ class Experiment(Table, frozen=True, kw_only=True):
             value = getattr(self, f)
             if f not in HIDDEN and (value or f not in SPARSE):
                 table = plain(value)
-                out[f] = table if isinstance(table, dict) or f not in ("plant", "controller") else {}  # an object has no table
+                out[f] = table
         for path, kind in self.kinds.items():
             node, made = out, self
             for part in path.split("."):
+                node[part] = node[part] if isinstance(node[part], dict) else {}  # an object that is no dataclass has no table
                 node, made = node[part], made[part] if isinstance(made, dict) else getattr(made, part)
             node["kind"] = kind if isinstance(made, Absent) else plugins.kind_of(plugins.group_of(path), kind, made)
         return out
 
     def origins(self) -> dict[str, str]:
-        """Return where plant and controller come from, in words, where the experiment file alone does not make them."""
+        """Return where plant, controller and network laws come from, in words, where the experiment file does not make them."""
         found = {}
-        for path, made in (("plant", self.plant), ("controller", self.controller)):
+        for path in dict.fromkeys(("plant", "controller", *self.kinds)):
+            made: Any = self
+            for part in path.split("."):
+                made = made[part] if isinstance(made, dict) else getattr(made, part)
             said = self.kinds.get(path, "")
             kind = said if isinstance(made, Absent) else plugins.kind_of(plugins.group_of(path), said, made)
             own = written_in(type(made))

@@ -14,6 +14,13 @@ from plants.parts.linear import Signal
 from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 _SEED = 20240229
+_RUN = {
+    "advance": "advance(dt_ns, u, w=()) holds the input u + w for so long",
+    "measure": "measure() gives the outputs, a tuple of floats",
+    "state": "the state, a tuple of floats",
+    "applied": "the input that was commanded last, a tuple of floats",
+}
+"""What a rig asks of a running plant."""
 
 
 def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6) -> list[str]:
@@ -48,6 +55,12 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
 
     dt_ns = round(period_s * 1e9)
     runs = [plant.start(np.random.default_rng(_SEED)) for _ in range(3)]
+    for what, meaning in _RUN.items():
+        _demand(hasattr(runs[0], what), f"what {name}.start(rng) returns needs `{what}` ({meaning})")
+    try:
+        plant.start(np.random.default_rng(_SEED)).advance(0, (0.0,) * m)
+    except TypeError as error:
+        raise PlantError(f"what {name}.start(rng) returns: advance(dt_ns, u, w=()) must do without w: {error}") from error
     first, second, cut = runs
     commands = np.random.default_rng(_SEED + 1).uniform(-0.01, 0.01, (100, m)).tolist()
     for k, u in enumerate(commands):

@@ -10,6 +10,7 @@ import difflib
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import cycle
 from os import PathLike
@@ -19,11 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.durations import UNITS, in_seconds
 from transport.errors import FieldError
 from transport.laws.stochastic_matrix import checked_row
 from transport.laws.trace import read_column
 
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 EARLY = 1e-6
 SMALLEST_LEVEL = 2.0**-33
 MOST_ATOMS = 100_000
@@ -36,11 +37,8 @@ def seconds(path: str, value: object) -> float:
     (0.003, 2.0)
     """
     if isinstance(value, str):
-        number, _, unit = value.strip().partition(" ")
-        try:
-            return float(number) * UNITS[unit.strip() or "s"]
-        except (ValueError, KeyError):
-            pass
+        with suppress(ValueError):
+            return in_seconds(value)
     elif isinstance(value, (int, float)) and not isinstance(value, bool):
         return float(value)
     raise FieldError(path, f"got {value!r}, expected a duration: a number of seconds, or one with a unit of {', '.join(UNITS)}")

@@ -67,7 +67,7 @@ class Provenance:
         channels: topic to what its channel says of itself in the file, such as the CAN identifiers of its frames.
         session: what only a session in real time may say: start, host, scheduler. Leave empty in virtual time, or two runs of one
             experiment are no longer the same file.
-        origins: "plant" and "controller", where the experiment file alone does not make them: what they are, in words.
+        origins: plant, controller and network laws, by their paths, that the experiment file alone does not make: what they are.
     """
 
     experiment: str

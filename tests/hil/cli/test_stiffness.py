@@ -99,7 +99,7 @@ def test_the_header_compiles_as_c99_and_renders_what_the_rig_renders(tmp_path: P
         ((*WALL, "--taps", "3"), "taps: 3, expected 5"),
         (("wall", "--hand", "-1"), "-1.0 is not in the range x>=0"),
         (("wall", "--delay", "3..x"), "'3..x' is no whole number or range"),
-        (("wall", "--period", "0"), "period_s: 0.0"),
+        (("wall", "--period", "0"), "expected a duration above 0 s"),
     ],
 )
 def test_a_wall_that_cannot_be_is_refused_and_nothing_is_written(

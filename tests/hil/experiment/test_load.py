@@ -14,8 +14,9 @@ import pytest
 
 from hil.compose.loop import compose
 from hil.errors import ExperimentError, HilError
-from hil.experiment import experiment_from_resolved, load_experiment, parse_experiment, shipped
+from hil.experiment import Seconds, experiment_from_resolved, load_experiment, parse_experiment, parse_plugin, shipped
 from hil.experiment.schema import experiment_schema
+from transport.laws.latency import latency
 
 GOOD = shipped()["dc-motor-hinf"].read_text()
 MARKOV = 'sc.law = { kind = "markov", matrix = [[0.6, 0.4, 0.0], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]] }'
@@ -109,7 +110,7 @@ FAULTS: list[tuple[str, str, str]] = [
     ("not TOML", "name = \n", "not valid TOML"),
     ("a key twice", GOOD.replace("seed = 0", "seed = 0\nseed = 1"), "not valid TOML"),
     ("instant that is no number", GOOD + '\n[[reference]]\nat = "nan s"\nvalue = [1.0]\n',
-     "at: 'nan s' is not a finite number of seconds"),
+     "at: 'nan s' is not a duration"),
     ("instant beyond a double", GOOD + '\n[[disturbance]]\nat = "1e400 s"\nsamples = 1\nvalue = [1.0]\n',
      "is not a finite number"),
     ("instant beyond the clock", GOOD + "\n[[disturbance]]\nat = 1e308\nsamples = 1\nvalue = [1.0]\n",
@@ -279,3 +280,27 @@ def test_the_build_writes_the_schema_that_hil_prints(tmp_path: Path, monkeypatch
     assert json.loads((tmp_path / hook.SCHEMA).read_text()) == json.loads(json.dumps(experiment_schema()))
     ignored = subprocess.run(["git", "check-ignore", "-q", str(root / hook.SCHEMA)], cwd=root)
     assert ignored.returncode in (0, 128), "the schema is made, not kept"
+
+
+@pytest.mark.parametrize("written", ["25ms", "25 ms", " 0.025s ", "25000us", ".025", "2.5e-2 s", 0.025])
+def test_a_duration_has_a_space_before_its_unit_or_none(written: object) -> None:
+    assert Seconds.parse(written) == pytest.approx(0.025, rel=1e-12)
+
+
+def test_durations_are_read_alike_wherever_they_stand() -> None:
+    fault = '\n[[fault]]\nat = "3s"\nfor = "500ms"\nkind = "cut"\nlink = "sc"\n'
+    for text in (GOOD + fault, (GOOD + fault).replace("50 ms", "50ms").replace("50 s", "50s")):
+        found = parse_experiment(text, sets=["limits.after_trip=1500ms"])
+        assert (found.fault[0].at, found.fault[0].lasts, found.limits.after_trip) == (3.0, 0.5, 1.5)
+    assert load_experiment("dc-motor-hinf", ["period=25ms"], duration="2min").period_ns == 25_000_000
+    assert latency("12ms") == latency("12 ms") == latency(0.012)
+    parse_plugin("hil.laws", "packet", ["latency=12ms"])
+
+
+def test_a_field_with_a_wrong_value_is_not_also_missing() -> None:
+    fault = '\n[[fault]]\nat = "3 s"\nfor = "3 parsecs"\nkind = "cut"\nlink = "sc"\n'
+    with pytest.raises(ExperimentError) as told:
+        parse_experiment(GOOD + fault)
+    assert told.value.faults == [
+        "fault[0].for: '3 parsecs' is not a duration: expected a number and one of s, ms, us, ns, min, h, as in 25ms or 1.5 h"
+    ]

@@ -70,6 +70,43 @@ class Proportional:
     def rows(self, k, tau, y, r):
         return ((self.gain * (y[0] - r[0]),),) * self.rows_sent
 
+@dataclass(frozen=True, kw_only=True)
+class Half(Cart):
+    def start(self, rng):
+        class Running:
+            state = (0.0,)
+            def advance(self, dt_ns, u, w): pass
+            def measure(self): return (0.0,)
+        return Running()
+
+class Whole(Half):
+    def start(self, rng):
+        class Running(type(Half.start(self, rng))):
+            applied = (0.0,)
+        return Running()
+
+class Base(BaseException):
+    pass
+
+@dataclass(frozen=True, kw_only=True)
+class Raising(Cart):
+    def __post_init__(self):
+        raise Base("not today")
+
+class Meta(type):
+    def __call__(cls, *arguments, **fields):
+        raise Base("no instance")
+
+@dataclass(frozen=True, kw_only=True)
+class Metaclass(Cart, metaclass=Meta):
+    pass
+
+@dataclass(frozen=True, kw_only=True)
+class Leaving(Cart):
+    @property
+    def inputs(self):
+        raise SystemExit(0)
+
 class NoDataclass:
     pass
 
@@ -122,11 +159,17 @@ def test_another_process_finds_the_file_before_the_class(folder: Path) -> None:
     ("plant", "told"),
     [
         ("kart:Cart", r"plant\.kind: 'kart:Cart': there is no kart\.py in .*"),
-        ("cart:Car", r"has no 'Car'; it has Cart, Failing, Lying, NoDataclass, Proportional, fastest"),
+        ("cart:Car", r"has no 'Car'; it has Base, Cart, Failing, Half, Leaving, Lying, "),
         ("cart:NoDataclass", r"plant\.kind: 'cart:NoDataclass' is no dataclass"),
-        ("cart:Proportional", r"plant: 'cart:Proportional': is no plant: Proportional lacks inputs, outputs, states, model"),
+        ("cart:Proportional", r"plant: 'cart:Proportional': check_plant: Proportional, a plant, needs `inputs` \(.*`outputs`"),
         ("cart:Lying", r"plant: 'cart:Lying': check_plant: "),
         ("cart:Failing", r"check_plant: KeyError: 'nothing' \(.*cart\.py, line \d+\)"),
+        ("cart:Half", r"check_plant: what Half\.start\(rng\) returns needs `applied` \(the input that was commanded last"),
+        ("cart:Whole", r"check_plant: what Whole\.start\(rng\) returns: advance\(dt_ns, u, w=\(\)\) must do without w"),
+        ("cart:Raising", r"plant: 'cart:Raising': Base: not today \(.*cart\.py, line \d+\)"),
+        ("cart:Metaclass", r"plant: 'cart:Metaclass': Base: no instance \(.*cart\.py, line \d+\)"),
+        ("cart:Leaving", r"plant: 'cart:Leaving': check_plant: .*SystemExit: 0 \(.*cart\.py, line \d+\)"),
+        ("raising:Cart", r"raising\.py, line 2: Base: at the door"),
         ("broken:Cart", r"broken\.py, line 2: ZeroDivisionError: division by zero"),
         ("wordy:Cart", r"wordy\.py, line 1: SyntaxError: "),
         ("leaving:Cart", r"leaving\.py, line 1: SystemExit: 3"),
@@ -135,6 +178,7 @@ def test_another_process_finds_the_file_before_the_class(folder: Path) -> None:
 )
 def test_what_is_no_plant_is_refused_in_a_sentence(folder: Path, plant: str, told: str) -> None:
     (folder / "broken.py").write_text("x = 1\n1 / 0\n")
+    (folder / "raising.py").write_text("class Base(BaseException): pass\nraise Base('at the door')\n")
     (folder / "wordy.py").write_text("this is no Python\n")
     (folder / "leaving.py").write_text("raise SystemExit(3)\n")
     with pytest.raises(hil.HilError, match=told):
@@ -217,7 +261,7 @@ def test_a_plant_that_was_replaced_is_never_logged_as_the_one_of_the_file() -> N
 
 
 def test_what_is_no_plant_and_no_controller_says_what_it_lacks() -> None:
-    with pytest.raises(hil.HilError, match=r"plant: builtins\.int: is no plant: int lacks inputs.*\n.*controller: .*lacks start"):
+    with pytest.raises(hil.HilError, match=r"plant: builtins\.int: .*int, a plant, needs `inputs`.*\n.*.*needs `start`"):
         hil.run(hil.load_experiment("dc-motor-hinf"), plant=3, controller=object())
     with pytest.raises(hil.HilError, match="takes no changes but a plant and a controller"):
         hil.run(hil.load_experiment("dc-motor-hinf"), **{"plant.gain": 3})
