@@ -5,13 +5,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 RUN := runs/make-run
-# At least four test processes: where a machine has two busy cores, each process gets its share.
-WORKERS := $(shell n=$$(nproc 2>/dev/null || echo 4); [ $$n -gt 4 ] && echo $$n || echo 4)
+# One test process a core: each costs the import of everything first.
+WORKERS := $(shell n=$$(nproc 2>/dev/null || echo 2); [ $$n -gt 2 ] && echo $$n || echo 2)
 
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test test-slow test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
+.PHONY: help run test .types .virtual check .changed test-slow test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,10 +28,28 @@ run: $(INSTALLED) ## the networked DC motor in real time for 10 s; says where lo
 test: export OMP_NUM_THREADS = 1
 test: $(INSTALLED) ## lint, types, import rules, tests and doctests; what keeps time runs alone, last
 	$(BIN)/ruff check
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+	@$(MAKE) --no-print-directory -j2 .types .virtual
+	$(BIN)/pytest -n 0 -m realtime $(REALTIME_TESTS) $(PYTEST_ARGS)
+
+.types:
+	$(BIN)/mypy
+
+.virtual:
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not realtime" $(PYTEST_ARGS)
-	$(BIN)/pytest -n 0 -m realtime $(PYTEST_ARGS)
+
+# Importing all the others takes longer than most of these.
+REALTIME_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.realtime' tests)
+
+check: export OMP_NUM_THREADS = 1
+check: $(INSTALLED) ## lint, types, import rules, and the fast tests of what changed since main
+	$(BIN)/ruff check
+	$(BIN)/lint-imports
+	@$(MAKE) --no-print-directory -j2 .types .changed
+
+.changed:
+	@tests=$$($(BIN)/python -m tests.changed) || exit; [ -z "$$tests" ] && echo "no tests of what changed" || \
+	    $(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not realtime" $(PYTEST_ARGS) $$tests
 
 test-slow: export OMP_NUM_THREADS = 1
 test-slow: $(INSTALLED) ## the long computations: whole chapters, studies of hundreds of loops; an hour or so

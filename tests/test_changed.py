@@ -1,0 +1,49 @@
+"""What ``make check`` runs: the tests of the changed files, and of nothing else."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.changed import changed, chosen_for
+
+
+@pytest.mark.parametrize(
+    ("name", "runs", "leaves"),
+    [
+        ("design/tracking/bfgs.py", {"tests/design/tracking"}, {"tests/design/lmi"}),
+        ("hil/runtime/real/stop_signals.py", {"tests/hil/runtime/real", "hil/runtime/real/stop_signals.py"}, {"tests/hil/cli"}),
+        ("hil/session.py", {"tests/hil/test_session.py", "tests/realtime/test_sessions.py"}, {"tests/hil", "tests/plants"}),
+        ("tests/waiting.py", {"tests/hil/cli/test_run.py"}, {"tests/hil/cli"}),
+        ("tests/links/conftest.py", {"tests/links"}, {"tests"}),
+        ("tests/links/test_can_bus.py", {"tests/links/test_can_bus.py"}, {"tests/links"}),
+        ("hil/guide/faults.md", {"tests/contract/test_readme.py"}, set()),
+    ],
+)
+def test_a_change_runs_its_room_and_who_imports_it(name: str, runs: set[str], leaves: set[str]) -> None:
+    found = {*chosen_for([name])}
+    assert runs <= found and not leaves & found
+
+
+def test_a_file_inside_a_chosen_folder_is_not_run_twice() -> None:
+    assert chosen_for(["design/tracking/bfgs.py", "tests/design/tracking/test_synthesis.py"]) == ["tests/design/tracking"]
+
+
+def test_what_differs_from_main_and_what_is_new_has_changed_and_what_is_gone_has_no_tests(tmp_path: Path) -> None:
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-c", "user.name=t", "-c", "user.email=t@t", *words], cwd=tmp_path, check=True)
+
+    git("init", "-b", "main")
+    for name in ("same", "later", "now", "gone"):
+        (tmp_path / name).write_text("1")
+    git("add", "-A")
+    git("commit", "-m", "1")
+    git("switch", "-c", "work")
+    (tmp_path / "later").write_text("2")
+    git("commit", "-am", "2")
+    (tmp_path / "now").write_text("2")
+    (tmp_path / "new").write_text("2")
+    (tmp_path / "gone").unlink()
+    assert changed(tmp_path) == ["later", "new", "now"]
