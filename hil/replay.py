@@ -23,8 +23,9 @@ from hil.experiment.can_frames import link_uri
 from hil.experiment.plugins import OBJECT
 from hil.experiment.protocols import Designer
 from hil.log.growing import Growing, pieces, whole
-from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
+from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
+from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING
 from hil.replay_compare import BATCH, Comparison
 from hil.replay_recorded import Heard, frames, recorded_wire
 from hil.runtime.nodes.actuator_node import OK, row_index
@@ -100,7 +101,7 @@ def changed_files(run: Run, experiment: Experiment) -> list[str]:
 def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
     """Feed the recorded sensor frames to the loop's controller; give the slot and its answer."""
     node = ControlNode(loop)
-    for tick, data in frames(run.pieces("/link/sensor", BATCH)):
+    for tick, data in frames(run.pieces(SENSOR.name, BATCH)):
         answer = node.hear(data)
         if answer is not None:
             yield tick, answer
@@ -154,14 +155,15 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     experiment = experiment_of(run, source) if experiment is None else experiment
     loop = compose(experiment, certify=False)
     foreign = run.session.get("external_controller") == "True"
-    applied = run.numbers("/actuator/applied")
+    applied = run.numbers(APPLIED.name)
     if not len(applied):
         raise HilError(f"{source}: the log holds no slots")
     ended = any(event["kind"] == "outcome" for event in run.events)
     slots = int(applied["tick"][-1]) + ended  # the last slot of a rig that was killed may be torn
     heard = Heard(run)
     channels = loop.channels()
-    again = Comparison(run, channels, sorted(topic for topic in channels if topic != "/timing/tick"), slots)
+    compared = sorted(topic for topic in channels if topic != TIMING.name and topic in run.arrays)  # an older log may lack one
+    again = Comparison(run, channels, compared, slots)
     rig = Rig(loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, recorded_wire(run))
     recorded = Recorded(loop, heard, foreign)
     slot = Slot(rig, recorded, stopped=lambda: recorded.difference is not None)
@@ -205,7 +207,7 @@ def what_if(
     other = compose(_with_controller(experiment, controller, kind), certify=False)
     if other.samples != (carried := packet_samples(experiment.controller)):
         raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")
-    applied = run.numbers("/actuator/applied")
+    applied = run.numbers(APPLIED.name)
     names = [f[2:] for f in applied.dtype.names or () if f.startswith("w_")]
     if not any((piece["status"] == OK).any() for piece in pieces(applied)):
         raise HilError(f"{source}: the log has no slot with an applied command, so replay compares nothing")

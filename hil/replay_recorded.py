@@ -12,6 +12,7 @@ from hil.errors import HilError
 from hil.log.growing import Growing, let_go, pieces
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
+from hil.log.topics import CONTROL, SENSOR
 from hil.replay_compare import BATCH, in_time
 from hil.runtime.nodes.wire import VERSION_1, Wire
 from transport.packets import SensorPacket, decode
@@ -37,8 +38,8 @@ class Heard:
     """
 
     def __init__(self, run: Run) -> None:
-        self._numbers = run.numbers("/link/control")
-        self._frames = frames(map(in_time, run.pieces("/link/control", BATCH)))
+        self._numbers = run.numbers(CONTROL.name)
+        self._frames = frames(map(in_time, run.pieces(CONTROL.name, BATCH)))
         count, last, ordered = 0, -(1 << 62), True
         for ticks in self._slots():
             ordered = ordered and int(ticks[0]) >= last and not (ticks[1:] < ticks[:-1]).any()
@@ -74,7 +75,7 @@ class Heard:
 def recorded_wire(run: Run) -> Wire:
     """Return version and nonces of the recorded questions."""
     slots, nonces, versions = Growing(np.int64), Growing(np.uint64), set()
-    for piece in run.pieces("/link/sensor", BATCH):
+    for piece in run.pieces(SENSOR.name, BATCH):
         asked = {tick: decode(bytes(data)) for tick, data in zip(piece["tick"].tolist(), piece["data"])}
         questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
         versions |= {packet.version for packet in questions.values()}

@@ -19,8 +19,8 @@ from hil.experiment import Experiment
 from hil.experiment.can_frames import link_uri, said_identifiers
 from hil.log.events import decode_event, to_json
 from hil.log.read.arrays import StructuredArray
-from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
+from hil.log.topics import CA, SC
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
@@ -229,10 +229,11 @@ def _summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
     """Return what a summary needs of a log in virtual time, topic to fields (None: all); None where it needs raw frames."""
     table = loop.channels()
     keep: dict[str, Sequence[str] | None] = dict.fromkeys((MEASUREMENT, REFERENCE, APPLIED, TIMING))
-    for topic, laws in (("/network/sc", [sensor.law for sensor in loop.sensors]), ("/network/ca", [loop.ca_law])):
+    for topic, laws in ((SC.name, [sensor.law for sensor in loop.sensors]), (CA.name, [loop.ca_law])):
         counted = [name for name in table[topic].schema.dtype.names or () if name in ("mode", "node", "reason")]
         keep[topic] = counted if all(law.family == "age" for law in laws) else None
-    keep |= dict.fromkeys({topic for measure in measures_of(loop.experiment) for topic in measure.topics} - {EVENTS_TOPIC})
+    wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics}
+    keep |= dict.fromkeys(wanted & table.keys())
     return None if any(table[topic].schema.raw for topic in keep) else keep
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.log.topics import TIMING
 from hil.measure.timing import Array, percentiles, timing_metrics
 from hil.session import run_session
 
@@ -92,7 +93,7 @@ def take_turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequen
         if reference is not None and reference.poll() is None:
             reference.kill()
             reference.wait()
-    ticks = session.run.arrays["/timing/tick"]
+    ticks = session.run.arrays[TIMING.name]
     log.unlink()
     if reference is None:
         return Turn(float(experiment.period), ticks, np.array([]), 0, session.summary)

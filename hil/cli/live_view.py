@@ -17,7 +17,8 @@ import numpy as np
 
 from hil.cli.terminal import visible
 from hil.log.events import decode_event
-from hil.log.records import CDR_HEADER, EVENTS_TOPIC, SignalLike, channels
+from hil.log.records import CDR_HEADER, EVENTS_TOPIC
+from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, Logged, SignalLike, channels
 from hil.measure.signals import PURE, tracked_among
 from hil.report.html.numbers import text_of
 
@@ -63,7 +64,7 @@ class LiveView:
         self._plant = plant
         self._tracked = tracked_among(plant, [signal.name for signal in plant.outputs])
         self._name_width = min(max(10, *(len(signal.name) for signal in plant.outputs)), LONGEST_NAME)
-        table = channels(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=1)
+        table = channels(Logged(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=1))
         self._dtypes = {topic: channel.schema.dtype for topic, channel in table.items()}
         self._newest: dict[str, bytes] = {}
         self._t_ns = -1
@@ -83,11 +84,11 @@ class LiveView:
         if not self._on:
             return {}
         return {
-            "/plant/measurement": self._keeper("/plant/measurement"),
-            "/reference": self._keeper("/reference"),
-            "/actuator/applied": self._applied,
-            "/controller/rows": self._rows,
-            "/timing/tick": self._timing,
+            MEASUREMENT.name: self._keeper(MEASUREMENT.name),
+            REFERENCE.name: self._keeper(REFERENCE.name),
+            APPLIED.name: self._applied,
+            ROWS.name: self._rows,
+            TIMING.name: self._timing,
             EVENTS_TOPIC: self._event,
         }
 
@@ -149,7 +150,7 @@ class LiveView:
         return Group(head, bar, lines, *events)
 
     def _tracking(self) -> list[tuple[str, str]]:
-        y, r = self._decoded("/plant/measurement"), self._decoded("/reference")
+        y, r = self._decoded(MEASUREMENT.name), self._decoded(REFERENCE.name)
         if y is None or r is None:
             return []
         rows = []
@@ -171,7 +172,7 @@ class LiveView:
         return next((line for line in reversed(lines) if len(line) <= room), lines[0])
 
     def _input(self) -> list[tuple[str, str]]:
-        applied = self._decoded("/actuator/applied")
+        applied = self._decoded(APPLIED.name)
         if applied is None:
             return []
         return [("input", "   ".join(_quantity(float(applied[i]), signal) for i, signal in enumerate(self._plant.inputs)))]
@@ -188,7 +189,7 @@ class LiveView:
         if not self._lateness:
             return []
         p50, p99 = np.percentile(np.array(self._lateness), (50, 99))
-        tick = self._decoded("/timing/tick")
+        tick = self._decoded(TIMING.name)
         trip = float(tick["round_trip_us"]) if tick is not None else float("nan")
         text = f"p50 {p50:.0f} µs   p99 {p99:.0f} µs   max {self._worst:.0f} µs"
         missed = f"{self._late} late, {self._overruns} overruns"
@@ -207,8 +208,8 @@ class LiveView:
 
     def _applied(self, t_ns: int, payload: bytes) -> None:
         self._t_ns = t_ns
-        self._newest["/actuator/applied"] = payload
-        d = int(np.frombuffer(payload, self._dtypes["/actuator/applied"], 1, len(CDR_HEADER))["d"][0])
+        self._newest[APPLIED.name] = payload
+        d = int(np.frombuffer(payload, self._dtypes[APPLIED.name], 1, len(CDR_HEADER))["d"][0])
         if d >= 0:
             self._ds.append(d)
 
@@ -216,8 +217,8 @@ class LiveView:
         self._taus.append(_TAU.unpack_from(payload, len(payload) - _TAU.size)[0])
 
     def _timing(self, t_ns: int, payload: bytes) -> None:
-        self._newest["/timing/tick"] = payload
-        tick = np.frombuffer(payload, self._dtypes["/timing/tick"], 1, len(CDR_HEADER))[0]
+        self._newest[TIMING.name] = payload
+        tick = np.frombuffer(payload, self._dtypes[TIMING.name], 1, len(CDR_HEADER))[0]
         self._lateness.append(float(tick["lateness_us"]))
         self._worst = max(self._worst, float(tick["lateness_us"]))
         self._late += int(tick["late"])

@@ -41,7 +41,8 @@ from hil.experiment.plugins import OBJECT
 from hil.experiment.protocols import Designer, JumpPlant
 from hil.experiment.sensor_list import Sensor, sensors_of
 from hil.experiment.table_check import fault_at
-from hil.log.records import Channel, channels
+from hil.log.records import Channel
+from hil.log.topics import Logged, channels
 from plants.errors import PlantError
 from transport.laws.protocols import NetworkLaw, prepare
 from transport.packets import MAX_OUTPUTS
@@ -101,11 +102,11 @@ class Loop:
         """
         plant = self.experiment.plant
         passivity = self.experiment.limits.passivity is not None
-        return channels(
+        return channels(Logged(
             states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows,
             numbered=any(sensor.numbered for sensor in self.sensors), passivity=passivity,
             on_can=on_can,
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def reference(self) -> Callable[[int], tuple[float, ...]]:
         """Return the reference as a function of the slot."""

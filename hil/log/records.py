@@ -1,4 +1,4 @@
-"""The one table of what is logged: topics, fields, units, and how a record becomes bytes.
+"""What a record of the log is: fields, units, and how it becomes bytes. The topics stand in `hil.log.topics`.
 
 Every signal record is a ROS 2 message (``ros2msg`` text as schema) in CDR, little endian. Fields are ordered float64,
 int64, int32, uint8, so that the packed layout *is* the aligned layout of CDR: one ``struct`` writes a record and one
@@ -12,11 +12,11 @@ fields never repeat them.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from struct import Struct
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,7 +26,6 @@ CDR_HEADER: Final = b"\x00\x01\x00\x00"
 """Encapsulation header of plain CDR, little endian (OMG DDSI-RTPS 2.3, table 10.3)."""
 
 EVENTS_TOPIC: Final = "/events"
-PASSIVITY_TOPIC: Final = "/actuator/passivity"
 
 TIME_FIELD: Final = "t_ns"
 """Field of a run's arrays that holds the log time; no schema has it."""
@@ -53,16 +52,6 @@ _ORDER: Final = ("float64", "int64", "int32", "uint8", "uint8[]")
 _FIELD_NAME: Final = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _SCHEMA_NAME: Final = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 _LINE: Final = re.compile(r"(?P<type>\S+) (?P<name>\S+)(?:  # (?P<unit>[^,]*)(?:, (?P<doc>.*))?)?")
-
-
-class SignalLike(Protocol):
-    """What a plant says of one of its signals."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def unit(self) -> str: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,109 +199,3 @@ def field_name(name: str) -> str:
         raise HilError(f"signal {name!r}: cannot be the name of a log field, expected letters first, then letters,"
                        " digits and underscores")
     return clean
-
-
-def channels(
-    *,
-    states: Sequence[SignalLike],
-    inputs: Sequence[SignalLike],
-    outputs: Sequence[SignalLike],
-    n_rows: int,
-    numbered: bool = False,
-    passivity: bool = False,
-    on_can: bool = False,
-) -> dict[str, Channel]:
-    """Every signal topic of a session, in the order of their numbers (``/events`` stands apart, in JSON).
-
-    Args:
-        states, inputs, outputs: the plant's signals, n, m and p of them, each with ``name`` and ``unit``.
-        n_rows: rows of the longest control packet that the selection rule can demand.
-        numbered: what the network decided about a sensor packet says of which node it is.
-        passivity: the rig has a passivity controller: what it saw and did is logged.
-        on_can: frames have CAN identifiers, which their records say.
-
-    Returns:
-        Topic to channel.
-
-    Raises:
-        HilError: if a signal's name cannot be a field, or two signals of one topic would share a field.
-    """
-    x, u, y = _floats(states), _floats(inputs), _floats(outputs)
-    w = tuple(Field(type="float64", name=f"w_{f.name}", unit=f.unit, doc="input disturbance") for f in u)
-    rows = tuple(
-        Field(type="float64", name=f"row{i}_{f.name}", unit=f.unit) for i in range(max(n_rows, 1)) for f in u
-    )
-    frame = ("CanFrame", (_tick, _can_id, *_frame[1:])) if on_can else ("LinkFrame", _frame)
-    table: tuple[tuple[str, str, tuple[Field, ...]], ...] = (
-        ("/plant/state", "PlantState", (*x, _tick)),
-        ("/plant/measurement", "PlantMeasurement", (*y, _tick)),
-        ("/reference", "Reference", (*y, _tick)),
-        ("/actuator/applied", "ActuatorApplied", (
-            *u, *w, _tick, _packet_tick, _i32("d", "samples", "age of the packet at the actuator"),
-            _i32("row", "1", "index of the row that was applied"), _u8("status", ", ".join(STATUS)))),
-        ("/controller/rows", "ControllerRows", (
-            *rows, _i64("sample_ns", "ns", "nominal time of the sample that was used"),
-            _i64("control_ns", "ns", "when the controller answered"), _tick,
-            _i32("tau", "samples", "sensor delay that the controller measured"),
-            _i32("selection", "1", "code of the selection rule"))),
-        ("/network/sc", "NodeDraw" if numbered else "NetworkDraw", _node_draw if numbered else _draw),
-        ("/network/ca", "NetworkDraw", _draw),
-        ("/link/sensor", *frame),
-        ("/link/control", *frame),
-        ("/timing/tick", "TickTiming", (
-            _f64("lateness_us", "us", "wake-up after the nominal time"),
-            _f64("round_trip_us", "us", "sensor frame out to control frame in, NaN if none came"),
-            _f64("work_us", "us", "time spent in the slot, waiting excluded"), _tick,
-            _u8("late", "no packet before the deadline"), _u8("overrun", "the slot ended after its period"))),
-    )
-    if passivity:
-        table += ((PASSIVITY_TOPIC, "ActuatorPassivity", (
-            _f64("energy", "J", "given by the motor beyond what damping takes"),
-            _f64("damping", "1", "injected, force per speed of the device"),
-            _f64("force", u[0].unit, "injected on top of the command"), _tick)),)  # fmt: skip
-    found = {}
-    for number, (topic, name, fields) in enumerate(table, 1):
-        try:
-            schema = Schema(name=f"hil/msg/{name}", fields=fields)
-        except ValueError as error:
-            raise HilError(f"log topic {topic}: {error}; signals need names that differ") from None
-        found[topic] = Channel(id=number, topic=topic, schema=schema)
-    return found
-
-
-def _floats(signals: Sequence[SignalLike]) -> tuple[Field, ...]:
-    # A comma would end the unit in the schema's text, a line break the line.
-    return tuple(
-        Field(type="float64", name=field_name(s.name), unit=" ".join(s.unit.replace(",", " ").split()) or "1")
-        for s in signals
-    )
-
-
-def _f64(name: str, unit: str, doc: str) -> Field:
-    return Field(type="float64", name=name, unit=unit, doc=doc)
-
-
-def _i64(name: str, unit: str, doc: str) -> Field:
-    return Field(type="int64", name=name, unit=unit, doc=doc)
-
-
-def _i32(name: str, unit: str, doc: str) -> Field:
-    return Field(type="int32", name=name, unit=unit, doc=doc)
-
-
-def _u8(name: str, doc: str) -> Field:
-    return Field(type="uint8", name=name, doc=doc)
-
-
-_tick: Final = _i64("tick", "1", "slot k")
-_packet_tick: Final = _i64("packet_tick", "1", "slot in which the packet was sent, -1 if none")
-_draw: Final = (
-    _f64("latency_s", "s", "drawn latency, NaN for an age law"), _tick, _packet_tick,
-    _i32("mode", "1", "mode of the law"), _i32("age", "samples", "age of the newest packet, -1 if none"),
-    _u8("reason", "code of the fate, names in the metadata"),
-)
-_node_draw: Final = (*_draw[:-1], _i32("node", "1", "number of the sensor node"), _draw[-1])
-_can_id: Final = _i32("can_id", "1", "CAN identifier of the frame, of the first one where several carry the packet")
-_frame: Final = (
-    _tick, _u8("late", "came after the deadline"), Field(type="uint8[]", name="data", doc="bytes on the link")
-)

@@ -13,6 +13,7 @@ from hil.log.events import decode_events
 from hil.log.growing import ROWS, pieces
 from hil.log.read.arrays import StructuredArray, assemble
 from hil.log.records import EVENTS_TOPIC, Schema
+from hil.log.topics import missing
 from hil.log.write.sinks import MemorySink
 
 
@@ -61,15 +62,34 @@ class Run:
     def from_memory(cls, sink: MemorySink, **about: Any) -> Run:
         """Run of what a ``MemorySink`` kept; ``about`` takes the fields that a sink does not know, by name."""
         schemas = {topic: sink.channels[topic].schema for topic in sink.payloads if topic != EVENTS_TOPIC}
-        arrays = {
-            topic: assemble(schema, sink.payloads[topic], times=sink.times[topic]) for topic, schema in schemas.items()
-        }
+        arrays = _Arrays(
+            (topic, assemble(schema, sink.payloads[topic], times=sink.times[topic])) for topic, schema in schemas.items()
+        )
         return cls(arrays=arrays, schemas=schemas, events=decode_events(sink.payloads.get(EVENTS_TOPIC, ())), **about)
+
+    def needs(self, *topics: str) -> None:
+        """Ask for topics before reading them.
+
+        Raises:
+            MissingTopic: the log lacks one of them; the message says who writes it, and since when.
+        """
+        for topic in topics:
+            if topic not in self.arrays:
+                raise missing(topic, [*self.arrays])
 
     def pieces(self, topic: str, rows: int = ROWS) -> Iterator[StructuredArray]:
         """Give the records of a topic piece by piece: a long log is never whole in memory."""
+        self.needs(topic)
         return self.arrays.pieces(topic, rows) if isinstance(self.arrays, InPieces) else pieces(self.arrays[topic], rows)
 
     def numbers(self, topic: str) -> StructuredArray:
         """Return the records of a topic; those of raw frames may lack the field ``data``."""
+        self.needs(topic)
         return self.arrays.numbers(topic) if isinstance(self.arrays, InPieces) else self.arrays[topic]
+
+
+class _Arrays(dict[str, StructuredArray]):
+    """Topic to records in memory; a topic that is not there is named with what is known of it."""
+
+    def __missing__(self, topic: str) -> StructuredArray:
+        raise missing(topic, [*self])

@@ -15,9 +15,8 @@ from design.controllers import FromSamples
 from design.controllers.rendered_wall import RendersWall
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
+from hil.log.topics import ROWS
 from hil.measure.view import MEASUREMENT, RunView, matrix
-
-ROWS = "/controller/rows"
 
 MOST_ANSWERS = 200_000
 """Answers that are computed again at most: the first ones of a longer run."""
@@ -62,7 +61,7 @@ class AvatarPath:
 
 def loop_of(view: RunView) -> Loop | None:
     """Return the composed loop of a run, None where it cannot be composed any more or its answers were not logged."""
-    if view.experiment is None or ROWS not in view.run.arrays:
+    if view.experiment is None or ROWS.name not in view.run.arrays:
         return None
     try:
         return compose(view.experiment, certify=False)
@@ -95,7 +94,7 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
     outputs = list(view.signals.outputs)
     carried = matrix(measured, outputs).astype(np.float32).tolist()
     samples: dict[int, list[float]] = dict(zip(measured["tick"].tolist(), carried))
-    answers = view.run.arrays[ROWS][:MOST_ANSWERS]
+    answers = view.run.arrays[ROWS.name][:MOST_ANSWERS]
     first = next((n for n in answers.dtype.names or () if n.startswith("row0_")), None)
     reference = loop.reference()
     found: list[tuple[float, float, int, float, float]] = []

@@ -10,13 +10,12 @@ import numpy.typing as npt
 
 from hil.experiment.protocols import HasCost
 from hil.log.growing import pieces
+from hil.log.topics import SC, SENSOR, STATE
 from hil.measure.many import Many, ManyView
 from hil.measure.measure import Quantity
 from hil.measure.network_load import loads, node_loads
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, RunView, matrix, signal_names
-
-STATE, SENSOR, DRAWS = "/plant/state", "/link/sensor", "/network/sc"
 
 
 class Cost:
@@ -27,7 +26,7 @@ class Cost:
         "The weights are the plant's own; for a plant without weights they are the unit matrix. The load counts sensor packets "
         "as they were sent, lost ones included, with their headers."
     )
-    topics: ClassVar[tuple[str, ...]] = (STATE, APPLIED, SENSOR, DRAWS)
+    topics: ClassVar[tuple[str, ...]] = (STATE.name, APPLIED, SENSOR.name, SC.name)
 
     def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
         """Return what is measured."""
@@ -40,10 +39,10 @@ class Cost:
 
     def of(self, view: RunView) -> dict[str, float | None]:
         """Return the numbers of one run."""
-        names = signal_names(view.run, STATE)
+        names = signal_names(view.run, STATE.name)
         plant = view.experiment.plant if view.experiment is not None else None
         weights = _weights(plant, len(names), len(view.signals.inputs))
-        states = (matrix(piece, names) for piece in pieces(view.run.arrays[STATE]))
+        states = (matrix(piece, names) for piece in pieces(view.run.arrays[STATE.name]))
         found = loads(view)
         return {
             **_of_one(states, view.inputs(), weights),

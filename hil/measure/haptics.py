@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 
 from hil.log.growing import whole
+from hil.log.topics import STATE
 from hil.measure.measure import Quantity
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
 
-STATE = "/plant/state"
 LAST_SHARE = 0.1
 """Last share of the run over which the final depth is averaged."""
 
@@ -23,7 +23,7 @@ class Haptics:
     note: ClassVar[str] = (
         "The wall begins at position 0. Energy given is that of the motor minus that of the damping: 0 behind a sound coupler."
     )
-    topics: ClassVar[tuple[str, ...]] = (MEASUREMENT, APPLIED, STATE)
+    topics: ClassVar[tuple[str, ...]] = (MEASUREMENT, APPLIED, STATE.name)
 
     def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
         """Return what is measured."""
@@ -44,7 +44,7 @@ class Haptics:
         force = np.abs(view.applied())
         force = force[np.isfinite(force)]
         last = depth[-max(round(LAST_SHARE * depth.size), 1) :]
-        states = view.run.arrays[STATE]
+        states = view.run.arrays[STATE.name]
         given = whole(states, "given") if "given" in (states.dtype.names or ()) else np.zeros(0)
         given = given[np.isfinite(given)]
         return {

@@ -13,8 +13,10 @@ from hil.experiment import Experiment
 from hil.experiment import plugins as registry
 from hil.experiment.own_plugins import words
 from hil.experiment.tables import Report
+from hil.log.records import EVENTS_TOPIC
+from hil.log.topics import NUMBER_TOPICS
 from hil.measure.signals import Signals
-from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView
+from hil.measure.view import RunView
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,9 +102,7 @@ class MeasureOfFunction:
         function: takes a `RunView` and returns a number, or None where it is not defined.
     """
 
-    topics: ClassVar[tuple[str, ...]] = (
-        "/plant/state", MEASUREMENT, REFERENCE, APPLIED, "/network/sc", "/network/ca", TIMING, "/events",
-    )  # fmt: skip
+    topics: ClassVar[tuple[str, ...]] = (*NUMBER_TOPICS, EVENTS_TOPIC)
     note: ClassVar[str] = ""
 
     def __init__(self, function: Callable[[RunView], float | None]) -> None:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hil.experiment import Experiment
 from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import pieces
+from hil.log.topics import SC
 from hil.measure.network_paths import draws_of
 from hil.measure.view import MEASUREMENT, RunView
 from transport.medium.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
@@ -38,7 +39,7 @@ class Load:
 
 def loads(view: RunView) -> tuple[Load, ...]:
     """Return the load of every sensor node; empty where the run keeps no draws or cannot be made again here."""
-    draws, e = view.run.arrays.get("/network/sc"), view.experiment
+    draws, e = view.run.arrays.get(SC.name), view.experiment
     if draws is None or e is None or not len(draws):
         return ()
     slots = len(view.run.arrays.get(MEASUREMENT, ())) or max(int(piece["tick"].max()) for piece in pieces(draws)) + 1

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import Growing, pieces
+from hil.log.topics import CA, SC
 from hil.measure.view import RunView
 from transport.laws.protocols import NetworkLaw
 
@@ -38,7 +39,7 @@ class NetworkPath:
 def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
     """Return the networks from the sensor nodes, by number, then the one to the actuator."""
     e, arrays, links = view.experiment, view.run.arrays, view.run.resolved.get("links", {})
-    sc, ca = arrays.get("/network/sc"), arrays.get("/network/ca")
+    sc, ca = arrays.get(SC.name), arrays.get(CA.name)
     kinds = {side: str(links.get(side, {}).get("law", {}).get("kind", "?")) for side in ("sc", "ca")}
     if e is None:
         return (

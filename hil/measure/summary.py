@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.experiment import Experiment
 from hil.log.run import Run
+from hil.log.topics import SC
 from hil.measure.measure import measured, measures_of, quantities_of
 from hil.measure.network import network_metrics
 from hil.measure.network_load import loads
@@ -67,7 +68,7 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
         together = nodes[sensors[0].node]
     else:
         kind = str(run.resolved.get("links", {}).get("sc", {}).get("law", {}).get("kind", "?"))
-        counted = network_metrics(run.arrays.get("/network/sc"), None, kind, reasons=reasons)
+        counted = network_metrics(run.arrays.get(SC.name), None, kind, reasons=reasons)
         together = {**counted, "mode_counts": [], "transition_counts": [], "p_value": None}
     load = {each.node: asdict(each) for each in loads(view)}
     keys = ("packets", "packets_per_s", "bits_per_s")

@@ -11,13 +11,15 @@ import numpy.typing as npt
 
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
+from hil.log import topics
 from hil.log.growing import ROWS, let_go, pieces, whole
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.measure.followed import Followed
 from hil.measure.signals import Signals, bare, tracked_among
 
-MEASUREMENT, REFERENCE, APPLIED, TIMING = "/plant/measurement", "/reference", "/actuator/applied", "/timing/tick"
+MEASUREMENT, REFERENCE = topics.MEASUREMENT.name, topics.REFERENCE.name
+APPLIED, TIMING = topics.APPLIED.name, topics.TIMING.name
 REFERENCE_STEP, DISTURBANCE = "reference step", "disturbance"
 
 _BOOKKEEPING = ("started", "outcome", "stop", "stopped")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 from xml.etree import ElementTree
 
+from hil.log import topics
 from hil.log.records import EVENTS_TOPIC, Schema
 
 COLOURS: Final = ("#1f77b4", "#7f7f7f", "#17becf", "#d62728", "#2ca02c", "#9467bd")
@@ -27,29 +28,15 @@ class Panel:
 
 
 def panels(schemas: Mapping[str, Schema]) -> list[Panel]:
-    """Return the plots of a log: outputs against their reference, states, inputs, delays, network and timing.
+    """Return the plots of a log, as its topics say.
 
     Args:
         schemas: topic to schema, of a log or of an experiment's channels.
     """
-    outputs, states, inputs = (_floats(schemas, topic) for topic in ("/plant/measurement", "/plant/state", "/actuator/applied"))
-    found = [
-        Panel(
-            title=name,
-            curves=(
-                ("/plant/measurement", name), ("/reference", name), *([("/plant/state", name)] if name in states else []),
-            ),
-        )
-        for name in outputs
-    ]  # fmt: skip
-    found += [Panel(title=name, curves=(("/plant/state", name),)) for name in states if name not in outputs]
-    disturbed = [name for name in inputs if not (name.startswith("w_") and name[2:] in inputs)]
-    found += [Panel(title=name, curves=(("/actuator/applied", name), ("/actuator/applied", f"w_{name}"))) for name in disturbed]
-    found.append(Panel(title="delays, samples", curves=(("/controller/rows", "tau"), ("/actuator/applied", "d"))))
-    found.append(Panel(title="network, age in samples", curves=(("/network/sc", "age"), ("/network/ca", "age"))))
-    timed = (("/timing/tick", "lateness_us"), ("/timing/tick", "round_trip_us"))
-    found.append(Panel(title="timing, us", curves=timed))
-    return found
+    return [
+        Panel(title=title, curves=tuple((topic, curve.field) for topic, curve in curves))
+        for title, curves in topics.panels(schemas).items()
+    ]
 
 
 def foxglove(schemas: Mapping[str, Schema]) -> str:
@@ -120,7 +107,3 @@ def _stacked(names: Sequence[str]) -> Any:
         return names[0]
     rest = _stacked(names[1:])
     return {"direction": "column", "first": names[0], "second": rest, "splitPercentage": round(100 / len(names), 3)}
-
-
-def _floats(schemas: Mapping[str, Schema], topic: str) -> list[str]:
-    return [field.name for field in schemas[topic].fields if field.type == "float64"]

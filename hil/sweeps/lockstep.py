@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.compose.loop import Loop
-from hil.measure.cost import DRAWS, STATE
+from hil.log.topics import SC, STATE
 from hil.measure.many import ManyView, MeasureOfMany
 from hil.measure.measure import measures_of
 from hil.measure.signals import signals_of
@@ -127,11 +127,11 @@ class _Slots:
         self._slots, self._runs, self._period_ns = e.ticks, len(seeds), e.period_ns
         topics = {topic for measure in measures_of(e) for topic in measure.topics}
         by_sample = controllers if isinstance(controllers, RunningControllersFromSamples) else None
-        sc = heard(loop, seeds, every_packet=by_sample is not None or DRAWS in topics)
+        sc = heard(loop, seeds, every_packet=by_sample is not None or SC.name in topics)
         ca = received(loop.ca_law, seeds, "link.ca", e)
         self._sampled, self._held, self._packets, self._node_of = sc.newest, ca.newest, sc.packets, nodes_of(loop)
         self._samples = None if by_sample is None else KnownSamples(loop, sc, by_sample.memory, self._runs)
-        self._states = np.empty((len(e.plant.states), e.ticks, self._runs)) if STATE in topics else None
+        self._states = np.empty((len(e.plant.states), e.ticks, self._runs)) if STATE.name in topics else None
         self._usable = (ca.newest >= 0) & (np.arange(e.ticks, dtype=np.int32)[:, None] - ca.newest <= d_max)
         self._known = sc.known & ca.known & ~starved(self._usable, d_max, e.limits.watchdog_slots)
         self._rows = applied_rows(loop.selection, self._held, d_max)

@@ -91,7 +91,8 @@ def run_one_by_one(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     """Run a loop seed by seed with the nodes of a session: what `run_seeds` is held to."""
     rows = []
     names = columns_of(loop.experiment)[1:]
-    topics = {"/events", *(topic for measure in measures_of(loop.experiment) for topic in measure.topics)}
+    wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics}
+    topics = {"/events", *(wanted & loop.channels().keys())}
     for seed in seeds:
         run = simulate(loop, seed, topics)
         found = run_metrics(run, loop.experiment)

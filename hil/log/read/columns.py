@@ -15,6 +15,7 @@ from hil.log.growing import ROWS, Growing, let_go, pieces
 from hil.log.read.arrays import StructuredArray, assemble, run_dtype
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT
 from hil.log.records import TIME_FIELD, Schema
+from hil.log.topics import missing
 
 TOGETHER: Final = 4096
 """Messages that are turned into numbers together."""
@@ -117,6 +118,8 @@ class Topics(MutableMapping[str, StructuredArray]):
         self._arrays: dict[str, StructuredArray] = {}
 
     def __getitem__(self, topic: str) -> StructuredArray:
+        if topic not in self._topics:
+            raise missing(topic, [*self])
         if topic not in self._arrays:
             self._arrays[topic] = self._columns[topic].array()
         return self._arrays[topic]
@@ -132,6 +135,9 @@ class Topics(MutableMapping[str, StructuredArray]):
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._topics)
+
+    def __contains__(self, topic: object) -> bool:
+        return topic in self._topics
 
     def __len__(self) -> int:
         return len(self._topics)

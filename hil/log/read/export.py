@@ -36,10 +36,11 @@ from hil.experiment.can_frames import identifiers_of_link, identifiers_on
 from hil.experiment.sensor_order import framing
 from hil.log.growing import pieces
 from hil.log.read.arrays import StructuredArray
-from hil.log.read.measured_frames import FRAME_TOPICS, measured_frames
+from hil.log.read.measured_frames import measured_frames
 from hil.log.read.npz import NpzFile
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
+from hil.log.topics import FRAME_TOPICS, SENSOR
 
 if TYPE_CHECKING:
     from transport.links.can_identifiers import Identifiers
@@ -183,7 +184,7 @@ def _of_topic(run: Run, topic: str) -> Iterator[Any]:
     fd, identifiers = _framing(run)
     bus: Any = _BusOfPaper()
     begin_s = run.start_ns / 1e9 or datetime.fromisoformat(run.session.get("started", VIRTUAL_BEGIN)).timestamp()
-    role: Literal["rig", "controller"] = "rig" if topic == "/link/sensor" else "controller"
+    role: Literal["rig", "controller"] = "rig" if topic == SENSOR.name else "controller"
     link = CanLink(uri, role, lambda: bus, identifiers=identifiers, fd=fd)
     for t_ns, packet in measured_frames(run, topic):
         bus.t_s = begin_s + t_ns / 1e9

@@ -13,8 +13,8 @@ from hil.errors import HilError
 from hil.log.growing import Growing, pieces
 from hil.log.read.run import Run
 from hil.log.records import TIME_FIELD
+from hil.log.topics import CONTROL, TIMING
 
-FRAME_TOPICS: Final = ("/link/sensor", "/link/control")
 TOGETHER: Final = 4096
 """Frames that are read at a time."""
 
@@ -73,8 +73,8 @@ def _farthest_behind(run: Run, topic: str, measured: Callable[[Ticks], Ticks]) -
 def _lateness(run: Run, topic: str) -> Callable[[Ticks], Ticks]:
     """Return how much after its nominal instant a frame of a slot came, ns; 0 for a slot that was not timed."""
     slots, delays, last, ordered = Growing(np.int64), Growing(np.int64), -(1 << 62), True
-    for piece in pieces(run.numbers("/timing/tick"), TOGETHER):
-        late_us = piece["lateness_us"] + (np.nan_to_num(piece["round_trip_us"]) if topic == "/link/control" else 0.0)
+    for piece in pieces(run.numbers(TIMING.name), TOGETHER):
+        late_us = piece["lateness_us"] + (np.nan_to_num(piece["round_trip_us"]) if topic == CONTROL.name else 0.0)
         delays.extend(np.round(late_us * 1e3).astype(np.int64))
         own = piece["tick"].astype(np.int64)
         slots.extend(own)

@@ -35,7 +35,7 @@ class McapSink:
 
     Args:
         path: file to write; an existing one is replaced.
-        channels: the session's table (``records.channels``).
+        channels: the session's table (``hil.log.topics.channels``).
         provenance: what stands before the first record.
         now: monotonic seconds of a clock, in real time only.
         index: how much of an index the file has, see `McapWriter`.

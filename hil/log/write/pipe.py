@@ -38,7 +38,7 @@ class PipeSink:
 
     Args:
         fd: writing end of a pipe; it is made non-blocking and belongs to the sink from now on.
-        channels: the session's table (``records.channels``), the same as in the reading process.
+        channels: the session's table (``hil.log.topics.channels``), the same as in the reading process.
     """
 
     def __init__(self, fd: int, channels: Mapping[str, Channel]) -> None:

@@ -74,7 +74,7 @@ class MemorySink:
     """Keeps records in memory, for sweeps, tests and summaries.
 
     Args:
-        channels: the session's table (``records.channels``).
+        channels: the session's table (``hil.log.topics.channels``).
         topics: topics to keep, all if None; ``/events`` is one of them.
     """
 

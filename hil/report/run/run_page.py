@@ -25,6 +25,7 @@ from hil.report.run.time_panels import (
     markers,
     output_panels,
     state_panels,
+    topic_panels,
 )
 
 MOST_EVENTS = 300
@@ -69,7 +70,7 @@ def run_sections(view: RunView, summary: Mapping[str, Any], predicted: Mapping[s
     lateness = lateness_panel(view, marks)
     tables = _summary_tables(view, summary)
     outputs = output_panels(view, marks, predicted)
-    inside: tuple[Block, ...] = (*state_panels(view, marks), *input_panels(view, marks))
+    inside: tuple[Block, ...] = (*state_panels(view, marks), *input_panels(view, marks), *topic_panels(view, marks))
     found = [
         Section(title="Tracking", blocks=(*outputs, *(inside if len(inside) <= STACKED else ()))),
         Section(title="States and inputs", columns=2, blocks=inside if len(inside) > STACKED else ()),

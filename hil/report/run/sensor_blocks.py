@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import pieces
+from hil.log.topics import SC
 from hil.measure.network_load import loads
 from hil.measure.view import RunView
 from hil.report.html.figures import Block, Cell, Figure, Marker, Series, Table
@@ -37,7 +38,7 @@ def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
 
     A log that does not has one node, which the figures of the delays show.
     """
-    draws, e = view.run.arrays.get("/network/sc"), view.experiment
+    draws, e = view.run.arrays.get(SC.name), view.experiment
     if e is None or draws is None or not len(draws) or "node" not in (draws.dtype.names or ()):
         return []
     sensors, outputs = sensors_of(e), [signal.name for signal in e.plant.outputs]

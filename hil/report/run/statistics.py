@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from hil.log.growing import pieces, whole
 from hil.log.run import Run
+from hil.log.topics import APPLIED, ROWS, TIMING
 from hil.measure.network import expected_frequencies, expected_transitions, mode_sequence
 from hil.measure.network_paths import NetworkPath
 from hil.report.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
@@ -172,7 +173,7 @@ def _measured_ages(run: Run, network: Mapping[str, Any], side: str) -> Bars | No
     """Ages as their receiver saw them, for laws whose modes are no ages."""
     if "sent" not in network[side]["fates"]:
         return None
-    array, field = (run.arrays.get("/controller/rows"), "tau") if side == "sc" else (run.arrays.get("/actuator/applied"), "d")
+    array, field = (run.arrays.get(ROWS.name), "tau") if side == "sc" else (run.arrays.get(APPLIED.name), "d")
     if array is None or not len(array):
         return None
     heard = "sample_ns" if side == "sc" else "d"
@@ -193,7 +194,7 @@ def _measured_ages(run: Run, network: Mapping[str, Any], side: str) -> Bars | No
 
 def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:
     """Return the histograms of lateness and round trip and their percentiles; nothing for a run in virtual time."""
-    ticks = run.arrays.get("/timing/tick")
+    ticks = run.arrays.get(TIMING.name)
     if ticks is None or not len(ticks):
         return []
     blocks: list[Block] = []

@@ -9,8 +9,10 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from hil.log import topics
 from hil.log.growing import pieces
 from hil.log.run import Run
+from hil.log.topics import ROWS, STATE
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, signal_names
 from hil.report.html.figures import Band, Figure, LineStyle, Marker, Series, State
 from hil.report.run.curve import Records, curve
@@ -45,7 +47,7 @@ def output_panels(view: RunView, marks: tuple[Marker, ...], predicted: Mapping[s
     An output that does not follow the reference (a measured mode) has none, and holds its value between samples.
     """
     arrays, tracked = view.run.arrays, view.signals.tracked
-    measurement, reference, state = arrays[MEASUREMENT], arrays[REFERENCE], arrays.get("/plant/state")
+    measurement, reference, state = arrays[MEASUREMENT], arrays[REFERENCE], arrays.get(STATE.name)
     panels: list[Figure] = []
     for name, unit in view.signals.outputs.items():
         theory = predicted.get(name, Prediction())
@@ -73,20 +75,40 @@ def output_panels(view: RunView, marks: tuple[Marker, ...], predicted: Mapping[s
 
 def state_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     """Return one panel per state that is no output."""
-    state = view.run.arrays.get("/plant/state")
+    state = view.run.arrays.get(STATE.name)
     if state is None or not len(state):
         return []
     return [
         Figure(
             title=_title(name),
             y_label=_words(name),
-            y_unit=view.unit("/plant/state", name),
+            y_unit=view.unit(STATE.name, name),
             series=(curve(state, name, label=_words(name), colour=2),),
             markers=marks,
             height_px=190,
         )
-        for name in signal_names(view.run, "/plant/state")
+        for name in signal_names(view.run, STATE.name)
         if name not in view.signals.outputs
+    ]
+
+
+def topic_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+    """Return the panels of topics that no section of the page draws, as the topics say that they are plotted."""
+    own = [name for name, topic in topics.TOPICS.items() if not topic.paged and name in view.run.arrays]
+    return [
+        Figure(
+            title=_title(title),
+            y_label=_words(title),
+            y_unit=view.unit(curves[0][0], curves[0][1].field),
+            series=tuple(
+                curve(view.run.arrays[name], each.field, label=_words(each.field), style="step", colour=number)
+                for number, (name, each) in enumerate(curves)
+            ),
+            markers=marks,
+            height_px=190,
+        )
+        for title, curves in topics.panels(view.run.schemas, own).items()
+        if all(len(view.run.arrays[name]) for name, _ in curves)
     ]
 
 
@@ -115,7 +137,7 @@ def input_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
 def delay_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     """Return two panels: the age that each direction's law drew, and the age that the receiver measured."""
     run = view.run
-    rows, applied = run.arrays.get("/controller/rows"), run.arrays[APPLIED]
+    rows, applied = run.arrays.get(ROWS.name), run.arrays[APPLIED]
     measured = {"sc": (rows, "tau", "τ"), "ca": (applied, "d", "d")}
     names = {"sc": "Sensor to controller", "ca": "Controller to actuator"}
     panels = []

@@ -15,7 +15,7 @@ from design.controllers.rendered_wall import FollowsModel, RendersWall
 from design.controllers.wall import Wall
 from hil.compose.loop import Loop
 from hil.log.growing import whole
-from hil.log.records import PASSIVITY_TOPIC
+from hil.log.topics import PASSIVITY, STATE
 from hil.measure.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
 from hil.report.html.figures import Block, Figure, Marker, Scene, Section, Series, Shape
@@ -67,7 +67,7 @@ def wall_section(view: RunView) -> Section | None:
 
 def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
     run, marks = view.run, markers(view)
-    measured, applied, state = run.arrays[MEASUREMENT], run.arrays[APPLIED], run.arrays.get("/plant/state")
+    measured, applied, state = run.arrays[MEASUREMENT], run.arrays[APPLIED], run.arrays.get(STATE.name)
     tip, force = view.signals.tracked[0], next(iter(view.signals.inputs))
     depth = [curve(measured, lambda some: 1e3 * some[tip], label="device", colour=0)]
     if path is not None:
@@ -89,7 +89,7 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
                 note="Energy that the motor gave minus energy that the damping took: 0 behind a safe coupler.",
             )
         )  # fmt: skip
-    damper = run.arrays.get(PASSIVITY_TOPIC)
+    damper = run.arrays.get(PASSIVITY.name)
     if damper is not None:
         injected = curve(damper, "damping", label="injected damping", style="step", colour=5)
         found.append(

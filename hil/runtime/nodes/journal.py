@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from math import nan
+from typing import Any
 
 from hil.experiment.can_frames import FirstIdentifiers
-from hil.log.records import PASSIVITY_TOPIC, Channel
+from hil.log.records import Channel
+from hil.log.topics import APPLIED, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
+from hil.log.topics.topic import SlotRecord
 from hil.log.write.sinks import Sink, record_to, records_to
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.port_damper import Injected
@@ -15,8 +18,8 @@ from transport.medium.draws import Draw
 from transport.medium.medium import Delivery
 from transport.packets import ControlPacket, node_of
 
-_SENSED = ("/plant/state", "/plant/measurement", "/reference")
-_ANSWERED = ("/link/control", "/controller/rows")
+_SENSED = (STATE.name, MEASUREMENT.name, REFERENCE.name)
+_ANSWERED = (CONTROL.name, ROWS.name)
 _DRAWS = range(1, 4)
 """How many decisions a network law takes in a slot that is recorded at once."""
 
@@ -38,27 +41,32 @@ class Journal:
     ) -> None:  # fmt: skip
         self.event = sink.event
         self._log = {topic: record_to(sink, channel) for topic, channel in channels.items()}
-        self._state = self._log["/plant/state"]
-        self._y = self._log["/plant/measurement"]
-        self._r = self._log["/reference"]
-        self._u = self._log["/actuator/applied"]
-        self._rows = self._log["/controller/rows"]
-        self._sensor = self._log["/link/sensor"]
-        self._control = self._log["/link/control"]
-        self._passivity = self._log.get(PASSIVITY_TOPIC)
+        self._state = self._log[STATE.name]
+        self._y = self._log[MEASUREMENT.name]
+        self._r = self._log[REFERENCE.name]
+        self._u = self._log[APPLIED.name]
+        self._rows = self._log[ROWS.name]
+        self._sensor = self._log[SENSOR.name]
+        self._control = self._log[CONTROL.name]
+        self._passivity = self._log.get(PASSIVITY.name)
+        filled = [(TOPICS[topic].values, record) for topic, record in self._log.items() if topic in TOPICS]
+        self._filled = [(values, record) for values, record in filled if values is not None and record is not None]
+        self._sensed: tuple[Any, ...] = ()  # what was asked in the slot, where a topic is filled from it
         self._row_values, self._numbers = row_values, tuple(numbers)
         # What the record of a frame holds of its identifier: the identifier, or nothing.
         self._sensor_ids = [(i,) for i in identifiers.sensors] if identifiers else [()] * len(self._numbers)
         self._control_id = (identifiers.control,) if identifiers else ()
         self._nowhere = (-1,) if identifiers else ()
-        self._asked_at_once = {n: records_to(sink, (*_SENSED, *["/network/sc"] * n, "/link/sensor")) for n in _DRAWS}
-        self._answered_at_once = {n: records_to(sink, ("/actuator/applied", *["/network/ca"] * n, *_ANSWERED)) for n in _DRAWS}
+        self._asked_at_once = {n: records_to(sink, (*_SENSED, *[SC.name] * n, SENSOR.name)) for n in _DRAWS}
+        self._answered_at_once = {n: records_to(sink, (APPLIED.name, *[CA.name] * n, *_ANSWERED)) for n in _DRAWS}
 
     def slot_asked(
         self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float],
         sent: Sequence[Delivery], frames: Sequence[bytes],
     ) -> None:  # fmt: skip
         """Record what was sensed in slot k, what the network decided about each sensor node, and what was asked."""
+        if self._filled:
+            self._sensed = (tuple(state), tuple(y), tuple(r), tuple(frames))
         draws, numbers = sent[0][0], self._numbers
         at_once = self._asked_at_once.get(len(draws)) if len(sent) == 1 == len(frames) else None
         if at_once is not None:  # the usual slot
@@ -66,7 +74,7 @@ class Journal:
             return
         self.sensed(t_ns, k, state, y, r)
         for (draws, _), number in zip(sent, numbers):
-            self.draws("/network/sc", t_ns, draws, number)
+            self.draws(SC.name, t_ns, draws, number)
         self.asked(t_ns, k, frames)
 
     def slot_answered(
@@ -75,6 +83,8 @@ class Journal:
     ) -> None:  # fmt: skip
         """Record what the actuator applied in slot k, what the network decided about it, and the answer, None if none came."""
         u, packet_tick, d, row, status, _, injected = applied
+        if self._filled:
+            self._fill(t_ns, k, applied, w, data)
         at_once = self._answered_at_once.get(len(draws))
         if at_once is not None and injected is None and packet is not None:
             _, sample_ns, control_ns, tau, selection, rows, _, _, _, _ = packet
@@ -87,9 +97,21 @@ class Journal:
         self.applied(t_ns, k, applied, w)
         if injected is not None:
             self.injected(t_ns, k, injected)
-        self.draws("/network/ca", t_ns, draws)
+        self.draws(CA.name, t_ns, draws)
         if packet is not None:
             self.answered(t_ns, k, packet, data)
+
+    def _fill(self, t_ns: int, k: int, applied: Applied, w: Sequence[float], data: bytes) -> None:
+        """Write the topics that say themselves what they hold of a slot."""
+        u, _, d, row, status, *_ = applied
+        state, y, r, frames = self._sensed
+        slot = SlotRecord(
+            k=k, t_ns=t_ns, state=state, y=y, r=r, u=u, w=w, d=d, row=row, status=status, frames=frames, answer=data or b"",
+        )  # fmt: skip
+        for values, record in self._filled:
+            found = values(slot)
+            if found is not None:
+                record(t_ns, found)
 
     def sensed(self, t_ns: int, k: int, state: Sequence[float], y: Sequence[float], r: Sequence[float]) -> None:
         """Record the plant's state, its outputs and the reference in slot k."""

@@ -14,6 +14,7 @@ from types import FrameType
 
 from hil.compose.loop import Loop
 from hil.experiment.can_frames import about_rig, session_identifiers
+from hil.log.topics import TIMING
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import record_to
 from hil.runtime.nodes.controller_node import ControlNode
@@ -66,7 +67,7 @@ class RealLoop:
         self.overruns = 0
         self._sink = sink
         self._period_ns = e.period_ns
-        self._log = record_to(sink, channels["/timing/tick"])
+        self._log = record_to(sink, channels[TIMING.name])
         self._woken_ns = self._late = 0
         deadline_ns = round(e.timing.deadline * e.period_ns)
         self._exchange = LinkExchange(

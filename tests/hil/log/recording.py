@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hil.log.read.arrays import StructuredArray
-from hil.log.records import Channel, channels
+from hil.log.records import Channel
+from hil.log.topics import Logged, channels
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import Sink
@@ -23,12 +24,12 @@ class Signal(NamedTuple):
     unit: str
 
 
-TABLE: dict[str, Channel] = channels(
+TABLE: dict[str, Channel] = channels(Logged(
     states=(Signal("angle", "rad"), Signal("speed", "rad/s")),
     inputs=(Signal("voltage", "V"),),
     outputs=(Signal("angle", "rad"),),
     n_rows=3,
-)
+))
 
 
 def provenance(**changes: Any) -> Provenance:

@@ -14,7 +14,8 @@ from mcap.records import Schema as McapSchema
 from mcap_ros2.decoder import DecoderFactory
 
 from hil.errors import HilError
-from hil.log.records import Channel, Field, Schema, channels, field_name
+from hil.log.records import Channel, Field, Schema, field_name
+from hil.log.topics import Logged, channels
 
 
 class Signal(NamedTuple):
@@ -22,12 +23,12 @@ class Signal(NamedTuple):
     unit: str
 
 
-TABLE = channels(
+TABLE = channels(Logged(
     states=(Signal("angle", "rad"), Signal("speed", "rad/s")),
     inputs=(Signal("voltage", "V"), Signal("Brake torque", "N m")),
     outputs=(Signal("angle", "rad"),),
     n_rows=3,
-)
+))
 
 _VALUES = {
     "float64": st.floats(),
@@ -151,7 +152,7 @@ def test_a_field_name_is_valid_or_refused_with_the_signal_named(name: str) -> No
 def test_signals_that_would_share_a_field_are_refused(names: tuple[str, ...]) -> None:
     signals = [Signal(name, "1") for name in names]
     with pytest.raises(HilError, match=r"log topic /plant/state.* more than one field"):
-        channels(states=signals, inputs=[], outputs=[], n_rows=1)
+        channels(Logged(states=signals, n_rows=1))
 
 
 @pytest.mark.parametrize(
@@ -169,5 +170,5 @@ def test_a_schema_name_that_ros2_readers_cannot_take_is_refused() -> None:
 
 
 def test_a_unit_cannot_break_the_schema_text() -> None:
-    table = channels(states=[Signal("a", "m,\n s")], inputs=[], outputs=[], n_rows=1)
+    table = channels(Logged(states=[Signal("a", "m,\n s")], n_rows=1))
     assert table["/plant/state"].schema.fields[0].unit == "m s"

@@ -8,8 +8,9 @@ import pytest
 from hil.log.growing import ROWS
 from hil.log.read.run import Run
 from hil.log.records import Field, Schema
+from hil.log.topics import STATE
 from hil.measure import followed, pairwise_sum
-from hil.measure.cost import STATE, Cost
+from hil.measure.cost import Cost
 from hil.measure.step_response import target_of
 from hil.measure.view import APPLIED, DISTURBANCE, MEASUREMENT, REFERENCE, REFERENCE_STEP, view_of
 from tests.hil.measure.whole_arrays import tracking_of_arrays
@@ -81,7 +82,7 @@ def test_a_cost_in_pieces_is_that_of_whole_arrays_and_never_holds_them() -> None
     applied = np.zeros(n, [("t_ns", "<i8"), ("volt", "<f8"), ("tick", "<i8")])
     applied["volt"], applied["tick"] = rng.standard_normal(n), np.arange(n)
     schema = Schema(name="hil/msg/Any", fields=(Field(type="float64", name="volt"),))
-    arrays = {STATE: states, MEASUREMENT: applied, REFERENCE: applied, APPLIED: applied}
+    arrays = {STATE.name: states, MEASUREMENT: applied, REFERENCE: applied, APPLIED: applied}
     view = view_of(Run(arrays=arrays, schemas=dict.fromkeys(arrays, schema), resolved={"period": 1e-3}))
     tracemalloc.start()
     found = Cost().of(view)

@@ -26,9 +26,8 @@ def test_what_hil_writes_is_taken() -> None:
 
 
 @pytest.mark.parametrize("topic", sorted(SCHEMAS))
-def test_a_topic_or_a_field_of_another_name_or_type_is_named(topic: str) -> None:
-    with pytest.raises(HilError, match=f"topic {topic}: missing"):
-        check_topics({f"{name}2" if name == topic else name: schema for name, schema in SCHEMAS.items()})
+def test_a_field_of_another_name_or_type_is_named_and_a_topic_may_lack(topic: str) -> None:
+    check_topics({f"{name}2" if name == topic else name: schema for name, schema in SCHEMAS.items()})
     tick = next(f for f in SCHEMAS[topic].fields if f.name == "tick")
     others = tuple(f for f in SCHEMAS[topic].fields if f is not tick)
     renamed = tuple(Field(type=f.type, name="pick") if f is tick else f for f in SCHEMAS[topic].fields)

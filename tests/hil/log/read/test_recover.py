@@ -204,7 +204,7 @@ def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         (b"\x06\x00\x00\x00hilrig", b"\x06\x00\x00\x00hilrix", "not a log of hilrig"),
-        (b"format\x01\x00\x00\x002", b"format\x01\x00\x00\x009", r"log format '9' is unknown, this version reads 1 and 2"),
+        (b"format\x01\x00\x00\x002", b"format\x01\x00\x00\x009", r"log format '9' is unknown, this version reads 2"),
     ],
 )
 def test_logs_of_others_and_of_other_versions_are_named(

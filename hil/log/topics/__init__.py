@@ -1,0 +1,96 @@
+"""The registry of the log's topics: every module of this folder gives its `TOPICS`. A new topic is one file here.
+
+Writer, reader, live view, layouts, export, measures and pages ask here for names, schemas and plots. A reader asks a run for the
+topics that it needs (`hil.log.run.Run.needs`): a log from before a topic was there is read as ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Final
+
+from hil.errors import HilError
+from hil.log.records import Channel, Schema
+from hil.log.topics.actuator import APPLIED as APPLIED
+from hil.log.topics.actuator import PASSIVITY as PASSIVITY
+from hil.log.topics.controller import ROWS as ROWS
+from hil.log.topics.link import CONTROL as CONTROL
+from hil.log.topics.link import SENSOR as SENSOR
+from hil.log.topics.network import CA as CA
+from hil.log.topics.network import SC as SC
+from hil.log.topics.plant import MEASUREMENT as MEASUREMENT
+from hil.log.topics.plant import REFERENCE as REFERENCE
+from hil.log.topics.plant import STATE as STATE
+from hil.log.topics.timing import TIMING as TIMING
+from hil.log.topics.topic import Curve as Curve
+from hil.log.topics.topic import Logged as Logged
+from hil.log.topics.topic import MissingTopic as MissingTopic
+from hil.log.topics.topic import SignalLike as SignalLike
+from hil.log.topics.topic import Topic as Topic
+
+
+def _registered() -> dict[str, Topic]:
+    found: list[Topic] = []
+    for module in iter_modules(__path__, f"{__name__}."):
+        if module.name != f"{__name__}.topic":
+            found += import_module(module.name).TOPICS
+    return {topic.name: topic for topic in sorted(found, key=lambda topic: (topic.order, topic.name))}
+
+
+TOPICS: Final = _registered()
+"""Name to topic, in the order of a log."""
+
+FRAME_TOPICS: Final = tuple(topic.name for topic in TOPICS.values() if topic.frames)
+"""Topics whose records are frames of the link."""
+
+NUMBER_TOPICS: Final = tuple(topic.name for topic in TOPICS.values() if not topic.frames)
+"""Topics whose records are numbers: what a measure may ask for in a sweep."""
+
+
+def channels(logged: Logged) -> dict[str, Channel]:
+    """Return every signal topic of a session, in the order of their numbers (``/events`` stands apart).
+
+    Raises:
+        HilError: if a signal's name cannot be a field, or two signals of one topic would share a field.
+    """
+    found = {}
+    for number, topic in enumerate((each for each in TOPICS.values() if each.in_session(logged)), 1):
+        try:
+            schema = Schema(name=topic.schema_name(logged), fields=topic.fields(logged))
+        except ValueError as error:
+            raise HilError(f"log topic {topic.name}: {error}; signals need names that differ") from None
+        found[topic.name] = Channel(id=number, topic=topic.name, schema=schema)
+    return found
+
+
+def missing(topic: str, there: Sequence[str]) -> MissingTopic:
+    """Return the error of a reader that needs a topic which a log lacks."""
+    known = TOPICS.get(topic)
+    about = "" if known is None else f"; it is written by the {known.filled_by}, since hilrig {known.since}"
+    return MissingTopic(f"topic {topic}: this log lacks it{about}; it has {', '.join(there) or 'none'}")
+
+
+def panels(schemas: Mapping[str, Schema], topics: Sequence[str] | None = None) -> dict[str, list[tuple[str, Curve]]]:
+    """Return the plots over time of a log: title to the curves in it, each with its topic.
+
+    Args:
+        schemas: topic to schema, of a log or of an experiment's channels.
+        topics: only these; all by default.
+    """
+    measured = schemas.get(MEASUREMENT.name)
+    outputs = [] if measured is None else _floats(measured)
+    curves = [
+        (name, curve)
+        for name, topic in TOPICS.items() if name in schemas and (topics is None or name in topics)
+        for curve in topic.curves(_floats(schemas[name]), outputs)
+    ]  # fmt: skip
+    found: dict[str, list[tuple[str, Curve]]] = {}
+    for name, curve in sorted(curves, key=lambda each: each[1].place):
+        found.setdefault(curve.panel, []).append((name, curve))
+    return found
+
+
+def _floats(schema: Schema) -> list[str]:
+    return [field.name for field in schema.fields if field.type == "float64"]

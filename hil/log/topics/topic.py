@@ -1,0 +1,173 @@
+"""What a topic of the log is: one object that writer, reader, live view, layouts, export, measures and pages read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+from hil.errors import HilError
+from hil.log.records import Field, field_name
+
+
+class SignalLike(Protocol):
+    """What a plant says of one of its signals."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def unit(self) -> str: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Logged:
+    """What the topics of a session depend on.
+
+    Args:
+        states, inputs, outputs: the plant's signals, n, m and p of them, each with ``name`` and ``unit``.
+        n_rows: rows of the longest control packet that the selection rule can demand.
+        numbered: what the network decided about a sensor packet says of which node it is.
+        passivity: the rig has a passivity controller: what it measured and did is logged.
+        on_can: the link of the session is a CAN link: frames have identifiers.
+    """
+
+    states: Sequence[SignalLike] = ()
+    inputs: Sequence[SignalLike] = ()
+    outputs: Sequence[SignalLike] = ()
+    n_rows: int = 0
+    numbered: bool = False
+    passivity: bool = False
+    on_can: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlotRecord:
+    """What the rig knows at the end of a slot, for topics that are filled from it.
+
+    Args:
+        k: the slot; `t_ns` its nominal instant.
+        state, y, r: plant states (n,), outputs (p,) and reference (p,) in slot k.
+        u, w: input that was applied and disturbance on top, (m,) each.
+        d, row, status: age of the packet at the actuator in samples, index of the row, index in `hil.log.records.STATUS`.
+        frames: sensor frames of the slot.
+        answer: control frame of the slot, empty if none came in time.
+    """
+
+    k: int
+    t_ns: int
+    state: Sequence[float]
+    y: Sequence[float]
+    r: Sequence[float]
+    u: Sequence[float]
+    w: Sequence[float]
+    d: int
+    row: int
+    status: int
+    frames: Sequence[bytes]
+    answer: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Curve:
+    """One field of a topic in a plot over time; curves of one panel, also of several topics, are drawn together.
+
+    Args:
+        panel: title of the plot.
+        field: name of the field.
+        place: panels and curves of a smaller place stand first.
+    """
+
+    panel: str
+    field: str
+    place: int = 9
+
+
+def _no_curves(fields: Sequence[str], outputs: Sequence[str]) -> Sequence[Curve]:
+    return ()
+
+
+def _always(logged: Logged) -> bool:
+    return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Topic:
+    """A topic of the log.
+
+    Args:
+        name: of the channel, such as ``/plant/state``.
+        order: place among the topics of a session, which are numbered from 1.
+        schema: name of its record, ``CamelCase``; a function where it depends on the session.
+        fields: its fields with their units, ordered float64, int64, int32, uint8, uint8[].
+        filled_by: which part of a session writes its records, in words.
+        since: the version of hilrig whose logs have it first.
+        logged: whether a session has it.
+        needs_can: only a session over a CAN link has it.
+        values: its record of a slot, the values of its fields, None for no record; only for a topic that no part of the rig
+            fills by itself.
+        curves: how it is plotted, from the names of its float fields and those of the plant's outputs.
+        paged: a section of the page draws it; otherwise the page has a panel of its `curves`.
+        frames: its records are frames of the link, and a CAN log is made of them.
+    """
+
+    name: str
+    order: int = 1000
+    schema: str | Callable[[Logged], str]
+    fields: Callable[[Logged], tuple[Field, ...]]
+    filled_by: str
+    since: str
+    logged: Callable[[Logged], bool] = _always
+    needs_can: bool = False
+    values: Callable[[SlotRecord], Sequence[Any] | None] | None = None
+    curves: Callable[[Sequence[str], Sequence[str]], Sequence[Curve]] = _no_curves
+    paged: bool = False
+    frames: bool = False
+
+    def schema_name(self, logged: Logged) -> str:
+        """Return the name of its record in a session."""
+        return f"hil/msg/{self.schema if isinstance(self.schema, str) else self.schema(logged)}"
+
+    def in_session(self, logged: Logged) -> bool:
+        """Return whether a session has it."""
+        return self.logged(logged) and (logged.on_can or not self.needs_can)
+
+
+class MissingTopic(HilError, KeyError):
+    """A log has no records of a topic that a reader needs."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+def floats(signals: Sequence[SignalLike]) -> tuple[Field, ...]:
+    """Return a float64 field for each signal, with its unit."""
+    # A comma would end the unit in the schema's text, a line break the line.
+    return tuple(
+        Field(type="float64", name=field_name(s.name), unit=" ".join(s.unit.replace(",", " ").split()) or "1")
+        for s in signals
+    )
+
+
+def f64(name: str, unit: str, doc: str) -> Field:
+    """Return a field of type float64."""
+    return Field(type="float64", name=name, unit=unit, doc=doc)
+
+
+def i64(name: str, unit: str, doc: str) -> Field:
+    """Return a field of type int64."""
+    return Field(type="int64", name=name, unit=unit, doc=doc)
+
+
+def i32(name: str, unit: str, doc: str) -> Field:
+    """Return a field of type int32."""
+    return Field(type="int32", name=name, unit=unit, doc=doc)
+
+
+def u8(name: str, doc: str) -> Field:
+    """Return a field of type uint8."""
+    return Field(type="uint8", name=name, doc=doc)
+
+
+TICK: Final = i64("tick", "1", "slot k")
+PACKET_TICK: Final = i64("packet_tick", "1", "slot in which the packet was sent, -1 if none")

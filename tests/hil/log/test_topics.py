@@ -1,0 +1,105 @@
+"""The registry of topics: one new file is a new topic everywhere, and breaks no older log."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.errors import HilError
+from hil.log.topics import TOPICS, Logged, MissingTopic, channels
+from hil.log.topics.topic import TICK, Topic
+
+ROOT = Path(__file__).parents[3]
+POWER = """
+from hil.log.topics.topic import TICK, Curve, Topic, f64
+
+TOPICS = (
+    Topic(
+        name="/plant/power", schema="PlantPower", filled_by="rig, every slot", since="9.9.0",
+        fields=lambda logged: (f64("power", "W", "input times output"), TICK),
+        values=lambda slot: (slot.u[0] * slot.y[0], slot.k),
+        curves=lambda names, outputs: [Curve(panel="power", field="power")],
+    ),
+)
+"""
+ASK = """
+import json, sys
+from pathlib import Path
+import hil
+from hil.log.read.export import export
+from hil.log.topics import MissingTopic
+from hil.measure.summary import summarise
+from hil.measure.view import view_of
+from hil.report.layouts import foxglove
+from hil.report.run.run_page import render_report
+
+old, folder = hil.read_run(sys.argv[1]), Path(sys.argv[2])
+try:
+    lacks = str(old.arrays["/plant/power"])
+except MissingTopic as error:
+    lacks = str(error)
+experiment = hil.load_experiment("dc-motor-hinf", duration=1)
+session = hil.run(experiment, log=folder / "new.mcap")
+new = hil.read_run(folder / "new.mcap")
+power, applied, measured = (new.arrays[t] for t in ("/plant/power", "/actuator/applied", "/plant/measurement"))
+export(new, folder / "new.csv")
+view = view_of(new)
+print(json.dumps({
+    "lacks": lacks, "old": hil.verify(sys.argv[1]).difference, "new": hil.verify(folder / "new.mcap").difference,
+    "right": bool((power["power"] == applied["voltage"] * measured["angle"]).all() and len(power) == 20),
+    "old page": "<h" in render_report(view_of(old), summarise(view_of(old))),
+    "page": ">Power<" in render_report(view, summarise(view)),
+    "layout": "/plant/power.power" in foxglove(new.schemas), "files": [p.name for p in sorted(folder.glob("*power*"))],
+}))
+"""
+
+
+def test_a_new_topic_is_one_file_and_breaks_no_older_log(tmp_path: Path) -> None:
+    """A copy of the packages gets one more file; the log that it reads was written without."""
+    hil.run(hil.load_experiment("dc-motor-hinf", duration=1), log=tmp_path / "old.mcap")
+    for package in ("hil", "plants", "transport", "design"):
+        shutil.copytree(ROOT / package, tmp_path / "copy" / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "copy/hil/log/topics/power.py").write_text(POWER)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", ASK, str(tmp_path / "old.mcap"), str(tmp_path)],
+        capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(tmp_path / "copy")},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found.pop("lacks").startswith(
+        "topic /plant/power: this log lacks it; it is written by the rig, every slot, since hilrig 9.9.0; it has /plant/state,"
+    )
+    assert found.pop("files") == ["new.plant_power.csv"]
+    assert found == {"old": None, "new": None, "right": True, "old page": True, "page": True, "layout": True}
+
+
+def test_what_needs_a_can_link_is_in_sessions_over_one_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    topic = Topic(name="/bus/load", schema="BusLoad", fields=lambda _: (TICK,), filled_by="rig", since="9.9.0", needs_can=True)
+    monkeypatch.setitem(TOPICS, topic.name, topic)
+    assert topic.name in channels(Logged(on_can=True)) and topic.name not in channels(Logged())
+
+
+def test_a_reader_says_what_a_log_lacks(tmp_path: Path) -> None:
+    run = hil.run(hil.load_experiment("dc-motor-hinf", duration=0.5), log=tmp_path / "x.mcap").run
+    read = hil.read_run(tmp_path / "x.mcap")
+    for each in (run, read):
+        del each.arrays["/reference"]
+        for ask in (lambda run=each: run.needs("/reference"), lambda run=each: run.arrays["/reference"]):
+            with pytest.raises(MissingTopic, match="topic /reference: this log lacks it; it is written by the rig") as why:
+                ask()
+            assert isinstance(why.value, HilError) and isinstance(why.value, KeyError)
+
+
+def test_every_topic_says_what_the_registry_asks_of_it() -> None:
+    assert [*TOPICS] == sorted(TOPICS, key=lambda name: TOPICS[name].order)
+    for topic in TOPICS.values():
+        assert topic.name.startswith("/") and topic.filled_by and topic.since.count(".") == 2
+        fields = topic.fields(Logged())
+        assert TICK in fields and all(f.unit for f in fields)
