@@ -26,11 +26,11 @@ run: $(INSTALLED) ## the networked DC motor in real time for 10 s; says where lo
 
 # One thread of linear algebra per test process: there are as many processes as cores.
 test: export OMP_NUM_THREADS = 1
-test: $(INSTALLED) ## lint, types, import rules, tests and doctests; what keeps time runs alone, last
+test: $(INSTALLED) ## lint, types, import rules, tests and doctests; what keeps time runs last, beside nothing else
 	$(BIN)/ruff check
 	$(BIN)/lint-imports
 	@$(MAKE) --no-print-directory -j2 .types .virtual
-	$(BIN)/pytest -n 0 -m realtime $(REALTIME_TESTS) $(PYTEST_ARGS)
+	$(BIN)/pytest -n 2 -m realtime $(REALTIME_TESTS) $(PYTEST_ARGS)
 
 .types:
 	$(BIN)/mypy

@@ -89,6 +89,7 @@ H-infinity design, tau_max = d_max = 8
 """.strip().splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
 def test_every_figure_is_measured_with_its_peer(bench: Bench, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import hil
+from hil.experiment import shipped
 from plants import FMU
 from plants.errors import PlantError
 
@@ -94,7 +95,7 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with zipfile.ZipFile(folder / "torn.fmu", "w") as file:
         file.writestr("modelDescription.xml", VERSION_2.format(variables="".join(REAL.format(*v) for v in CART)))
         file.write(folder / "torn.so", "binaries/linux64/cart.so")
-    (folder / "exp.toml").write_text(hil.experiment.shipped()["dc-motor-hinf"].read_text())
+    (folder / "exp.toml").write_text(shipped()["dc-motor-hinf"].read_text())
     return folder
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,6 +22,15 @@ def hil_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     assert run_main("run", "dc-motor-hinf", "--duration", "4", "-o", str(path)) == 0
     return path
+
+
+@pytest.fixture(scope="session")
+def doctor() -> list[dict[str, Any]]:
+    """What `hil doctor --link can:socketcan:can0 --json` found on this machine."""
+    with redirect_stdout(StringIO()) as said:
+        run_main("doctor", "--link", "can:socketcan:can0", "--json")
+    found: list[dict[str, Any]] = json.loads(said.getvalue())
+    return found
 
 
 def run_main(*arguments: str) -> int:

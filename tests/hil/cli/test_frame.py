@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,18 +44,18 @@ def test_schema_is_json_and_knows_the_tables(cli: Hil) -> None:
     assert schema["$schema"].startswith("https://json-schema.org/") and "plant" in schema["properties"]
 
 
-def test_doctor_gives_a_remedy_for_all_that_is_missing(cli: Hil) -> None:
-    status, out, _ = cli("doctor")
+def test_doctor_gives_a_remedy_for_all_that_is_missing(cli: Hil, doctor: list[dict[str, Any]]) -> None:
+    status, out, _ = cli("doctor", "--link", "can:socketcan:can0")
     assert status in (0, 1)
     assert "package ownership" in out and "clock" in out
-    checks = json.loads(cli("doctor", "--json")[1])
-    assert [check["what"] for check in checks if not check["ok"] and not check["remedy"]] == []
-    assert out.count("remedy:") >= sum(not check["ok"] for check in checks)
+    assert [check["what"] for check in doctor if not check["ok"] and not check["remedy"]] == []
+    # Whether this machine keeps up at this moment may differ between the two.
+    assert all(check["what"] in out for check in doctor) and out.count("remedy:") >= out.count("\nmissing")
     assert all(len(line) <= 80 for line in out.splitlines())
 
 
-def test_doctor_says_in_one_line_who_could_command(cli: Hil) -> None:
-    (line,) = (check for check in json.loads(cli("doctor", "--link", "can:socketcan:can0", "--json")[1]) if "who" in str(check))
+def test_doctor_says_in_one_line_who_could_command(doctor: list[dict[str, Any]]) -> None:
+    (line,) = (check for check in doctor if "who" in str(check))
     assert "who could command a rig" in line.values() and "anyone on the CAN bus can0" in str(line)
 
 

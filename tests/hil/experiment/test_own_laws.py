@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import hil
+from hil.experiment import shipped
 from hil.experiment.law_checks import check_law
 from hil.log.read.run import read_run
 
@@ -117,7 +118,7 @@ def test_a_law_that_is_none_is_refused_in_its_author_s_words(law: Any, told: str
 def test_a_law_of_a_file_is_checked_when_it_is_read(tmp_path: Path) -> None:
     text = "from dataclasses import dataclass\n\n@dataclass(frozen=True)\nclass L:\n    max_age: int = 2\n"
     (tmp_path / "mine.py").write_text(text + "    def start(self, rng):\n        return lambda: 1\n")
-    (tmp_path / "exp.toml").write_text(hil.experiment.shipped()["dc-motor-hinf"].read_text())
+    (tmp_path / "exp.toml").write_text(shipped()["dc-motor-hinf"].read_text())
     for path in ("links.sc.law", "links.ca.law"):
         with pytest.raises(hil.HilError, match=path + r": 'mine:L': check_law: L, a network law, needs `family`"):
             hil.load_experiment(tmp_path / "exp.toml", **{path: {"kind": "mine:L"}})
