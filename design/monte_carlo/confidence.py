@@ -1,17 +1,27 @@
-"""Confidence intervals for a mean and a standard deviation, and when to stop sampling without spoiling them.
+r"""Confidence intervals for a mean, a standard deviation and paired differences, and when to stop without spoiling them.
 
-Mean: Student's t. Deviation: from the delta method with the sample's own fourth moment,
+Mean: Student's t with Hall's correction for skewness. With g the sample's skewness and a = g / sqrt(n),
 
-    Var(s) ~ s^2 / 4 * ( m_4 / s^4 - (n - 3) / (n - 1) ) / n,
+    T -> ((1 + a T / 3)^3 - 1) / a + a / 6
 
-taken on the logarithm, so that the interval stays positive. The chi-square interval of the textbooks holds for normal
-samples only, and settling times are not normal.
+is closer to symmetric than T = sqrt(n) (mean - mu) / s; the interval is its inverse of -t and t. Without skewness it is
+Student's. Paired difference: Student's t alone, for the difference of two runs of one law is symmetric. Their ratio: Fieller's
+set, which holds 1 exactly where the interval of the difference holds 0.
+
+Deviation: Bonett's interval, with a kurtosis k about a trimmed mean. No interval covers where the tail is not in the sample, so
+none is given (it is infinitely wide) where k > sqrt(n) / 2: the sample is too small for its tails. Of normal, exponential and
+lognormal (sigma = 1) samples of any size at most one in sixteen gets an interval that misses; symmetric tails without a fourth
+moment (Student's t with 3 degrees of freedom) are not seen so, and miss in one of five.
 
 Stopping: looking again and again at an ordinary 95 % interval and stopping at the first that is narrow enough misses
 the truth more often than 5 %. Here the sample is looked at only at n_1 < n_2 < ... (growing by a factor), and look k
 uses the error alpha_k = alpha / (k (k + 1)); these sum to alpha. So with probability at least 1 - alpha *all* intervals
 hold, the one at which it stops among them, whatever the rule for stopping: the bound is a union bound and needs only that
 each single interval has its level (asymptotic in n_k; ``first_look`` keeps n_1 large enough).
+
+Reference: P. Hall, "On the removal of skewness by transformation", J. R. Statist. Soc. B 54 (1992) 221-228. D. G. Bonett,
+"Approximate confidence interval for standard deviation of nonnormal distributions", Comput. Stat. Data Anal. 50 (2006) 775-782.
+E. C. Fieller, "Some problems in interval estimation", J. R. Statist. Soc. B 16 (1954) 175-185.
 """
 
 from __future__ import annotations
@@ -27,6 +37,10 @@ from design.errors import FieldError
 
 FloatArray = npt.NDArray[np.float64]
 Statistic = Literal["mean", "sd"]
+
+
+SMALLEST = 10
+"""Values below which no interval of a deviation is given."""
 
 
 class Interval(NamedTuple):
@@ -45,37 +59,95 @@ class Interval(NamedTuple):
 
 
 def mean_interval(values: npt.ArrayLike, level: float = 0.95) -> Interval:
-    """Student's interval for the mean of independent values; infinitely wide for fewer than two.
+    """Interval for the mean of independent values, see the module; infinitely wide for fewer than two.
 
     >>> mean_interval([1.0, 2.0, 3.0])
-    Interval(value=2.0, low=-0.48413771175033027, high=4.48413771175033, level=0.95, n=3)
+    Interval(value=2.0, low=-0.484..., high=4.484..., level=0.95, n=3)
     """
-    from scipy.special import stdtrit
-
     sample = _sample(values, level)
     n, mean = sample.size, float(sample.mean()) if sample.size else math.nan
     if n < 2:
         return Interval(mean, -math.inf, math.inf, level, n)
-    half = float(stdtrit(n - 1, 0.5 + 0.5 * level)) * float(sample.std(ddof=1)) / math.sqrt(n)
+    sd, t = float(sample.std(ddof=1)), _student(n, level)
+    error = sd / math.sqrt(n)
+    skew = float((((sample - mean) / sd) ** 3).mean()) / math.sqrt(n) if sd > 0.0 else 0.0
+    return Interval(mean, mean - error * _unskewed(t, skew), mean - error * _unskewed(-t, skew), level, n)
+
+
+def _unskewed(t: float, a: float) -> float:
+    """Inverse of Hall's transformation, a = skewness / sqrt(n)."""
+    if abs(a) < 1e-6:
+        return t
+    return 3.0 / a * (math.cbrt(1.0 + a * (t - a / 6.0)) - 1.0)
+
+
+def difference_interval(a: npt.ArrayLike, b: npt.ArrayLike, level: float = 0.95) -> Interval:
+    """Student's interval for the mean of b - a, pair by pair; infinitely wide for fewer than two pairs.
+
+    >>> difference_interval([1.0, 2.0, 3.0], [2.0, 3.0, 4.0])
+    Interval(value=1.0, low=1.0, high=1.0, level=0.95, n=3)
+    """
+    gap = _sample(b, level) - _sample(a, level)
+    n, mean = gap.size, float(gap.mean()) if gap.size else math.nan
+    if n < 2:
+        return Interval(mean, -math.inf, math.inf, level, n)
+    half = _student(n, level) * float(gap.std(ddof=1)) / math.sqrt(n)
     return Interval(mean, mean - half, mean + half, level, n)
 
 
+def ratio_interval(a: npt.ArrayLike, b: npt.ArrayLike, level: float = 0.95) -> Interval:
+    """Fieller's interval for mean(b) / mean(a), pairs dependent: all q for which b - q a may have the mean 0.
+
+    Infinitely wide for fewer than two pairs, and where mean(a) may be 0.
+
+    >>> ratio_interval([9.0, 10.0, 11.0], [18.0, 20.0, 22.0])
+    Interval(value=2.0, low=2.0, high=2.0, level=0.95, n=3)
+    """
+    first, second = _sample(a, level), _sample(b, level)
+    n = first.size
+    if n < 2 or first.mean() == 0.0:
+        return Interval(math.nan, -math.inf, math.inf, level, n)
+    q = float(second.mean() / first.mean())
+    rest = second - q * first  # of mean 0: the set is that of x = q' - q with |x mean(a)| <= t sd(rest - x a) / sqrt(n)
+    share = _student(n, level) ** 2 / n
+    r, f = rest - rest.mean(), first - first.mean()
+    v_rest, cov, v_first = (float((one * other).sum()) / (n - 1) for one, other in ((r, r), (r, f), (f, f)))
+    square = float(first.mean()) ** 2 - share * v_first
+    if square <= 0.0:
+        return Interval(q, -math.inf, math.inf, level, n)
+    middle = -share * cov / square
+    half = math.sqrt(max(middle**2 + share * v_rest / square, 0.0))
+    return Interval(q, q + middle - half, q + middle + half, level, n)
+
+
+def _student(n: int, level: float) -> float:
+    from scipy.special import stdtrit
+
+    return float(stdtrit(n - 1, 0.5 + 0.5 * level))
+
+
 def deviation_interval(values: npt.ArrayLike, level: float = 0.95) -> Interval:
-    """Interval for the standard deviation of independent values of any law with a fourth moment."""
+    """Interval for the standard deviation of independent values; infinitely wide where the sample is too small for its tails."""
     from scipy.special import ndtri
+    from scipy.stats import trim_mean
 
     sample = _sample(values, level)
     n = sample.size
-    if n < 4:
-        return Interval(math.nan, 0.0, math.inf, level, n)
-    sd = float(sample.std(ddof=1))
+    sd = float(sample.std(ddof=1)) if n > 1 else math.nan
+    if n < SMALLEST:
+        return Interval(sd, 0.0, math.inf, level, n)
     if sd == 0.0:
         return Interval(0.0, 0.0, 0.0, level, n)
-    fourth = float(((sample - sample.mean()) ** 4).mean()) / sd**4
-    # The sample's fourth moment errs low in small samples, but never below what the inequality of Cauchy allows.
-    relative = math.sqrt(max(fourth - (n - 3) / (n - 1), 1.0 / n) / (4.0 * n))
-    factor = math.exp(float(ndtri(0.5 + 0.5 * level)) * relative)
-    return Interval(sd, sd / factor, sd * factor, level, n)
+    centred = (sample - sample.mean()) / sd
+    middle = float(trim_mean(centred, 0.5 / math.sqrt(n - 4)))
+    kurtosis = n * float(((centred - middle) ** 4).sum()) / float((centred**2).sum()) ** 2
+    if kurtosis > 0.5 * math.sqrt(n):
+        return Interval(sd, 0.0, math.inf, level, n)
+    z = float(ndtri(0.5 + 0.5 * level))
+    small = n / (n - z)
+    error = z * small * math.sqrt(max(kurtosis - (n - 3) / n, 1.0 / n) / (n - 1))
+    centre = sd * math.sqrt(small)
+    return Interval(sd, centre * math.exp(-0.5 * error), centre * math.exp(0.5 * error), level, n)
 
 
 def _sample(values: npt.ArrayLike, level: float) -> FloatArray:

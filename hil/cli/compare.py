@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
+from math import isfinite
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from design.monte_carlo.confidence import Interval
 
 
 @click.command()
@@ -39,7 +43,6 @@ def command(
 
     from hil.cli.outputs import check_output, write_output
     from hil.cli.sweep import check_jobs
-    from hil.cli.tables import print_table
     from hil.cli.terminal import cell, visible
     from hil.experiment import load_experiment
     from hil.measure.signals import with_unit
@@ -73,7 +76,7 @@ def command(
             "stopped_by_safety": int(values["stopped"].sum()),
             "metrics": {m: statistics(values[m]) for m in names},
             "verdict": comparison.verdict(name) if name != first else None,
-            "difference": {m: comparison.difference(name, m) for m in names},
+            "difference": {m: _as_json(comparison.difference(name, m)) for m in names},
         }
         for name, values in comparison.values.items()
     }
@@ -83,23 +86,34 @@ def command(
     columns = get_terminal_size().columns
     for name in experiments[1:]:
         print(fill(visible(comparison.verdict(name)), columns, break_long_words=False, break_on_hyphens=False))
-    title = f"mean of {runs} runs; below it the difference from {visible(first)}, 95 % interval"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("metric")
-    for name in experiments:
-        table.add_column(cell(name), justify="right")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("metric, experiment", overflow="fold", min_width=12)
+    for head in ("n", "mean", "difference", "95 % interval"):
+        table.add_column(head, justify="right", no_wrap=True)
     for quantity in comparison.quantities:
-        metric = quantity.name
-        table.add_row(with_unit(metric, quantity.unit), *(_entry(values, metric) for values in out.values()))
-    print_table(table)
+        table.add_row(cell(with_unit(quantity.name, quantity.unit)))
+        for name in experiments:
+            table.add_row(cell(f"  {name}"), *_numbers(out[name], quantity.name, name == first))
+    console = Console()
+    needed = console.measure(table, options=console.options.update(max_width=10_000)).minimum  # a number is never cut
+    Console(width=max(console.width, needed)).print(table)
+    print(fill(visible(f"differences are against {first}, run by run on the same delays"), columns))
     if output is not None:
         print(f"page: {visible(output)}")
 
 
-def _entry(values: dict[str, Any], metric: str) -> str:
-    """Return mean and, below it, difference and interval of one metric of one experiment."""
-    found, gap = values["metrics"][metric], values["difference"][metric]
-    mean = "-" if found["mean"] is None else f"{found['mean']:.5g}"
-    if values["verdict"] is None or gap["mean"] is None:
-        return mean
-    return f"{mean}\n{gap['mean']:+.4g} ({gap['low']:.4g} to {gap['high']:.4g})"
+def _numbers(found: dict[str, Any], metric: str, first: bool) -> tuple[str, ...]:
+    """Return n, mean, difference and its interval of one metric of one experiment."""
+    own, gap = found["metrics"][metric], found["difference"][metric]
+    mean = "-" if own["mean"] is None else f"{own['mean']:.5g}"
+    if first or gap["low"] is None:
+        return str(own["n"]), mean, "", ""
+    return str(own["n"]), mean, f"{gap['mean']:+.4g}", f"{gap['low']:+.4g} to {gap['high']:+.4g}"
+
+
+def _as_json(gap: Interval) -> dict[str, float | None]:
+    """Return n, mean, low and high; no numbers where there are fewer than two pairs."""
+    known = isfinite(gap.half_width)
+    return {"n": gap.n, "mean": gap.value, "low": gap.low, "high": gap.high} if known else {
+        "n": gap.n, "mean": None, "low": None, "high": None
+    }  # fmt: skip

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from design.monte_carlo.confidence import Interval
+from hil.measure.signals import with_unit
 from hil.report.html.figures import Block, Figure, Section, Series, Table, Text
 from hil.report.html.page import render_page
 from hil.sweeps.comparison import Comparison
@@ -34,8 +36,7 @@ def compare_page(comparison: Comparison) -> str:
             rows.append([
                 name, int(finite.size), *([float(finite.mean()), float(finite.std(ddof=1)) if finite.size > 1 else 0.0,
                 *map(float, np.percentile(finite, (5, 50, 95)))] if finite.size else [None] * 5),
-                None if name == names[0] else gap["mean"],
-                "-" if name == names[0] or gap["mean"] is None else f"{gap['low']:.4g} to {gap['high']:.4g}",
+                *_difference(gap, name == names[0]),
             ])  # fmt: skip
         blocks: tuple[Block, ...] = (
             Figure(
@@ -65,16 +66,26 @@ def compare_page(comparison: Comparison) -> str:
 
 
 def _answer(comparison: Comparison) -> Section:
-    """The verdicts in words, and one table of the means of all quantities."""
-    names = list(comparison.values)
+    """The verdicts in words, and one table of all quantities: how many runs have it, mean, difference, interval."""
     rows: list[list[Any]] = []
     for quantity in comparison.quantities:
-        means = []
-        for name in names:
+        for name in comparison.values:
             values = comparison.values[name][quantity.name]
             finite = values[np.isfinite(values)]
-            means.append(float(finite.mean()) if finite.size else None)
-        rows.append([quantity.title, quantity.unit, *means])
-    verdicts = tuple(Text(text=comparison.verdict(name)) for name in names[1:])
-    table = Table(columns=("mean of", "unit", *names), rows=rows)
+            gap = comparison.difference(name, quantity.name)
+            rows.append([
+                with_unit(quantity.title, quantity.unit), name, int(finite.size), float(finite.mean()) if finite.size else None,
+                *_difference(gap, name == comparison.first),
+            ])  # fmt: skip
+    verdicts = tuple(Text(text=comparison.verdict(name)) for name in list(comparison.values)[1:])
+    table = Table(
+        columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"), rows=rows,
+        note=f"Differences are against {comparison.first}, run by run on the same delays. Runs: those that have the number.",
+    )  # fmt: skip
     return Section(title="Answer", blocks=(*verdicts, table))
+
+
+def _difference(gap: Interval, first: bool) -> tuple[float | None, str]:
+    if first or not np.isfinite(gap.half_width):
+        return None, "-"
+    return gap.value, f"{gap.low:.4g} to {gap.high:.4g}"

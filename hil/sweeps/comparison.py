@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from design.monte_carlo.confidence import Interval
+from design.monte_carlo.confidence import Interval, difference_interval, ratio_interval
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity
 from hil.sweeps.seeds import here, quantities_in, run_sweep
@@ -31,34 +30,70 @@ class Comparison:
     quantities: tuple[Quantity, ...]
     interrupted: int = 0
 
-    def difference(self, name: str, quantity: str) -> dict[str, Any]:
-        """Return the mean difference of an experiment against the first, and its 95 % interval; see `paired`."""
-        first = next(iter(self.values))
-        return paired(self.values[first][quantity], self.values[name][quantity])
+    def difference(self, name: str, quantity: str) -> Interval:
+        """Return the mean difference of an experiment against the first over the seeds that both have, and its 95 % interval."""
+        return difference_interval(*self._pairs(name, quantity))
+
+    def _pairs(self, name: str, quantity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        a, b = (self.values[each][quantity] for each in (self.first, name))
+        both = np.isfinite(a) & np.isfinite(b)
+        return a[both], b[both]
+
+    @property
+    def first(self) -> str:
+        """The experiment that the others are compared with."""
+        return next(iter(self.values))
 
     def verdict(self, name: str) -> str:
         """Return in words whether an experiment is better than the first, with the number that decides and its interval.
 
-        It is judged by the first quantity of which it can be said what is better. Runs that safety stopped are shorter than
-        the others, so that no verdict is given where there are any.
+        Whom safety stops more often is worse. Otherwise it is judged by the first quantity of which it is known what is better;
+        runs that safety stopped are shorter than the others, so that no number of theirs is judged.
         """
-        first = next(iter(self.values))
+        stops = self._verdict_on_stops(name)
+        if stops is not None:
+            return stops
         judged = next((q for q in self.quantities if q.better), None)
-        stops = {each: int(self.values[each]["stopped"].sum()) for each in (first, name)}
-        if any(stops.values()):
-            told = ", ".join(f"{each} in {count}" for each, count in stops.items())
-            return f"{name} against {first}: undecided; safety stopped runs (of {self.runs}): {told}"
         if judged is None:
-            return f"{name} against {first}: undecided; no measure states which value is better"
-        gap = relative(self.values[first][judged.name], self.values[name][judged.name])
-        if gap is None:
-            return f"{name} against {first}: undecided; {judged.name} is not a number above 0 in two runs of both"
-        value, low, high = (f"{100.0 * share:+.1f}" for share in (gap.value, gap.low, gap.high))
-        numbers = f"{judged.name} {value} %, 95 % interval {low} to {high} %, {gap.n} runs"
+            return f"{name} against {self.first}: undecided; no measure states which value is better"
+        pairs = self._pairs(name, judged.name)
+        gap = difference_interval(*pairs)
+        if gap.n < 2:
+            return f"{name} against {self.first}: undecided; {judged.name} is a number in {gap.n} runs of both, 2 are needed"
+        numbers = f"{judged.name} {_change(*pairs, judged.unit)}, {gap.n} runs"
         if gap.low <= 0.0 <= gap.high:
-            return f"{name} against {first}: no difference is shown: {numbers}"
+            return f"{name} against {self.first}: no difference is shown: {numbers}"
         better = (gap.value < 0.0) == (judged.better == "lower")
-        return f"{name} is {'better' if better else 'worse'} than {first}: {numbers}"
+        return f"{name} is {'better' if better else 'worse'} than {self.first}: {numbers}"
+
+    def _verdict_on_stops(self, name: str) -> str | None:
+        """What follows from the runs that safety stopped, None if there are none: McNemar's exact test on the pairs."""
+        from scipy.stats import binomtest
+
+        own, other = (self.values[each]["stopped"] > 0.0 for each in (name, self.first))
+        if not own.any() and not other.any():
+            return None
+        counts = f"{_of_runs(own)} of its {self.runs} runs, {_of_runs(other)} of {self.first}"
+        only_own, only_other = int((own & ~other).sum()), int((other & ~own).sum())
+        p = float(binomtest(only_own, only_own + only_other).pvalue) if only_own + only_other else 1.0
+        if p >= 0.05:
+            return f"{name} against {self.first}: undecided; safety stopped {counts} (as many by chance: p = {p:.2g})"
+        return f"{name} is {'worse' if only_own > only_other else 'better'}: safety stopped {counts}"
+
+
+def _of_runs(stopped: NDArray[np.bool_]) -> str:
+    return str(int(stopped.sum())) if stopped.any() else "none"
+
+
+def _change(a: NDArray[np.float64], b: NDArray[np.float64], unit: str) -> str:
+    """The difference of the means, in per cent where the first mean is above 0 with certainty."""
+    share = ratio_interval(a, b)
+    if a.mean() > 0.0 and np.isfinite(share.half_width):
+        value, low, high = (f"{100.0 * (q - 1.0):+.1f}" for q in (share.value, share.low, share.high))
+        return f"{value} %, 95 % interval {low} to {high} %"
+    gap = difference_interval(a, b)
+    number = f"{gap.value:+.4g}, 95 % interval {gap.low:+.4g} to {gap.high:+.4g}"
+    return f"{number} {unit}" if unit else number
 
 
 def compare(
@@ -94,34 +129,3 @@ def common_quantities(several: Sequence[Sequence[Quantity]]) -> tuple[Quantity, 
         for name, q in first.items()
         if all(name in other for other in others)
     )
-
-
-def relative(a: NDArray[np.float64], b: NDArray[np.float64]) -> Interval | None:
-    """Return mean(b) / mean(a) - 1 over the seeds that both have, and its 95 % interval, normal, by the delta method.
-
-    With q = mean(b) / mean(a) the deviation is that of the mean of (b - q a) / mean(a): pairs share their seed.
-
-    Args:
-        a, b: one entry per seed, in the same order.
-
-    Returns:
-        None for fewer than two pairs, or if mean(a) is not positive.
-    """
-    both = np.isfinite(a) & np.isfinite(b)
-    a, b = a[both], b[both]
-    if a.size < 2 or not a.mean() > 0.0:
-        return None
-    q = float(b.mean() / a.mean())
-    half = 1.96 * float((b - q * a).std(ddof=1)) / (float(a.mean()) * float(np.sqrt(a.size)))
-    return Interval(q - 1.0, q - 1.0 - half, q - 1.0 + half, 0.95, int(a.size))
-
-
-def paired(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
-    """Return mean difference b - a over the seeds that both have, and its 95 % interval (normal, paired)."""
-    both = np.isfinite(a) & np.isfinite(b)
-    gap = (b - a)[both]
-    if gap.size < 2:
-        return {"n": int(gap.size), "mean": None, "low": None, "high": None}
-    half = 1.96 * float(gap.std(ddof=1)) / float(np.sqrt(gap.size))
-    mean = float(gap.mean())
-    return {"n": int(gap.size), "mean": mean, "low": mean - half, "high": mean + half}

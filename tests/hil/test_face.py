@@ -139,7 +139,7 @@ def test_sweep_compare_and_design_give_numbers() -> None:
     compared = hil.compare("dc-motor-hinf", "dc-motor-h2", runs=3, jobs=1, duration=4)
     gap = compared.difference("dc-motor-h2", "sse")
     mine, theirs = (compared.values[name]["sse"] for name in ("dc-motor-h2", "dc-motor-hinf"))
-    assert gap["n"] == 3 and gap["mean"] == pytest.approx(np.mean(mine - theirs))
+    assert gap.n == 3 and gap.value == pytest.approx(np.mean(mine - theirs))
     assert hil.design("dc-motor", information="constant", starts=1).certificate.stable
 
 

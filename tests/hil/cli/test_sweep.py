@@ -34,7 +34,7 @@ def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.Mon
     assert "…" not in out and "steady_state_error" in out
     _, out, _ = cli("compare", "dc-motor-hinf", "dc-motor-h2", "--runs", "2", *SHORT)
     assert "…" not in out and "dc-motor-hinf" in out
-    verdict = out.partition("mean of 2 runs")[0].splitlines()
+    verdict = out.partition("metric,")[0].rstrip().splitlines()
     assert "95 % interval" in " ".join(verdict) and max(map(len, verdict)) <= int(columns)
 
 
@@ -98,3 +98,16 @@ def test_compare_writes_a_page_and_paired_differences(cli: Hil, tmp_path: Path) 
 def test_the_table_of_a_sweep_fits_eighty_columns(cli: Hil) -> None:
     out = cli("sweep", "dc-motor-hinf", "--runs", "3", "--jobs", "1", "--set", "duration=2")[1]
     assert "steady_state_error" in out and max(map(len, out.splitlines())) <= 80
+
+
+def test_the_table_of_a_comparison_fits_eighty_columns_and_counts_its_runs(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    names = ("dc-motor-ours-two-samples", "dc-motor-ours-h2", "dc-motor-local")
+    out = cli("compare", *names, "--runs", "6", "--jobs", "1")[1]
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 80
+    said = " ".join(out.split())
+    assert "dc-motor-local is worse: safety stopped 6 of its 6 runs, none of dc-motor-ours-two-samples" in said
+    local = [line.split() for line in lines if line.strip().startswith("dc-motor-local")]
+    assert ["dc-motor-local", "6"] in [words[:2] for words in local]  # the input is there in every run,
+    assert ["dc-motor-local", "0", "-"] in local  # but none has settled
