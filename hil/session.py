@@ -194,7 +194,7 @@ def run_session(
     with McapSink(path, loop.channels(on_can=uri.startswith("can:")), provenance, now=now, index=index, keep=keep) as sink:
         outcome: dict[str, Any] = {}
         if clock == "virtual":
-            outcome = _run_in_virtual_time(loop, TeeSink(sink, Taps(taps)) if taps else sink)
+            outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, Taps(taps)) if taps else sink)
         else:
             outcome = _run_real(loop, uri, sink, external, taps)
         sink.commit()
@@ -208,14 +208,17 @@ def run_session(
     # 4. Sum up what the log says, and what only this process knows.
     wall_s = (monotonic_ns() - begun) / 1e9
     if sink.error is not None:
-        outcome["log_error"] = sink.error
+        outcome.setdefault("log_error", sink.error)
     if gone is not None:
         outcome["log_lost"] = f"{path} {gone}"
     try:
-        if keep is not None and sink.error is None:
+        if keep is not None:
             run = _kept(sink, provenance)
         else:
-            run = _read_back(path, whole=sink.error is None, descriptor=log)
+            try:
+                run = _read_back(path, whole=sink.error is None, descriptor=log)
+            except HilError as error:
+                raise (error if sink.error is None else HilError(outcome["log_error"])) from error
         summary = _summary(run, loop.experiment, sink, outcome, wall_s)
         summary["who_commands"] = who_commands(uri)
         summary["log"]["sha256"] = _sha256(log)
@@ -264,18 +267,21 @@ def _sha256(descriptor: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _run_in_virtual_time(loop: Loop, sink: Sink) -> dict[str, Any]:
+def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink) -> dict[str, Any]:
     stops: list[Callable[[], None]] = []
 
     def stop(number: int) -> None:
         for each in stops:
             each()
 
+    log.failed = lambda: stop(0)  # nothing that the log cannot hold is computed
     with StopSignals(stop) as signals:
         rig = run_virtual(loop, loop.experiment.seed, sink, stoppable=stops.append)
     end_ns = max(rig.k, 0) * loop.experiment.period_ns
     out = {} if signals.seen is None else _interrupted(signals.seen, sink, end_ns)
     sink.event(end_ns, "outcome", "rig ended", **rig.outcome())
+    if log.error is not None:
+        out["log_error"] = f"disk full at slot {rig.k}: {log.error}; what was written before is kept: hil recover {log.path}"
     return out
 
 

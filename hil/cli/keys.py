@@ -25,3 +25,15 @@ def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
         print(visible(str(path)))
     print(f"zenoh:tls/127.0.0.1:7447?keys={visible(str(folder))}      certificates")
     print(f"can:hil:rig0?auth={visible(str(folder / 'frames.key'))}  a code in every frame, over any link")
+
+
+@command.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+def signing(folder: Path) -> None:
+    """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub is for who checks them."""
+    from hil.cli.terminal import visible
+    from hil.log.signature import make_signing_key
+
+    key, public = (visible(str(path)) for path in make_signing_key(folder))
+    print(f"hil run EXPERIMENT --sign {key}      signs the log: keep this file")
+    print(f"hil replay LOG --verify --key {public}   checks it: give this file away")

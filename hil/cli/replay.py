@@ -24,6 +24,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--verify", "do_verify", is_flag=True, help="Re-run controller and plant; compare bit for bit.")
+@click.option("--key", type=click.Path(path_type=Path), metavar="PUB", help="With --verify: who signed the log (signing.pub).")
 @click.option("--controller", metavar="NAME", help="What would this controller have commanded?")
 @click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller.")
 @click.option("--onto", metavar="URI", help="Put the recorded frames on this link.")
@@ -34,6 +35,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 def command(
     file: Path,
     do_verify: bool,
+    key: Path | None,
     controller: str | None,
     sets: tuple[str, ...],
     onto: str | None,
@@ -44,7 +46,7 @@ def command(
 ) -> None:
     """Replay the log FILE. Without an option: --verify.
 
-    Exit status: 0; 1 if --verify finds a difference; 2 bad input.
+    Exit status: 0; 1 if --verify finds a difference, or the log is not what the holder of --key signed; 2 bad input.
     """
     from hil.cli.outputs import check_output
     from hil.log.read.run import read_run
@@ -61,13 +63,32 @@ def command(
             raise HilError(f"{name}: needs {needed}")
     if output is not None:
         check_output(output, fresh=True)
-    run = read_run(file)
+    if key is not None and (controller is not None or onto is not None):
+        raise HilError("--key: needs --verify")
+    run = read_run(file) if key is None else _signed(file, key)
     if controller is not None:
         _what_if(run, file, folder, controller, sets, output, as_json)
     elif onto is not None:
         _onto(run, onto, speed, as_json)
     else:
         _verify(run, file, folder, as_json)
+
+
+def _signed(file: Path, key: Path) -> Run:
+    """Return the log, read from the very file whose signature was checked."""
+    from hil.cli.terminal import visible
+    from hil.log.read.run import read_run
+    from hil.log.signature import BadSignature, check_signature
+    from hil.regular_file import open_regular
+
+    with open_regular(file, "a log") as log:
+        try:
+            named = check_signature(file, key, log)
+        except BadSignature as error:
+            print(f"hil: {visible(str(error))}", file=sys.stderr)
+            sys.exit(1)
+        print(f"signed with {visible(str(key))} ({named})", file=sys.stderr)
+        return read_run(file, descriptor=log.fileno())
 
 
 def _verify(run: Run, file: Path, folder: str | None, as_json: bool) -> None:

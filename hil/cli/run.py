@@ -66,6 +66,8 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
 @click.option("--log-mode", "log_mode", metavar="OCTAL", default="600", show_default=True, help="Who may read the log.")
 @click.option("--index", type=click.Choice(["full", "chunk"]), default="full", show_default=True,
               help="Index of the log; chunk: half the size, but Foxglove and Lichtblick refuse it.")  # fmt: skip
+@click.option("--sign", "sign", type=click.Path(path_type=Path), metavar="KEY",
+              help="Sign the log with this key (hil keys signing); the signature stands in FILE.mcap.sig.")  # fmt: skip
 @click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link within 120 s.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
@@ -81,6 +83,7 @@ def command(
     force: bool,
     log_mode: str,
     index: str,
+    sign: Path | None,
     external: bool,
     require_valid_timing: bool,
     as_json: bool,
@@ -96,6 +99,7 @@ def command(
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.experiment.can_frames import link_uri
+    from hil.log.signature import Signer
     from hil.session import run_session
     from transport.links.local import LOCAL
     from transport.links.opening import open_link
@@ -112,6 +116,7 @@ def command(
             pass
     if external and sys.stderr is not None:
         print(f"waiting up to 120 s for your controller on {visible(uri)}", file=sys.stderr)
+    signer = Signer(sign) if sign is not None else None
     folder = output.parent if output else Path("runs")
     made = [each for each in (folder, *folder.parents) if not each.exists()]  # the innermost first
     path = None
@@ -135,6 +140,9 @@ def command(
                 each.rmdir()  # unless there is something in it
         raise
 
+    if signer is not None and path.is_file():
+        signature = signer.sign(path, session.summary["log"]["sha256"], path.stat().st_size)
+        session.summary["log"]["signature"] = str(signature)
     status = session.status
     if status == 0 and require_valid_timing and not session.summary["timing"]["valid"]:
         status = 4

@@ -21,7 +21,7 @@ import heapq
 import json
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -89,8 +89,9 @@ def _table_path(target: Path, topic: str) -> Path:
 
 
 def _tables(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
-    for topic, path in zip(topics, paths, strict=True):
-        with written_whole(path, replace=replace) as part:
+    with ExitStack() as stack:  # none is put in its place before all are whole
+        parts = [stack.enter_context(written_whole(path, replace=replace)) for path in paths]
+        for topic, part in zip(topics, parts, strict=True):
             if topic == EVENTS_TOPIC:
                 _write_events(run, part)
             else:

@@ -43,6 +43,8 @@ class McapSink:
 
     Attributes:
         kept: what was kept of the chunks that were written.
+        error: why the log ends early: the file and what the disk said; None while all is written.
+        failed: called once, when the disk takes no more.
 
     Raises:
         HilError: if the file cannot be created or the first bytes cannot be written; no file is left behind then.
@@ -62,6 +64,7 @@ class McapSink:
         self.messages = 0
         self._dropped = 0
         self.error: str | None = None
+        self.failed: Callable[[], None] = lambda: None
         self._now = now
         self._flush_bytes = FLUSH_BYTES if now is None else REAL_FLUSH_BYTES
         self._flushed_at = now() if now is not None else 0.0
@@ -230,6 +233,7 @@ class McapSink:
         self._dropped += messages
         self._writer.refuse()
         self.error = f"{self.path}: {error.strerror or error}"
+        self.failed()
 
     def __enter__(self) -> McapSink:
         return self

@@ -1,0 +1,59 @@
+"""A disk that fills up: the run ends in order and says at which slot; an export is whole or nothing."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+RUN = ("run", "dc-motor-hinf", "--duration", "100")
+
+
+def hil(folder: Path, *arguments: str, kilobytes: int | None = None) -> subprocess.CompletedProcess[str]:
+    """Run ``hil``; no file may become longer than some kilobytes (RLIMIT_FSIZE; a write beyond gets EFBIG)."""
+    limit = "" if kilobytes is None else f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({kilobytes << 10},) * 2);"
+    program = f"{limit}from hil.cli import main; main({[*arguments]!r})"
+    return subprocess.run([sys.executable, "-P", "-c", program], cwd=folder, capture_output=True, text=True)
+
+
+def ended_in_order(done: subprocess.CompletedProcess[str]) -> int:
+    assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
+    said = re.search(r"disk full at slot (\d+): l\.mcap: (File too large|No space left on device)", " ".join(done.stdout.split()))
+    assert said is not None, done.stdout
+    return int(said[1])
+
+
+def test_a_virtual_run_beyond_the_limit_of_a_file_ends_in_order_and_recovers(tmp_path: Path) -> None:
+    slot = ended_in_order(hil(tmp_path, *RUN, "-o", "l.mcap", kilobytes=100))
+    assert 0 < slot < 1999
+    recovered = hil(tmp_path, "recover", "l.mcap", "-o", "r.mcap")
+    assert recovered.returncode == 0, recovered.stderr
+    again = hil(tmp_path, "replay", "r.mcap")
+    assert again.returncode == 0, again.stdout + again.stderr
+
+
+def test_a_disk_too_small_for_one_chunk_is_named_too(tmp_path: Path) -> None:
+    assert ended_in_order(hil(tmp_path, *RUN, "-o", "l.mcap", kilobytes=8)) > 0
+
+
+@pytest.mark.skipif(shutil.which("unshare") is None, reason="a small disk needs unshare (util-linux)")
+def test_a_virtual_run_on_a_full_disk_ends_in_order(tmp_path: Path) -> None:
+    """A tmpfs of 64 kB in a user namespace; 64 kB of a page each, so that the log fills it."""
+    command = f"mount -t tmpfs -o size=64k tmpfs . && cd {tmp_path} && {sys.executable} -P -m hil {' '.join(RUN)} -o l.mcap"
+    ready = subprocess.run(["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", str(tmp_path)], capture_output=True)
+    if ready.returncode:
+        pytest.skip(f"no mount in a namespace here: {ready.stderr.decode().strip()}")
+    ended_in_order(subprocess.run(["unshare", "-rm", "sh", "-c", command], cwd=tmp_path, capture_output=True, text=True))
+
+
+def test_an_export_on_a_full_disk_leaves_all_tables_or_none(tmp_path: Path) -> None:
+    assert hil(tmp_path, *RUN, "-o", "l.mcap").returncode == 0
+    (tmp_path / "out").mkdir()
+    done = hil(tmp_path, "export", "l.mcap", "-o", "out/x.csv", kilobytes=60)
+    assert done.returncode == 2 and "cannot be written: File too large" in done.stderr
+    assert [*(tmp_path / "out").iterdir()] == []
+    assert hil(tmp_path, "export", "l.mcap", "-o", "out/x.csv").returncode == 0 and len([*(tmp_path / "out").iterdir()]) > 9
