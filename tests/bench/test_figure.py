@@ -69,6 +69,7 @@ def test_few_events_decide_only_what_their_interval_leaves_no_doubt_of(ours: int
     assert "1 undecided" in page_of(_about([row])) or verdict != "undecided"
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_ratio_holds_the_true_one_as_often_as_it_says() -> None:
     draws = np.random.default_rng(14)
     held = [low <= 0.25 <= high for low, high in (

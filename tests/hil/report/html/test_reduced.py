@@ -7,7 +7,7 @@ import pytest
 
 from hil.report.html.decimation import bucket_extremes, reduced, step_ends
 
-WHOLE, BUCKETS, N = 400, 60, 5000
+WHOLE, BUCKETS, N = 400, 60, 2000
 
 
 @pytest.mark.parametrize("step", [False, True])
