@@ -14,7 +14,7 @@ from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR
 from hil.replay_compare import BATCH, in_time
-from hil.runtime.nodes.wire import VERSION_1, Wire
+from hil.runtime.nodes.wire import Wire
 from transport.packets import SensorPacket, decode
 
 MOST_SORTED: Final = 200_000
@@ -73,17 +73,14 @@ class Heard:
 
 
 def recorded_wire(run: Run) -> Wire:
-    """Return version and nonces of the recorded questions."""
-    slots, nonces, versions = Growing(np.int64), Growing(np.uint64), set()
+    """Return the nonces of the recorded questions."""
+    slots, nonces = Growing(np.int64), Growing(np.uint64)
     for piece in run.pieces(SENSOR.name, BATCH):
         asked = {tick: decode(bytes(data)) for tick, data in zip(piece["tick"].tolist(), piece["data"])}
         questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
-        versions |= {packet.version for packet in questions.values()}
         slots.extend(np.fromiter(questions, np.int64, len(questions)))
         nonces.extend(np.fromiter((packet.nonce for packet in questions.values()), np.uint64, len(questions)))
-    if versions <= {1}:
-        return VERSION_1
-    return Wire(version=2, nonce=_Nonces(slots.array(), nonces.array()).of)
+    return Wire(nonce=_Nonces(slots.array(), nonces.array()).of)
 
 
 class _Nonces:

@@ -106,13 +106,10 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-def dbc_path(version: int = 2) -> Path:
+def dbc_path() -> Path:
     """Return the DBC file that names every signal of every frame, for `cantools` and other CAN tools.
 
-    Args:
-        version: of the wire format, 1 or 2.
-
-    >>> dbc_path().name, dbc_path(1).name
-    ('hilrig.dbc', 'hilrig-v1.dbc')
+    >>> dbc_path().name
+    'hilrig.dbc'
     """
-    return Path(__file__).with_name("hilrig.dbc" if version == 2 else f"hilrig-v{version}.dbc")
+    return Path(__file__).with_name("hilrig.dbc")

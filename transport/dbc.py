@@ -1,6 +1,6 @@
 """The DBC of some sensor nodes and a controller: one message per identifier, every value by its name.
 
-`transport/hilrig.dbc` is the DBC of one node whose values have no names. The layout is that of `transport.wire.version2`.
+`transport/hilrig.dbc` is the DBC of one node whose values have no names. The layout is that of `transport.wire.layout`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from transport.errors import FieldError
 from transport.wire.fields import SELECTIONS
-from transport.wire.version2 import CONTROL, SENSOR, control_length, sensor_length
+from transport.wire.layout import CONTROL, SENSOR, control_length, sensor_length
 
 LONGEST_NAME: Final = 32
 """Characters of a name that other tools take."""
@@ -33,13 +33,13 @@ _SENSOR_HEAD: Final = (
     _Signal("Crc", 0, 16), _Signal("Kind", 16, 8), _Signal("Outputs", 24, 6), _Signal("More", 30, 1), _Signal("Empty", 31, 1),
     _Signal("Seq", 32, 32), _Signal("Nonce", 64, 64, "+", "1.8E+19"), _Signal("SampleTime", 128, 64, "-", "9.2E+18", "ns"),
     _Signal("Node", 192, 8), _Signal("Samples", 200, 8), _Signal("References", 208, 7), _Signal("Tagged", 215, 1),
-    _Signal("Nodes", 216, 8),
+    _Signal("Nodes", 216, 8), _Signal("Counter", 224, 32),
 )  # fmt: skip
 _CONTROL_HEAD: Final = (
     _Signal("Crc", 0, 16), _Signal("Kind", 16, 8), _Signal("Selection", 24, 7), _Signal("Tagged", 31, 1), _Signal("Seq", 32, 32),
-    _Signal("Nonce", 64, 64, "+", "1.8E+19"), _Signal("SampleTime", 128, 64, "-", "9.2E+18", "ns"),
+    _Signal("Echo", 64, 64, "+", "1.8E+19"), _Signal("SampleTime", 128, 64, "-", "9.2E+18", "ns"),
     _Signal("ControlTime", 192, 64, "-", "9.2E+18", "ns"), _Signal("Tau", 256, 16, "-", "32767", "samples"),
-    _Signal("Rows", 272, 8), _Signal("Inputs", 280, 8),
+    _Signal("Rows", 272, 8), _Signal("Inputs", 280, 8), _Signal("Counter", 288, 32),
 )  # fmt: skip
 _FORMATS: Final = ",".join(
     f'"{word}"'
@@ -110,8 +110,8 @@ def _messages(talker: Talker, fd: bool) -> Iterator[tuple[int, str, int, list[_S
     if -(-size // step) > len(talker.identifiers):
         raise FieldError(talker.name, f"{-(-size // step)} frames, and {len(talker.identifiers)} identifiers")
     signals = list(_SENSOR_HEAD if talker.sensor else _CONTROL_HEAD)
-    first = 8 * (28 if talker.sensor else 36)
-    alone = talker.sensor and fd and 0 < talker.references <= 9  # else no message holds both Empty and the values
+    first = 8 * (32 if talker.sensor else 40)
+    alone = talker.sensor and fd and 0 < talker.references <= 8  # else no message holds both Empty and the values
     for i, (name, unit) in enumerate(talker.values):
         at = first + 32 * i
         signals.append(_Signal(name, at, 32, "-", _SINGLE, unit, "m0" if alone and at < 512 else ""))

@@ -3,9 +3,8 @@
 Little endian, naturally aligned, and always as long as a legal CAN FD frame (0-8, 12, 16, 20, 24, 32, 48, 64 bytes,
 above that a multiple of 8), so that no bus adds padding of its own. Unused bytes at the end are zero.
 
-Byte 2 says version (upper four bits) and kind (lower four: 1 sensor, 2 control); :mod:`transport.wire.version2` and
-:mod:`transport.wire.version1` have the layouts. The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF,
-"123456789" gives 0x29B1), padding included.
+Byte 2 says version (upper four bits) and kind (lower four: 1 sensor, 2 control); :mod:`transport.wire.layout` says the rest. The
+CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, "123456789" gives 0x29B1), padding included.
 
 Reference: thesis chapter 7, (7.9)-(7.13) for the rows, (7.35) for the packet.
 """
@@ -17,7 +16,7 @@ from collections.abc import Callable
 from typing import Final
 
 from transport.errors import FieldError
-from transport.wire import version1, version2
+from transport.wire import layout
 from transport.wire.fields import (
     CRC_START,
     EMPTY,
@@ -33,22 +32,17 @@ from transport.wire.fields import (
     SensorPacket,
     frame_length,
 )
-from transport.wire.version2 import MAX_VALUES
+from transport.wire.layout import MAX_VALUES
 
 __all__ = [
-    "EMPTY", "FD_LENGTHS", "MAX_INPUTS", "MAX_OUTPUTS", "MAX_ROWS", "MAX_VALUES", "MORE", "SELECTIONS", "TAU_LIMIT", "VERSIONS",
+    "EMPTY", "FD_LENGTHS", "MAX_INPUTS", "MAX_OUTPUTS", "MAX_ROWS", "MAX_VALUES", "MORE", "SELECTIONS", "TAU_LIMIT",
     "ControlPacket", "SensorPacket", "decode", "encode_control", "encode_sensor", "frame_length", "node_of",
     "packet_size",
 ]  # fmt: skip
 
-VERSIONS: Final = {1: version1, 2: version2}
-"""Versions of the wire format that are spoken."""
-
 _READERS: Final[dict[int, Callable[[bytes], Reader[SensorPacket] | Reader[ControlPacket] | None]]] = {
-    version1.SENSOR: version1.sensor_reader,
-    version1.CONTROL: version1.control_reader,
-    version2.SENSOR: version2.sensor_reader,
-    version2.CONTROL: version2.control_reader,
+    layout.SENSOR: layout.sensor_reader,
+    layout.CONTROL: layout.control_reader,
 }
 """What finds, by byte 2 of a packet, its length and what reads it; None if more bytes are needed to tell."""
 
@@ -60,15 +54,15 @@ def encode_sensor(packet: SensorPacket) -> bytes:
         packet: measurements of p <= 63 outputs, or none together with the flag ``EMPTY``.
 
     Returns:
-        In version 1 20 bytes for p = 1, in version 2 48 with a reference. Values beyond float32 become infinities.
+        36 bytes and 4 for each value, rounded up to a length that a frame can have. Values beyond float32 become infinities.
 
     Raises:
-        ValueError: the flag ``EMPTY`` contradicts ``y``, or there are too many values or nodes for the version.
+        ValueError: the flag ``EMPTY`` contradicts ``y``, or there are too many values or nodes.
 
-    >>> encode_sensor(SensorPacket(seq=7, flags=0, sample_ns=350_000_000, y=(3.0,))).hex(" ", 4)
-    '0b5e1101 07000000 8093dc14 00000000 00004040'
+    >>> encode_sensor(SensorPacket(seq=7, flags=0, sample_ns=350_000_000, y=(3.0,), counter=8))[2:36].hex(" ", 4)
+    '3101 07000000 00000000 00000000 8093dc14 00000000 00010001 08000000 00004040'
     """
-    body = version2.write_sensor(packet) if packet.version == 2 else version1.write_sensor(packet)
+    body = layout.write_sensor(packet)
     return crc_hqx(body, CRC_START).to_bytes(2, "little") + body
 
 
@@ -79,7 +73,7 @@ def encode_control(packet: ControlPacket) -> bytes:
         packet: rows of shape (rows, m), all of one length.
 
     Returns:
-        In version 1 32 bytes for one value, 48 for up to 5, 64 for up to 9, in version 2 48 for up to 3, 64 for up to 7.
+        48 bytes for up to 2 values, 64 for up to 6.
         Values beyond float32 become infinities.
 
     Raises:
@@ -87,7 +81,7 @@ def encode_control(packet: ControlPacket) -> bytes:
 
     >>> packet = ControlPacket(seq=7, sample_ns=0, control_ns=1, tau=1, selection=1, rows=((1.0, 2.0), (3.0, 4.0)))
     >>> len(encode_control(packet)), decode(encode_control(packet)) == packet
-    (48, True)
+    (64, True)
     """
     rows, tau = packet.rows, packet.tau
     inputs = len(rows[0]) if rows else 0
@@ -95,8 +89,7 @@ def encode_control(packet: ControlPacket) -> bytes:
         raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected one length")
     if not -1 <= tau <= TAU_LIMIT:
         tau = -1 if tau < 0 else TAU_LIMIT
-    write = version2.write_control if packet.version == 2 else version1.write_control
-    body = write(packet, tau, inputs)
+    body = layout.write_control(packet, tau, inputs)
     return crc_hqx(body, CRC_START).to_bytes(2, "little") + body
 
 
@@ -106,8 +99,8 @@ def packet_size(data: bytes) -> int | None:
     Args:
         data: any bytes, such as the fragments of a packet that have come so far.
 
-    >>> packet_size(b"..."), packet_size(b"...."), packet_size(bytes((0, 0, 0x11, 1)))
-    (None, 0, 20)
+    >>> packet_size(b"..."), packet_size(b"...."), packet_size(bytes((0, 0, 0x31)) + bytes(29))
+    (None, 0, 32)
     """
     if len(data) < 4:
         return None
@@ -122,10 +115,10 @@ def node_of(data: bytes) -> int:
     Args:
         data: any bytes, such as a packet or its first 25 bytes.
 
-    >>> node_of(bytes((0, 0, 0x21)) + bytes(21) + bytes((3,))), node_of(b"...")
+    >>> node_of(bytes((0, 0, 0x31)) + bytes(21) + bytes((3,))), node_of(b"...")
     (3, 0)
     """
-    return data[24] if len(data) > 24 and data[2] == version2.SENSOR else 0
+    return data[24] if len(data) > 24 and data[2] == layout.SENSOR else 0
 
 
 def decode(data: bytes) -> SensorPacket | ControlPacket | None:

@@ -12,7 +12,7 @@ from hil.experiment.tables import Experiment
 from transport.dbc import LONGEST_NAME, Talker, dbc_text
 from transport.links.can_identifiers import FRAGMENTS, LARGEST, Identifiers, derived, identifiers_of, said
 from transport.links.link import TransportError, split_uri
-from transport.wire.version2 import control_length, sensor_length
+from transport.wire.layout import control_length, sensor_length
 
 CONTROL = "links.control_can_id"
 
@@ -114,7 +114,7 @@ def experiment_dbc(e: Experiment, link: str | None = None) -> str:
             about="Send-all packet that answers slot Seq: input, and the row behind its name; at most these rows.",
         )
     )  # fmt: skip
-    return dbc_text(talkers, fd=fd, title=f"{e.name}, packets of hilrig, version 2")
+    return dbc_text(talkers, fd=fd, title=f"{e.name}, packets of hilrig, version 3")
 
 
 def identifiers_on(e: Experiment, uri: str) -> Identifiers:

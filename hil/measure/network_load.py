@@ -15,7 +15,7 @@ from hil.log.topics import SC
 from hil.measure.network_paths import draws_of
 from hil.measure.view import MEASUREMENT, RunView
 from transport.medium.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
-from transport.wire.version2 import sensor_length
+from transport.wire.layout import sensor_length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

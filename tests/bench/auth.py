@@ -15,9 +15,9 @@ from transport.wire.tags import with_tag
 
 Row = dict[str, Any]
 PACKETS: dict[str, Callable[[int], bytes]] = {
-    "question, 1 output": lambda k: encode_sensor(SensorPacket(k, 0, k, (1.0,), reference=(3.0,), nonce=k, version=2)),
-    "answer, 2 rows": lambda k: encode_control(ControlPacket(k, k, k, 0, 1, ((1.0,), (2.0,)), nonce=k, version=2)),
-    "answer, 16 rows of 4": lambda k: encode_control(ControlPacket(k, k, k, 0, 4, ((1.0,) * 4,) * 16, nonce=k, version=2)),
+    "question, 1 output": lambda k: encode_sensor(SensorPacket(k, 0, k, (1.0,), reference=(3.0,), nonce=k, counter=k)),
+    "answer, 2 rows": lambda k: encode_control(ControlPacket(k, k, k, 0, 1, ((1.0,), (2.0,)), echo=k, counter=k)),
+    "answer, 16 rows of 4": lambda k: encode_control(ControlPacket(k, k, k, 0, 4, ((1.0,) * 4,) * 16, echo=k, counter=k)),
 }
 
 
@@ -42,7 +42,7 @@ def bench_auth(number: int = 2000, turns: int = 10) -> list[Row]:
                 ends = (controller, rig) if name.startswith("answer") else (rig, controller)
                 taken[way].append(_trip_us(*ends, packets))
         plain, keyed = (statistics.median(taken[way]) for way in ("plain", "keyed"))
-        sealed = with_tag(packets[0], 1, lambda signed: bytes(8)) or b""
+        sealed = with_tag(packets[0], lambda signed: bytes(8)) or b""
         rows.append({
             "packet": name, "bytes": len(packets[0]), "bytes_keyed": len(sealed), "plain_us": plain, "keyed_us": keyed,
             "code_us": keyed - plain,
@@ -56,7 +56,7 @@ def _pair(keyed: bool) -> tuple[Link, Link]:
         return rig, controller
     code = cmac(os.urandom(16))
     first, second = AuthenticatedLink(rig, "rig", code), AuthenticatedLink(controller, "controller", code)
-    first.send(encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=1, version=2)))
+    first.send(encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=1, counter=1)))
     second.receive(0)
     return first, second
 

@@ -33,7 +33,7 @@ from tests.hostile.mutation import OF_BYTES, OF_TEXT, Edit
 from transport import ControlPacket, SensorPacket, dbc_path, decode, encode_control, encode_sensor
 from transport.laws.trace import read_ages
 from transport.links.authenticated_link import read_key
-from transport.links.link import TransportError, wire_version
+from transport.links.link import TransportError, key_file
 from transport.links.who_commands import who_commands
 from transport.links.zenoh_access import Access
 from transport.links.zenoh_discover import _json_object
@@ -155,8 +155,6 @@ def _frames() -> list[bytes]:
     return [
         encode_sensor(SensorPacket(7, 0, 350_000_000, (0.5,), reference=(3.0,), nonce=99)),
         encode_control(ControlPacket(7, 350_000_000, 0, 0, 1, rows, nonce=99)),
-        encode_sensor(SensorPacket(7, 0, 350_000_000, (0.5,), version=1)),
-        encode_control(ControlPacket(7, 350_000_000, 0, 0, 1, rows, version=1)),
     ]
 
 
@@ -195,7 +193,7 @@ def _sweep(path: Path) -> bool:
 
 
 def _uri(uri: str) -> bool:
-    wire_version(uri)
+    key_file(uri)
     return bool(who_commands(uri))
 
 

@@ -1,9 +1,9 @@
 """A stranger on the rig's link who answers in the controller's place: -4 V, whatever the reference is.
 
-Usage: intruder.py URI VERSION (ahead | race | fill)
+Usage: intruder.py URI (ahead | race | fill)
 
-*ahead*: upon question k it answers the eight slots after it, with the time stamp 0 and the nonce of question k.
-*race*: it answers question k at once, nonce and all. *fill*: as ahead, 300 times over, so that the rig's queue is full.
+*ahead*: upon question k it answers the eight slots after it, with the time stamp 0 and the digest of question k.
+*race*: it answers question k at once, digest and all. *fill*: as ahead, 300 times over, so that the rig's queue is full.
 """
 
 import sys
@@ -13,51 +13,53 @@ import can
 
 from transport import ControlPacket, SensorPacket, decode, encode_control, open_link
 from transport.links.can_bus import FD_FRAME, FRAME, HilBus
+from transport.wire.tags import echo
 
 U = -4.0
 
 
-def answer(packet: SensorPacket, seq: int, version: int) -> bytes:
+def answer(packet: SensorPacket, seq: int, data: bytes) -> bytes:
     rows = ((U,), (U,))
-    return encode_control(ControlPacket(seq, packet.sample_ns, 0, 0, 1, rows, nonce=packet.nonce, version=version))
+    return encode_control(ControlPacket(seq, packet.sample_ns, 0, 0, 1, rows, echo([data])))
 
 
-def answers(packet: SensorPacket, version: int, way: str) -> list[bytes]:
+def answers(packet: SensorPacket, data: bytes, way: str) -> list[bytes]:
     if packet.seq == 0xFFFFFFFF:
         return []
     if way == "race":
-        return [answer(packet, packet.seq, version)]
-    return [answer(packet, packet.seq + ahead, version) for ahead in range(1, 9)] * (40 if way == "fill" else 1)
+        return [answer(packet, packet.seq, data)]
+    return [answer(packet, packet.seq + ahead, data) for ahead in range(1, 9)] * (40 if way == "fill" else 1)
 
 
-def on_can(channel: str, version: int, way: str) -> None:
+def on_can(channel: str, way: str) -> None:
     with HilBus(channel, can_filters=[{"can_id": 0x100, "can_mask": 0x7C0, "extended": False}]) as bus:
         print("up", flush=True)
         while True:
             frame = bus.recv_frame(1.0)
             packet = decode(frame[2]) if frame is not None else None
             if isinstance(packet, SensorPacket):
-                for data in answers(packet, version, way):
+                for data in answers(packet, frame[2], way):
                     with suppress(can.CanError, OSError):
                         bus._mesh.send(FRAME.pack(0.0, 0, 0x140, len(data), FD_FRAME) + data)
 
 
-def on_zenoh(uri: str, version: int, way: str) -> None:
+def on_zenoh(uri: str, way: str) -> None:
     with open_link(uri, "controller") as link:
         print("up", flush=True)
         while True:
-            packet = decode(link.receive(1.0) or b"")
+            heard = link.receive(1.0) or b""
+            packet = decode(heard)
             if isinstance(packet, SensorPacket):
-                for data in answers(packet, version, way):
+                for data in answers(packet, heard, way):
                     link.send(data)
 
 
 def main() -> None:
-    uri, version, way = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+    uri, way = sys.argv[1:]
     if uri.startswith("can:hil:"):
-        on_can(uri.rpartition(":")[2], version, way)
+        on_can(uri.rpartition(":")[2], way)
     else:
-        on_zenoh(uri, version, way)
+        on_zenoh(uri, way)
 
 
 if __name__ == "__main__":

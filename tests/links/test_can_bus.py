@@ -402,7 +402,7 @@ def test_cantools_monitor_shows_our_signals() -> None:
 
             def shown() -> bool:
                 nonlocal screen
-                rig.send(encode_sensor(SensorPacket(7, 0, 5, (3.25,), version=2)))
+                rig.send(encode_sensor(SensorPacket(7, 0, 5, (3.25,))))
                 if select.select([main], [], [], 0.05)[0]:
                     screen += os.read(main, 65536)
                 return b"SensorFD0" in screen and b"Y0: 3.25" in screen

@@ -17,7 +17,6 @@ import pytest
 from design.controllers.historical import Historical
 from hil.cli.guide import pages
 from hil.compose.loop import compose
-from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.replay import verify
 from hil.session import run_session, simulate
@@ -94,11 +93,3 @@ def test_the_foreign_controller_of_the_guide_drives_two_nodes(tmp_path: Path) ->
     finally:
         foreign.kill()
         foreign.wait()
-
-
-def test_wire_version_1_cannot_carry_several_nodes(tmp_path: Path) -> None:
-    experiment = load_experiment("multisensor-published", ["duration=1"])
-    link = f"can:hil:nodes{os.getpid()}?version=1"
-    with pytest.raises(HilError, match="wire version 1 carries one sensor node"):
-        run_session(experiment, clock="real", link=link, path=tmp_path / "a.mcap")
-    assert not (tmp_path / "a.mcap").exists()

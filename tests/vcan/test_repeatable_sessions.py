@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from hashlib import sha256
 from pathlib import Path
 
 import pytest
+
+from hil.log.read.run import read_run
 
 RUNNER = [sys.executable, "-m", "hil", "vcan"]
 
 
 @pytest.mark.usefixtures("boots_kernels")
-@pytest.mark.parametrize("uri", ["can:socketcan:vcan0?version=1", "can:socketcan:vcan0?version=1&fd=0"], ids=["fd", "classic"])
-def test_two_virtual_time_sessions_write_the_same_log_to_the_byte(uri: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("uri", ["can:socketcan:vcan0", "can:socketcan:vcan0?fd=0"], ids=["fd", "classic"])
+def test_two_virtual_time_sessions_write_the_same_records(uri: str, tmp_path: Path) -> None:
     """Every value, every measured lateness and round trip, every time stamp.
 
-    Wire version 1, as the nonces of version 2 are drawn anew for every session.
+    Only nonces and echoes, 8 bytes of each frame, are drawn anew for every session, and with them its checksum.
     """
-    sums = set()
+    records = []
     for name in ("one", "two"):
         log = tmp_path / f"{name}.mcap"
         run = [
@@ -52,5 +53,13 @@ def test_two_virtual_time_sessions_write_the_same_log_to_the_byte(uri: str, tmp_
             text=True,
         )
         assert done.returncode == 0, done.stdout + done.stderr
-        sums.add(sha256(log.read_bytes()).hexdigest())
-    assert len(sums) == 1
+        records.append(read_run(log).arrays)
+    first, second = records
+    assert first.keys() == second.keys()
+    for topic, rows in first.items():
+        names = [name for name in rows.dtype.names if name != "data"]
+        assert rows[names].tobytes() == second[topic][names].tobytes(), topic
+        if "data" in rows.dtype.names:
+            assert [frame[4:8] + frame[16:] for frame in map(bytes, rows["data"])] == [
+                frame[4:8] + frame[16:] for frame in map(bytes, second[topic]["data"])
+            ]

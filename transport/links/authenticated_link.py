@@ -2,11 +2,11 @@ r"""A link whose packets carry a message authentication code: ``can:hil:rig0?aut
 
 The idea is that of AUTOSAR's secure on-board communication (SecOC): a truncated code and a counter in the frame itself,
 
-.. math:: t = \mathrm{CMAC}_{\mathrm{AES}}(K,\; n_0 \,\|\, p \,\|\, f)_{1 \ldots 8},
+.. math:: t = \mathrm{CMAC}_{\mathrm{AES}}(K,\; n_0 \,\|\, p)_{1 \ldots 8},
 
 of the nonce :math:`n_0` of the session (that of the question "is anybody there", 8 bytes, little endian), the packet p from
-offset 2 to its last value, and the freshness f, a counter that grows with every packet of its sender. p holds kind, slot and the
-nonce of the question, so that no code is good for another direction, slot or session. 8 bytes: a forger who tries a million
+offset 2 to its last value. p holds kind, slot, the nonce of the question or its echo, and a counter that grows with every
+frame of its sender, so that no code is good for another direction, slot or session. 8 bytes: a forger who tries a million
 frames a second for a year succeeds once with probability 2e-6.
 
 What has no code, a wrong one, or a counter that has been seen is refused and counted. A controller takes another session only
@@ -26,12 +26,11 @@ from typing import Final
 
 from transport.links.link import Closing, Link, LinkCounters, Role, TransportError
 from transport.links.secret_file import read_secret
+from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES
 from transport.wire.tags import Tagged, tag_of, with_tag
-from transport.wire.version2 import CONTROL, SENSOR, TAG_BYTES
 
 HELLO: Final = 0xFFFFFFFF
 SILENCE_S: Final = 1.0
-_NEWEST: Final = 0xFFFFFFFF
 _SKIPPED: Final = 64
 """So many refused packets are passed over in one call, lest a flood of them holds it for ever."""
 
@@ -82,14 +81,14 @@ class AuthenticatedLink(Closing):
         now_s: a monotonic clock, s.
     """
 
-    __slots__ = ("_code", "_heard_s", "_hears", "_last", "_link", "_now_s", "_refused", "_rig", "_sent", "_session", "uri")
+    __slots__ = ("_code", "_heard_s", "_hears", "_last", "_link", "_now_s", "_refused", "_rig", "_session", "uri")
 
     def __init__(self, link: Link, role: Role, code: Code, now_s: Callable[[], float] = monotonic) -> None:
         self.uri = link.uri
         self._link, self._rig, self._code, self._now_s = link, role == "rig", code, now_s
         self._hears = CONTROL if self._rig else SENSOR
         self._session: bytes | None = None
-        self._sent = self._last = self._refused = 0
+        self._last = self._refused = 0
         self._heard_s = 0.0
 
     @property
@@ -99,13 +98,10 @@ class AuthenticatedLink(Closing):
 
     def send(self, packet: bytes) -> None:
         if self._rig and packet[4:8] == b"\xff\xff\xff\xff" and packet[8:16] != self._session:
-            self._session, self._sent, self._last = packet[8:16], 0, 0
+            self._session, self._last = packet[8:16], 0
         session = self._session
-        sealed = None
-        if session is not None and self._sent < _NEWEST:
-            self._sent += 1
-            sealed = with_tag(packet, self._sent, lambda signed: self._code(session + signed))
-        if sealed is None:  # of version 1, or no session yet: without a code it would be of no use
+        sealed = None if session is None else with_tag(packet, lambda signed: self._code(session + signed))
+        if sealed is None:  # no packet, or no session yet: without a code it would be of no use
             self._refused += 1
         else:
             self._link.send(sealed)
@@ -130,11 +126,12 @@ class AuthenticatedLink(Closing):
             if session is not None and self._now_s() - self._heard_s < SILENCE_S:
                 return False
             session, last = nonce, 0
-        if session is None or said.freshness <= last or not compare_digest(self._code(session + said.signed), said.tag):
+        counter = said.counter if said.seq == HELLO else said.counter + (1 << 32)
+        if session is None or counter <= last or not compare_digest(self._code(session + said.signed), said.tag):
             return False
         if session != self._session:
-            self._session, self._sent = session, 0
-        self._last = said.freshness
+            self._session = session
+        self._last = counter
         if not self._rig:
             self._heard_s = self._now_s()
         return True

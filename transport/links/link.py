@@ -151,33 +151,16 @@ def split_uri(uri: str) -> tuple[str, str, dict[str, str]]:
     return scheme, address, options
 
 
-def wire_version(uri: str) -> Literal[1, 2]:
-    """Return the version of the wire format that a URI asks for by ``version=``, 2 by default.
-
-    Raises:
-        TransportError: another version than 1 or 2.
-
-    >>> wire_version("can:hil:rig0"), wire_version("can:hil:rig0?version=1")
-    (2, 1)
-    """
-    said = split_uri(uri)[2].get("version", "2")
-    if said not in ("1", "2"):
-        raise TransportError(f"link {uri!r}: version={said}, expected 1 or 2 (of the wire format)")
-    return 1 if said == "1" else 2
-
-
 def key_file(uri: str) -> str | None:
     """Return the file that a URI names by ``auth=``: its key authenticates every packet. None without one.
 
     Raises:
-        TransportError: together with wire version 1, which has no room for a code.
+        TransportError: no file is named.
 
     >>> key_file("can:hil:rig0?auth=keys/frames.key"), key_file("can:hil:rig0")
     ('keys/frames.key', None)
     """
     said = split_uri(uri)[2].get("auth")
-    if said is not None and wire_version(uri) == 1:
-        raise TransportError(f"link {uri!r}: wire version 1 has no room for a code: auth= needs version 2")
     if said == "":
         raise TransportError(f"link {uri!r}: auth: expected the file of a key, as `hil keys new DIR` makes one")
     return said

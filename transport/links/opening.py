@@ -1,6 +1,6 @@
 """How a link is opened: the plug-in that a URI names, and around it the codes that the URI asks for.
 
-A link of any scheme carries packets of either version, with a code or without; the plug-in knows nothing of it.
+A link of any scheme carries packets with a code or without; the plug-in knows nothing of it.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ WITHOUT_A_FORM: Final = ("memory", "local")
 
 
 def _for_the_plugin(uri: str) -> str:
-    """Return the URI that the plug-in reads: every link carries the packets of either version, with a code or without."""
+    """Return the URI that the plug-in reads: every link carries packets with a code or without."""
     address, _, query = uri.partition("?")
-    kept = "&".join(option for option in query.split("&") if option.partition("=")[0] not in ("version", "auth"))
+    kept = "&".join(option for option in query.split("&") if option.partition("=")[0] != "auth")
     return f"{address}?{kept}" if kept else address
 
 
@@ -83,7 +83,7 @@ def open_link(uri: str, role: Role) -> Link:
     plugin = find_link(uri)
     keyed = key_file(uri) if "auth=" in uri else None
     around = None if keyed is None else _codes(keyed, role, uri)
-    uri = _for_the_plugin(uri) if "version=" in uri or keyed is not None else uri
+    uri = _for_the_plugin(uri) if keyed is not None else uri
     try:
         opener = plugin.load()
     except (ImportError, AttributeError) as error:

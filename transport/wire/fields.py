@@ -1,4 +1,4 @@
-"""What travels: the fields of sensor and control packets, whatever their version, and the lengths of frames."""
+"""What travels: the fields of sensor and control packets, and the lengths of frames."""
 
 from __future__ import annotations
 
@@ -43,10 +43,9 @@ class SensorPacket(NamedTuple):
         samples: samples that y holds, each of ``len(y) / samples`` outputs.
         reference: reference of all outputs in slot k, float32 on the wire.
         nodes: number of sensor nodes of the rig.
-        nonce: of session and slot (u64); the answer echoes it.
-        freshness: counter against replay (u32), 0 where the packet is not authenticated.
+        nonce: of session and slot (u64), 0 in virtual time.
+        counter: of the frames that its sender has sent (u32); it begins anew with slot 0.
         tag: truncated message authentication code, 8 bytes, empty where the packet is not authenticated.
-        version: 1 or 2. Version 1 has no field below ``y``.
     """
 
     seq: int
@@ -58,9 +57,8 @@ class SensorPacket(NamedTuple):
     reference: tuple[float, ...] = ()
     nodes: int = 1
     nonce: int = 0
-    freshness: int = 0
+    counter: int = 0
     tag: bytes = b""
-    version: int = 1
 
 
 class ControlPacket(NamedTuple):
@@ -73,9 +71,8 @@ class ControlPacket(NamedTuple):
         tau: measured sensor-to-controller delay in samples, -1 while there is no sample; saturates at ``TAU_LIMIT``.
         selection: index into ``SELECTIONS``.
         rows: inputs, shape (rows, m), float32 on the wire.
-        nonce: of the question that is answered (u64).
-        freshness, tag: as in `SensorPacket`.
-        version: 1 or 2. Version 1 has no field below ``rows``.
+        echo: digest of the frames that are answered (u64), see `transport.wire.echo`; 0 in virtual time.
+        counter, tag: as in `SensorPacket`.
     """
 
     seq: int
@@ -84,10 +81,9 @@ class ControlPacket(NamedTuple):
     tau: int
     selection: int
     rows: tuple[tuple[float, ...], ...]
-    nonce: int = 0
-    freshness: int = 0
+    echo: int = 0
+    counter: int = 0
     tag: bytes = b""
-    version: int = 1
 
 
 Packet = TypeVar("Packet", SensorPacket, ControlPacket)

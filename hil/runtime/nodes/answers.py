@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import compress, product
 from math import isfinite
 from typing import Literal
 
 from design.controllers import row_count
 from hil.runtime.nodes.controller_node import HELLO
 from hil.runtime.nodes.journal import Journal
-from hil.runtime.nodes.wire import Wire
 from transport.packets import SELECTIONS, ControlPacket, decode
+from transport.wire.tags import echo
 
 FLOOD = 64
 """Frames thrown away in one slot that make a flood."""
@@ -20,31 +22,39 @@ LOGGED = 16
 REMEMBERED = 64
 """Slots for which a second answer is compared with the first one."""
 
+SAMPLES = 1024
+"""Samples that are known to have been sent."""
 
-Arrival = Literal["early", "in time", "late"]
-"""When a frame came: before the question, before the deadline, after it."""
+Arrival = Literal["in time", "late"]
+"""When a frame came: before the deadline, or after it."""
+
+MOST_LOST = 6
+"""Frames of a slot up to which an answer to some of them is told from one to forged frames."""
 
 
 class Answers:
     """Takes frames from the link: one may answer the slot, the rest is counted by what it is.
 
     A frame is *malformed* (no control packet), *late* (the first answer to a slot that had none in time), or *foreign*: nobody
-    was asked for it. A second answer that differs from the first, an answer to a slot that was not yet asked, and one without the
-    nonce of its question show that somebody else answers too.
+    was asked for it. A second answer that differs from the first, an answer to a slot that was not yet asked, and one whose echo
+    is that of other frames than were sent, or whose sample was never sent, show that somebody else speaks on the link.
 
     Args:
         inputs: number m of inputs.
         d_max: largest age that the rows cover, samples.
         journal: takes records and events.
-        wire: version and nonces of the session; an answer counts only if it has both.
     """
 
-    def __init__(self, inputs: int, d_max: int, journal: Journal, wire: Wire) -> None:
-        self._inputs, self._journal, self._wire = inputs, journal, wire
+    def __init__(self, inputs: int, d_max: int, journal: Journal) -> None:
+        self._inputs, self._journal = inputs, journal
         self._row_counts = [row_count(selection, d_max) for selection in SELECTIONS]
         self._k = -1
         self._t_ns = 0
-        self._nonce = 0
+        self._asked: Sequence[bytes] = ()
+        self._echo = 0
+        self._echoes: dict[int, int] = {}  # of the last slots
+        self._samples: dict[int, None] = {}  # instants of the samples that were sent last
+        self._forgotten_ns = -1
         self._thrown = self._logged = 0
         self._answered: dict[int, bytes | None] = {}  # of the last slots; None where nothing came in time
         self._packet: ControlPacket | None = None
@@ -54,18 +64,26 @@ class Answers:
         self.malformed = self.foreign = self.refused = 0
         self.contradicted = self.flooded = False
 
-    def open(self, t_ns: int, k: int) -> int:
-        """Begin slot k, whose answer is to come; return its nonce.
+    def open(self, t_ns: int, k: int, asked: Sequence[bytes] = ()) -> None:
+        """Begin slot k, whose answer is to come.
 
         Args:
             t_ns: nominal time of the slot, ns.
             k: slot.
+            asked: the sensor frames whose digest the answer is to echo; none in virtual time, where it is 0.
         """
         self._t_ns, self._k, self._packet = t_ns, k, None
-        self._nonce = self._wire.nonce(k)
+        self._asked = asked
+        self._echo = self._echoes[k] = echo(asked) if asked else 0
+        for frame in asked:
+            if not frame[3] & 0x80:  # not EMPTY
+                self._samples[int.from_bytes(frame[16:24], "little", signed=True)] = None
+                if len(self._samples) > SAMPLES:
+                    self._forgotten_ns = next(iter(self._samples))
+                    del self._samples[self._forgotten_ns]
         self._answered.pop(k - REMEMBERED, None)
+        self._echoes.pop(k - REMEMBERED, None)
         self._thrown = self._logged = 0
-        return self._nonce
 
     def take(self, data: bytes, when: Arrival = "in time") -> bool:
         """Take one frame; return whether it answers the open slot.
@@ -80,9 +98,13 @@ class Answers:
             self._throw_away()
             return False
         seq = packet.seq
-        nonce = self._nonce if seq == self._k else self._wire.nonce(seq)
-        if packet.nonce != nonce or packet.version != self._wire.version:
-            self._contradict(self._stranger(packet), seq)
+        if packet.echo != (self._echo if seq == self._k else self._echoes.get(seq, packet.echo)):
+            if seq != self._k or not self._answers_some(packet.echo):
+                self._contradict(f"slot {seq}: the answer is to other frames than were sent", seq)
+            self._foreign(seq, data)
+            return False
+        if self._asked and packet.sample_ns not in self._samples and packet.sample_ns > self._forgotten_ns:
+            self._contradict(f"slot {seq}: the answer uses a sample of {packet.sample_ns} ns, which was never sent", seq)
             self._foreign(seq, data)
             return False
         open_now = seq == self._k and self._packet is None
@@ -138,11 +160,13 @@ class Answers:
             self._journal.event(self._t_ns, "refused", f"control packet refused: {fault}", tick=self._k, severity="error")
         return False
 
-    def _stranger(self, packet: ControlPacket) -> str:
-        if packet.version != self._wire.version:
-            hint = "; a controller of version 1 needs ?version=1 behind the link's address" if packet.version == 1 else ""
-            return f"slot {packet.seq} was answered in wire version {packet.version}, asked in version {self._wire.version}{hint}"
-        return f"slot {packet.seq} was answered without the nonce of its question"
+    def _answers_some(self, echoed: int) -> bool:
+        """Return whether an echo is that of some of the frames of this slot: the others were lost on the way."""
+        asked = self._asked
+        if not 1 < len(asked) <= MOST_LOST:
+            return False
+        kept = (compress(asked, chosen) for chosen in product((False, True), repeat=len(asked)) if chosen[-1])
+        return any(echo(frames) == echoed for frames in kept)
 
     def _late(self, seq: int, data: bytes) -> None:
         if self._logged < LOGGED:

@@ -7,7 +7,9 @@ from functools import partial
 from hil.compose.loop import Loop
 from hil.compose.time_line import time_line
 from hil.runtime.nodes.heard import heard_by
+from hil.runtime.nodes.questions import Questions, Refusals
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
+from transport.wire.tags import echo
 
 HELLO = 0xFFFFFFFF  # seq of the rig's question "is anybody there", answered before slot 0 and never counted
 
@@ -15,10 +17,11 @@ _new = tuple.__new__  # a packet without its Python constructor
 
 
 class ControlNode:
-    """Answers the frame that closes a slot, in its version, with its nonce; tau is measured from time stamps.
+    """Answers the frame that closes a slot, with the digest of what it was asked; tau is measured from time stamps.
 
-    When a rig asks "is anybody there" again, the next session begins, whose time begins at 0, with a fresh control law. At a
-    restart on the time line of faults everything is forgotten too, and frames until its end are not heard.
+    Where frames have nonces, `Questions` says which of them are the rig's. With the first slot of another session, whose time
+    begins at 0, begins a fresh control law. At a restart on the time line of faults everything is forgotten too, and frames until
+    its end are not heard.
 
     Args:
         loop: the composed experiment.
@@ -31,42 +34,69 @@ class ControlNode:
         self._period_ns = loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
         self._zeros = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
-        self.malformed = 0
+        self.counts = Refusals()
+        self._questions = Questions(self.counts, self._period_ns)
+        self._counter = self._hellos = 0
 
-    def hear(self, data: bytes) -> bytes | None:
-        """Take one frame from the link; return the answer when it closes its slot."""
+    def hear(self, data: bytes, now_ns: int = 0) -> bytes | None:
+        """Take one frame from the link; return the answer when it closes its slot.
+
+        Args:
+            data: as it came.
+            now_ns: a monotonic clock, ns; it counts only where another session wants to begin.
+        """
         packet = decode(data)
         if not isinstance(packet, SensorPacket):
-            self.malformed += 1
+            self.counts.malformed += 1
             return None
-        seq, flags = packet.seq, packet.flags
-        hello = seq == HELLO
-        if hello:
-            t_ns, ahead = 0, False
-            if self._heard.sample_ns >= 0:
-                self._heard, self._to_come = self._begin(), 0
-        else:
-            if self._restarts and self._down(seq):
+        seq = packet.seq
+        if seq == HELLO:
+            return self._greet(packet, data, now_ns)
+        if not packet.nonce and not self._questions.running:  # virtual time: nobody else can speak
+            if (self._restarts and self._down(seq)) or not self._keep(packet) or packet.flags & MORE:
                 return None
-            t_ns = seq * self._period_ns
-            ahead = packet.sample_ns > t_ns  # a sample from the future
-        heard = self._heard
-        if not flags & EMPTY and (ahead or not heard.take(packet)):
-            self.malformed += 1  # two rigs on one link, or a rig with another plant
+            return self._answer(seq, 0)
+        frames = self._questions.take(packet, data, now_ns)
+        if self._questions.begun:
+            self._heard, self._to_come, self._counter = self._begin(), 0, 0
+        if (self._restarts and self._down(seq)) or frames is None:
             return None
-        if flags & MORE:
+        sound = [(packet, data) for packet, data in frames if data]
+        for packet, _ in sound:
+            if not self._keep(packet):
+                return None
+        return self._answer(seq, echo([data for _, data in sound]))
+
+    def _keep(self, packet: SensorPacket) -> bool:
+        """Keep the sample of a packet; return False where it is not of this loop, or from the future."""
+        if packet.flags & EMPTY:
+            return True
+        if packet.sample_ns > packet.seq * self._period_ns or not self._heard.take(packet):
+            self.counts.malformed += 1  # two rigs on one link, or a rig with another plant
+            return False
+        return True
+
+    def _greet(self, packet: SensorPacket, data: bytes, now_ns: int) -> bytes | None:
+        if not packet.flags & EMPTY:
+            self.counts.malformed += 1
             return None
-        sample_ns = heard.sample_ns
-        if sample_ns < 0 or hello:
-            nothing = ControlPacket(seq, -1, t_ns, 0, self._selection, self._zeros, packet.nonce, version=packet.version)
-            return encode_control(nothing)
-        tau = (t_ns - sample_ns) // self._period_ns
+        if not self._questions.hello(packet.nonce, now_ns):
+            return None
+        if not packet.nonce and self._heard.sample_ns >= 0:
+            self._heard, self._to_come, self._counter = self._begin(), 0, 0
+        self._hellos += 1
+        nothing = ControlPacket(HELLO, -1, 0, 0, self._selection, self._zeros, echo([data]), self._hellos)
+        return encode_control(nothing)
+
+    def _answer(self, k: int, echoed: int) -> bytes | None:
+        t_ns, sample_ns = k * self._period_ns, self._heard.sample_ns
+        tau = (t_ns - sample_ns) // self._period_ns if sample_ns >= 0 else 0
         if tau < 0:  # a slot from before the newest sample
-            self.malformed += 1
+            self.counts.malformed += 1
             return None
-        rows = heard.rows(seq)
-        answer = (seq, sample_ns, t_ns, tau, self._selection, rows, packet.nonce, 0, b"", packet.version)
-        return encode_control(_new(ControlPacket, answer))
+        rows = self._heard.rows(k) if sample_ns >= 0 else self._zeros
+        self._counter += 1
+        return encode_control(_new(ControlPacket, (k, sample_ns, t_ns, tau, self._selection, rows, echoed, self._counter, b"")))
 
     def _down(self, k: int) -> bool:
         """Forget everything where a restart has begun; return whether nothing is heard in slot k."""

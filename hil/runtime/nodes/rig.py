@@ -41,7 +41,7 @@ class Rig:
         sink: where records go.
         channels: the table of what is logged.
         stop: ends the run (after a trip of the safety, once ``after_trip`` has passed).
-        wire: version and nonces; by default version 2 without nonces, as nobody else can speak in virtual time.
+        wire: the nonces; by default none, as nobody else can speak in virtual time.
         identifiers: CAN identifiers of the frames, where the table holds them.
     """
 
@@ -73,7 +73,8 @@ class Rig:
         numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.sensors)]
         self._journal = Journal(sink, channels, loop.rows * inputs, numbers, identifiers)
         self._wire = wire or VIRTUAL
-        self.answers = Answers(inputs, loop.model.d_max, self._journal, self._wire)
+        self._counter = 0
+        self.answers = Answers(inputs, loop.model.d_max, self._journal)
         self._reference, self._disturbance = loop.reference(), loop.disturbance()
         self._after_trip = round(e.limits.after_trip / e.period)
         self._end: int | None = None
@@ -92,35 +93,39 @@ class Rig:
             plant.advance(self._period_ns, self.actuator.u, self._w)
         y = self._y = plant.measure()
         self._r = self._reference(k)
-        nonce = self.answers.open(t_ns, k)
+        nonce = self._wire.nonce(k)
         for i, node in enumerate(self._sensors):
             sample = node.measure(k, y, uplink.may_send(i, k))
             if sample is not None:
                 uplink.offer(i, k, sample)
         self._sent = uplink.collect(k)
-        frames = self._frames(k, nonce)
+        mangled: list[bytes] = []
         if self._faults is not None:
-            frames[:0] = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
-        return frames
+            mangled = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
+        frames = self._frames(k, nonce)
+        self.answers.open(t_ns, k, frames if nonce else ())
+        return [*mangled, *frames] if mangled else frames
 
     def _frame(self, k: int, nonce: int, flags: int, node: int, g: int, y: tuple[float, ...]) -> bytes:
+        self._counter += 1
         return encode_sensor(
             SensorPacket(
-                k, flags, g * self._period_ns, y, node, self._samples[node], self._r, len(self._sensors), nonce,
-                version=self._wire.version,
+                k, flags, g * self._period_ns, y, node, self._samples[node], self._r, len(self._sensors), nonce, self._counter
             )
-        )  # fmt: skip
+        )
 
     def _frames(self, k: int, nonce: int) -> list[bytes]:
-        version, sent, reference = self._wire.version, self._sent, self._r
+        sent, reference = self._sent, self._r
         if len(sent) == 1 == len(sent[0][1]):  # the usual case, at once
             g, y = sent[0][1][0]
-            usual = (k, 0, g * self._period_ns, y, 0, self._samples[0], reference, 1, nonce, 0, b"", version)
+            self._counter += 1
+            usual = (k, 0, g * self._period_ns, y, 0, self._samples[0], reference, 1, nonce, self._counter, b"")
             return [encode_sensor(_new(SensorPacket, usual))]
         nodes = len(self._sensors)
         arrivals = [(node, g, y) for node, (_, arrived) in enumerate(self._sent) for g, y in arrived]
         if not arrivals:
-            nothing = SensorPacket(k, EMPTY, 0, (), reference=reference, nodes=nodes, nonce=nonce, version=version)
+            self._counter += 1
+            nothing = SensorPacket(k, EMPTY, 0, (), reference=reference, nodes=nodes, nonce=nonce, counter=self._counter)
             return [encode_sensor(nothing)]
         last = len(arrivals) - 1
         return [
@@ -154,10 +159,6 @@ class Rig:
     def hear_late(self, data: bytes) -> None:
         """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
         self.answers.take(data, "late")
-
-    def hear_early(self, data: bytes) -> None:
-        """Take a frame that came before the question left: it answers nothing that was asked."""
-        self.answers.take(data, "early")
 
     def actuate(self, t_ns: int) -> None:
         """Let the medium pass what it passes, choose the row, and hold it until the next slot."""

@@ -1,51 +1,104 @@
-"""How a rig speaks: the version of the wire format, and the nonce that the answer to a slot must echo."""
+r"""The nonces of a session: whoever knows those of the past cannot tell the next, and sees at once that it is genuine.
+
+.. math:: n_k = h(n_{k+1}), \qquad h(n) = \mathrm{SHA256}(n)_{1 \ldots 8},
+
+a hash chain that is computed backwards from a secret and revealed slot by slot; the question "is anybody there" reveals
+:math:`n_{-1}`. So nobody but the rig can put a question for a slot that the rig has not begun, without any key at the controller.
+After `SEGMENT` slots the next chain begins.
+
+Reference: L. Lamport, Password authentication with insecure communication, Comm. ACM 24 (1981) 770-772; A. Perrig et al., The
+TESLA broadcast authentication protocol, RSA CryptoBytes 5 (2002) 2-13.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from hashlib import blake2b
-from typing import Literal
+from hashlib import sha256
+from typing import Final
 
-KEY_BYTES = 16
+KEY_BYTES: Final = 16
+SEGMENT: Final = 1 << 18
+"""Slots of one chain: 0.2 s of work before the session, 2 MB."""
 
-WireVersion = Literal[1, 2]
+_BYTES: Final = 8
 
 
-def no_nonce(seq: int) -> int:
-    """Return 0: wire version 1 has no nonce, and virtual time needs none."""
-    return 0
+def before(nonce: int) -> int:
+    """Return the nonce of the slot before that of a nonce.
+
+    >>> hex(before(0))
+    '0x7a0b81a1f57055af'
+    """
+    return int.from_bytes(sha256(nonce.to_bytes(_BYTES, "little")).digest()[:_BYTES], "little")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wire:
-    """Version and nonces of one session.
+    """How a rig speaks.
 
     Args:
-        version: of the wire format.
-        nonce: the nonce of a slot, u64.
+        nonce: the nonce of a slot, u64; 0 for all where nobody else can speak.
+        hello: that of the question "is anybody there".
     """
 
-    version: WireVersion
     nonce: Callable[[int], int]
+    hello: int = 0
 
 
-VERSION_1 = Wire(version=1, nonce=no_nonce)
-VIRTUAL = Wire(version=2, nonce=no_nonce)
+def no_nonce(seq: int) -> int:
+    """Return 0: virtual time needs no nonce."""
+    return 0
 
 
-def session_wire(key: bytes) -> Wire:
-    r"""Return wire version 2 with the nonces :math:`n_k = \mathrm{BLAKE2b}_{key}(k)`, which nobody foretells without the key.
+VIRTUAL: Final = Wire(nonce=no_nonce)
+
+
+def session_wire(secret: bytes, slots: int = SEGMENT) -> Wire:
+    """Return the nonces of a session.
 
     Args:
-        key: `KEY_BYTES` bytes that are new in every session.
+        secret: `KEY_BYTES` bytes that are new in every session.
+        slots: slots of the session.
 
-    >>> wire = session_wire(bytes(16))
-    >>> wire.nonce(1) != wire.nonce(2), wire.nonce(1) == session_wire(bytes(16)).nonce(1)
+    >>> wire = session_wire(bytes(16), 10)
+    >>> before(wire.nonce(0)) == wire.hello, before(wire.nonce(9)) == wire.nonce(8)
     (True, True)
     """
+    chain = _Chain(secret, min(max(slots, 1), SEGMENT))
+    return Wire(nonce=chain.nonce, hello=chain.first)
 
-    def nonce(seq: int) -> int:
-        return int.from_bytes(blake2b(seq.to_bytes(4, "little"), key=key, digest_size=8).digest(), "little")
 
-    return Wire(version=2, nonce=nonce)
+class _Chain:
+    """The chain of the slots at hand, and behind it the next one, which grows by one nonce a slot."""
+
+    def __init__(self, secret: bytes, length: int) -> None:
+        self._secret, self._length, self._part = secret, length, 0
+        self._made = self._begin(0)
+        while self._left:
+            self._step()
+        self._now, self.first = self._made, before(int.from_bytes(self._made[:_BYTES], "little"))
+        self._made = self._begin(1)
+
+    def _begin(self, part: int) -> bytearray:
+        self._left = self._length
+        self._value = sha256(self._secret + part.to_bytes(4, "little")).digest()[:_BYTES]
+        return bytearray(self._length * _BYTES)
+
+    def _step(self) -> None:
+        """Put one more nonce in front of the chain that is made."""
+        self._left -= 1
+        self._value = sha256(self._value).digest()[:_BYTES]
+        self._made[self._left * _BYTES : (self._left + 1) * _BYTES] = self._value
+
+    def nonce(self, k: int) -> int:
+        """Return the nonce of slot k; slots are asked for in order."""
+        part, at = divmod(k, self._length)
+        if part != self._part:
+            while self._left:
+                self._step()
+            self._now, self._part = self._made, part
+            self._made = self._begin(part + 1)
+        elif self._left:
+            self._step()
+        return int.from_bytes(self._now[at * _BYTES : (at + 1) * _BYTES], "little")

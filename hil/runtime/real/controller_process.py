@@ -16,6 +16,7 @@ from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.child import read_job
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import warm_up_controller
+from hil.runtime.time.clock import monotonic_ns
 from transport.links.link import TransportError
 from transport.links.opening import open_link
 
@@ -60,7 +61,7 @@ def serve(loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None
         while True:
             data = link.receive(IDLE_S)
             if data is not None:
-                answer = node.hear(data)
+                answer = node.hear(data, monotonic_ns())
                 if answer is not None:
                     link.send(answer)
 

@@ -12,6 +12,7 @@ from hil.runtime.nodes.wire import Wire
 from hil.runtime.slot import Hear
 from transport.links.link import Link
 from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
+from transport.wire.tags import echo
 
 HELLO_S = 0.05
 REHEARSALS = 20
@@ -26,10 +27,6 @@ class Listener(Protocol):
 
     def hear_late(self, data: bytes) -> None:
         """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
-        ...
-
-    def hear_early(self, data: bytes) -> None:
-        """Take a frame that came before the question left: it answers nothing that was asked."""
         ...
 
 
@@ -58,7 +55,7 @@ class Greeter:
         timeout_s: limit of time for all of it, s.
         stopped: whether the run was ended from outside.
         now: monotonic time, ns.
-        wire: version and nonces of the session.
+        wire: the nonces of the session.
         meanwhile: what a rig does while a question is on its way; called in every rehearsal.
         pause: waits as long as between two slots; called after every rehearsal.
     """
@@ -71,9 +68,8 @@ class Greeter:
         self._link, self._stopped, self._now = link, stopped, now
         self._limit = now() + round(timeout_s * 1e9)
         self._questions = self._answers = self._foreign = 0
-        self._due = 0  # answers that may still come
-        self._echo = wire.version, wire.nonce(HELLO)
-        self._hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=wire.nonce(HELLO), version=wire.version))
+        self._due: set[int] = set()  # echoes of the answers that may still come
+        self._nonce = wire.hello
 
     def greet(self) -> Greeting:
         """Return whether a controller answered, and what was counted."""
@@ -82,7 +78,7 @@ class Greeter:
             answered = self._ask()
         if answered:
             self._drain()
-            self._due = 0  # what was asked before a controller was there has no answer: the last drain is not to wait for it
+            self._due.clear()  # what was asked before a controller was there has no answer: the last drain is not to wait for it
             for _ in range(REHEARSALS):
                 if not self._ask(self._meanwhile):
                     break
@@ -96,8 +92,9 @@ class Greeter:
     def _ask(self, meanwhile: Callable[[], None] = lambda: None) -> bool:
         """Ask once; return whether an answer came within `HELLO_S`."""
         self._questions += 1
-        self._due += 1
-        self._link.send(self._hello)
+        hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=self._nonce, counter=self._questions))
+        self._due.add(echo([hello]))
+        self._link.send(hello)
         meanwhile()
         limit = min(self._now() + round(HELLO_S * 1e9), self._limit)
         while self._open(limit):
@@ -109,7 +106,7 @@ class Greeter:
         """Empty the link. Where answers are still due, wait until none has come for twice `HELLO_S`, or the time is up."""
         silent_from = self._now()
         while self._open(limit := min(silent_from + round(2 * HELLO_S * 1e9), self._limit)):
-            due = self._due > 0
+            due = bool(self._due)
             seen = self._answers + self._foreign
             if self._take((limit - self._now()) / 1e9 if due else 0.0):
                 silent_from = self._now()
@@ -120,12 +117,10 @@ class Greeter:
         """Take one frame; return whether it answers "is anybody there". A question has one answer: more are foreign."""
         data = self._link.receive(max(wait_s, 0.0))
         packet = decode(data) if data is not None else None
-        answer = (
-            isinstance(packet, ControlPacket) and packet.seq == HELLO and (packet.version, packet.nonce) == self._echo
-            and self._due > 0
-        )  # fmt: skip
+        answer = isinstance(packet, ControlPacket) and packet.seq == HELLO and packet.echo in self._due
+        if answer and isinstance(packet, ControlPacket):
+            self._due.discard(packet.echo)
         self._answers += answer
-        self._due -= answer
         self._foreign += data is not None and not answer
         return answer
 
@@ -143,15 +138,13 @@ class LinkExchange:
         stopped: whether the run was ended from outside.
         now: session time, ns.
         happened: told how much after the begin of its slot the question left, or a frame came, ns.
-        drain: empty the link before every question: without a nonce (wire version 1) nothing else tells an answer from one
-            that was sent ahead.
     """
 
     def __init__(
         self, link: Link, listener: Listener, deadline_ns: int, stopped: Callable[[], bool], now: Now,
-        happened: Callable[[int], None] = lambda ns: None, drain: bool = False,
+        happened: Callable[[int], None] = lambda ns: None,
     ) -> None:  # fmt: skip
-        self._drain, self._happened = drain, happened
+        self._happened = happened
         self._link, self._listener, self._deadline_ns, self._stopped, self._now = link, listener, deadline_ns, stopped, now
         self._sent_ns = 0
         self.round_trip_us = math.nan
@@ -159,12 +152,6 @@ class LinkExchange:
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
         """Put the question on the link."""
-        if self._drain:
-            for _ in range(MOST_FRAMES):
-                data = self._link.receive(0.0)
-                if data is None:
-                    break
-                self._listener.hear_early(data)
         for frame in frames:
             self._sent_ns = self._now()
             self._link.send(frame)

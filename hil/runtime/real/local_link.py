@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.time.clock import monotonic_ns
 from transport.links.link import Closing, LinkCounters
 
 
@@ -28,7 +29,7 @@ class LocalLink(Closing):
             self.counters.dropped += 1
             return
         self.counters.sent += 1
-        answer = self._node.hear(packet)
+        answer = self._node.hear(packet, monotonic_ns())
         if answer is not None:
             self._answers.append(answer)
 

@@ -19,7 +19,7 @@ from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import record_to
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import KEY_BYTES, VERSION_1, Wire, session_wire
+from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.child import read_job
 from hil.runtime.real.exchange import Greeter, LinkExchange
 from hil.runtime.real.local_link import LocalLink
@@ -29,7 +29,7 @@ from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
 from plants.errors import PlantError
-from transport.links.link import Link, Tells, TransportError, wire_version
+from transport.links.link import Link, Tells, TransportError
 from transport.links.local import LOCAL
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
@@ -39,6 +39,9 @@ PACE_NS = 2_000_000
 
 SETTLE_NS = 1_000_000
 """From the end of the rehearsals to slot 0: no longer than between two slots, so that caches and threads stay awake."""
+REHEARSED = 1000
+"""Slots that are rehearsed at most."""
+
 NOBODY = 3  # exit status: no controller answered
 
 
@@ -71,7 +74,7 @@ class RealLoop:
         self._woken_ns = self._late = 0
         deadline_ns = round(e.timing.deadline * e.period_ns)
         self._exchange = LinkExchange(
-            link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, sink.behind, wire.version == 1
+            link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, sink.behind
         )
         self._slot = Slot(self.rig, self._exchange, self._commit, lambda: self.kernel.stopped)
         self.kernel.every(e.period_ns, e.ticks, self._run)
@@ -120,9 +123,9 @@ def main() -> None:
     signal.signal(signal.SIGTERM, stop)
     sink = PipeSink(job.log_fd, job.loop.channels(on_can=job.uri.startswith("can:")))
     timing = job.loop.experiment.timing
-    wire = VERSION_1 if wire_version(job.uri) == 1 else session_wire(os.urandom(KEY_BYTES))
+    wire = session_wire(os.urandom(KEY_BYTES), job.loop.experiment.ticks)
     local = job.uri == LOCAL
-    rehearsed = RehearsedRig(job.loop, wire, local).warm_up()
+    rehearsed = RehearsedRig(job.loop, session_wire(os.urandom(KEY_BYTES), REHEARSED), local).warm_up()
     # Behind the warm-up, which would keep the loops of other sessions from a CPU; before the link is opened, so that its threads
     # inherit the priority.
     scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.uri), timing.idle == "awake")

@@ -25,7 +25,6 @@ from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
 from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
-from transport.links.link import wire_version
 from transport.links.local import LOCAL
 
 POLL_S = 0.02
@@ -68,8 +67,6 @@ def run_real(
     Raises:
         HilError: if rig or controller ended before the run began, or no controller answered.
     """
-    if wire_version(uri) == 1 and (len(loop.sensors) > 1 or loop.sensors[0].buffer > loop.samples):
-        raise HilError(f"{uri}: wire version 1 carries one sensor node without a buffer; these nodes need version 2")
     if external and uri == LOCAL:
         raise HilError(f"{LOCAL} runs our controller in the rig's process: an external one needs a link")
     restarts = deque(first * loop.experiment.period_ns for first, _ in time_line(loop.experiment).restarts)
@@ -136,8 +133,7 @@ def run_real(
     outcome.rig_status = children[0].poll()
     if signals.seen is None and not outcome.pump.records:
         if outcome.controller_lost is None and outcome.rig_status == rig_process.NOBODY:
-            hint = "; one of wire version 1 needs ?version=1 behind the address" if external and wire_version(uri) == 2 else ""
-            raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s{hint}")
+            raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s")
         why = outcome.rig_silent or outcome.controller_lost or children[0].how()
         raise HilError(f"{why} before the run began; see its message above, if any")
     return outcome

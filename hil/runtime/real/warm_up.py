@@ -16,6 +16,7 @@ from hil.runtime.slot import Hear, Slot
 from hil.runtime.time.clock import monotonic_ns
 from hil.runtime.virtual import DirectExchange
 from transport.packets import SELECTIONS, ControlPacket, encode_control
+from transport.wire.tags import echo
 
 SLOTS = 50
 MOST_S = 0.5
@@ -26,18 +27,18 @@ class Rehearsal:
     """A link without a link: every question is answered with zeros, so that no line of a controller runs in this process."""
 
     def __init__(self, loop: Loop, wire: Wire) -> None:
-        self._wire = wire
+        self._wire, self._echo = wire, 0
         self._period_ns = loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
         self._rows = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
-        """Let the frames go."""
+        """Keep what an answer has to echo."""
+        self._echo = echo(frames) if self._wire is not VIRTUAL else 0
 
     def answer(self, t_ns: int, hear: Hear) -> None:
         """Answer with zeros."""
-        k, version = t_ns // self._period_ns, self._wire.version
-        hear(encode_control(ControlPacket(k, 0, 0, 0, self._selection, self._rows, self._wire.nonce(k), version=version)))
+        hear(encode_control(ControlPacket(t_ns // self._period_ns, -1, 0, 0, self._selection, self._rows, self._echo)))
 
 
 class RehearsedRig:
@@ -45,7 +46,7 @@ class RehearsedRig:
 
     Args:
         loop: the composed experiment.
-        wire: version and nonces of the session.
+        wire: nonces, other ones than those of the session.
         local: the controller will run in this process: it takes part.
     """
 

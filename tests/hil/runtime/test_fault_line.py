@@ -76,7 +76,7 @@ def test_of_a_corrupted_frame_one_bit_is_wrong_and_the_controller_refuses_it() -
         if decode(bytes(data)) is None:
             assert FIRST <= tick < END
             wrong += 1
-    assert wrong == node.malformed == END - FIRST
+    assert wrong == node.counts.malformed == END - FIRST
     drawn = [[bytes(d) for d in each.arrays["/link/sensor"]["data"] if decode(bytes(d)) is None] for each in (run, other)]
     assert drawn[0] != drawn[1]  # from the seed
 

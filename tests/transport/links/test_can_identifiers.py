@@ -65,7 +65,7 @@ def test_a_range_reads_as_it_was_said(first: int, count: int) -> None:
 
 def packet(seq: int, node: int, samples: int = 1) -> bytes:
     y = tuple(seq + node / 8 + i for i in range(samples))
-    return encode_sensor(SensorPacket(seq, 0, seq, y, node, samples, (), 3, version=2))
+    return encode_sensor(SensorPacket(seq, 0, seq, y, node, samples, (), 3))
 
 
 @pytest.fixture(params=["nodes=3", "nodes=3&fd=0", "ids=0x150-0x16f,0x90-0xaf,0x7d0-0x7ef&fd=0"])
@@ -115,5 +115,5 @@ def test_a_packet_under_the_identifier_of_another_node_is_malformed(ends: tuple[
 def test_a_node_without_an_identifier_is_not_sent(ends: tuple[str, str]) -> None:
     channel, options = ends
     with open_link(f"can:virtual:{channel}?{options}", "rig") as rig:
-        rig.send(encode_sensor(SensorPacket(1, 0, 1, (1.0,), 3, 1, (), 4, version=2)))
+        rig.send(encode_sensor(SensorPacket(1, 0, 1, (1.0,), 3, 1, (), 4)))
         assert (rig.counters.dropped, rig.counters.sent) == (1, 0)

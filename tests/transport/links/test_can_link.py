@@ -222,7 +222,7 @@ def test_a_motor_packet_is_one_frame_with_bit_rate_switch(channel: str) -> None:
             rig.send(sensor(1))
         message = node.recv(1)
         assert message is not None and node.recv(0) is None
-        assert (message.arbitration_id, message.is_fd, message.bitrate_switch, message.dlc) == (0x100, True, True, 20)
+        assert (message.arbitration_id, message.is_fd, message.bitrate_switch, message.dlc) == (0x100, True, True, 48)
         assert bytes(message.data) == sensor(1)
 
 

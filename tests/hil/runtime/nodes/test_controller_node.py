@@ -34,7 +34,7 @@ def test_a_sample_from_the_future_is_counted_and_not_answered() -> None:
     ours = node("dc-motor-hinf")
     session(ours, 20)
     assert ours.hear(encode_sensor(SensorPacket(3, EMPTY, 0, ()))) is None  # another rig, which has only begun
-    assert ours.malformed == 1
+    assert ours.counts.malformed == 1
     answer = ours.hear(encode_sensor(SensorPacket(20, 0, 20 * PERIOD_NS, (0.2,))))
     assert answer is not None and isinstance(decode(answer), ControlPacket)
 
@@ -44,7 +44,7 @@ def test_a_packet_of_another_width_is_counted_and_not_used() -> None:
     session(ours, 3)
     assert ours.hear(encode_sensor(SensorPacket(3, 0, 3 * PERIOD_NS, (0.1, 0.2)))) is None
     assert two.hear(encode_sensor(SensorPacket(0, 0, 0, (0.1,)))) is None
-    assert (ours.malformed, two.malformed) == (1, 1)
+    assert (ours.counts.malformed, two.counts.malformed) == (1, 1)
     assert two.hear(encode_sensor(SensorPacket(0, 0, 0, (0.1, 0.1)))) is not None
 
 

@@ -272,7 +272,7 @@ def test_a_controller_of_one_sensor_is_served_by_several_nodes() -> None:
 
     def take(node: int, slot: int, value: float) -> None:
         y = (value, 99.0, 99.0)  # of the buffer, the newest sample alone
-        assert heard.take(SensorPacket(slot, 0, slot * 50_000_000, y, node, 3, nodes=4, version=2))
+        assert heard.take(SensorPacket(slot, 0, slot * 50_000_000, y, node, 3, nodes=4))
 
     for node, slot, value in ((0, 8, 1.0), (0, 4, -1.0), (2, 9, 3.0), (1, 8, 2.0)):  # an older packet may come later
         take(node, slot, value)
@@ -322,12 +322,12 @@ def test_the_controller_counts_frames_of_another_rig() -> None:
 
     def frame(**given: Any) -> bytes:
         fields: dict[str, Any] = {"seq": 4, "flags": 0, "sample_ns": 200_000_000, "y": (1.0, 1.0, 1.0), "node": 1, "samples": 3}
-        return encode_sensor(SensorPacket(**(fields | {"nodes": 4, "version": 2} | given)))
+        return encode_sensor(SensorPacket(**(fields | {"nodes": 4} | given)))
 
     assert node.hear(frame()) is not None
     for given in ({"nodes": 5}, {"samples": 1}, {"sample_ns": 250_000_000}, {"sample_ns": 200_000_001}, {"y": (1.0,) * 6}):
         assert node.hear(frame(**given)) is None
-    assert node.malformed == 5
+    assert node.counts.malformed == 5
     assert node.hear(frame(flags=EMPTY, y=(), samples=1)) is not None
 
 

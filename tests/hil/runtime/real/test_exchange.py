@@ -8,10 +8,11 @@ from collections.abc import Callable
 import pytest
 
 from hil.runtime.nodes.controller_node import HELLO
-from hil.runtime.nodes.wire import VERSION_1, session_wire
+from hil.runtime.nodes.wire import VIRTUAL, session_wire
 from hil.runtime.real.exchange import MOST_FRAMES, REHEARSALS, Greeter, LinkExchange
 from transport.links.memory import MemoryLink
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
+from transport.wire.tags import echo
 
 MS = 1_000_000
 
@@ -35,6 +36,7 @@ class Bench(MemoryLink):
         question = decode(packet)
         assert isinstance(question, SensorPacket)
         self.asked.append(question)
+        self.said = packet
         self.on_question()
 
     def arrive(self, after_ns: int, data: bytes) -> None:
@@ -61,7 +63,6 @@ class Ear:
     def __init__(self) -> None:
         self.heard: list[bytes] = []
         self.late: list[bytes] = []
-        self.early: list[bytes] = []
 
     def hear(self, data: bytes) -> bool:
         self.heard.append(data)
@@ -69,9 +70,6 @@ class Ear:
 
     def hear_late(self, data: bytes) -> None:
         self.late.append(data)
-
-    def hear_early(self, data: bytes) -> None:
-        self.early.append(data)
 
 
 def exchange(link: Bench, ear: Ear, stopped: Callable[[], bool] = lambda: False) -> LinkExchange:
@@ -123,14 +121,16 @@ def test_answer_in_time_is_found_behind_other_frames_and_one_after_the_deadline_
     assert ear.heard == [] and ear.late == [b"answer"]
 
 
-def hello() -> bytes:
-    return encode_control(ControlPacket(HELLO, -1, 0, 0, 0, ((0.0,),)))
+def hello(link: Bench | None = None) -> bytes:
+    """The answer to the question that a link was asked last."""
+    echoed = echo([link.said]) if link is not None else 0
+    return encode_control(ControlPacket(HELLO, -1, 0, 0, 0, ((0.0,),), echoed))
 
 
 def test_controller_is_asked_once_then_rehearsed_and_the_link_is_empty_before_slot_0() -> None:
     link = Bench()
-    link.on_question = lambda: link.arrive(MS, hello())
-    greeting = Greeter(link, 15.0, lambda: False, link.now, VERSION_1).greet()
+    link.on_question = lambda: link.arrive(MS, hello(link))
+    greeting = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
     assert greeting.answered
     assert len(link.asked) == greeting.questions == 1 + REHEARSALS
     assert {q.seq for q in link.asked} == {HELLO}
@@ -143,12 +143,12 @@ def test_controller_that_joins_late_and_then_answers_everything_leaves_an_empty_
     def answer_from_the_fourth_on() -> None:
         if len(link.asked) == 4:
             for _ in range(4):
-                link.arrive(60 * MS, hello())
+                link.arrive(60 * MS, hello(link))
         elif len(link.asked) > 4:
-            link.arrive(MS, hello())
+            link.arrive(MS, hello(link))
 
     link.on_question = answer_from_the_fourth_on
-    greeting = Greeter(link, 15.0, lambda: False, link.now, VERSION_1).greet()
+    greeting = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
     assert greeting.answered and not link.inbox
 
 
@@ -159,14 +159,14 @@ def test_nothing_lies_between_the_last_rehearsal_and_slot_0() -> None:
     def answer_from_the_fourth_on() -> None:
         done.append("asked")
         if len(link.asked) >= 4:
-            link.arrive(MS, hello())
+            link.arrive(MS, hello(link))
 
     def pause() -> None:
         done.append("paused")
         link.t_ns += MS
 
     link.on_question = answer_from_the_fourth_on
-    greeter = Greeter(link, 15.0, lambda: False, link.now, VERSION_1, lambda: done.append("meanwhile"), pause)
+    greeter = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL, lambda: done.append("meanwhile"), pause)
     assert greeter.greet().answered
     assert done == ["asked"] * 4 + ["asked", "meanwhile", "paused"] * REHEARSALS
     begin = 3 * 50 * MS + 100 * MS  # three questions without an answer, and the wait for what may still come
@@ -180,8 +180,8 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
     for i in range(1000):
         link.arrive(i * 50 * MS, bytes(8))
     if answers:
-        link.on_question = lambda: link.inbox.appendleft((link.t_ns + MS, hello()))
-    greeting = Greeter(link, 15.0, lambda: False, link.now, VERSION_1).greet()
+        link.on_question = lambda: link.inbox.appendleft((link.t_ns + MS, hello(link)))
+    greeting = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
     assert greeting.answered == answers
     assert link.t_ns <= (1_000 * MS if answers else 15_001 * MS)
     assert greeting.foreign > 0
@@ -189,36 +189,18 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
 
 def test_stranger_who_repeats_the_answer_for_ever_does_not_hold_the_session() -> None:
     link = Bench(taking_ns=MS)
-    link.endless = hello()
-    greeting = Greeter(link, 15.0, lambda: False, link.now, VERSION_1).greet()
+    link.on_question = lambda: setattr(link, "endless", link.endless or hello(link))
+    greeting = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
     assert greeting.answered and link.t_ns < 400 * MS and greeting.foreign > 0
 
 
-def test_greeting_needs_the_nonce_of_the_session() -> None:
+def test_greeting_needs_the_echo_of_the_question() -> None:
     link, wire = Bench(), session_wire(b"n" * 16)
     link.on_question = lambda: link.arrive(MS, hello())
     assert not Greeter(link, 1.0, lambda: False, link.now, wire).greet().answered
-
     link = Bench()
-
-    def echo() -> None:
-        packet = ControlPacket(HELLO, -1, 0, 0, 0, ((0.0,),), nonce=link.asked[-1].nonce, version=2)
-        link.arrive(MS, encode_control(packet))
-
-    link.on_question = echo
+    link.on_question = lambda: link.arrive(MS, hello(link))
     assert Greeter(link, 1.0, lambda: False, link.now, wire).greet().answered
-
-
-def test_link_of_version_1_is_drained_before_every_question() -> None:
-    link, ear = Bench(), Ear()
-    one = LinkExchange(link, ear, 30 * MS, lambda: False, link.now, drain=True)
-    for _ in range(3):
-        link.arrive(0, b"answer")  # sent ahead
-    one.ask(0, question())
-    assert ear.early == [b"answer"] * 3
-    link.arrive(MS, b"answer")
-    one.answer(0, ear.hear)
-    assert ear.heard == [b"answer"]
 
 
 def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> None:
@@ -272,7 +254,7 @@ def test_an_overrun_is_a_slot_that_ends_after_its_period() -> None:
     loop = compose(load_experiment("dc-motor-hinf"))
     read, write = os.pipe()
     job = Job(loop=loop, uri="memory:", seed=0, parent=os.getpid(), log_fd=write, hello_timeout_s=1.0)
-    real = RealLoop(job, MemoryLink(), PipeSink(write, loop.channels()), VERSION_1)
+    real = RealLoop(job, MemoryLink(), PipeSink(write, loop.channels()), VIRTUAL)
     period = loop.experiment.period_ns
     for end, overruns in ((period, 0), (period + 1, 1), (3 * period, 2)):
         real.clock = SimpleNamespace(now=lambda end=end: end)  # type: ignore[assignment]

@@ -12,7 +12,7 @@ from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import VERSION_1, Wire, session_wire
+from hil.runtime.nodes.wire import VIRTUAL, Wire, session_wire
 from hil.runtime.real import warm_up
 from hil.runtime.real.warm_up import Rehearsal, RehearsedRig, warm_up_controller
 from hil.runtime.slot import Slot
@@ -23,8 +23,8 @@ def loop() -> Loop:
     return compose(load_experiment("dc-motor-hinf"), certify=False)
 
 
-@pytest.mark.parametrize("wire", [VERSION_1, session_wire(bytes(16))])
-def test_every_rehearsed_slot_is_answered_in_the_version_and_with_the_nonce_of_the_session(loop: Loop, wire: Wire) -> None:
+@pytest.mark.parametrize("wire", [VIRTUAL, session_wire(bytes(16))])
+def test_every_rehearsed_slot_is_answered_with_the_echo_of_the_session(loop: Loop, wire: Wire) -> None:
     rig = Rig(loop, 0, MemorySink(loop.channels(), ()), loop.channels(), lambda: None, wire)
     slot = Slot(rig, Rehearsal(loop, wire))
     for k in range(10):

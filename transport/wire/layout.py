@@ -1,28 +1,30 @@
-"""Version 2 of the wire format: several sensor nodes, the reference, and a nonce that the answer echoes.
+"""The bytes of sensor and control packets: version 3 of the wire format.
 
 ====== ====== ============================================== ===================================================
 offset type   sensor packet                                  control packet (send-all)
 ====== ====== ============================================== ===================================================
 0      u16    CRC of every byte from offset 2                CRC of every byte from offset 2
-2      u8     0x21 (version 2, kind 1)                       0x22 (version 2, kind 2)
+2      u8     0x31 (version 3, kind 1)                       0x32 (version 3, kind 2)
 3      u8     bit 7 EMPTY, bit 6 MORE, bits 0-5 outputs      bit 7 TAGGED, bits 0-6 selection code
 4      u32    seq: slot k                                    seq: slot k that is answered
-8      u64    nonce of session and slot                      the nonce of the question
+8      u64    nonce of session and slot                      echo: digest of the frames that are answered
 16     i64    sample_ns: nominal time of the newest sample   sample_ns: of the newest sample that was used
 24     u8     node: number of the sensor node                i64 control_ns: when the rows were computed
 25     u8     samples, newest first
 26     u8     bit 7 TAGGED, bits 0-6 references
 27     u8     nodes: sensor nodes of the rig
-28     f32[]  outputs x samples values, sample after sample
-32            (then) one f32 per reference, of slot k        i16 tau in samples, -1 for none
-34                                                           u8 number of rows, then u8 inputs per row
-36                                                           f32[] rows, row after row
+28     u32    counter of the frames of this sender
+32     f32[]  outputs x samples values, sample after sample; i16 tau in samples, -1 for none
+34            then one f32 per reference, of slot k          u8 number of rows, then u8 inputs per row
+36                                                           u32 counter of the frames of this sender
+40                                                           f32[] rows, row after row
 ====== ====== ============================================== ===================================================
 
-Where TAGGED is set, 12 bytes follow the last value: u32 freshness, a counter that only grows within a session, and the first
-8 bytes of a message authentication code over every byte from offset 2 to the freshness, this included. Who has no key reads
-over them. The motor's sensor packet has 48 bytes, its control packet 48, with a tag 48 and 64: each one CAN FD frame. Larger
-ones travel in several frames, up to 4096 bytes.
+Both counters grow by one with each frame. They begin with 1 at the question "is anybody there", and again at slot 0.
+
+Where TAGGED is set, 8 bytes follow the last value: the first ones of a message authentication code over every byte from
+offset 2 to the last value. Who has no key reads over them. The motor's sensor packet has 48 bytes, its control packet 48, with
+a tag 48 and 64: each one CAN FD frame. Larger ones travel in several frames, up to 4096 bytes.
 
 An EMPTY packet has no sample, and its outputs and samples are 0; it carries the reference all the same.
 """
@@ -48,8 +50,8 @@ from transport.wire.fields import (
     single,
 )
 
-SENSOR: Final = 0x21
-CONTROL: Final = 0x22
+SENSOR: Final = 0x31
+CONTROL: Final = 0x32
 
 MAX_VALUES: Final = 1000
 """Values in one packet, references included: what 64 CAN FD frames hold."""
@@ -57,25 +59,24 @@ MAX_VALUES: Final = 1000
 MAX_REFERENCES: Final = 127
 TAG_BYTES: Final = 8
 _TAGGED: Final = 0x80
-_NO_TRAILER: Final = (0, b"")
 _flat: Final = chain.from_iterable
 _new: Final = tuple.__new__  # a packet of a named tuple, without its Python constructor
 
 
 @lru_cache(maxsize=1024)  # bounded: shapes may come from the wire
 def _sensor_layout(values: int, tagged: bool) -> Layout:
-    used = 28 + 4 * values + 12 * tagged
+    used = 32 + 4 * values + 8 * tagged
     size = frame_length(used)
-    body = f"{values}f{'I8s' * tagged}{size - used}x"
-    return Layout(Struct(f"<BBIQqBBBB{body}"), Struct(f"<4xIQqB3x{body}"), size)
+    body = f"{values}f{'8s' * tagged}{size - used}x"
+    return Layout(Struct(f"<BBIQqBBBBI{body}"), Struct(f"<4xIQqB3xI{body}"), size)
 
 
 @lru_cache(maxsize=1024)
 def _control_layout(values: int, tagged: bool) -> Layout:
-    used = 36 + 4 * values + 12 * tagged
+    used = 40 + 4 * values + 8 * tagged
     size = frame_length(used)
-    body = f"{values}f{'I8s' * tagged}{size - used}x"
-    return Layout(Struct(f"<BBIQqqhBB{body}"), Struct(f"<4xIQqqh2x{body}"), size)
+    body = f"{values}f{'8s' * tagged}{size - used}x"
+    return Layout(Struct(f"<BBIQqqhBBI{body}"), Struct(f"<4xIQqqh2xI{body}"), size)
 
 
 @lru_cache(maxsize=1024)
@@ -109,37 +110,37 @@ def _control_writer(count: int, inputs: int, selection: int, tagged: bool) -> tu
     return _control_layout(count * inputs, tagged).write.pack, _TAGGED | selection if tagged else selection
 
 
-def _trailer(freshness: int, tag: bytes) -> tuple[int, bytes]:
+def _trailer(tag: bytes) -> tuple[bytes]:
     if len(tag) != TAG_BYTES:
         raise FieldError("tag", f"{len(tag)} bytes, expected {TAG_BYTES}")
-    return freshness & 0xFFFFFFFF, tag
+    return (tag,)
 
 
 def write_sensor(packet: SensorPacket) -> bytes:
-    """Bytes behind the CRC of a sensor packet of version 2."""
-    seq, flags, sample_ns, y, node, samples, reference, nodes, nonce, freshness, tag, _ = packet
-    trailer = _trailer(freshness, tag) if tag else ()
+    """Bytes behind the CRC of a sensor packet."""
+    seq, flags, sample_ns, y, node, samples, reference, nodes, nonce, counter, tag = packet
+    trailer = _trailer(tag) if tag else ()
     pack, shape, samples, references = _sensor_writer(len(y), flags & 3, samples, len(reference), node, nodes, bool(tag))
-    seq &= 0xFFFFFFFF
+    seq, counter = seq & 0xFFFFFFFF, counter & 0xFFFFFFFF
     try:
-        return pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, *y, *reference, *trailer)
+        return pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, counter, *y, *reference, *trailer)
     except OverflowError:
         values = map(single, (*y, *reference))
-        return pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, *values, *trailer)
+        return pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, counter, *values, *trailer)
 
 
 def write_control(packet: ControlPacket, tau: int, inputs: int) -> bytes:
-    """Bytes behind the CRC of a control packet of version 2; tau in its range, and so many inputs in every row."""
-    seq, sample_ns, control_ns, _, selection, rows, nonce, freshness, tag, _ = packet
-    trailer = _trailer(freshness, tag) if tag else ()
+    """Bytes behind the CRC of a control packet; tau in its range, and so many inputs in every row."""
+    seq, sample_ns, control_ns, _, selection, rows, echo, counter, tag = packet
+    trailer = _trailer(tag) if tag else ()
     count = len(rows)
     pack, shape = _control_writer(count, inputs, selection, bool(tag))
-    seq &= 0xFFFFFFFF
+    seq, counter = seq & 0xFFFFFFFF, counter & 0xFFFFFFFF
     try:
-        return pack(CONTROL, shape, seq, nonce, sample_ns, control_ns, tau, count, inputs, *_flat(rows), *trailer)
+        return pack(CONTROL, shape, seq, echo, sample_ns, control_ns, tau, count, inputs, counter, *_flat(rows), *trailer)
     except OverflowError:
         values = map(single, _flat(rows))
-        return pack(CONTROL, shape, seq, nonce, sample_ns, control_ns, tau, count, inputs, *values, *trailer)
+        return pack(CONTROL, shape, seq, echo, sample_ns, control_ns, tau, count, inputs, counter, *values, *trailer)
 
 
 @lru_cache(maxsize=1024)
@@ -153,16 +154,16 @@ def _sensor_reader(shape: int, samples: int, references: int, nodes: int) -> Rea
     layout = _sensor_layout(values, tagged)
     if (count == 0) != (flags >> 1) or (outputs == 0) != (samples == 0):
         return layout.size, _nothing
-    unpack, samples, after, end = layout.read.unpack, samples or 1, 4 + count, 4 + values
+    unpack, samples, after, end = layout.read.unpack, samples or 1, 5 + count, 5 + values
 
     def read(data: bytes) -> SensorPacket | None:
-        fields = unpack(data)  # seq, nonce, sample_ns, node, values, what follows where it is tagged
+        fields = unpack(data)  # seq, nonce, sample_ns, node, counter, values, the tag
         node = fields[3]
         if node >= nodes:
             return None
-        freshness, tag = fields[end:] if tagged else _NO_TRAILER
-        y, reference = fields[4:after], fields[after:end]
-        said = (fields[0], flags, fields[2], y, node, samples, reference, nodes, fields[1], freshness, tag, 2)
+        y, reference = fields[5:after], fields[after:end]
+        tag = fields[end] if tagged else b""
+        said = (fields[0], flags, fields[2], y, node, samples, reference, nodes, fields[1], fields[4], tag)
         return _new(SensorPacket, said)
 
     return layout.size, read
@@ -177,13 +178,13 @@ def _control_reader(shape: int, count: int, inputs: int) -> Reader[ControlPacket
     layout = _control_layout(size, tagged)
     if selection >= len(SELECTIONS) or (count == 0) != (inputs == 0):
         return layout.size, _nothing
-    unpack, end, starts = layout.read.unpack, 5 + size, range(5, 5 + size, inputs or 1)
+    unpack, end, starts = layout.read.unpack, 6 + size, range(6, 6 + size, inputs or 1)
 
     def read(data: bytes) -> ControlPacket | None:
-        fields = unpack(data)  # seq, nonce, sample_ns, control_ns, tau, values, what follows where it is tagged
-        rows = (fields[5:end],) if count == 1 else tuple([fields[i : i + inputs] for i in starts])
-        freshness, tag = fields[end:] if tagged else _NO_TRAILER
-        said = (fields[0], fields[2], fields[3], fields[4], selection, rows, fields[1], freshness, tag, 2)
+        fields = unpack(data)  # seq, echo, sample_ns, control_ns, tau, counter, values, the tag
+        rows = (fields[6:end],) if count == 1 else tuple([fields[i : i + inputs] for i in starts])
+        tag = fields[end] if tagged else b""
+        said = (fields[0], fields[2], fields[3], fields[4], selection, rows, fields[1], fields[5], tag)
         return _new(ControlPacket, said)
 
     return layout.size, read
@@ -198,12 +199,12 @@ def sensor_reader(data: bytes) -> Reader[SensorPacket] | None:
 
     The reader takes bytes of that length whose CRC is right.
     """
-    return _sensor_reader(data[3], data[25], data[26], data[27]) if len(data) >= 28 else None
+    return _sensor_reader(data[3], data[25], data[26], data[27]) if len(data) >= 32 else None
 
 
 def control_reader(data: bytes) -> Reader[ControlPacket] | None:
     """Length and reader of the control packet that begins with these bytes, as in `sensor_reader`."""
-    return _control_reader(data[3], data[34], data[35]) if len(data) >= 36 else None
+    return _control_reader(data[3], data[34], data[35]) if len(data) >= 40 else None
 
 
 def sensor_length(values: int, tagged: bool = False) -> int:
@@ -218,7 +219,7 @@ def sensor_length(values: int, tagged: bool = False) -> int:
 def control_length(values: int, tagged: bool = False) -> int:
     """Bytes of a control packet that holds so many values.
 
-    >>> control_length(3), control_length(9)
-    (48, 72)
+    >>> control_length(2), control_length(9)
+    (48, 80)
     """
     return _control_layout(values, tagged).size
