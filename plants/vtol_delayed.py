@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from plants.parts.exponential import Rows, drift, zero_order_hold
 from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.semi_markov import JumpProcess, TransitionRates, check_mode
+from plants.parts.turns import TURN, sine
 from plants.parts.validation import (
     require_finite,
     require_not_negative,
@@ -123,8 +123,7 @@ class DelayedVTOL:
     def delay_ns(self, mode: int, t_ns: int) -> int:
         """Return tau(t, i) of (3.43) in ns, for mode 1, 2 or 3."""
         angle = 2.0 * self.delay_rates[mode - 1] * (t_ns / NS_PER_S) / self.max_delay_s
-        # Whole nanoseconds, so that the last bit of the library's sine decides nothing.
-        return round(0.5 * NS_PER_S * self.max_delay_s * (math.sin(angle) + 1.0))
+        return round(0.5 * NS_PER_S * self.max_delay_s * (sine(angle / TURN) + 1.0))
 
     def start(self, rng: np.random.Generator) -> DelayedVTOLRun:
         """Return the helicopter at time 0; jumps and noise are drawn from two streams spawned from ``rng``."""

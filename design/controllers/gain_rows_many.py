@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Selection
+from design.controllers.exact_inverse import pseudo_inverse
+from design.controllers.ordered import dot
 
 Matrix = NDArray[np.float64]
 
@@ -26,7 +28,7 @@ def feedforward(model: LoopModel) -> NDArray[np.float64]:
     N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((p, m))]])
     if p <= m and np.linalg.matrix_rank(N) < n + p:
         raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
-    return np.asarray(np.linalg.pinv(N)[n:, n:])
+    return pseudo_inverse(N)[n:, n:]
 
 
 def held_exactly(model: LoopModel, r: Sequence[float]) -> bool:
@@ -42,14 +44,6 @@ def held_exactly(model: LoopModel, r: Sequence[float]) -> bool:
     N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((len(r), m))]])
     aim = np.concatenate([np.zeros(n), np.asarray(r, dtype=np.float64)])
     return bool(np.abs(N @ (np.linalg.pinv(N) @ aim) - aim).max() <= 1e-9 * max(1.0, np.abs(aim).max()))
-
-
-def dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return 0 + a_1 b_1 + a_2 b_2 + ..., rounded after every step in this order (`sum` rounds otherwise from Python 3.12 on)."""
-    total = 0.0
-    for x, y in zip(a, b):
-        total += x * y
-    return total
 
 
 def sojourn_ranges(sojourns: Sequence[int]) -> list[tuple[int, int]]:

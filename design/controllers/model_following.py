@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Rows, Selection
+from design.controllers.ordered import dot, product
 from design.controllers.wall import Wall
 from design.errors import FieldError
 
@@ -68,9 +69,9 @@ class ModelFollowingRun:
     selection: Selection = "constant"
 
     def __init__(self, law: ModelFollowing) -> None:
-        self._plant, self._force = np.array(law.plant), np.array(law.force)
-        self._gain, self._feedback = np.array(law.filter_gain), np.array(law.feedback)
-        self._targets = np.array(law.targets)
+        self._plant, self._force = law.plant, np.array(law.force)
+        self._gain, self._feedback = np.array(law.filter_gain), law.feedback
+        self._targets = law.targets
         self._seen, self._line = len(law.filter_gain), len(law.feedback[0]) - 5
         self._find = None if law.wall.pattern is None else law.wall.pattern.finder()
         self._material = law.wall.material
@@ -91,20 +92,23 @@ class ModelFollowingRun:
             material: index of the material.
         """
         estimate, line, target = self._corrected(state, place)
-        force = -float(self._feedback[material] @ np.concatenate([estimate[:3], line, target]))
+        force = -self._push(material, estimate, line, target)
         return force, self._after(estimate, line, target, force, self._targets[material])
+
+    def _push(self, material: int, estimate: Array, line: Array, target: Array) -> float:
+        return dot(self._feedback[material], [*estimate[:3].tolist(), *line.tolist(), *target.tolist()])
 
     def _corrected(self, state: Array, place: float) -> tuple[Array, Array, Array]:
         seen = self._seen
         estimate = state[:seen] + self._gain * (place - state[0 if seen == 3 else seen - 1])
         return estimate, state[seen:-2], state[-2:]
 
-    def _after(self, estimate: Array, line: Array, target: Array, force: float, model: Array) -> Array:
+    def _after(self, estimate: Array, line: Array, target: Array, force: float, model: Matrix) -> Array:
         felt = float(line[-1]) if line.size else force
-        moved = self._plant @ estimate[:3] + self._force * felt
+        moved = np.array(product(self._plant, estimate[:3].tolist())) + self._force * felt
         places = np.concatenate([estimate[:1], estimate[3:-1]]) if self._seen > 3 else estimate[:0]
         forces = np.concatenate([[force], line[:-1]]) if line.size else line
-        return np.concatenate([moved, places, forces, model @ np.append(target, estimate[2])])
+        return np.concatenate([moved, places, forces, product(model, [*target.tolist(), float(estimate[2])])])
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
         """Return the force as one row; off the wall there is none. It may pull: what a late push threw back has to be stopped.
@@ -120,7 +124,7 @@ class ModelFollowingRun:
         for _ in range(k - self._k):  # a slot without an answer still passes
             estimate, line, target = self._corrected(self._state, y[0])
             if estimate[0] > 0.0 or target[0] > 0.0:
-                force = -float(self._feedback[material] @ np.concatenate([estimate[:3], line, target]))
+                force = -self._push(material, estimate, line, target)
             else:
                 force, target = 0.0, estimate[:2]
             self._state = self._after(estimate, line, target, force, self._targets[material])

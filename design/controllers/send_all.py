@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import FromSamples, Gains, LoopModel, Rows, RunningController, Selection, row_count
-from design.controllers.gain_rows_many import GainRowsOfMany, dot, feedforward, sojourn_ranges
+from design.controllers.gain_rows_many import GainRowsOfMany, feedforward, sojourn_ranges
 from design.controllers.node_gain_rows import NodeGainRows, NodeGainRowsOfMany
+from design.controllers.ordered import dot
 from design.errors import FieldError
 
 

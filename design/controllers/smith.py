@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel, Rows, RunningController, Selection, feedforward
+from design.controllers.ordered import product, product_of_many
 from design.errors import FieldError
 
 
@@ -31,7 +32,7 @@ class Smith:
         m, p = model.B.shape[1], model.C.shape[0]
         if K.shape != (m, p):
             raise FieldError("gain", f"shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
-        return _SmithRows(K, model)
+        return _SmithRows(self.gain, model)
 
     def start_many(self, model: LoopModel, runs: int) -> SmithOfMany:
         """Return so many of them, ready for slot 0."""
@@ -41,34 +42,35 @@ class Smith:
 class _SmithRows:
     selection: Selection = "applied"
 
-    def __init__(self, K: NDArray[np.float64], model: LoopModel) -> None:
-        self._K, self._model, self._omega = K, model, feedforward(model)
-        self._x = np.zeros(model.A.shape[0])
-        self._past: deque[NDArray[np.float64]] = deque([model.C @ self._x], maxlen=64)  # model outputs, newest last
+    def __init__(self, K: Sequence[Sequence[float]], model: LoopModel) -> None:
+        self._K, self._omega = K, feedforward(model).tolist()
+        self._AB = np.hstack([model.A, model.B]).tolist()
+        self._C, self._d_max = model.C.tolist(), model.d_max
+        self._x = [0.0] * model.A.shape[0]
+        self._past: deque[list[float]] = deque([product(self._C, self._x)], maxlen=64)  # model outputs, newest last
         self._k: int | None = None
-        self._u = np.zeros(model.B.shape[1])
+        self._u = [0.0] * model.B.shape[1]
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
-        A, B, C = self._model.A, self._model.B, self._model.C
         if self._k is not None:
             for _ in range(k - self._k):  # a slot whose packet was lost still passes for the model
-                self._x = A @ self._x + B @ self._u
-                self._past.append(C @ self._x)
+                self._x = product(self._AB, [*self._x, *self._u])
+                self._past.append(product(self._C, self._x))
         self._k = k
-        bias = np.asarray(y) - self._past[-1 - min(tau, len(self._past) - 1)]
-        ref = np.asarray(r)
-        star = self._omega @ ref
+        bias = [a - b for a, b in zip(y, self._past[-1 - min(tau, len(self._past) - 1)])]
+        star = product(self._omega, r)
         x, rows = self._x, []
-        for _ in range(self._model.d_max + 1):
-            u = star + self._K @ (C @ x + bias - ref)
-            rows.append(tuple(map(float, u)))
-            x = A @ x + B @ u
-        self._u = np.asarray(rows[0])
+        for _ in range(self._d_max + 1):
+            error = [a + b - c for a, b, c in zip(product(self._C, x), bias, r)]
+            u = [a + b for a, b in zip(star, product(self._K, error))]
+            rows.append(tuple(u))
+            x = product(self._AB, [*x, *u])
+        self._u = list(rows[0])
         return tuple(rows)
 
 
 class SmithOfMany:
-    """The predictor in many runs, with the products of `_SmithRows` for each of them.
+    """The predictor in many runs, each bit for bit what `_SmithRows` computes alone.
 
     Args:
         K: gain, (m, p).
@@ -79,11 +81,12 @@ class SmithOfMany:
     selection: Selection = "applied"
 
     def __init__(self, K: NDArray[np.float64], model: LoopModel, runs: int) -> None:
-        self._K, self._model, self._omega = K, model, feedforward(model)
-        self._x = np.zeros((runs, model.A.shape[0], 1))
-        self._u = np.zeros((runs, model.B.shape[1], 1))
-        self._past = np.zeros((64, runs, model.C.shape[0], 1))  # model outputs, the newest first
-        self._past[0] = model.C @ self._x
+        self._K, self._omega = K.tolist(), feedforward(model).tolist()
+        self._AB = np.hstack([model.A, model.B]).tolist()
+        self._C, self._d_max = model.C.tolist(), model.d_max
+        self._x = np.zeros((model.A.shape[0], runs))
+        self._u = np.zeros((model.B.shape[1], runs))
+        self._past = np.zeros((64, model.C.shape[0], runs))  # model outputs, the newest first
         self._held = np.ones(runs, dtype=np.intp)
         self._ran = np.zeros(runs, dtype=np.bool_)
 
@@ -91,21 +94,18 @@ class SmithOfMany:
         self, k: int, started: NDArray[np.bool_], tau: NDArray[np.intp], y: NDArray[np.float64], r: Sequence[float]
     ) -> NDArray[np.float64]:
         """Return the rows of slot k, (rows, m, runs); see `GainRowsOfMany.rows`."""
-        A, B, C = self._model.A, self._model.B, self._model.C
-        ran = self._ran[:, None, None]
-        self._x = np.where(ran, A @ self._x + B @ self._u, self._x)
-        newer = np.concatenate(((C @ self._x)[None], self._past[:-1]))
-        self._past = np.where(ran, newer, self._past)
+        self._x = np.where(self._ran, product_of_many(self._AB, (*self._x, *self._u)), self._x)
+        newer = np.concatenate((product_of_many(self._C, self._x)[None], self._past[:-1]))
+        self._past = np.where(self._ran, newer, self._past)
         self._held = np.minimum(self._held + self._ran, 64)
         self._ran = started.copy()
-        bias = np.ascontiguousarray(y.T)[:, :, None] - self._past[np.minimum(tau, self._held - 1), np.arange(len(tau))]
-        ref = np.asarray(r)
-        star = (self._omega @ ref)[:, None]
+        bias = y - self._past[np.minimum(tau, self._held - 1), :, np.arange(len(tau))].T
+        ref, star = np.asarray(r)[:, None], np.array(product(self._omega, r))[:, None]
         x, rows = self._x, []
-        for _ in range(self._model.d_max + 1):
-            u = star + self._K @ (C @ x + bias - ref[:, None])
-            rows.append(u[:, :, 0].T)
+        for _ in range(self._d_max + 1):
+            u = star + product_of_many(self._K, product_of_many(self._C, x) + bias - ref)
+            rows.append(u)
             if len(rows) == 1:
-                self._u = np.where(started[:, None, None], u, self._u)
-            x = A @ x + B @ u
+                self._u = np.where(started, u, self._u)
+            x = product_of_many(self._AB, (*x, *u))
         return np.stack(rows)

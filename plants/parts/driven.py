@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from plants.parts.draws import Normals
 from plants.parts.linear import NS_PER_S, LinearRun, StateSpace
 
 
@@ -25,7 +26,7 @@ class DrivenRun:
         rng: source of v.
     """
 
-    __slots__ = ("_applied", "_left_ns", "_limits", "_noise", "_rng", "_root", "_run", "_step_ns")
+    __slots__ = ("_applied", "_left_ns", "_limits", "_noise", "_normals", "_root", "_run", "_step_ns")
 
     def __init__(
         self,
@@ -39,7 +40,7 @@ class DrivenRun:
     ) -> None:
         B = np.hstack([model.B, np.diag(intensity)]) if len(intensity) else model.B
         self._run = LinearRun(StateSpace(A=model.A, B=B, C=model.C), initial_state)
-        self._limits, self._step_ns, self._rng = tuple(limits), step_ns, rng
+        self._limits, self._step_ns, self._normals = tuple(limits), step_ns, Normals(rng)
         self._root = math.sqrt(NS_PER_S / step_ns)
         self._noise: list[float] = [0.0] * len(intensity)
         self._left_ns = 0
@@ -61,7 +62,7 @@ class DrivenRun:
             return
         while dt_ns > 0:
             if self._left_ns == 0:
-                self._noise = (self._root * self._rng.standard_normal(len(self._noise))).tolist()
+                self._noise = [self._root * v for v in self._normals.several(len(self._noise))]
                 self._left_ns = self._step_ns
             span = min(dt_ns, self._left_ns)
             self._run.advance(span, held + self._noise)

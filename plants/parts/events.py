@@ -8,6 +8,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from plants.errors import PlantError
+from plants.parts.draws import Normals
 
 MOST_EVENTS: Final = 100_000
 """So many in one advance are refused: what changes every few nanoseconds would hold a run for ever."""
@@ -67,10 +68,10 @@ class HeldNoise:
         rng: all randomness; nothing is drawn if std is 0.
     """
 
-    __slots__ = ("_period_ns", "_rng", "_size", "_std", "next_ns", "values")
+    __slots__ = ("_normals", "_period_ns", "_size", "_std", "next_ns", "values")
 
     def __init__(self, size: int, std: float, period_ns: int, rng: np.random.Generator) -> None:
-        self._size, self._std, self._period_ns, self._rng = size, std, period_ns, rng
+        self._size, self._std, self._period_ns, self._normals = size, std, period_ns, Normals(rng)
         self.values: tuple[float, ...] = (0.0,) * size
         self.next_ns = 0
         if std > 0.0:
@@ -80,5 +81,5 @@ class HeldNoise:
 
     def fire(self) -> None:
         """Take the next sample."""
-        self.values = tuple(self._std * x for x in self._rng.standard_normal(self._size).tolist())
+        self.values = tuple(self._std * x for x in self._normals.several(self._size))
         self.next_ns += self._period_ns

@@ -6,7 +6,7 @@ fix:
 
 - `zero_order_hold`: the exact discretisation, in 256-bit fixed point, rounded once at the end (for steps that recur);
 - `drift`: the same for one step of odd length, as a Taylor series in floats (for the pieces between random events);
-- `phi`, `log1p`: the scalar functions that one exponential segment of a friction model needs.
+- `phi`, `exp`, `log1p`: scalar functions; one exponential segment of a friction model needs the first and the last.
 """
 
 from __future__ import annotations
@@ -173,6 +173,24 @@ def phi(x: float) -> tuple[float, float]:
         p1 = p1 * (1.0 + e) * 0.5
         e *= e
     return p1, p2
+
+
+def exp(x: float) -> float:
+    """Return e^x for x of modest size, to a few units in the last place times |x|.
+
+    >>> exp(0.0)
+    1.0
+    """
+    halvings = 0
+    while not -0.5 <= x <= 0.5:
+        x *= 0.5
+        halvings += 1
+        if halvings > MOST_HALVINGS:
+            raise PlantError(f"exp: argument {x * 2.0**halvings!r}, expected a finite number of modest size")
+    value = 1.0 + x * phi(x)[0]
+    for _ in range(halvings):
+        value *= value
+    return value
 
 
 def log1p(z: float) -> float:

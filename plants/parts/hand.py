@@ -10,7 +10,10 @@ from typing import Literal, get_args
 import numpy as np
 
 from plants.errors import FieldError
+from plants.parts.draws import Normals
+from plants.parts.exponential import exp
 from plants.parts.linear import NS_PER_S
+from plants.parts.turns import TURN, sine
 from plants.parts.validation import require_finite, require_not_negative, require_positive, require_step
 
 NEVER_NS = 1 << 62
@@ -132,15 +135,15 @@ class Hand:
 class PushRun:
     """The push over time: what it is now, and when it changes next."""
 
-    __slots__ = ("_decay", "_edges", "_hold_ns", "_push", "_rng", "_spread", "_tremor", "force_n", "next_ns")
+    __slots__ = ("_decay", "_edges", "_hold_ns", "_normals", "_push", "_spread", "_tremor", "force_n", "next_ns")
 
     def __init__(self, push: Push, rng: np.random.Generator) -> None:
         stop_ns = NEVER_NS if push.stop_s is None else round(push.stop_s * NS_PER_S)
-        self._push, self._rng, self._edges = push, rng, (round(push.start_s * NS_PER_S), stop_ns)
+        self._push, self._normals, self._edges = push, Normals(rng), (round(push.start_s * NS_PER_S), stop_ns)
         self._hold_ns = max(round(push.tremor_hold_s * NS_PER_S), 1)
-        self._decay = math.exp(-push.tremor_hold_s / push.tremor_correlation_s)
+        self._decay = exp(-push.tremor_hold_s / push.tremor_correlation_s)
         self._spread = push.tremor_n * math.sqrt(1.0 - self._decay * self._decay)
-        self._tremor = push.tremor_n * float(rng.standard_normal()) if push.tremor_n else 0.0
+        self._tremor = push.tremor_n * self._normals() if push.tremor_n else 0.0
         self.next_ns = 0
         self._settle(0)
 
@@ -156,8 +159,12 @@ class PushRun:
         """Let the change that is due happen."""
         now_ns = self.next_ns
         if self._push.tremor_n and now_ns % self._hold_ns == 0:
-            self._tremor = self._decay * self._tremor + self._spread * float(self._rng.standard_normal())
+            self._tremor = self._decay * self._tremor + self._spread * self._normals()
         self._settle(now_ns)
+
+
+def _direction(turns: float) -> tuple[float, float]:
+    return sine(turns + 0.25), sine(turns)
 
 
 class PathRun:
@@ -177,33 +184,33 @@ class PathRun:
 class SlideRun:
     """The place along the wall over time."""
 
-    __slots__ = ("_extent", "_heading", "_rng", "_since_ns", "_slide", "_start", "at", "next_ns")
+    __slots__ = ("_direction", "_extent", "_rng", "_since_ns", "_slide", "_start", "at", "next_ns")
 
     def __init__(self, slide: Slide, rng: np.random.Generator) -> None:
         self._slide, self._rng, self._since_ns = slide, rng, 0
         self._start = (slide.y_m, slide.z_m)
         self._extent = (0.5 * slide.width_m, 0.5 * slide.height_m, slide.y_hz, slide.z_hz)
-        self._heading, self.next_ns = slide.heading_rad, NEVER_NS
+        self._direction, self.next_ns = _direction(slide.heading_rad / TURN), NEVER_NS
         if slide.way == "wander":
-            self._heading, self.next_ns = self._turned(), round(slide.turn_s * NS_PER_S)
+            self._direction, self.next_ns = self._turned(), round(slide.turn_s * NS_PER_S)
         figures: dict[Way, Callable[[int], tuple[float, float]]] = {
             "straight": self._line, "wander": self._line, "lissajous": self._figure,
         }  # fmt: skip
         self.at = figures[slide.way]  # y and z in m at an instant that is not before the last turn
 
-    def _turned(self) -> float:
-        return 2.0 * math.pi * float(self._rng.random())
+    def _turned(self) -> tuple[float, float]:
+        return _direction(float(self._rng.random()))
 
     def fire(self) -> None:
         """Turn."""
         self._start, self._since_ns = self.at(self.next_ns), self.next_ns
-        self._heading = self._turned()
+        self._direction = self._turned()
         self.next_ns += max(round(self._slide.turn_s * NS_PER_S), 1)
 
     def _line(self, now_ns: int) -> tuple[float, float]:
         way = self._slide.speed_m_s * ((now_ns - self._since_ns) / NS_PER_S)
-        return self._start[0] + way * math.cos(self._heading), self._start[1] + way * math.sin(self._heading)
+        return self._start[0] + way * self._direction[0], self._start[1] + way * self._direction[1]
 
     def _figure(self, now_ns: int) -> tuple[float, float]:
-        turns, (y_m, z_m), (half_y_m, half_z_m, y_hz, z_hz) = 2.0 * math.pi * now_ns / NS_PER_S, self._start, self._extent
-        return y_m + half_y_m * math.sin(turns * y_hz), z_m + half_z_m * math.sin(turns * z_hz)
+        t_s, (y_m, z_m), (half_y_m, half_z_m, y_hz, z_hz) = now_ns / NS_PER_S, self._start, self._extent
+        return y_m + half_y_m * sine(t_s * y_hz), z_m + half_z_m * sine(t_s * z_hz)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from plants.parts.draws import Normals
 from plants.parts.protocols import PlantRun
 
 
@@ -20,10 +21,12 @@ class NoisyRun:
         rng: source of the noise.
     """
 
-    __slots__ = ("_noise", "_noise_sd", "_rng", "_run")
+    __slots__ = ("_noise", "_noise_sd", "_normals", "_run")
 
     def __init__(self, run: PlantRun, noise_sd: float | Sequence[float], rng: np.random.Generator) -> None:
-        self._run, self._noise_sd, self._rng = run, np.asarray(noise_sd, dtype=float), rng
+        self._run, self._normals = run, Normals(rng)
+        outputs = len(run.measure())
+        self._noise_sd = (float(noise_sd),) * outputs if isinstance(noise_sd, int | float) else tuple(map(float, noise_sd))
         self._noise = self._draw()
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
@@ -53,4 +56,4 @@ class NoisyRun:
         return self._run.applied
 
     def _draw(self) -> tuple[float, ...]:
-        return tuple((self._noise_sd * self._rng.standard_normal(len(self._run.measure()))).tolist())
+        return tuple(sd * v for sd, v in zip(self._noise_sd, self._normals.several(len(self._noise_sd))))

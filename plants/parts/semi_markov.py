@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from plants.errors import FieldError
+from plants.parts.draws import exponential
 from plants.parts.linear import NS_PER_S
 from plants.parts.validation import SHORTEST_STEP_S, require_finite, require_not_negative, require_positive
 
@@ -185,7 +186,7 @@ class JumpProcess:
         self._hazards = {mode: _Hazard(rates, mode) for mode in range(1, rates.modes + 1)}
 
     def _draw(self) -> None:
-        self._target = self._rng.standard_exponential()
+        self._target = exponential(self._rng)
         self._schedule(self.since_ns)
 
     def _schedule(self, now_ns: int) -> None:

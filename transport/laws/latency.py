@@ -254,7 +254,7 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     described_as = f"{name}({', '.join(f'{k}={v:g}' for k, v in arguments.items())})"
     discrete = isinstance(family, stats.rv_discrete)
     levels, standard = _atoms(frozen, path) if discrete else _knots(frozen)
-    values = loc + scale * standard
+    values = _kept(loc + scale * standard)
     if not np.isfinite(values).all() or (np.diff(values) < 0).any():
         raise FieldError(path, f"{described_as} is no law with these parameters")
     early = float(np.interp(0.0, values, levels)) if values[0] < 0.0 else 0.0
@@ -263,13 +263,26 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     return QuantileTable(levels=tuple(levels.tolist()), values_s=tuple(np.maximum(values, 0.0).tolist()))
 
 
+def _kept(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return quantiles rounded to 2^-24 of the middle one.
+
+    scipy computes them by ``libm``, whose last bits differ from one processor to the next. A rounded one is the same on all of
+    them, but where a tie lies between them: a table in some hundred thousand, and one knot of it differs then by 1e-7.
+    """
+    middle = float(values[len(values) // 2]) or float(np.abs(values).max())
+    if not math.isfinite(middle) or middle == 0.0:
+        return values
+    unit = math.ldexp(1.0, math.frexp(middle)[1] - 24)
+    return np.asarray(np.rint(values / unit) * unit)
+
+
 def _knots(frozen: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Knots of a continuous law: 512 steps in the middle, 16 per factor 2 in the tails down to 2^-33.
 
     Level 0 and 1 belong to the ends of the support, or to the last knots where that is infinite: one packet in 10^10
     is cut.
     """
-    tail = 2.0 ** np.arange(-33.0, -5.0, 1.0 / 16.0)
+    tail = np.concatenate([np.ldexp(1.0 + np.arange(16) / 16.0, e) for e in range(-33, -5)])
     inner = np.concatenate([tail, np.linspace(2.0**-5, 1.0 - 2.0**-5, 513), (1.0 - tail)[::-1]])
     values = np.concatenate([frozen.ppf(inner[: len(tail) + 513]), frozen.isf(tail[::-1])])
     ends = np.array(frozen.support(), dtype=np.float64)
@@ -290,6 +303,6 @@ def _atoms(frozen: Any, path: str) -> tuple[NDArray[np.float64], NDArray[np.floa
     atoms = np.arange(low, high + 1.0)
     row = np.asarray(frozen.pmf(atoms), dtype=np.float64)
     checked_row(path, (row / row.sum()).tolist())
-    reached = np.concatenate([[0.0], np.cumsum(row / row.sum())])
+    reached = np.rint(np.concatenate([[0.0], np.cumsum(row / row.sum())]) / SMALLEST_LEVEL) * SMALLEST_LEVEL
     reached[-1] = 1.0
     return np.repeat(reached, 2)[1:-1], np.repeat(atoms, 2)

@@ -15,6 +15,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
+from transport.laws.decimal_powers import CLOSE, complement_of_power, ln, ln_complement, powers, root, whole_powers
 from transport.laws.protocols import BoundedTail, Sojourn
 from transport.laws.stochastic_matrix import checked_row
 
@@ -42,11 +43,11 @@ class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, t
     @property
     def support(self) -> int:
         """Sojourn time beyond which the probability is below 1e-12."""
-        return 1 if self.p == 1.0 else math.ceil(math.log(TAIL) / math.log1p(-self.p))
+        return 1 if self.p == 1.0 else math.ceil(ln(TAIL) / ln_complement(self.p))
 
     def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return S(n) = (1-p)^n."""
-        return np.asarray((1.0 - self.p) ** slots, dtype=np.float64)
+        return whole_powers(1.0 - self.p, slots)
 
     def hazard_beyond(self, slots: int) -> tuple[float, float]:
         """Return the infimum and the supremum of the hazard: both are p."""
@@ -56,8 +57,15 @@ class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, t
         """Return the inverse of the distribution function."""
         if self.p == 1.0:
             return lambda u: 1
-        scale = 1.0 / math.log1p(-self.p)
-        return lambda u: int(math.log1p(-u) * scale) + 1
+        scale, p = 1.0 / math.log1p(-self.p), self.p
+
+        def sojourn(u: float) -> int:
+            slots = math.log1p(-u) * scale
+            if abs(slots - round(slots)) <= CLOSE * (1.0 + slots):  # the last bit of a logarithm shall decide nothing
+                return int(ln_complement(u) / ln_complement(p)) + 1
+            return int(slots) + 1
+
+        return sojourn
 
 
 class DiscreteWeibull(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="discrete-weibull"):
@@ -85,23 +93,32 @@ class DiscreteWeibull(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def support(self) -> int:
         """Sojourn time beyond which the probability is below 1e-12."""
         slots = _root(math.log(TAIL) / math.log(self.q), self.beta)
+        if abs(slots - round(min(slots, 2.0 * LONGEST))) <= 1e-6:
+            return math.ceil(root(ln(TAIL) / ln(self.q), self.beta))
         return math.ceil(slots) if slots <= LONGEST else LONGEST + 1
 
     def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return S(n) = q^(n^beta)."""
-        return np.asarray(self.q ** (slots.astype(np.float64) ** self.beta), dtype=np.float64)
+        return powers(self.q, self.beta, slots)
 
     def hazard_beyond(self, slots: int) -> tuple[float, float]:
         """Return the bounds over n > slots of 1 - q^(n^beta - (n-1)^beta), which tends to 0 for beta < 1, to 1 for beta > 1."""
         if self.beta == 1.0:
             return 1.0 - self.q, 1.0 - self.q
-        following = -math.expm1(math.log(self.q) * ((slots + 1.0) ** self.beta - float(slots) ** self.beta))
+        following = complement_of_power(self.q, slots + 1.0, float(slots), self.beta)
         return (0.0, following) if self.beta < 1.0 else (following, 1.0)
 
     def sampler(self) -> Callable[[float], int]:
         """Return the inverse of the distribution function."""
-        scale, power = 1.0 / math.log(self.q), 1.0 / self.beta
-        return lambda u: max(1, math.ceil((math.log1p(-u) * scale) ** power))
+        scale, power, log_q, beta = 1.0 / math.log(self.q), 1.0 / self.beta, ln(self.q), self.beta
+
+        def sojourn(u: float) -> int:
+            slots = (math.log1p(-u) * scale) ** power
+            if abs(slots - round(slots)) <= CLOSE * (1.0 + power) * (1.0 + slots):
+                return max(1, math.ceil(root(ln_complement(u) / log_q, beta)))
+            return max(1, math.ceil(slots))
+
+        return sojourn
 
 
 class Uniform(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="uniform"):

@@ -96,7 +96,7 @@ def closed_classes(matrix: Sequence[Sequence[float]] | NDArray[np.float64]) -> l
     steps = np.asarray(matrix) > 0.0
     reach = steps | np.eye(len(steps), dtype=bool)
     for _ in range(max(1, len(steps).bit_length())):
-        reach = (reach.astype(np.float64) @ reach.astype(np.float64)) > 0.0
+        reach = (reach.astype(np.float64) @ reach.astype(np.float64)) > 0.0  # whole numbers: exact in any order
     classes = {tuple(np.flatnonzero(reach[i])) for i in range(len(steps)) if reach[np.flatnonzero(reach[i]), i].all()}
     return sorted([int(i) for i in members] for members in classes)
 
@@ -118,13 +118,26 @@ def stationary_row(matrix: Sequence[Sequence[float]] | NDArray[np.float64]) -> N
         raise ValueError(f"the stationary law is not unique: closed classes of modes {classes}")
     members = classes[0]
     chain = np.asarray(matrix, dtype=np.float64)[np.ix_(members, members)]
-    size = len(members)
-    equations = np.vstack([chain.T - np.eye(size), np.ones(size)])
-    solution = np.linalg.lstsq(equations, np.concatenate([np.zeros(size), [1.0]]), rcond=None)[0]
-    weights = np.clip(solution, 0.0, None)
+    weights = _censored(chain.copy())
     law = np.zeros(len(matrix))
     law[members] = weights / weights.sum()
     return law
+
+
+def _censored(P: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what the stationary law of an irreducible chain is proportional to; P is overwritten.
+
+    State after state is taken out of the chain, without a difference of near numbers, and without BLAS: the same bits everywhere.
+
+    Reference: Grassmann, Taksar and Heyman, Operations Research 33 (1985).
+    """
+    for n in range(len(P) - 1, 0, -1):
+        P[:n, n] /= P[n, :n].sum()
+        P[:n, :n] += P[:n, n, None] * P[n, :n]
+    weights = np.ones(len(P))
+    for n in range(1, len(P)):
+        weights[n] = (weights[:n] * P[:n, n]).sum()
+    return weights
 
 
 def mean_holding(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -84,7 +84,7 @@ def test_tabulated_latencies_are_those_of_scipy(spec: LatencySpec, law: Any) -> 
     assert sample == pytest.approx(law.ppf(u), rel=2e-3, abs=1e-7), "linear between knots"
     assert stats.kstest(sample, law.cdf).pvalue > 1e-6
     assert np.abs(table.cdf(sample) - law.cdf(sample)).max() < 1e-4
-    assert table.cdf(sample) == pytest.approx(u, abs=1e-9)
+    assert table.cdf(sample) == pytest.approx(u, abs=1e-4), "values are rounded to 2^-24 of the middle one"
 
 
 def test_a_discrete_law_has_atoms_in_units_of_its_scale() -> None:

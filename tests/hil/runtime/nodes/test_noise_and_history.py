@@ -14,6 +14,7 @@ from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.runtime.streams import rng_for
 from hil.session import simulate
+from plants.parts.draws import Normals
 
 HISTORY = "plant.initial_history=[[1, 2, -3, 0.5], [0, 4, 1, 1], [2, 2, 2, 2]]"
 NOISE = "plant.noise_sd=[0.1, 0.2, 0.0, 0.3]"
@@ -51,7 +52,8 @@ def test_noise_costs_what_is_predicted() -> None:
     """The run is (5.1) with the draws of its own stream; 2,000 literal runs: 4.4 standard errors, 5 % off would be seen."""
     slots, sd = 60, np.array([0.1, 0.2, 0.0, 0.3])
     loop = compose(load_experiment("multisensor-newest", [NOISE, "plant.initial_state=[0, 0, 0, 0]", "duration=3"]))
-    draws = sd[:, None] * rng_for(7, "plant").standard_normal((slots + 1, 4))[:slots, :, None]
+    drawn = np.array(Normals(rng_for(7, "plant")).several(4 * slots)).reshape(slots, 4)
+    draws = (sd * drawn)[:, :, None]
     assert cost_of(loop, 7) == pytest.approx(float(literal_costs(loop, draws)[0]), rel=1e-5)
     plant, K = delayed_plant_of(loop.experiment.plant, loop.model), loop.controller.history()  # type: ignore[attr-defined]
     assert plant is not None and loop.verdict is not None

@@ -1,0 +1,70 @@
+"""The pseudo-inverse of a small matrix, rounded once, from whole numbers: the same bits on every machine."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.float64]
+Whole = list[list[int]]
+
+LARGEST: Final = 24
+"""Rows and columns up to which whole numbers are used: 0.1 s."""
+
+
+def pseudo_inverse(N: Matrix) -> Matrix:
+    """Return the pseudo-inverse of N, (columns, rows).
+
+    A matrix of full rank has it exactly, and correctly rounded. Of one that is not, or is larger than `LARGEST`, it comes from
+    LAPACK, rounded to 2^-30 of its largest entry: the same everywhere but where a tie lies between two machines.
+    """
+    rows, columns = N.shape
+    full = max(rows, columns) <= LARGEST and int(np.linalg.matrix_rank(N)) == min(rows, columns)
+    found = _exact(tuple(map(tuple, N.tolist()))) if full else None
+    if found is not None:
+        return np.array(found)
+    inverse = np.linalg.pinv(N)
+    unit = math.ldexp(1.0, math.frexp(float(np.abs(inverse).max(initial=0.0)))[1] - 30)
+    return np.asarray(np.rint(inverse / unit) * unit)
+
+
+@lru_cache(maxsize=16)
+def _exact(N: tuple[tuple[float, ...], ...]) -> list[list[float]] | None:
+    # N = W / 2^bits. Of full row rank: N'(N N')^-1; of full column rank: (N'N)^-1 N'.
+    bits = max(entry.as_integer_ratio()[1].bit_length() - 1 for row in N for entry in row)
+    ratios = [[entry.as_integer_ratio() for entry in row] for row in N]
+    W = [[(above << bits) // below for above, below in row] for row in ratios]
+    T = [list(column) for column in zip(*W)]
+    wide = len(W) <= len(T)
+    solved = _solved(_product(W, T), W) if wide else _solved(_product(T, W), T)
+    if solved is None:
+        return None
+    X, determinant = solved
+    inverse = [list(column) for column in zip(*X)] if wide else X
+    return [[(entry << bits) / determinant for entry in row] for row in inverse]
+
+
+def _product(a: Whole, b: Whole) -> Whole:
+    columns = list(zip(*b))
+    return [[sum(x * y for x, y in zip(row, column)) for column in columns] for row in a]
+
+
+def _solved(M: Whole, R: Whole) -> tuple[Whole, int] | None:
+    """Solve M X = R without fractions: X times the determinant, and that; None where M is singular (Bareiss, 1968)."""
+    n, work, before = len(M), [[*m, *r] for m, r in zip(M, R)], 1
+    for k in range(n):
+        pivot = next((i for i in range(k, n) if work[i][k]), None)
+        if pivot is None:
+            return None
+        work[k], work[pivot] = work[pivot], [-entry for entry in work[k]] if pivot != k else work[k]
+        own, lead = work[k], work[k][k]
+        for i, row in enumerate(work):
+            if i != k:
+                first = row[k]
+                work[i] = [(lead * x - first * y) // before for x, y in zip(row, own)]
+        before = lead
+    return [row[n:] for row in work], before
