@@ -134,7 +134,7 @@ def simulated_session(loop: Loop, seed: int) -> Session:
         resolved=experiment.resolved(),
         certificate=loop.certificate or {},
     )
-    summary = summarise(view_of(run, experiment))
+    summary = summarise(view_of(run, experiment)) | _gains(loop)
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, sink.payloads.values())), "dropped": 0}
     summary["problems"] = beyond_the_end(experiment)
@@ -220,12 +220,16 @@ def run_session(
             except HilError as error:
                 raise (error if sink.error is None else HilError(outcome["log_error"])) from error
         summary = _summary(run, loop.experiment, sink, outcome, wall_s)
-        summary["who_commands"] = who_commands(uri)
+        summary |= {"who_commands": who_commands(uri)} | _gains(loop)
         summary["log"]["sha256"] = _sha256(log)
     finally:
         os.close(log)
     status = _status(run, sink, outcome)
     return Session(log=cache(partial(_read_back, path)) if keep is not None else lambda: run, summary=summary, status=status)
+
+
+def _gains(loop: Loop) -> dict[str, Any]:
+    return {"gains": None if loop.gains is None else loop.gains.to_json()}
 
 
 def _summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:

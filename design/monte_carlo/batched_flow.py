@@ -62,7 +62,7 @@ class MatrixFlow:
         self._states = self._m.shape[0]
         largest = float(norm_bound(self._m).max(initial=0.0))
         # exponent such that dt / 2^halvings is a short enough base step
-        self._halvings = max(0, math.ceil(math.log2(max(largest * dt_s * 8.0, 1.0))))
+        self._halvings = int(_levels(np.array(math.ceil(max(largest * dt_s * 8.0, 1.0)))))
         self._base = dt_s / 2**self._halvings
         bits = max(1, math.ceil(longest_s / self._base)).bit_length()
         eye = np.broadcast_to(np.eye(self._states)[:, :, None], self._m.shape)
@@ -138,4 +138,5 @@ class MatrixFlow:
 
 def _levels(points: IntArray) -> IntArray:
     """Smallest k with 2^k >= points."""
-    return np.asarray(np.ceil(np.log2(np.maximum(points, 1))), dtype=np.intp)
+    mantissa, exponent = np.frexp(np.maximum(points, 1).astype(np.float64))
+    return np.asarray(exponent - (mantissa == 0.5), dtype=np.intp)

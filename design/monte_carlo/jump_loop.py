@@ -23,6 +23,7 @@ from design.errors import FieldError
 from design.monte_carlo.batched_flow import MatrixFlow
 from design.monte_carlo.jump_paths import Visits, fault_detection_visits, semi_markov_visits
 from design.monte_carlo.random_streams import PARAMETERS, uniforms
+from design.processes.elementary import log
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
@@ -106,7 +107,7 @@ class JumpLoop:
         """M for every (mode, seen mode, section) and, if uncertain, every run: shape (n, n, W), see ``index``."""
         gain = self.gain.gain.reshape(-1, *self.gain.gain.shape[2:])
         a, b = self.system.a, self.system.b
-        nominal = a[:, None] + b[:, None] @ gain[None]  # (modes, gains, n, n)
+        nominal = a[:, None] + _product(b[:, None], gain[None])  # (modes, gains, n, n)
         if not self.uncertain:
             return np.ascontiguousarray(np.moveaxis(nominal.reshape(-1, *a.shape[1:]), 0, -1))
         spread = self._directions(gain)  # (parameters, modes, gains, n, n)
@@ -125,10 +126,10 @@ class JumpLoop:
     def _directions(self, gain: FloatArray) -> FloatArray:
         uncertainty = self.system.uncertainty
         if isinstance(uncertainty, NormBounded):
-            shape = uncertainty.fa[:, None] + uncertainty.fb[:, None] @ gain[None]  # (modes, gains, q, n)
+            shape = uncertainty.fa[:, None] + _product(uncertainty.fb[:, None], gain[None])  # (modes, gains, q, n)
             return np.asarray(np.einsum("imq,igqn->qigmn", uncertainty.e, shape))
         assert isinstance(uncertainty, VertexUncertainty)
-        return np.asarray(uncertainty.da[:, :, None] + uncertainty.db[:, :, None] @ gain)
+        return np.asarray(uncertainty.da[:, :, None] + _product(uncertainty.db[:, :, None], gain))
 
     def _weights(self, parameters: int, *, seed: int, first: int, runs: int) -> FloatArray:
         pages = -(-parameters // (4 * PARAMETER_PAGE))
@@ -137,8 +138,16 @@ class JumpLoop:
         )[:parameters]
         if isinstance(self.system.uncertainty, NormBounded):
             return 2.0 * drawn - 1.0
-        share = -np.log(drawn)  # normalised exponentials are uniform on the simplex
+        share = -log(drawn)  # normalised exponentials are uniform on the simplex
         return np.asarray(share / share.sum(axis=0))
+
+
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a @ b of stacks of small matrices, summed in one order on every machine."""
+    out = a[..., :, 0, None] * b[..., None, 0, :]
+    for k in range(1, a.shape[-1]):
+        out = out + a[..., :, k, None] * b[..., None, k, :]
+    return np.asarray(out)
 
 
 def held(gain: ScheduledGain, step_s: float, end_s: float) -> ScheduledGain:

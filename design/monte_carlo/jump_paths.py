@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.monte_carlo.random_streams import JUMPS, DrawTable
+from design.processes.elementary import log
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 
 FloatArray = npt.NDArray[np.float64]
@@ -47,7 +48,7 @@ def semi_markov_visits(
     run, modes, now = np.arange(runs), np.full(runs, mode, dtype=np.intp), np.zeros(runs)
     jump = 0
     while run.size:
-        exponential, uniform = -np.log(draws.row(2 * jump)), draws.row(2 * jump + 1)
+        exponential, uniform = -log(draws.row(2 * jump)), draws.row(2 * jump + 1)
         h, target = process.jump(modes, 0.0, exponential[run], uniform[run])
         then = now + h
         yield Visits(run, modes, modes, np.zeros(run.size), now, np.minimum(then, duration_s))
@@ -80,11 +81,11 @@ def fault_detection_visits(
     event = 0
     while run.size:
         rows = [draws.row(4 * event + k)[run] for k in range(4)]
-        eta_h, eta_next = process.failure.jump(eta, eta_age, -np.log(rows[0]), rows[1])
+        eta_h, eta_next = process.failure.jump(eta, eta_age, -log(rows[0]), rows[1])
         r_h, r_next = np.empty(run.size), np.empty(run.size, dtype=np.intp)
         for i, law in enumerate(process.detection):
             here = np.flatnonzero(eta == i)
-            r_h[here], r_next[here] = law.jump(r[here], r_age[here], -np.log(rows[2][here]), rows[3][here])
+            r_h[here], r_next[here] = law.jump(r[here], r_age[here], -log(rows[2][here]), rows[3][here])
         # Rounding must not let an event fall before now; with no jump left both are inf.
         to_eta, to_r = np.maximum(eta_h - eta_age, 0.0), np.maximum(r_h - r_age, 0.0)
         step = np.minimum(to_eta, to_r)

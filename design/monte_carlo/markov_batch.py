@@ -29,8 +29,6 @@ IntArray = npt.NDArray[np.intp]
 CHUNK = 512
 PAGE = 64
 ONE_CORE = Workers()
-BLAS_ONE_THREAD = 100_000
-"""Multiplications in one product; OpenBLAS begins to share them out at 262,144."""
 
 
 def _nothing(done: int) -> None:
@@ -79,7 +77,7 @@ class _Task:
         q = B.shape[2]
         for k in range(self.steps + 1):
             used = x[:, inside]
-            mean[k], second[k] = used.sum(axis=1), _product(used, used.T)
+            mean[k], second[k] = used.sum(axis=1), [(row * used).sum(axis=1) for row in used]
             occupancy[k] = np.bincount(mode[inside], minlength=modes)
             if k == self.steps:
                 break
@@ -108,11 +106,11 @@ class _Task:
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a @ b, in tiles too small for a BLAS library to split among threads."""
-    width = max(1, BLAS_ONE_THREAD // max(a.shape[0] * a.shape[1], 1))
-    if b.shape[1] <= width:
-        return np.asarray(a @ b)
-    return np.concatenate([a @ b[:, at : at + width] for at in range(0, b.shape[1], width)], axis=1)
+    """a @ b, summed in one order on every machine: BLAS would give each column's last bits by where it stands."""
+    out = a[:, 0, None] * b[0]
+    for k in range(1, len(b)):
+        out += a[:, k, None] * b[k]
+    return np.asarray(out)
 
 
 def simulate_mjls(

@@ -69,7 +69,7 @@ class _Study:
     def settle(self, chunk: int) -> FloatArray:
         """T_s of every run of a chunk, ``inf`` where the last grid point is outside the band."""
         flow, found = self.solve(chunk)
-        limit = (self.band * float(np.linalg.norm(self.loop.start))) ** 2
+        limit = self.band * self.band * math.fsum(x * x for x in self.loop.start)
         size = (found.x * found.x).sum(axis=0)
         has = found.points > 0
         # A segment matters only if no later one begins outside the band, and if it can leave the band at all.

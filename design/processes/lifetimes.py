@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy import special
 
 from design.errors import FieldError
+from design.processes import elementary
 from design.processes.rates import FloatArray, check_positive
 
 
@@ -57,20 +58,20 @@ class BathtubRate:
     def __call__(self, h: npt.ArrayLike) -> FloatArray:
         h = np.asarray(h, dtype=float)
         worn = np.clip(h - self.wear_start_s, 0.0, self.wear_span_s)
-        return np.asarray(self.infant * np.exp(-h / self.infant_time_s) + self.useful + self.wear * worn)
+        return np.asarray(self.infant * elementary.exp(-h / self.infant_time_s) + self.useful + self.wear * worn)
 
     def integral(self, h: npt.ArrayLike) -> FloatArray:
         h = np.asarray(h, dtype=float)
         worn = np.clip(h - self.wear_start_s, 0.0, self.wear_span_s)
         after = np.maximum(h - self.wear_start_s - self.wear_span_s, 0.0)
-        infant = -self.infant * self.infant_time_s * np.expm1(-h / self.infant_time_s)
+        infant = -self.infant * self.infant_time_s * elementary.expm1(-h / self.infant_time_s)
         wear = self.wear * (0.5 * worn * worn + self.wear_span_s * after)
         return np.asarray(infant + self.useful * h + wear)
 
     def bounds(self, start: float, stop: float) -> tuple[float, float]:
         points = [start, stop, *(b for b in self.breaks if start < b < stop)]
         if self.infant > 0 and self.wear > 0:  # the slope vanishes where infant/infant_time e^(-h/infant_time) = wear
-            valley = self.infant_time_s * math.log(self.infant / (self.infant_time_s * self.wear))
+            valley = self.infant_time_s * float(elementary.log(self.infant / (self.infant_time_s * self.wear)))
             if max(start, self.wear_start_s) < valley < min(stop, self.wear_start_s + self.wear_span_s):
                 points.append(valley)
         values = self(points)
@@ -108,24 +109,25 @@ class KOutOfNRate:
 
     def reliability(self, h: npt.ArrayLike) -> FloatArray:
         """R(h): probability that the system still works."""
-        p = np.exp(-self.rate * np.asarray(h, dtype=float))
+        p = elementary.exp(-self.rate * np.asarray(h, dtype=float))
         return np.asarray(special.betainc(self.needed, self.installed - self.needed + 1, p))
 
     def _ratio(self, p: FloatArray) -> FloatArray:
         # R / p^k, so that numerator and denominator of the hazard keep their digits when p underflows.
         k, n = self.needed, self.installed
-        return np.asarray(sum(math.comb(n, j) * p ** (j - k) * (1 - p) ** (n - j) for j in range(k, n + 1)))
+        power = elementary.power
+        return np.asarray(sum(math.comb(n, j) * power(p, j - k) * power(1 - p, n - j) for j in range(k, n + 1)))
 
     def __call__(self, h: npt.ArrayLike) -> FloatArray:
-        p = np.exp(-self.rate * np.asarray(h, dtype=float))
+        p = elementary.exp(-self.rate * np.asarray(h, dtype=float))
         ratio = self._ratio(p)
-        density = self.needed * math.comb(self.installed, self.needed) * (1 - p) ** (self.installed - self.needed)
+        density = self.needed * math.comb(self.installed, self.needed) * elementary.power(1 - p, self.installed - self.needed)
         return np.asarray(self.rate * density / ratio)
 
     def integral(self, h: npt.ArrayLike) -> FloatArray:
         h = np.asarray(h, dtype=float)
-        p = np.exp(-self.rate * h)
-        return np.asarray(self.needed * self.rate * h - np.log(self._ratio(p)))
+        p = elementary.exp(-self.rate * h)
+        return np.asarray(self.needed * self.rate * h - elementary.log(self._ratio(p)))
 
     def bounds(self, start: float, stop: float) -> tuple[float, float]:
         return float(self(start)), float(self(stop))
@@ -166,13 +168,17 @@ class ColdStandbyRate:
         # Each term relative to the largest power: stable for long times.
         a = self.rate * np.asarray(h, dtype=float)
         orders = np.arange(self.installed)
-        log_terms = special.xlogy(orders, a[..., None]) - special.gammaln(orders + 1)
-        return special.logsumexp(log_terms, axis=-1), log_terms[..., -1]
+        factorials = np.cumsum(np.concatenate([[0.0], elementary.log(orders[1:])]))
+        with np.errstate(invalid="ignore"):  # at a = 0
+            log_terms = np.where(orders == 0, 0.0, orders * elementary.log(a)[..., None]) - factorials
+        largest = log_terms.max(axis=-1)
+        total = elementary.exp(log_terms - largest[..., None]).sum(axis=-1)
+        return largest + elementary.log(total), log_terms[..., -1]
 
     def __call__(self, h: npt.ArrayLike) -> FloatArray:
         h = np.asarray(h, dtype=float)
         total, last = self._terms(np.where(np.isinf(h), 0.0, h))
-        return np.asarray(np.where(np.isinf(h), self.rate, self.rate * np.exp(last - total)))
+        return np.asarray(np.where(np.isinf(h), self.rate, self.rate * elementary.exp(last - total)))
 
     def integral(self, h: npt.ArrayLike) -> FloatArray:
         return np.asarray(self.rate * np.asarray(h, dtype=float) - self._terms(h)[0])

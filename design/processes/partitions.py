@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from design.errors import FieldError
+from design.processes.elementary import log1p
 from design.processes.semi_markov import SemiMarkov
 
 Partition = tuple[tuple[float, ...], ...]
@@ -48,7 +49,7 @@ def equal_probability(process: SemiMarkov, sections: int) -> Partition:
     (0.0, 0.8325546111576977)
     """
     _sections(sections)
-    levels = -np.log1p(-np.arange(sections) / sections)
+    levels = -log1p(-np.arange(sections) / sections)
     out = []
     for mode in range(process.modes):
         starts = process.sojourn(mode, levels)

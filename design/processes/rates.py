@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError
+from design.processes import elementary
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -214,11 +215,11 @@ class WeibullRate:
 
     def __call__(self, h: npt.ArrayLike) -> FloatArray:
         with np.errstate(divide="ignore"):
-            power = np.power(np.asarray(h, dtype=float) / self.scale_s, self.shape - 1.0)
+            power = elementary.power(np.asarray(h, dtype=float) / self.scale_s, self.shape - 1.0)
         return np.asarray(self.shape / self.scale_s * power)
 
     def integral(self, h: npt.ArrayLike) -> FloatArray:
-        return np.asarray((np.asarray(h, dtype=float) / self.scale_s) ** self.shape)
+        return elementary.power(np.asarray(h, dtype=float) / self.scale_s, self.shape)
 
     def bounds(self, start: float, stop: float) -> tuple[float, float]:
         ends = sorted((float(self(start)), float(self(stop))))

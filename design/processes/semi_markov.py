@@ -89,7 +89,8 @@ class SemiMarkov:
     def _inversion_table(rates: Sequence[Rate]) -> tuple[FloatArray, FloatArray]:
         # Reaches H = 50 (a sojourn longer than that has probability 2e-22) or gives up growing: the rate may die out.
         scale = next((b for rate in rates for b in rate.breaks), 1.0)
-        grid = np.concatenate([[0.0], scale * np.geomspace(1e-9, 1e9, 1024)])
+        octaves = [np.ldexp(1.0 + np.arange(16) / 16.0, e) for e in range(-30, 30)]
+        grid = np.concatenate([[0.0], scale * np.concatenate(octaves)])
         total = np.sum([rate.integral(grid) for rate in rates], axis=0)
         keep = np.searchsorted(total, 50.0) + 1
         fine = np.interp(np.linspace(0.0, total[: keep + 1][-1], 1024), total[: keep + 1], grid[: keep + 1])
@@ -156,6 +157,7 @@ class SemiMarkov:
         span = values[cell] - values[cell - 1]
         part = np.divide(target - values[cell - 1], span, out=np.full_like(span, 0.5), where=span > 0)
         h = low + np.clip(part, 0.0, 1.0) * (high - low)
+        done = np.zeros(h.shape, dtype=np.bool_)
         for _ in range(80):
             error = self.integral(mode, h) - target
             low, high = np.where(error <= 0, h, low), np.where(error >= 0, h, high)
@@ -163,8 +165,8 @@ class SemiMarkov:
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = h - error / slope
             inside = np.isfinite(step) & (step > low) & (step < high)
-            new = np.where(error == 0.0, h, np.where(inside, step, 0.5 * (low + high)))
-            done = np.abs(new - h) <= 4e-16 * np.abs(new)
+            new = np.where(done | (error == 0.0), h, np.where(inside, step, 0.5 * (low + high)))
+            done |= np.abs(new - h) <= 4e-16 * np.abs(new)  # it stays: no draw depends on those beside it
             h = new
             if done.all():
                 break

@@ -74,6 +74,11 @@ class DesignedWall:
     wall: Wall = field(default_factory=Wall)
     coupler: CouplerRequest = field(default_factory=CouplerRequest)
 
+    @property
+    def gains_given(self) -> bool:
+        """Whether nothing is solved: the experiment has the taps."""
+        return self.coupler.method == "taps"
+
     def solve(self, task: DesignTask) -> VirtualWall:
         """Return the wall with the taps that run.
 

@@ -159,6 +159,11 @@ class PublishedHistorical:
 
     gains: Literal["historical", "newest"]
 
+    @property
+    def gains_given(self) -> bool:
+        """Whether nothing is solved: they are printed."""
+        return True
+
     def solve(self, task: DesignTask) -> Historical:
         """Return the gains as the controller that runs; nothing is solved."""
         from design.as_printed.historical_data import historical_gains, newest_gains

@@ -81,6 +81,11 @@ class Designed:
         if self.sojourns < 1:
             raise FieldError("sojourns", f"{self.sojourns}, expected at least 1")
 
+    @property
+    def gains_given(self) -> bool:
+        """Whether nothing is solved: a file has them."""
+        return bool(self.file)
+
     def solve(self, task: DesignTask) -> SendAll:
         """Return the gains for a loop.
 

@@ -28,6 +28,7 @@ COMMANDS = {
     "compare": "Compare experiments under common random numbers.",
     "controller": "Run only the controller of an experiment, on a link.",
     "design": "Solve a design and certify it.",
+    "solve": "Solve the gains of an experiment and store them beside it.",
     "identify": "Estimate a plant from logs.",
     "stiffness-map": "Map how stiff a virtual wall may be, certified.",
     "reproduce": "Put the thesis's numbers beside computed ones.",

@@ -53,6 +53,9 @@ def show(summary: dict[str, Any]) -> None:
             row("least cost", least_cost(claim))
     else:
         row("certificate", "none")
+    gains = summary.get("gains")
+    if gains is not None:
+        row("gains", gains["origin"] + (f": {gains['note']}" if "note" in gains else ""))
     if summary.get("safety"):
         row("safety", summary["safety"], "red")
     if "who_commands" in summary and summary["clock"] == "real":

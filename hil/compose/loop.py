@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +34,13 @@ from hil.compose.jump_plant import process_of, system_of
 from hil.compose.law_files import with_law_files
 from hil.compose.port import Port, port_of
 from hil.compose.sensors import Shared, sensor_nodes, shared_media
+from hil.compose.stored_gains import Gains, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.absent import Absent
 from hil.experiment.own_modules import is_own
 from hil.experiment.plugins import OBJECT
-from hil.experiment.protocols import Designer, JumpPlant
+from hil.experiment.protocols import Designer, GivesGains, JumpPlant, NamedController
 from hil.experiment.sensor_list import Sensor, sensors_of
 from hil.experiment.table_check import fault_at
 from hil.log.records import Channel
@@ -66,6 +68,7 @@ class Loop:
         sensors: the sensor nodes, by number, their laws tabulated too.
         media: what they share on their way to the controller.
         verdict: what is claimed of the closed loop, None if nobody asked.
+        gains: where solved gains come from; None where the experiment itself has them.
         port: force and position of a device under one force, None for another plant.
     """
 
@@ -79,6 +82,7 @@ class Loop:
     sensors: tuple[Sensor, ...]
     media: tuple[Shared, ...]
     verdict: Verdict | None
+    gains: Gains | None = None
     port: Port | None = None
 
     def __post_init__(self) -> None:
@@ -152,13 +156,40 @@ def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
         ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is
             not set.
     """
-    # Small matrices: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
-    # What overflows is judged where its number is: certificates say undecided, a run is stopped by its limits.
-    with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with _small_matrices():
         return _compose(experiment, certify)
 
 
-def _compose(experiment: Experiment, certify: bool) -> Loop:
+def solved_gains(experiment: Experiment) -> tuple[NamedController, str] | None:
+    """Solve the gains that an experiment asks for, whatever is stored; return them and the digest of their problem.
+
+    None where the experiment itself gives the gains.
+
+    Raises:
+        ExperimentError: no gains meet the request, or the problem has no digest.
+    """
+    asked: Any = experiment.controller
+    if not isinstance(asked, Designer) or (isinstance(asked, GivesGains) and asked.gains_given):
+        return None
+    with _small_matrices():
+        experiment, model = _modelled(experiment)
+        try:
+            task = _task(experiment, model)
+            return asked.solve(task), problem_digest(asked, task)
+        except (ValueError, DesignError) as e:
+            raise ExperimentError(experiment.name, [fault_at("controller", e)]) from e
+
+
+@contextmanager
+def _small_matrices() -> Iterator[None]:
+    # A second BLAS thread costs time on a quiet machine and minutes on a busy one.
+    # What overflows is judged where its number is: certificates say undecided, a run is stopped by its limits.
+    with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        yield
+
+
+def _modelled(experiment: Experiment) -> tuple[Experiment, LoopModel]:
+    """Return the experiment with its laws' files read, and what the controller knows of its plant."""
     lost = [str(part.missing()) for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
     faults = lost or size_faults(experiment)
     if faults:
@@ -169,7 +200,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         discrete = plant.model().discretise(float(experiment.period))
     except PlantError as e:
         raise ExperimentError(experiment.name, [f"period: {e}"]) from e
-    model = LoopModel(
+    return experiment, LoopModel(
         A=np.asarray(discrete.A),
         B=np.asarray(discrete.B),
         C=np.asarray(discrete.C),
@@ -178,10 +209,17 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         d_max=links.ca.max_age,
         sensors=sensor_nodes(experiment),
     )
+
+
+def _compose(experiment: Experiment, certify: bool) -> Loop:
+    experiment, model = _modelled(experiment)
+    plant, links = experiment.plant, experiment.links
     controller: Controller
+    gains: Gains | None = None
     try:
         if isinstance(experiment.controller, Designer):  # a design problem: what runs is its solution
-            controller = solved = experiment.controller.solve(_task(experiment, model))
+            solved, gains = solve_controller(experiment, _task(experiment, model))
+            controller = solved
             experiment = replace(experiment, controller=solved, kinds={**experiment.kinds, "controller": solved.kind})
         else:
             controller = experiment.controller
@@ -215,6 +253,7 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         sensors=sensors,
         media=shared_media(experiment),
         verdict=verdict,
+        gains=gains,
         port=port_of(plant),
     )
 

@@ -122,17 +122,32 @@ def experiment_from_resolved(
     return experiment
 
 
+def parse_table(group: registry.Group, raw: dict[str, Any], path: str, folder: str = ".") -> Any:
+    """Make the parameters of one plug-in from its table.
+
+    Args:
+        group: what it is.
+        raw: the table, with its ``kind``.
+        path: how messages name it.
+        folder: where a class of the user's own stands.
+
+    Raises:
+        HilError: with every fault found.
+    """
+    checker = Checker(folder)
+    checker.faults += infinite_faults(raw, "")
+    made = checker.plugin(group, _without_none(raw), path)
+    if checker.faults:
+        raise HilError("\n".join(checker.faults))
+    return made
+
+
 def parse_plugin(group: registry.Group, kind: str, sets: typing.Sequence[str] = ()) -> Any:
     """Make the parameters of one plug-in from ``key=value`` changes, as the table of an experiment file would."""
     raw: dict[str, Any] = {}
     for change in sets:
         _apply(raw, change)
-    checker = Checker()
-    checker.faults += infinite_faults(raw, "")
-    made = checker.plugin(group, {"kind": kind, **raw}, group.removeprefix("hil.").removesuffix("s"))
-    if checker.faults:
-        raise HilError("\n".join(checker.faults))
-    return made
+    return parse_table(group, {"kind": kind, **raw}, group.removeprefix("hil.").removesuffix("s"))
 
 
 def _without_none(value: Any) -> Any:

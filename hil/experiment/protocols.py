@@ -50,6 +50,18 @@ class NamedController(Protocol):
 
 
 @runtime_checkable
+class GivesGains(Protocol):
+    """A designer whose gains may be written down already, as printed ones are; one without this solves whenever it is asked."""
+
+    @property
+    def gains_given(self) -> bool:
+        """Whether nothing is solved."""
+        ...
+
+    def solve(self, task: DesignTask) -> NamedController: ...
+
+
+@runtime_checkable
 class Designer(Protocol):
     """A ``[controller]`` table that says what is to be achieved; what runs is what it solves to.
 

@@ -116,7 +116,7 @@ class DiscreteWeibull(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             slots = (math.log1p(-u) * scale) ** power
             if abs(slots - round(slots)) <= CLOSE * (1.0 + power) * (1.0 + slots):
                 return max(1, math.ceil(root(ln_complement(u) / log_q, beta)))
-            return max(1, math.ceil(slots))
+            return int(max(1, math.ceil(slots)))
 
         return sojourn
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from itertools import pairwise, starmap
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from design.processes.lifetimes import BathtubRate, ColdStandbyRate
-from design.processes.rates import PiecewiseLinearRate, WeibullRate, clip_rate, constant_rate
+from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate
+from design.processes.rates import PiecewiseLinearRate, ScaledRate, WeibullRate, clip_rate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov, sample_fault_detection, sample_path
+from design.processes.user_rate import UserRate
 
 LEVEL = 1e-3
 BATHTUB = BathtubRate(infant=3.0, infant_time_s=0.4, useful=0.2, wear=1.5, wear_start_s=0.6, wear_span_s=2.0)
@@ -22,6 +23,14 @@ PROCESS = SemiMarkov(
         (clip_rate(0.1, 4.6), None, STEP, None),
         (WeibullRate(scale_s=1.0, shape=0.7), ColdStandbyRate(installed=2, rate=3.0), None, None),
         (constant_rate(2.0), None, None, None),
+    )
+)
+USER = UserRate(function=lambda h: 1.0 + 0.5 * h / (1.0 + h), lower=1.0, upper=1.5, horizon_s=3.0)
+AGEING = SemiMarkov(
+    rates=(
+        (None, KOutOfNRate(needed=2, installed=4, rate=0.8), ScaledRate(rate=WeibullRate(scale_s=2.0, shape=1.3), factor=0.7)),
+        (USER, None, ColdStandbyRate(installed=9, rate=4.0)),
+        (constant_rate(1.0), BATHTUB, None),
     )
 )
 
@@ -83,13 +92,16 @@ def test_a_mode_without_exit_never_jumps_and_a_dying_rate_may_not() -> None:
     assert target.tolist() == [1, 0, 1]
 
 
-def test_same_draws_give_same_jumps_however_the_runs_are_split() -> None:
+@pytest.mark.parametrize("process", [PROCESS, AGEING], ids=["shapes", "ageing"])
+def test_same_draws_give_same_jumps_however_the_runs_are_split(process: SemiMarkov) -> None:
     rng = np.random.default_rng(1)
     mode, e, u = rng.integers(0, 4, 1000), rng.standard_exponential(1000), rng.random(1000)
-    h, target = PROCESS.jump(mode, 0.0, e, u)
-    parts = [PROCESS.jump(mode[s], 0.0, e[s], u[s]) for s in (slice(0, 137), slice(137, 1000))]
-    assert np.array_equal(h, np.concatenate([p[0] for p in parts]))
-    assert np.array_equal(target, np.concatenate([p[1] for p in parts]))
+    age = np.where(rng.random(1000) < 0.5, 0.0, rng.random(1000))
+    h, target = process.jump(mode % process.modes, age, e, u)
+    for edges in ((0, 137, 1000), (0, 1, 2, 3, 500, 999, 1000), (0, *range(5, 1000, 7), 1000)):
+        parts = [process.jump(mode[s] % process.modes, age[s], e[s], u[s]) for s in starmap(slice, pairwise(edges))]
+        assert np.array_equal(h, np.concatenate([p[0] for p in parts]))
+        assert np.array_equal(target, np.concatenate([p[1] for p in parts]))
 
 
 def test_path_of_two_clocks_restarts_what_it_was_told_to() -> None:

@@ -1,0 +1,34 @@
+"""``hil solve``: solve the gains that experiments ask for, and store them beside their files."""
+
+from __future__ import annotations
+
+import click
+
+from hil.errors import HilError
+
+
+@click.command()
+@click.argument("experiments", metavar="EXPERIMENT...", nargs=-1, required=True)
+def command(experiments: tuple[str, ...]) -> None:
+    """Solve the gains of every EXPERIMENT and store them in gains/NAME.json beside its file.
+
+    What is solved differs from machine to machine in its last digits. With the file beside it an experiment has the same
+    bits on every machine. The file holds the digest of its problem: after a change of plant, network or request the
+    gains are solved where they run, the summary says so, and this command stores them anew.
+
+    Exit status 2 where an experiment asks for no design, or no gains meet its request.
+    """
+    from hil.cli.outputs import write_output
+    from hil.compose.loop import solved_gains
+    from hil.compose.stored_gains import gains_file, gains_text
+    from hil.experiment import load_experiment
+
+    for name in experiments:
+        experiment = load_experiment(name)
+        found = solved_gains(experiment)
+        if found is None:
+            raise HilError(f"{name}: its gains are given; there is nothing to solve")
+        path = gains_file(experiment)
+        path.parent.mkdir(exist_ok=True)
+        write_output(path, gains_text(experiment, *found), replace=True)
+        print(f"{path}: gains of {experiment.name} ({found[0].kind})")

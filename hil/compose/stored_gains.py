@@ -1,0 +1,142 @@
+"""Gains that a solver wrote into a file beside their experiment: what runs is the same on every machine.
+
+The last digits of what is solved depend on the machine, by its BLAS and its ``libm``. So the gains of an experiment that asks for
+a design stand in ``gains/NAME.json`` beside it, with the digest of the problem that they solve. Only gains are taken from there:
+their certificate is computed from them, as of any others. ``hil solve`` writes the file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+import numpy as np
+
+from design.controllers import Controller
+from design.requests.task import DesignTask
+from design.verdict import digest
+from hil.errors import ExperimentError, HilError
+from hil.experiment import Experiment
+from hil.experiment.load import parse_table
+from hil.experiment.plain_form import plain
+from hil.experiment.protocols import Designer, GivesGains, NamedController
+from hil.regular_file import read_regular
+
+FORMAT: Final = "hilrig-gains/1"
+LARGEST: Final = 16_000_000
+"""Bytes of a file."""
+
+Origin = Literal["stored", "solved here"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gains:
+    """Where the gains of a run come from.
+
+    Args:
+        origin: ``stored``, from a file beside the experiment: the same on every machine; or ``solved here``.
+        note: why they were solved here, and what helps; nothing where they were stored.
+    """
+
+    origin: Origin
+    note: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Return it as the summary of a run has it."""
+        return {"origin": self.origin, **({"note": self.note} if self.note else {})}
+
+
+class NoDigest(ValueError):
+    """A part of the problem has no digest, such as a function."""
+
+
+def gains_file(experiment: Experiment) -> Path:
+    """Return where the gains of an experiment stand."""
+    return Path(experiment.folder) / "gains" / f"{experiment.name}.json"
+
+
+def solve_controller(experiment: Experiment, task: DesignTask) -> tuple[NamedController, Gains | None]:
+    """Return the controller that an experiment asks for, stored or solved, and where its gains come from.
+
+    Args:
+        experiment: its controller is a `Designer`.
+        task: the loop.
+
+    Returns:
+        the controller, and None where the experiment itself gives the gains.
+
+    Raises:
+        ValueError, DesignError: as `Designer.solve`.
+    """
+    asked: Any = experiment.controller
+    if isinstance(asked, GivesGains) and asked.gains_given:
+        return asked.solve(task), None
+    path = gains_file(experiment)
+    try:
+        own = problem_digest(asked, task)
+    except NoDigest as error:
+        return asked.solve(task), Gains(origin="solved here", note=f"{error}, so that no file can hold them")
+    stored, why = _stored(path, own, experiment.folder)
+    if stored is not None:
+        return stored, Gains(origin="stored")
+    note = f"{path.parent.name}/{path.name} {why}; `hil solve` stores them, for the same bits on every machine"
+    return asked.solve(task), Gains(origin="solved here", note=note)
+
+
+def problem_digest(request: Designer, task: DesignTask) -> str:
+    """Return the SHA-256 of what decides the gains: the request and the loop, number by number."""
+    parts = {f.name: _said(getattr(task, f.name)) for f in dataclasses.fields(task) if f.name != "folder"}
+    return digest({"request": _said(request), **parts})
+
+
+def gains_text(experiment: Experiment, controller: NamedController, own: str) -> str:
+    """Return the text of a file of gains.
+
+    Args:
+        experiment: whose they are.
+        controller: what was solved.
+        own: digest of the problem.
+    """
+    said = {"format": FORMAT, "experiment": experiment.name, "problem": own, "kind": controller.kind}
+    return json.dumps({**said, "controller": plain(controller)}, indent=1) + "\n"
+
+
+def _stored(path: Path, own: str, folder: str) -> tuple[NamedController | None, str]:
+    """Return the controller of a file, or None and why not."""
+    if not path.exists():
+        return None, "is not there"
+    try:
+        said = json.loads(read_regular(path, LARGEST, "a file of gains"))
+        if not isinstance(said, dict) or said.get("format") != FORMAT or not isinstance(said.get("controller"), dict):
+            return None, f"is no file of gains ({FORMAT})"
+        if said.get("problem") != own:
+            return None, "is of another problem"
+        made = parse_table("hil.controllers", {**said["controller"], "kind": said.get("kind")}, "controller", folder)
+    except (HilError, ExperimentError, ValueError, RecursionError) as error:
+        return None, f"cannot be used: {str(error).splitlines()[0]:.200}"
+    if not isinstance(made, Controller):
+        return None, "holds no controller that runs"
+    return made, ""  # type: ignore[return-value]  # made by its kind's table
+
+
+def _said(value: Any) -> Any:
+    """Return a value as `digest` takes it; what is no number, text, table or list has no digest."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {f.name: _said(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+        return {"class": type(value).__qualname__, **fields}
+    if isinstance(value, msgspec.Struct):
+        return {"class": type(value).__qualname__, **{f: _said(getattr(value, f)) for f in value.__struct_fields__}}
+    if isinstance(value, np.ndarray | np.generic):
+        return _said(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(k): _said(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_said(v) for v in value]
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise NoDigest(f"the problem holds a {type(value).__name__}")
