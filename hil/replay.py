@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from operator import itemgetter
+from typing import Literal
 
 import numpy as np
 from msgspec.structs import replace
@@ -26,7 +27,7 @@ from hil.log.growing import Growing, pieces, whole
 from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
 from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING
-from hil.replay_compare import BATCH, Comparison
+from hil.replay_compare import BATCH, Comparison, near_frames
 from hil.replay_recorded import Heard, frames, recorded_wire
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
@@ -40,15 +41,21 @@ REMEMBERED = 4096
 """Slots beyond the longest delay of which answers are kept."""
 
 
+Likeness = Literal["same bits", "same within 1e-9", "different"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """Outcome of a verification.
 
     Args:
-        answers, states: control packets and plant states that were compared and found identical.
-        difference: the first differing sample, None if all are identical.
+        likeness: ``same bits``; ``same within 1e-9`` of the largest value of every signal, and of what a frame carries two units
+            in the last place of single precision; or ``different``.
+        answers, states: control packets and plant states that were compared and found alike.
+        difference: the first sample that is not alike, None if all bits are the same.
     """
 
+    likeness: Likeness
     answers: int
     states: int
     difference: str | None
@@ -120,7 +127,8 @@ class Recorded:
         self._node, self._heard, self._foreign = ControlNode(loop), heard, foreign
         self._period_ns = loop.experiment.period_ns
         self._answer: bytes | None = None
-        self.difference: tuple[int, str] | None = None
+        self.difference: tuple[int, str] | None = None  # of bits
+        self.far: tuple[int, str] | None = None
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
         """Ask our controller."""
@@ -136,11 +144,13 @@ class Recorded:
         hear(recorded)
         if not self._foreign and self._answer != recorded:
             text = f"control packet of slot {k}: {_words(recorded)} recorded, {_words(self._answer)} now"
-            self.difference = (k, text)
+            self.difference = self.difference or (k, text)
+            if self._answer is None or not near_frames(recorded, self._answer):
+                self.far = (k, text)
 
 
 def verify(run: Run, source: str = "log", experiment: Experiment | None = None) -> Verdict:
-    """Run controller and rig again on the recorded control packets; compare every record, bit for bit.
+    """Run controller and rig again on the recorded control packets; compare every record.
 
     What is not compared: times measured (``/timing/tick``), late packets, events, and the packets of a foreign controller.
 
@@ -166,20 +176,23 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     again = Comparison(run, channels, compared, slots)
     rig = Rig(loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, recorded_wire(run))
     recorded = Recorded(loop, heard, foreign)
-    slot = Slot(rig, recorded, stopped=lambda: recorded.difference is not None)
+    slot = Slot(rig, recorded, stopped=lambda: recorded.far is not None)
     for k in range(slots):
         slot.run(k * experiment.period_ns)
-        if recorded.difference is not None:
+        if recorded.far is not None:
             slots = k
             break
         if k % BATCH == BATCH - 1:
             again.compare()
     again.compare()
-    differences = [] if recorded.difference is None else [recorded.difference]
-    differences += again.differences(slots)
-    first, text = min(differences, default=(slots, None))
-    answers = 0 if foreign else heard.answered(first)
-    return Verdict(answers=answers, states=min(first, slots), difference=text)
+    far = again.far(slots) + ([] if recorded.far is None else [recorded.far])
+    exact = again.differences(slots) + ([] if recorded.difference is None else [recorded.difference])
+    likeness: Likeness = "different" if far else "same within 1e-9" if exact else "same bits"
+    _, text = min(far or exact, default=(slots, None))
+    alike = min(far, default=(slots, ""))[0]
+    return Verdict(
+        likeness=likeness, answers=0 if foreign else heard.answered(alike), states=min(alike, slots), difference=text
+    )
 
 
 def _words(data: bytes | None) -> str:

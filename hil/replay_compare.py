@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,9 +11,16 @@ from hil.log.read.arrays import StructuredArray, assemble
 from hil.log.records import Channel
 from hil.log.run import Run
 from hil.log.write.sinks import MemorySink
+from transport.packets import decode
 
 BATCH: Final = 2048
 """Slots whose records are compared together."""
+
+NEAR: Final = 1e-9
+"""Of the largest value of a signal so far: what another machine's last bits come to at most, where something is not exact."""
+
+WIRE: Final = 2.0**-22
+"""The same of what a frame carries, which is rounded to single precision: two units in its last place."""
 
 _NONE: Final[StructuredArray] = np.empty(0, [("tick", np.int64)])
 
@@ -52,7 +59,12 @@ class Comparison:
         Args:
             slots: later ones are left out.
         """
-        found = [own.finish(slots) for own in self._topics.values()]
+        found = [own.finish(slots).exact for own in self._topics.values()]
+        return [difference for difference in found if difference is not None and difference[0] < slots]
+
+    def far(self, slots: int) -> list[Difference]:
+        """Return of every topic the first difference beyond `NEAR`, as `differences`."""
+        found = [own.finish(slots).far for own in self._topics.values()]
         return [difference for difference in found if difference is not None and difference[0] < slots]
 
 
@@ -60,18 +72,32 @@ class _Topic:
     def __init__(self, topic: str, run: Run, slots: int) -> None:
         self._topic, self._slots = topic, slots
         self._recorded = _Reader(in_time(piece) for piece in run.pieces(topic, BATCH))
-        self._found: Difference | None = None
+        self._largest: dict[str, float] = {}
+        self._ended = False
+        self.exact: Difference | None = None
+        self.far: Difference | None = None
 
     def take(self, now: StructuredArray) -> None:
-        if self._found is None:
+        if self.far is None:
             now = now[now["tick"] < self._slots]
-            self._found = _difference(self._topic, self._recorded.next(len(now), self._slots), now)
+            self._compare(self._recorded.next(len(now), self._slots), now)
 
-    def finish(self, slots: int) -> Difference | None:
-        if self._found is None:
+    def finish(self, slots: int) -> _Topic:
+        if self.far is None and not self._ended:
             left = self._recorded.next(1, slots)
-            self._found = _difference(self._topic, left, left[:0])
-        return self._found
+            self._compare(left, left[:0])
+        self._ended = True
+        return self
+
+    def _compare(self, recorded: StructuredArray, now: StructuredArray) -> None:
+        found = _difference(self._topic, recorded, now)
+        self.exact = self.exact or found
+        for name in now.dtype.names or ():
+            if recorded.dtype.names and now[name].dtype.kind == "f" and len(recorded):
+                sizes = np.abs(recorded[name][np.isfinite(recorded[name])])
+                self._largest[name] = max(self._largest.get(name, 0.0), float(sizes.max(initial=0.0)))
+        if found is not None:
+            self.far = _difference(self._topic, recorded, now, self._largest)
 
 
 class _Reader:
@@ -102,12 +128,42 @@ def in_time(records: StructuredArray) -> StructuredArray:
     return records[records["late"] == 0] if "late" in (records.dtype.names or ()) else records
 
 
-def _difference(topic: str, recorded: StructuredArray, now: StructuredArray) -> Difference | None:
-    """Return the first slot in which two series of records differ, and how."""
+def near_frames(recorded: bytes, now: bytes) -> bool:
+    """Return whether two frames carry the same but for the last bits of their numbers."""
+    a, b = decode(recorded), decode(now)
+    return type(a) is type(b) and _near(a, b)
+
+
+def _near(a: Any, b: Any) -> bool:
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(_near(x, y) for x, y in zip(a, b))
+    if isinstance(a, float) and isinstance(b, float):
+        return a == b or abs(a - b) <= WIRE * max(abs(a), abs(b)) or (a != a and b != b)
+    return bool(a == b)
+
+
+def _difference(
+    topic: str, recorded: StructuredArray, now: StructuredArray, largest: Mapping[str, float] | None = None
+) -> Difference | None:  # fmt: skip
+    """Return the first slot in which two series of records differ, and how.
+
+    Args:
+        topic: of the records.
+        recorded, now: the series.
+        largest: of every signal the largest value so far: what is `NEAR` to another then is the same.
+    """
     n = min(len(recorded), len(now))
     a, b = recorded[:n], now[:n]
     names = [name for name in now.dtype.names or () if name != "tick"] if n else []
     differs = {name: (a[name] != b[name]) & ((a[name] == a[name]) | (b[name] == b[name])) for name in ["tick", *names]}
+    if largest is not None:
+        for name in names:
+            for i in np.flatnonzero(differs[name]).tolist():
+                x, y = a[name][i], b[name][i]
+                if isinstance(x, bytes):
+                    differs[name][i] = not near_frames(x, y)
+                elif a[name].dtype.kind == "f":
+                    differs[name][i] = not abs(float(x) - float(y)) <= NEAR * largest.get(name, 0.0)
     where = np.flatnonzero(np.any([*differs.values()], axis=0))
     if not where.size and len(recorded) == len(now):
         return None

@@ -135,6 +135,12 @@ def _packages() -> Check:
     return "package ownership", True, f"hil, plants, transport, design are hilrig's, Python {sys.version.split()[0]}", ""
 
 
+def _machine() -> tuple[bool, str, str]:
+    from hil.cli.machine_kind import told
+
+    return True, f"{told()}; runs in virtual time have the same bits on all kinds", ""
+
+
 def _who(uri: str | None) -> tuple[bool, str, str]:
     from transport.links.who_commands import who_commands
 
@@ -156,6 +162,7 @@ def command(link: str | None, as_json: bool) -> None:
 
     checks = [_ours("who could command a rig", partial(_who, link)), _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), _own_vcan(), _zenoh(), _ours("zenoh round trip", _zenoh_cpus), _scheduler(), _idle(), _clock(), _cpus(),
+              _ours("kind of machine", _machine),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     if as_json:

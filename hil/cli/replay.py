@@ -23,7 +23,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--verify", "do_verify", is_flag=True, help="Re-run controller and plant; compare bit for bit.")
+@click.option("--verify", "do_verify", is_flag=True, help="Re-run controller and plant; compare every record.")
 @click.option("--key", type=click.Path(path_type=Path), metavar="PUB", help="With --verify: who signed the log (signing.pub).")
 @click.option("--controller", metavar="NAME", help="What would this controller have commanded?")
 @click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller.")
@@ -46,7 +46,11 @@ def command(
 ) -> None:
     """Replay the log FILE. Without an option: --verify.
 
-    Exit status: 0; 1 if --verify finds a difference, or the log is not what the holder of --key signed; 2 bad input.
+    It says "same bits", "same within 1e-9" (a log of another machine, where something is not exact), or "different", with
+    the first sample that differs, and the SHA-256 of the records: of one experiment and seed in virtual time the same on
+    every machine.
+
+    Exit status: 0; 1 if --verify finds it different, or the log is not what the holder of --key signed; 2 bad input.
     """
     from hil.cli.outputs import check_output
     from hil.log.read.run import read_run
@@ -93,20 +97,25 @@ def _signed(file: Path, key: Path) -> Run:
 
 def _verify(run: Run, file: Path, folder: str | None, as_json: bool) -> None:
     from hil.cli.terminal import visible
+    from hil.log.records_digest import records_sha256
     from hil.replay import changed_files, experiment_of, verify
 
     experiment = experiment_of(run, str(file), folder=folder)
     for sentence in changed_files(run, experiment):
         print(f"hil: {visible(sentence)}", file=sys.stderr)
     verdict = verify(run, str(file), experiment)
+    sha256 = records_sha256(run)
     if as_json:
-        found = {"identical": verdict.difference is None, "difference": verdict.difference}
-        print(json.dumps({**found, "answers": verdict.answers, "states": verdict.states}, indent=2))
-    elif verdict.difference is None:
-        print(f"identical: {verdict.answers} control packets, {verdict.states} plant states")
+        found = {"likeness": verdict.likeness, "identical": verdict.difference is None, "difference": verdict.difference}
+        counts = {"answers": verdict.answers, "states": verdict.states}
+        print(json.dumps({**found, **counts, "records_sha256": sha256}, indent=2))
     else:
-        print(f"different: {verdict.difference}")
-    sys.exit(0 if verdict.difference is None else 1)
+        alike = f"{verdict.likeness}: {verdict.answers} control packets, {verdict.states} plant states"
+        print(alike if verdict.likeness != "different" else f"different: {verdict.difference}")
+        if verdict.likeness == "same within 1e-9":
+            print(f"first other bits: {verdict.difference}")
+        print(f"records: SHA-256 {sha256}")
+    sys.exit(1 if verdict.likeness == "different" else 0)
 
 
 def _what_if(

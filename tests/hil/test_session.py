@@ -23,6 +23,7 @@ from hil.measure.view import view_of
 from hil.replay import verify, what_if
 from hil.session import run_session, simulate
 from hil.sweeps.seeds import statistics, sweep
+from transport.packets import ControlPacket, decode, encode_control
 
 
 def hil(*args: str, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
@@ -64,11 +65,30 @@ def test_json_summary_has_everything_that_is_promised(tmp_path: Path) -> None:
 def test_log_verifies_and_a_changed_log_does_not(tmp_path: Path) -> None:
     session = run_session(load_experiment("dc-motor-smith", ["duration=10"]), path=tmp_path / "a.mcap")
     verdict = verify(session.run)
-    assert verdict.difference is None and verdict.answers == verdict.states == 200
+    assert verdict.likeness == "same bits" and verdict.difference is None and verdict.answers == verdict.states == 200
     run = read_run(tmp_path / "a.mcap")
-    run.arrays["/plant/state"]["speed"][77] += 1e-12
+    run.arrays["/plant/state"]["speed"][77] += 1e-6
     verdict = verify(run)
-    assert "/plant/state of slot 77: speed" in (verdict.difference or "") and verdict.answers == verdict.states == 77
+    assert verdict.likeness == "different" and verdict.answers == verdict.states == 77
+    assert "/plant/state of slot 77: speed" in (verdict.difference or "")
+
+
+def test_a_log_of_a_machine_with_other_last_bits_is_told_from_one_that_differs(tmp_path: Path) -> None:
+    run = run_session(load_experiment("dc-motor-hinf", ["duration=5"]), path=tmp_path / "a.mcap").run
+    run.arrays["/plant/state"]["speed"][77] += 1e-12
+    run.arrays["/plant/state"]["speed"][90] -= 1e-13
+    verdict = verify(run)
+    assert (verdict.likeness, verdict.answers, verdict.states) == ("same within 1e-9", 100, 100)
+    assert "/plant/state of slot 77: speed" in (verdict.difference or "")
+    frames = run.arrays["/link/control"]["data"]
+    packet = decode(frames[60])
+    assert isinstance(packet, ControlPacket)
+    for change, likeness in ((1.0 + 2.0**-23, "same within 1e-9"), (1.0 + 2.0**-20, "different")):
+        rows = tuple(tuple(change * u for u in row) for row in packet.rows)
+        again = read_run(tmp_path / "a.mcap")
+        again.arrays["/link/control"]["data"][60] = encode_control(packet._replace(rows=rows))
+        found = verify(again)
+        assert found.likeness == likeness and "slot 60" in (found.difference or ""), change
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,56 @@
+"""One seed, one SHA-256: on this machine as it is, and under what stands for other processors.
+
+Every shipped experiment over 5 s, sweeps split three ways, jumps split at odd places, and two studies, each compared with the one
+file of the tests, which ``python -m tests.records_sha256`` writes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.cli.machine_kind import stand_ins
+from hil.experiment import load_experiment, shipped
+from hil.log.read.run import read_run
+from hil.log.records_digest import records_sha256
+from tests.records_sha256 import FILE
+
+HERE = {"as it is": {}, **stand_ins()}
+WAYS = [("1", "whole"), ("2", "odd"), ("7", "sevens")]
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.mark.parametrize("machine", HERE)
+def test_every_machine_comes_to_the_same_bits(machine: str, tmp_path: Path) -> None:
+    way = WAYS[list(HERE).index(machine) % len(WAYS)]
+    environment = {**os.environ, **HERE[machine], "XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-m", "tests.records_sha256", *way], cwd=ROOT, env=environment, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    now, written = json.loads(done.stdout), json.loads(FILE.read_text())
+    assert [name for name in written if now.get(name) != written[name]] == [] and list(now) == list(written)
+    assert not list(tmp_path.rglob("*.json")), "nothing was solved here"
+
+
+def test_a_machine_has_stand_ins_for_others() -> None:
+    assert len(HERE) >= (5 if os.uname().machine == "x86_64" else 1)
+
+
+def test_the_file_names_every_shipped_experiment() -> None:
+    assert set(shipped()) <= set(json.loads(FILE.read_text()))
+
+
+@pytest.mark.parametrize("name", ["dc-motor-ours-h2", "omni-push"])
+def test_a_log_holds_the_records_of_which_the_file_has_the_sha256(name: str, tmp_path: Path) -> None:
+    session = hil.run(load_experiment(name, duration="5"), log=tmp_path / "a.mcap")
+    written = json.loads(FILE.read_text())[name]
+    assert records_sha256(read_run(tmp_path / "a.mcap")) == records_sha256(session.run) == written
+    assert session.summary["gains"] == {"origin": "stored"}
