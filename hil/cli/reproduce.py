@@ -30,15 +30,17 @@ COLOURS = ("green", "yellow", "red", "blue")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="Write the page with the figures here; for all, a folder."
 )
-def command(chapter: str, as_json: bool, output: Path | None) -> None:
+@click.option("--power", "with_power", is_flag=True, help="Say too how many rows a number that is 10 % off turns.")
+def command(chapter: str, as_json: bool, output: Path | None, with_power: bool) -> None:
     """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch5, ch6, ch7), or all: every number, and with -o every figure.
 
-    The rule beside each row decides its verdict from its numbers. With -o what is finished is kept in a file
+    The rule beside each row decides its verdict from its numbers, and says what kind of claim it is. With -o
+    what is finished is kept in a file
     beside the page (reproduce.state in the folder of all, PAGE.state for one) until everything is: after Ctrl-C the same
     command goes on from there.
     """
     from hil.cli.outputs import write_output
-    from hil.reproduce import chapters, reproduce
+    from hil.reproduce import chapters, power, power_in_words, reproduce
     from hil.reproduce.kept import KeptStages
     from hil.reproduce.pages import chapter_page, index_page
 
@@ -62,6 +64,8 @@ def command(chapter: str, as_json: bool, output: Path | None) -> None:
                 click.echo(f"figures: {pages[name]}", err=True)
             if not as_json:
                 _show(results[name])
+        if with_power and not as_json:
+            click.echo(power_in_words([row for result in results.values() for row in result.rows]))
         if chapter == ALL and output is not None:
             write_output(pages[ALL], index_page(results))
             click.echo(f"index: {pages[ALL]}", err=True)
@@ -69,6 +73,8 @@ def command(chapter: str, as_json: bool, output: Path | None) -> None:
             kept.done()
     if as_json:
         found: dict[str, Any] = {name: result.to_json() for name, result in results.items()}
+        if with_power:
+            found = {name: {**each, "power": power(results[name].rows)} for name, each in found.items()}
         print(json.dumps(found if chapter == ALL else found[chapter], indent=2))
 
 

@@ -1,7 +1,8 @@
 """The thesis's numbers beside computed ones: one room per chapter, each with a module ``numbers`` that holds its `Chapter`.
 
-A row says what is printed, what comes out, and by which rule the one is judged against the other (``judgement``): no verdict is
-written down. A chapter is a list of stages (``chapter``); ``pages`` draws the results.
+A statement is data: what is printed, which computed number, by which rule (``statements``); a row is a statement judged, and no
+verdict is written down (``judgement``). A chapter is a list of stages (``chapter``); ``pages`` draws the results, ``power`` says
+what the rules can tell.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import pkgutil
 
 from hil.reproduce.chapter import Chapter, Kept, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
 from hil.reproduce.judgement import VERDICTS, Check, Row, Verdict
+from hil.reproduce.power import power, power_in_words
+from hil.reproduce.statements import Statement
 
 __all__ = [
     "VERDICTS",
@@ -24,9 +27,12 @@ __all__ = [
     "Reproduction",
     "Row",
     "Stage",
+    "Statement",
     "Step",
     "Verdict",
     "chapters",
+    "power",
+    "power_in_words",
     "reproduce",
     "seconds_left",
 ]  # fmt: skip

@@ -1,17 +1,19 @@
 """A chapter as a list of stages, each of which gives rows and figures and stands alone: what was done could be kept.
 
-A chapter's room has a module ``numbers`` with ``CHAPTER = Chapter(title=..., stages=(Stage(...), ...))``. A stage takes a
-function that it tells how far it is, and returns a `Part`. Stages share nothing but the code they call.
+A chapter's room has a module ``numbers`` with ``CHAPTER = Chapter(title=..., stages=(Stage(...), ...))``. A stage computes
+numbers by name and tells how far it is; its `Statement` s are judged by them.
+Stages share nothing but the code they call.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from hil.report.html.figures import Bars, Figure, Histogram
 from hil.reproduce.judgement import VERDICTS, Row
+from hil.reproduce.statements import Statement, judge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,13 +47,20 @@ class Stage:
 
     Args:
         title: what it computes, in a few words.
-        compute: takes a `ReportProgress`, returns rows and figures.
+        compute: takes a `ReportProgress`, returns numbers by name; under ``figures`` those that it draws.
         seconds: how long it takes on two quiet cores, by which the remaining time is told; no promise.
+        statements: what is judged by the numbers.
     """
 
     title: str
-    compute: Callable[[ReportProgress], Part]
+    compute: Callable[[ReportProgress], Mapping[str, Any]]
     seconds: float = 1.0
+    statements: Sequence[Statement] = ()
+
+    def part(self, report_progress: ReportProgress) -> Part:
+        """Compute the numbers and judge the statements by them."""
+        values = self.compute(report_progress)
+        return Part(rows=judge(self.statements, values), figures=tuple(values.get("figures", ())))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +157,7 @@ def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Kept | N
             )  # fmt: skip
 
         report_progress("")
-        found = parts[stage.title] = stage.compute(report_progress)
+        found = parts[stage.title] = stage.part(report_progress)
         if kept:
             kept.put(name, stage.title, found)
         seconds, left = seconds + stage.seconds, left - stage.seconds

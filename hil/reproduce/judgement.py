@@ -8,36 +8,41 @@ and, for a claim that we say is wrong, the *witness*: checks that refute it.
     else, a check fails                  ->  not reproduced
     else                                 ->  undecided
 
-A statistic has an interval besides its value, and its check holds or fails only if the whole interval does. Where the interval
-lies across the limit the check is undecided: more runs would be needed. No row is given a verdict. A check is one computed
-number (or word) and one rule, so that a wrong number turns it:
+There is one rule for each kind of number, and its kind stands beside it:
 
-    near("norm", h2_norm(loop), 0.1225, relative=0.01)          a printed number and a tolerance
-    standard_errors("mean", mean, 9.91, sd=2.2, runs=10_000)    a printed Monte-Carlo mean against ours
-    rank("share of runs below 0.0356", sums, 0.0356)            a printed single run among emulated ones, whatever their law
-    below("radius", radius, 1.0)    above(...)    within(...)   one-sided claims, intervals
-    says("verdict", certificate.verdict, "refused")             a word that a certificate says, never one that we write down
+    equality    a printed number, to half a unit of its last digit; a mean of runs, to four standard errors (`Near`)
+    one run     a printed run among ours: error rate 1 %, and power against runs of half or twice the size (`Drawn`)
+    one-sided   a limit or an interval (`Within`)
+    word        what a certificate or a search says, never one that we write down (`Is`)
+    untold      a number that is shown and not judged, because what it depends on is not at hand (`Untold`)
+
+A check is undecided, and so decides nothing, where the data cannot tell: a statistic whose interval lies across the limit, an
+equality that a number 10 % off would fulfil, a run that would also be one of runs of half or twice the size.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 Verdict = Literal["reproduced", "not reproduced", "claim false", "undecided"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+Kind = Literal["equality", "one run", "one-sided", "word", "untold"]
 Value = float | str
 
-ERRORS = 4.0
-"""Standard errors that a Monte-Carlo mean may be off: two-sided error rate 6e-5 for a normal mean."""
+OFF = 0.1
+"""An equality that a number this share off would fulfil decides nothing."""
 
 TAIL = 0.005
 """Share of emulated runs that must lie on either side of a printed run: two-sided error rate 1 %, whatever the law."""
+
+SIZES = (0.5, 2.0)
+"""A printed run that is also one of runs of these sizes, beside ours, decides nothing."""
 
 LEVEL = 0.99
 """Of the interval of a share of runs (Clopper and Pearson)."""
@@ -46,37 +51,47 @@ LEVEL = 0.99
 class Rule(Protocol):
     """What a computed value must fulfil."""
 
-    def holds(self, value: Value) -> bool:
-        """Whether the value fulfils it; NaN never does."""
+    kind: ClassVar[Kind]
+
+    def says(self, value: Value) -> bool | None:
+        """Whether the value fulfils it, None where that cannot be told; NaN never does."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """|value - printed| <= max(relative |printed|, absolute)."""
+    """|value - printed| <= tolerance; ``scale`` is the size of what is compared where ``printed`` is 0."""
 
+    kind: ClassVar[Kind] = "equality"
     printed: float
-    relative: float = 0.0
-    absolute: float = 0.0
+    tolerance: float = 0.0
     why: str = ""
+    scale: float = 1.0
 
-    def holds(self, value: Value) -> bool:
-        """See `Rule`."""
-        return abs(float(value) - self.printed) <= max(self.relative * abs(self.printed), self.absolute)
+    @property
+    def size(self) -> float:
+        """Of the number that is compared."""
+        return abs(self.printed) or self.scale
+
+    def says(self, value: Value) -> bool | None:
+        """See `Rule`; None for a value that fulfils it where one that is `OFF` could too."""
+        if not abs(float(value) - self.printed) <= self.tolerance:
+            return False
+        return True if (2.0 + OFF) * self.tolerance < OFF * self.size else None
 
     def __str__(self) -> str:
-        size = max(self.relative * abs(self.printed), self.absolute)
-        return f"within {size:.3g} of {self.printed:g}" + (f" ({self.why})" if self.why else "")
+        return f"within {self.tolerance:.3g} of {self.printed:.6g}" + (f" ({self.why})" if self.why else "")
 
 
 @dataclass(frozen=True, slots=True)
 class Within:
     """low < value < high."""
 
+    kind: ClassVar[Kind] = "one-sided"
     low: float = -math.inf
     high: float = math.inf
 
-    def holds(self, value: Value) -> bool:
+    def says(self, value: Value) -> bool | None:
         """See `Rule`."""
         return self.low < float(value) < self.high
 
@@ -87,17 +102,53 @@ class Within:
 
 
 @dataclass(frozen=True, slots=True)
+class Drawn:
+    """tail < share of our runs below the printed one < 1 - tail; ``passes``: sizes of our runs at which it would hold too."""
+
+    kind: ClassVar[Kind] = "one run"
+    tail: float = TAIL
+    passes: tuple[float, ...] = ()
+
+    def says(self, value: Value) -> bool | None:
+        """See `Rule`; None for a share that fulfils it where runs of half or twice the size do too."""
+        if not self.tail < float(value) < 1.0 - self.tail:
+            return False
+        return None if set(SIZES) & set(self.passes) else True
+
+    def __str__(self) -> str:
+        without = "; passes at the size {}, so it decides nothing".format(", ".join(f"{s:g}" for s in SIZES if s in self.passes))
+        power = without if set(SIZES) & set(self.passes) else "; turned away at half and at twice the size"
+        return f"between {self.tail:g} and {1.0 - self.tail:g} (error rate {2.0 * self.tail:.0%}{power})"
+
+
+@dataclass(frozen=True, slots=True)
 class Is:
     """The value is this word."""
 
+    kind: ClassVar[Kind] = "word"
     word: str
 
-    def holds(self, value: Value) -> bool:
+    def says(self, value: Value) -> bool | None:
         """See `Rule`."""
         return value == self.word
 
     def __str__(self) -> str:
         return f"is {self.word!r}"
+
+
+@dataclass(frozen=True, slots=True)
+class Untold:
+    """The value cannot be judged."""
+
+    kind: ClassVar[Kind] = "untold"
+    why: str
+
+    def says(self, value: Value) -> bool | None:
+        """See `Rule`."""
+        return None
+
+    def __str__(self) -> str:
+        return f"cannot be judged: {self.why}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,70 +168,42 @@ class Check:
     interval: tuple[float, float] | tuple[()] = ()
 
     @property
+    def outcome(self) -> bool | None:
+        """Whether the value, and all of its interval, fulfils the rule; None where the data cannot tell."""
+        said = {self.rule.says(value) for value in (self.value, *self.interval)}
+        return said.pop() if len(said) == 1 else None
+
+    @property
     def holds(self) -> bool:
-        """Whether the value, and all of its interval, fulfils the rule."""
-        return all(self._said)
+        """Whether the rule is fulfilled."""
+        return self.outcome is True
 
     @property
     def undecided(self) -> bool:
-        """Whether only a part of the interval fulfils the rule."""
-        return any(self._said) and not all(self._said)
+        """Whether the data cannot tell."""
+        return self.outcome is None
 
-    @property
-    def _said(self) -> list[bool]:
-        return [self.rule.holds(value) for value in (self.value, *self.interval)]
+    def off(self, share: float) -> Check | None:
+        """The check if the computed number were this share larger; None for a word and for a run that has no such record."""
+        if isinstance(self.rule, Drawn):
+            passes = 1.0 + share in self.rule.passes
+            return replace(self, value=0.5 if passes else math.nan, interval=())
+        if isinstance(self.value, str) or isinstance(self.rule, Untold):
+            return None
+        zero = isinstance(self.rule, Near) and self.rule.printed == 0.0
+        size = self.rule.size if zero and isinstance(self.rule, Near) else abs(self.value)
+        return replace(self, value=self.value + share * size, interval=())
 
     def __str__(self) -> str:
         text = f"{self.what} {self.value if isinstance(self.value, str) else format(self.value, '.4g')}"
         return text + (f" [{self.interval[0]:.2g}, {self.interval[1]:.2g}]" if self.interval else "")
 
     def to_json(self) -> dict[str, object]:
-        """What, value (None if it is not finite), rule and whether it holds; of a statistic the interval too."""
+        """What, value (None if it is not finite), kind, rule and whether it holds; of a statistic the interval too."""
         value = self.value if isinstance(self.value, str) or math.isfinite(self.value) else None
-        found: dict[str, object] = {"what": self.what, "value": value, "rule": str(self.rule), "holds": self.holds}
-        return found | ({"interval": list(self.interval), "undecided": self.undecided} if self.interval else {})
-
-
-def near(what: str, value: float, printed: float, *, relative: float = 0.0, absolute: float = 0.0) -> Check:
-    """The value lies within a tolerance of the printed one; ``absolute=0.5e-4`` is four printed decimals."""
-    return Check(what, float(value), Near(printed, relative, absolute))
-
-
-def below(what: str, value: float, limit: float) -> Check:
-    """The value is less than a limit."""
-    return Check(what, float(value), Within(high=limit))
-
-
-def above(what: str, value: float, limit: float) -> Check:
-    """The value is greater than a limit."""
-    return Check(what, float(value), Within(low=limit))
-
-
-def within(what: str, value: float, low: float, high: float) -> Check:
-    """The value lies between two limits."""
-    return Check(what, float(value), Within(low, high))
-
-
-def says(what: str, value: str, word: str) -> Check:
-    """A computation (a certificate, a search) says this word."""
-    return Check(what, value, Is(word))
-
-
-def standard_errors(
-    what: str, mean: float, printed: float, *, sd: float, runs: int, printed_runs: int = 0, errors: float = ERRORS
-) -> Check:
-    """A Monte-Carlo mean lies within ``errors`` standard errors of the printed number.
-
-    The standard error is sd sqrt(1/runs + 1/printed_runs), the second term only where the printed number is a mean of runs too.
-    """
-    error = sd * math.sqrt(1.0 / runs + (1.0 / printed_runs if printed_runs else 0.0))
-    why = f"{errors:g} standard errors, {runs} runs" + (f" and {printed_runs} printed ones" if printed_runs else "")
-    return Check(what, float(mean), Near(printed, absolute=errors * error, why=why))
-
-
-def within_error(what: str, value: float, printed: float, *, error: float, why: str, errors: float = ERRORS) -> Check:
-    """The value lies within ``errors`` standard errors of the printed one, for a statistic whose error is known."""
-    return Check(what, float(value), Near(printed, absolute=errors * error, why=why))
+        found: dict[str, object] = {"what": self.what, "value": value, "kind": self.rule.kind, "rule": str(self.rule)}
+        found |= {"holds": self.holds, "undecided": self.undecided}
+        return found | ({"interval": list(self.interval)} if self.interval else {})
 
 
 def rank(what: str, runs: Sequence[float] | npt.NDArray[np.float64], printed: float, *, tail: float = TAIL) -> Check:
@@ -189,21 +212,27 @@ def rank(what: str, runs: Sequence[float] | npt.NDArray[np.float64], printed: fl
     Sums of squares have skewed laws, of which mean and standard deviation say little; the rank asks nothing of the law. The
     printed run is counted as one of them, (count + 1) / (runs + 1), so that the rule turns a run of the same law away no more
     often than stated. The share of so many runs has an interval, and a share whose interval lies across a limit is undecided.
-    What lies beyond all runs by more than their whole range is turned away however few they are.
+    What lies beyond all runs by more than their whole range is turned away however few they are. Power: the same test over
+    runs of half and of twice the size must turn the printed number away, or the check is undecided.
     """
     values = np.asarray(runs, dtype=float)
+    passes = tuple(size for size in (*SIZES, 1.0 - OFF, 1.0 + OFF) if _share(what, size * values, printed, Drawn(tail)).holds)
+    return _share(what, values, printed, Drawn(tail, passes))
+
+
+def _share(what: str, values: npt.NDArray[np.float64], printed: float, rule: Drawn) -> Check:
     if np.isnan(values).any():
-        return Check(what, math.nan, Within(tail, 1.0 - tail))
-    reach = float(np.ptp(values))
+        return Check(what, math.nan, rule)
+    reach = float(np.ptp(values)) if np.isfinite(values).all() else math.inf
     if reach > 0.0 and (printed > values.max() + reach or printed < values.min() - reach):
-        return Check(what, float(printed > values.max()), Within(tail, 1.0 - tail))
+        return Check(what, float(printed > values.max()), rule)
     below, beyond = int((values <= printed).sum()), int((values >= printed).sum())
     if below <= beyond:
         value, interval = (below + 1.0) / (values.size + 1.0), share_interval(below, values.size)
     else:
         value, (low, high) = 1.0 - (beyond + 1.0) / (values.size + 1.0), share_interval(beyond, values.size)
         interval = (1.0 - high, 1.0 - low)
-    return Check(what, value, Within(tail, 1.0 - tail), interval)
+    return Check(what, value, rule, interval)
 
 
 def share_interval(count: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
@@ -221,7 +250,7 @@ def share_interval(count: int, runs: int, level: float = LEVEL) -> tuple[float, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One number or claim of a chapter.
+    """One number or claim of a chapter, judged.
 
     Args:
         item: where it stands and what it is.
@@ -229,7 +258,9 @@ class Row:
         computed: what came out, in words.
         checks: what must hold for the print to be reproduced; at least one.
         witness: what refutes it if the checks do not hold; empty where a miss is no refutation.
+        beside: the same number under settings other than the printed ones; shown, and no part of the verdict.
         basis: the assumption that was needed, or the witness in words.
+        readings: the checks are the same number under settings that are not printed: where they differ nothing is decided.
 
     Raises:
         ValueError: without a check.
@@ -240,7 +271,9 @@ class Row:
     computed: str
     checks: tuple[Check, ...]
     witness: tuple[Check, ...] = ()
+    beside: tuple[Check, ...] = ()
     basis: str = ""
+    readings: bool = False
 
     def __post_init__(self) -> None:
         if not self.checks:
@@ -249,31 +282,34 @@ class Row:
     @property
     def verdict(self) -> Verdict:
         """What follows from the checks."""
-        if all(check.holds for check in self.checks):
+        outcomes = {check.outcome for check in self.checks}
+        if outcomes == {True}:
             return "reproduced"
         if self.witness and all(check.holds for check in self.witness):
             return "claim false"
-        failed = any(not check.holds and not check.undecided for check in self.checks)
-        return "not reproduced" if failed else "undecided"
+        fails = outcomes == {False} if self.readings else False in outcomes
+        return "not reproduced" if fails else "undecided"
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """Kinds of the checks, each once."""
+        return tuple(dict.fromkeys(check.rule.kind for check in self.checks))
 
     @property
     def rule(self) -> str:
-        """The rules in words."""
-        held = "; ".join(f"{check.what} {check.rule}" for check in self.checks)
-        if not self.witness:
-            return held
-        return f"{held}. Refuted by: " + "; ".join(f"{check.what} {check.rule}" for check in self.witness)
+        """The kinds and the rules in words."""
+        held = f"{', '.join(self.kinds)}: " + "; ".join(f"{check.what} {check.rule}" for check in self.checks)
+        if self.readings:
+            held += " (settings that are not printed: decided only where all say the same)"
+        for word, checks in (("Refuted by", self.witness), ("Beside, not judged", self.beside)):
+            if checks:
+                held += f". {word}: " + "; ".join(f"{check.what} {check.rule}" for check in checks)
+        return held
 
     def to_json(self) -> dict[str, object]:
         """Item, printed, computed, verdict and basis, and the rule with every computed value beside its own."""
         return {
             "item": self.item, "printed": self.printed, "computed": self.computed, "verdict": self.verdict, "basis": self.basis,
             "rule": self.rule, "checks": [check.to_json() for check in self.checks],
-            "witness": [check.to_json() for check in self.witness],
+            "witness": [check.to_json() for check in self.witness], "beside": [check.to_json() for check in self.beside],
         }  # fmt: skip
-
-
-def row(item: str, printed: str, *checks: Check, computed: str = "", witness: tuple[Check, ...] = (), basis: str = "") -> Row:
-    """A row as it is read: item, printed, checks; ``computed`` is written from the checks and the witness unless given."""
-    text = computed or ", ".join(dict.fromkeys(str(check) for check in (*checks, *witness)))
-    return Row(item=item, printed=printed, computed=text, checks=checks, witness=witness, basis=basis)

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from hil.report.html.figures import Badge, Cell, Link, Section, State, Table, Text, Tile
 from hil.report.html.page import render_page
 from hil.reproduce.chapter import Reproduction
-from hil.reproduce.judgement import VERDICTS, Verdict
+from hil.reproduce.judgement import VERDICTS, Row, Verdict
+from hil.reproduce.power import power_in_words
 
 STATES: dict[Verdict, State] = dict(zip(VERDICTS, ("good", "warning", "bad", "neutral"), strict=True))
 KICKER = "hilrig · reproduce"
 HOW = (
     "Every number is computed when this page is made, and every verdict follows from the numbers of its row by the rule "
-    "beside it. A verdict belongs to the assumption in the last column."
+    "beside it, whose kind says what it can tell: an equality, one run among ours, a one-sided claim, a word. A verdict "
+    "belongs to the assumption in the last column."
 )
 
 
 def chapter_page(result: Reproduction) -> str:
     """One self-contained HTML page: the table, then every figure."""
-    cells = [
-        (r.item, Badge(label=r.verdict, state=STATES[r.verdict]), r.printed, r.computed, r.rule, r.basis) for r in result.rows
-    ]
+    cells = [(*_first(r), r.printed, r.computed, r.rule, r.basis) for r in result.rows]
     columns = ("item", "verdict", "printed", "computed", "rule", "assumption or witness")  # a phone shows two
-    sections = [Section(title="Numbers", blocks=(Text(text=HOW), Table(columns=columns, rows=cells)))]
+    numbers = (Text(text=HOW), Text(text=_power(result.rows)), Table(columns=columns, rows=cells))
+    sections = [Section(title="Numbers", blocks=numbers)]
     for plot in result.figures:
         columns_wide = min(2, len(plot.panels))
         sections.append(Section(title=plot.title, blocks=plot.panels, intro=plot.intro, columns=columns_wide))
@@ -32,12 +33,26 @@ def chapter_page(result: Reproduction) -> str:
 
 
 def index_page(results: Mapping[str, Reproduction]) -> str:
-    """The page that leads to ``CHAPTER.html`` of every chapter, with the count of each verdict."""
+    """Everything in one page: the count of each verdict by chapter, with a link to its page, and the rule of every row."""
     rows: list[tuple[Cell, ...]] = [
         (Link(label=result.title, href=f"{name}.html"), len(result.rows), *(result.counts[v] for v in VERDICTS))
         for name, result in results.items()
     ]
     table = Table(columns=("chapter", "rows", *VERDICTS), rows=rows)
     tiles = [Tile(label=v, value=sum(r.counts[v] for r in results.values()), state=STATES[v]) for v in VERDICTS]
-    section = Section(title="Chapters", blocks=(Text(text=HOW), table))
-    return render_page("The thesis beside correct computations", [section], kicker=KICKER, tiles=tiles)
+    every_row = [row for result in results.values() for row in result.rows]
+    section = Section(title="Chapters", blocks=(Text(text=HOW), Text(text=_power(every_row)), table))
+    sections = [section]
+    for name, result in results.items():
+        cells = [(*_first(r), r.printed, r.computed, r.rule) for r in result.rows]
+        every = Table(columns=("item", "verdict", "printed", "computed", "rule"), rows=cells)
+        sections.append(Section(title=f"{name}: {result.title}", blocks=(every,)))
+    return render_page("The thesis beside correct computations", sections, kicker=KICKER, tiles=tiles)
+
+
+def _first(row: Row) -> tuple[str, Badge]:
+    return row.item, Badge(label=row.verdict, state=STATES[row.verdict])
+
+
+def _power(rows: Sequence[Row]) -> str:
+    return f"What the rules can tell: {power_in_words(rows)}."

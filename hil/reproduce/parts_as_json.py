@@ -9,11 +9,11 @@ import numpy as np
 
 from hil.report.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
 from hil.reproduce.chapter import Part, Plot
-from hil.reproduce.judgement import Check, Is, Near, Row, Within
+from hil.reproduce.judgement import Check, Drawn, Is, Near, Row, Untold, Within
 
 CLASSES: dict[str, Any] = {
     kind.__name__: kind
-    for kind in (Part, Plot, Row, Check, Near, Within, Is, Figure, Series, Band, Marker, Bars, BarGroup, Histogram)
+    for kind in (Part, Plot, Row, Check, Near, Within, Drawn, Is, Untold, Figure, Series, Band, Marker, Bars, BarGroup, Histogram)
 }
 KINDS = {"f": np.float64, "i": np.int64, "b": np.bool_}
 

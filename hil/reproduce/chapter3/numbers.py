@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +15,10 @@ from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
 from design.semi_markov_loop.system import DelayedJumpSystem
 from hil.report.html.figures import BarGroup, Bars, Figure, Series
-from hil.reproduce.chapter import Chapter, Part, Plot, ReportProgress, Stage
-from hil.reproduce.judgement import Check, Row, above, below, rank, row, says
-from hil.reproduce.noisy_runs import FloatArray, NoisyRuns, delayed_runs
+from hil.reproduce.chapter import Chapter, Plot, ReportProgress, Stage
+from hil.reproduce.judgement import rank
+from hil.reproduce.noisy_runs import NoisyRuns, delayed_runs
+from hil.reproduce.statements import Statement, above, below, run, says
 
 SECTIONS = ((0.0, 1.8),) * 3
 STATES = ("horizontal velocity", "vertical velocity", "pitch rate", "pitch angle")
@@ -27,101 +29,54 @@ BOUNDS = (5.0, 1.5)
 CASES = ((20.0, 1.0), (10.0, 0.5), (10.0, 0.01), (20.0, 0.01))
 """Length of a run and sample time of the noise, s."""
 
+HELD = (0.01, 0.1)
+RATIO = "0.2320"
 RUNS, MORE = 200, 1200
 """Runs of each case; of a case that the first leave undecided, others in their place."""
 
 RAMP = "rates linear over 0, 1.8, 3.6 s (only their bounds are printed)"
 
 
-def _conditions(report_progress: ReportProgress) -> Part:
+def _conditions(report_progress: ReportProgress) -> dict[str, Any]:
     """The printed conditions for the printed gains, and what they miss."""
-    return Part(rows=(*_printed(), _counterexample()))
-
-
-def _sound(report_progress: ReportProgress) -> Part:
-    """Certified levels, of the printed gains and of ours."""
-    ours = {}
-    for n, bound in enumerate(BOUNDS):
-        report_progress(f"synthesis, gain norm <= {bound:g}", n, len(BOUNDS) + 1)
-        ours[bound] = _ours(bound)
-    report_progress("levels of the printed gains", len(BOUNDS), len(BOUNDS) + 1)
-    published = analyse_delayed(chapter3_system(), chapter3_gain(), chapter3_process())
-    figures = (_trajectories(chapter3_gain(), ours[5.0].gain), _levels_plot(published, ours))
-    return Part(rows=tuple(_levels(published, ours)), figures=figures)
-
-
-def _ours(bound: float) -> JumpCertificate:
-    return delayed_hinf(chapter3_system(), chapter3_process(), gain_bound=bound, sections=SECTIONS)
-
-
-def _printed() -> list[Row]:
     system, process, gain = chapter3_system(), chapter3_process(), chapter3_gain()
-    rows = []
-    for m in (0, 1):
-        literal = printed_section(system, process, SECTIONS, m, gain, reading="literal", gamma=0.93)
-        rows.append(
-            row(
-                f"gains of section {m + 1} fulfil (3.42) at gamma = 0.93, as printed", "feasible",
-                says("(3.42)", literal.verdict, "certified"), witness=(says("(3.42)", literal.verdict, "refused"),),
-                computed=literal.verdict, basis=literal.reason.rpartition(": ")[2],
-            )
-        )  # fmt: skip
-        consistent = printed_section(system, process, SECTIONS, m, gain, reading="consistent")
-        rows.append(
-            row(
-                f"section {m + 1} with one rate in both places, (3.41)", "feasible",
-                says("(3.41)", consistent.verdict, "certified"), below("smallest gamma", _gamma(consistent), 0.93),
-                computed=f"{consistent.verdict}, smallest gamma {_gamma(consistent):.3f}",
-                basis="what the author must have solved; C'C and B'P still stand in the wrong coordinates",
-            )
-        )  # fmt: skip
-    return rows
+    literal = [printed_section(system, process, SECTIONS, m, gain, reading="literal", gamma=0.93) for m in (0, 1)]
+    consistent = [printed_section(system, process, SECTIONS, m, gain, reading="consistent") for m in (0, 1)]
+    system = DelayedJumpSystem(
+        a=np.array([[[-1.0, 100.0], [0.0, -1.0]]]), ad=np.zeros((1, 2, 2)), b=np.array([[[0.0], [1.0]]]),
+        e=np.array([[[0.0], [1.0]]]), c=np.array([[[1.0, 0.0]]]), delay_max_s=0.1, delay_slopes=np.zeros(1),
+    )  # fmt: skip
+    process, gain = SemiMarkov(rates=((None,),)), constant_gain(np.zeros((1, 1, 2)))
+    omega = np.geomspace(1e-4, 1e2, 400)[:, None, None]
+    response = system.c[0] @ np.linalg.solve(1j * omega * np.eye(2) - system.a[0], system.e[0] + 0j)
+    return {
+        "literal": literal, "why": [each.reason.rpartition(": ")[2] for each in literal], "consistent": consistent,
+        "gamma": [_gamma(each) for each in consistent], "peak": float(np.abs(response).max()),
+        "accepted": printed_section(system, process, ((0.0,),), 0, gain, gamma=0.05),
+        "corrected": _gamma(analyse_delayed(system, gain, process)),
+    }  # fmt: skip
 
 
 def _gamma(certificate: JumpCertificate) -> float:
     return math.nan if certificate.gamma is None else certificate.gamma
 
 
-def _counterexample() -> Row:
-    system = DelayedJumpSystem(
-        a=np.array([[[-1.0, 100.0], [0.0, -1.0]]]), ad=np.zeros((1, 2, 2)), b=np.array([[[0.0], [1.0]]]),
-        e=np.array([[[0.0], [1.0]]]), c=np.array([[[1.0, 0.0]]]), delay_max_s=0.1, delay_slopes=np.zeros(1),
-    )  # fmt: skip
-    process, gain = SemiMarkov(rates=((None,),)), constant_gain(np.zeros((1, 1, 2)))
-    printed = printed_section(system, process, ((0.0,),), 0, gain, gamma=0.05)
-    ours = analyse_delayed(system, gain, process)
-    omega = np.geomspace(1e-4, 1e2, 400)[:, None, None]
-    response = system.c[0] @ np.linalg.solve(1j * omega * np.eye(2) - system.a[0], system.e[0] + 0j)
-    norm = float(np.abs(response).max())
-    return row(
-        "Theorem 3.1 bounds the norm: A = [-1 100; 0 -1], B = [0; 1], C = [1 0], no delay", "||z|| < gamma ||w||",
-        below("peak of |C (jw I - A)^-1 B|", norm, 0.05),
-        computed=f"(3.27) at gamma = 0.05: {printed.verdict}; peak of the response {norm:.1f}; corrected condition: gamma >= "
-        f"{_gamma(ours):.1f}",
-        witness=(says("(3.27) at gamma = 0.05", printed.verdict, "certified"), above("peak of the response", norm, 0.05)),
-        basis="C (sI - A)^-1 B = 100/(s + 1)^2 has the norm 100; (3.27) is the bounded real lemma of (A', B, C)",
-    )  # fmt: skip
-
-
-def _levels(published: JumpCertificate, ours: dict[float, JumpCertificate]) -> list[Row]:
-    process, system = chapter3_process(), chapter3_system()
+def _sound(report_progress: ReportProgress) -> dict[str, Any]:
+    """Certified levels, of the printed gains and of ours."""
+    process, system, ours = chapter3_process(), chapter3_system(), {}
+    for n, bound in enumerate(BOUNDS):
+        report_progress(f"synthesis, gain norm <= {bound:g}", n, len(BOUNDS) + 1)
+        ours[bound] = delayed_hinf(system, process, gain_bound=bound, sections=SECTIONS)
+    report_progress("levels of the printed gains", len(BOUNDS), len(BOUNDS) + 1)
+    published = analyse_delayed(system, chapter3_gain(), process)
     ramp = analyse_delayed(system, chapter3_gain(), process, method="pwl", nodes=((0.0, 0.9, 1.8, 2.7, 3.6),) * 3)
-    frozen = _frozen_norm(system, chapter3_gain())
-    made = "; ".join(f"gain norm <= {bound:g}: gamma {certificate.gamma:.4f}" for bound, certificate in ours.items())
-    open_loop = max(float(np.linalg.eigvals(a + ad).real.max()) for a, ad in zip(system.a, system.ad))
-    return [
-        row(
-            "the unforced VTOL is unstable", "unstable", above("largest real part", open_loop, 0.0),
-            basis="eigenvalues of A_i + A_di",
-        ),
-        row(
-            "gamma = 0.93 holds for the printed gains", "0.93",
-            says("corrected condition", published.verdict, "certified"), below("gamma", _gamma(published), 0.93),
-            computed=f"{published.verdict} {_gamma(published):.3f} (norm of the gains {chapter3_gain().norm:.2f}); "
-            f"with known ramps {_gamma(ramp):.3f}; ours: {made}",
-            basis=f"corrected, one Q, one eta = 4.0, linked sections; {RAMP}; no frozen mode exceeds {frozen:.3f}",
-        ),
-    ]  # fmt: skip
+    return {
+        "figures": (_trajectories(chapter3_gain(), ours[5.0].gain), _levels_plot(published, ours)),
+        "unforced": max(float(np.linalg.eigvals(a + ad).real.max()) for a, ad in zip(system.a, system.ad)),
+        "published": published, "gamma": _gamma(published), "ramp": _gamma(ramp), "norm": chapter3_gain().norm,
+        "frozen": _frozen_norm(system, chapter3_gain()),
+        "made": "; ".join(f"gain norm <= {bound:g}: gamma {certificate.gamma:.4f}" for bound, certificate in ours.items()),
+    }  # fmt: skip
 
 
 def _frozen_norm(system: DelayedJumpSystem, gain: ScheduledGain) -> float:
@@ -147,54 +102,32 @@ def _runs(gain: ScheduledGain, runs: int, duration_s: float, noise_s: float, **m
     )  # fmt: skip
 
 
-def _simulations(report_progress: ReportProgress) -> Part:
+def _simulations(report_progress: ReportProgress) -> dict[str, Any]:
     """The norm ratio and the vertical velocity, which depend on what the text does not print."""
     gain = chapter3_gain()
-    ratios = {}
+    ratios = []
     for n, (t, ts) in enumerate(CASES):
         report_progress(f"{RUNS} runs of {t:g} s, noise held {ts:g} s", n, len(CASES) + 3)
-        ratios[t, ts] = _runs(gain, RUNS, t, ts).ratio
-        if _ranked(ratios[t, ts]).undecided:
+        ratios.append(_runs(gain, RUNS, t, ts).ratio)
+        if rank("", ratios[n], float(RATIO)).undecided:
             report_progress(f"{MORE} further runs of {t:g} s, noise held {ts:g} s", n, len(CASES) + 3)
-            ratios[t, ts] = np.concatenate([_runs(gain, MORE // 3, t, ts, seed=seed).ratio for seed in (1, 2, 3)])
+            ratios[n] = np.concatenate([_runs(gain, MORE // 3, t, ts, seed=seed).ratio for seed in (1, 2, 3)])
     report_progress("runs without noise, and from rest", len(CASES), len(CASES) + 3)
     quiet = _runs(gain, 50, 20.0, 1.0, noise=False).size
     rest = _runs(gain, 50, 10.0, 0.01, start=(0.0, 0.0, 0.0, 0.0)).ratio
-    rows = [
-        row(
-            f"||z|| / ||w|| in the simulation, if the run lasts {t:g} s and the noise is held {ts:g} s", "0.2320",
-            _ranked(ratio),
-            computed=f"{ratio.mean():.3f} +- {ratio.std():.3f} per run",
-            basis="the length of the run and the noise's sample time, on which the ratio depends, are not printed; x(0) != 0, "
-            f"so it is no estimate of gamma (from x(0) = 0, noise held 0.01 s: {rest.mean():.3f}; without noise "
-            f"sqrt(int z^2) = {quiet.mean():.2f})",
-        )
-        for (t, ts), ratio in ratios.items()
-    ]  # fmt: skip
-    largest = max(float(ratio.max()) for ratio in ratios.values())
-    rows.append(
-        row(
-            "the ratio is below gamma = 0.93", "0.2320 < 0.93", below("largest ratio of all these runs", largest, 0.93),
-            basis=RAMP,
-        )
-    )  # fmt: skip
-    for n, held in enumerate((0.01, 0.1)):
+    rms, peak = [], []
+    for n, held in enumerate(HELD):
         report_progress(f"vertical velocity, noise held {held:g} s", len(CASES) + 1 + n, len(CASES) + 3)
         many = _runs(gain, 20, 10.0, held)
         late = many.x[:, many.time_s > 5.0, 1]
-        rms, peak = float(np.sqrt((late * late).mean())), float(np.abs(late).max(axis=1).mean())
-        rows.append(
-            row(
-                f"vertical velocity falls from 6 m/s to less than 1 m/s, if the noise is held {held:g} s", "< 1",
-                below("rms of x_2 from 5 to 10 s", rms, 1.0),
-                basis=f"20 runs, mean peak {peak:.2f}; the noise's sample time is not printed and decides; {RAMP}",
-            )
-        )  # fmt: skip
-    return Part(rows=tuple(rows))
-
-
-def _ranked(ratio: FloatArray) -> Check:
-    return rank(f"share of {ratio.size} runs below 0.2320", ratio, 0.2320)
+        rms.append(float(np.sqrt((late * late).mean())))
+        peak.append(float(np.abs(late).max(axis=1).mean()))
+    said = zip(CASES, ratios, strict=True)
+    return {
+        "ratios": ratios, "runs": [len(ratio) for ratio in ratios], "largest": max(float(ratio.max()) for ratio in ratios),
+        "words": "; ".join(f"{r.mean():.3f} +- {r.std():.3f} per run of {t:g} s, noise held {ts:g} s" for (t, ts), r in said),
+        "rest": rest.mean(), "quiet": quiet.mean(), "rms": rms, "peak": peak,
+    }  # fmt: skip
 
 
 def _trajectories(published: ScheduledGain, ours: ScheduledGain | None) -> Plot:
@@ -220,11 +153,71 @@ def _levels_plot(published: JumpCertificate, ours: dict[float, JumpCertificate])
     return Plot(title="Levels", panels=(bars,), intro=f"Printed gains have norm {chapter3_gain().norm:.2f}.")
 
 
+# fmt: off
+CONDITIONS = (
+    *(
+        each
+        for m in (0, 1)
+        for each in (
+            Statement(
+                f"gains of section {m + 1} fulfil (3.42) at gamma = 0.93, as printed", "feasible",
+                (says("(3.42)", f"literal[{m}].verdict", "certified"),), (says("(3.42)", f"literal[{m}].verdict", "refused"),),
+                computed=f"{{literal[{m}].verdict}}", basis=f"{{why[{m}]}}",
+            ),
+            Statement(
+                f"section {m + 1} with one rate in both places, (3.41)", "feasible",
+                (says("(3.41)", f"consistent[{m}].verdict", "certified"), below("smallest gamma", f"gamma[{m}]", 0.93)),
+                computed=f"{{consistent[{m}].verdict}}, smallest gamma {{gamma[{m}]:.3f}}",
+                basis="what the author must have solved; C'C and B'P still stand in the wrong coordinates",
+            ),
+        )
+    ),
+    Statement(
+        "Theorem 3.1 bounds the norm: A = [-1 100; 0 -1], B = [0; 1], C = [1 0], no delay", "||z|| < gamma ||w||",
+        (below("peak of |C (jw I - A)^-1 B|", "peak", 0.05),),
+        (says("(3.27) at gamma = 0.05", "accepted.verdict", "certified"), above("peak of the response", "peak", 0.05)),
+        computed="(3.27) at gamma = 0.05: {accepted.verdict}; peak of the response {peak:.1f}; corrected condition: gamma >= "
+        "{corrected:.1f}",
+        basis="C (sI - A)^-1 B = 100/(s + 1)^2 has the norm 100; (3.27) is the bounded real lemma of (A', B, C)",
+    ),
+)
+LEVELS = (
+    Statement(
+        "the unforced VTOL is unstable", "unstable", (above("largest real part", "unforced", 0),),
+        basis="eigenvalues of A_i + A_di",
+    ),
+    Statement(
+        "gamma = 0.93 holds for the printed gains", "0.93",
+        (says("corrected condition", "published.verdict", "certified"), below("gamma", "gamma", 0.93)),
+        computed="{published.verdict} {gamma:.3f} (norm of the gains {norm:.2f}); with known ramps {ramp:.3f}; ours: {made}",
+        basis=f"corrected, one Q, one eta = 4.0, linked sections; {RAMP}; no frozen mode exceeds {{frozen:.3f}}",
+    ),
+)
+SIMULATIONS = (
+    Statement(
+        "||z|| / ||w|| in the simulation, whose length and sample time of the noise are not printed", RATIO,
+        tuple(
+            run(f"share of {{runs[{n}]}} runs of {t:g} s, noise held {ts:g} s, below {RATIO}", f"ratios[{n}]", RATIO)
+            for n, (t, ts) in enumerate(CASES)
+        ),
+        computed="{words}", readings=True,
+        basis="it depends on both; x(0) != 0, so it is no estimate of gamma (from x(0) = 0, noise held 0.01 s: {rest:.3f}, "
+        "without noise sqrt(int z^2) = {quiet:.2f})",
+    ),
+    Statement(
+        "the ratio is below gamma = 0.93", "< 0.93", (below("largest ratio of all these runs", "largest", 0.93),), basis=RAMP,
+    ),
+    Statement(
+        "vertical velocity falls from 6 m/s to less than 1 m/s, with noise whose sample time is not printed", "< 1",
+        tuple(below(f"rms of x_2 from 5 to 10 s, noise held {held:g} s", f"rms[{n}]", 1.0) for n, held in enumerate(HELD)),
+        readings=True, basis=f"20 runs each, mean peaks {{peak[0]:.2f}} and {{peak[1]:.2f}}; {RAMP}",
+    ),
+)
 CHAPTER = Chapter(
     title="Chapter 3: H-infinity control under time-varying delays",
     stages=(
-        Stage("printed conditions", _conditions, 5),
-        Stage("sound levels", _sound, 13),
-        Stage("simulations", _simulations, 40),
+        Stage("printed conditions", _conditions, 5, CONDITIONS),
+        Stage("sound levels", _sound, 13, LEVELS),
+        Stage("simulations", _simulations, 40, SIMULATIONS),
     ),
 )

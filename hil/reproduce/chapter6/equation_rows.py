@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from design.as_printed.coupler import DELAY, LAMBDA, PERIOD_S
@@ -19,17 +21,17 @@ from design.passivity.transparency import distortion
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.reproduce.judgement import Row, above, below, near, row, says
+from hil.reproduce.statements import Statement, above, below, exactly, says
 from hil.session import simulate
 
 CUTOFF_HZ = 0.3
 LEVEL_N_PER_M = 0.06
 TOLD_APART = 0.01
-"""Relative difference of two stiffnesses below which we say that nobody tells them apart."""
+"""Relative difference of two stiffnesses below which they cannot be told apart."""
 
 
-def equation_rows(device: HeldDevice) -> list[Row]:
-    """Return the rows of (6.1), (6.4) to (6.6), (6.8), Lambda, Remark 6.2, Figures 6.5 and 6.6, (6.17) and the delays.
+def equations(device: HeldDevice) -> dict[str, Any]:
+    """Return the numbers of (6.1), (6.4) to (6.6), (6.8), Lambda, Remark 6.2, Figures 6.5 and 6.6, (6.17) and the delays.
 
     Args:
         device: the device of (6.2) without a hand.
@@ -47,57 +49,17 @@ def equation_rows(device: HeldDevice) -> list[Row]:
     meant = hinf_norm(distortion(MATERIALS, LAMBDA, wave, period_s=PERIOD_S, delay=DELAY, cutoff_hz=CUTOFF_HZ))
     ceiling = ceiling_n_per_m(PERIOD_S, device.damping_n_s_per_m, DELAY)
     felt = [1.0 / (1.0 / m.stiffness_n_per_m + 1.0 / ceiling) for m in MATERIALS]
-    return [
-        row(
-            "(6.1): the joint by itself is unstable", "an integrator",
-            near("spectral radius over 100 s", float(np.abs(np.linalg.eigvals(A)).max()), 1.0, absolute=1e-12),
-            above("angle after 100 s of 1 N m, rad,", float(B[0]), 10.0), basis="bounded input, unbounded output",
-        ),
-        row(
-            "6.2.2: lambda_ii = 1 - sum lambda_ij", "a transition matrix",
-            below("largest |row sum - 1| of the printed Lambda", float(np.abs(law.sum(axis=1) - 1.0).max()), 1e-12),
-            above("smallest entry", float(law.min()), 0.0),
-        ),
-        row(
-            "Remark 6.2: materials that do not touch give 0 in Lambda, which the design allows", "lambda_ij = lambda_ji = 0",
-            below("lambda_12 + lambda_21 of strips 1 3 2 3", float(zeros[0, 1] + zeros[1, 0]), 1e-15),
-            below("second-moment radius under that Lambda", moved.jump_system(MATERIALS, zeros, DELAY, 0).radius(), 1.0),
-            basis="the wave coupler for six samples, no hand",
-        ),
-        _closed_loop(device),
-        row(
-            "(6.8): force of a material", "K x + B x'",
-            below("largest difference of the wall that runs, N,", max(map(_force_error, range(3))), 1e-9),
-            basis="presses of 1 and 2 mm into each material, without a coupler",
-        ),
-        row(
-            "Figures 6.5, 6.6: taking D_c out of C changes nothing", "the same",
-            below("largest relative difference of the responses", _split_error(wave.taps_m_per_n), 1e-12),
-            basis="G/(1 + G C) beside the loop of G/(1 + G D_c) and the rest of C, 200 angles, each material",
-        ),
-        row(
-            "(6.17): a level gamma that it certifies bounds the distortion", "|z| < gamma |omega|",
-            above(f"{LEVEL_N_PER_M:g} N/m, which it {_says(printed.holds)}, over the norm", LEVEL_N_PER_M / meant, 1.0),
-            witness=(
-                says(f"(6.17) at {LEVEL_N_PER_M:g} N/m", _says(printed.holds), "certifies"),
-                above("norm of the system of Figure 6.6, N/m,", meant, 1e4 * LEVEL_N_PER_M),
-            ),
-            basis=f"wave coupler, weight of {CUTOFF_HZ:g} Hz, D_w = 0, Lambda, six samples",
-        ),
-        row(
-            "6.5.2: it is clear that different parts of the wall have different stiffness", "1000 and 800 N/m",
-            above("relative difference of the stiffness felt", (felt[0] - felt[1]) / felt[0], TOLD_APART),
-            witness=(below("that difference", (felt[0] - felt[1]) / felt[0], TOLD_APART),),
-            basis=f"metre reading: a rendering that is safe for every passive hand is at most {ceiling:.4g} N/m stiff",
-        ),
-    ]  # fmt: skip
+    return {
+        "far": float(np.abs(np.linalg.eigvals(A)).max()), "angle": float(B[0]),
+        "rows": float(np.abs(law.sum(axis=1) - 1.0).max()), "entry": float(law.min()),
+        "touch": float(zeros[0, 1] + zeros[1, 0]), "radius": moved.jump_system(MATERIALS, zeros, DELAY, 0).radius(),
+        **_closed_loop(device), "force": max(map(_force_error, range(3))), "split": _split_error(wave.taps_m_per_n),
+        "certifies": "certifies" if printed.holds else "does not certify", "share": LEVEL_N_PER_M / meant, "norm": meant,
+        "felt": (felt[0] - felt[1]) / felt[0], "ceiling": ceiling,
+    }  # fmt: skip
 
 
-def _says(holds: bool) -> str:
-    return "certifies" if holds else "does not certify"
-
-
-def _closed_loop(device: HeldDevice) -> Row:
+def _closed_loop(device: HeldDevice) -> dict[str, float]:
     """The rig that runs, beside the matrices of (6.4) to (6.6) with both delays."""
     experiment = load_experiment("omni-push", [])
     loop = compose(experiment)
@@ -107,13 +69,10 @@ def _closed_loop(device: HeldDevice) -> Row:
     tau, d = loop.model.tau_max, loop.model.d_max
     closed = HapticLoop(device=device, coupler=loop.controller.coupler, period_s=loop.model.period_s, sc_max=tau, ca_max=d)
     there = push_response(closed, MATERIALS[0], tau, d, 1.0, len(run) - 1)
-    delay_s = experiment.links.sc.max_age * float(experiment.period)
-    return row(
-        "(6.4) to (6.6), tau1 = tau2 = 3 T = 0.15 s", "x/f = M/(1 + M C_o)",
-        below("largest difference of the rig from the closed loop, um,", 1e6 * float(np.abs(run - there).max()), 1.0),
-        near("delay of each direction, s", delay_s, 0.15, absolute=1e-12),
-        basis="omni-push, 1 N, 800 slots over the emulated network; packets carry single precision",
-    )  # fmt: skip
+    return {
+        "rig": 1e6 * float(np.abs(run - there).max()), "largest": 1e6 * float(np.abs(there).max()),
+        "delay": experiment.links.sc.max_age * float(experiment.period),
+    }  # fmt: skip
 
 
 def _force_error(i: int) -> float:
@@ -137,3 +96,59 @@ def _split_error(taps: tuple[float, ...]) -> float:
         whole = g / (1 + g * (taps[0] + rest))
         worst = max(worst, float((np.abs(inner / (1 + inner * rest) - whole) / np.abs(whole)).max()))
     return worst
+
+
+# fmt: off
+EQUATIONS = (
+    Statement(
+        "(6.1): the joint by itself is unstable", "an integrator",
+        (exactly("spectral radius over 100 s", "far", 1, 1e-12), above("angle after 100 s of 1 N m, rad,", "angle", 10)),
+        basis="bounded input, unbounded output",
+    ),
+    Statement(
+        "6.2.2: lambda_ii = 1 - sum lambda_ij", "a transition matrix",
+        (exactly("largest |row sum - 1| of the printed Lambda", "rows", 0, 1e-12), above("smallest entry", "entry", 0)),
+    ),
+    Statement(
+        "Remark 6.2: materials that do not touch give 0 in Lambda, which the design allows", "lambda_ij = lambda_ji = 0",
+        (
+            exactly("lambda_12 + lambda_21 of strips 1 3 2 3", "touch", 0, 1e-15),
+            below("second-moment radius under that Lambda", "radius", 1),
+        ),
+        basis="the wave coupler for six samples, no hand",
+    ),
+    Statement(
+        "(6.4) to (6.6), tau1 = tau2 = 3 T = 0.15 s", "x/f = M/(1 + M C_o)",
+        (
+            exactly("largest difference of the rig from the closed loop, um,", "rig", 0, 1.0, "largest"),
+            exactly("delay of each direction, s", "delay", 0.15, 1e-12),
+        ),
+        basis="omni-push, 1 N, 800 slots over the emulated network; packets carry single precision",
+    ),
+    Statement(
+        "(6.8): force of a material", "K x + B x'",
+        (exactly("largest difference of the wall that runs, N,", "force", 0, 1e-9),),
+        basis="presses of 1 and 2 mm into each material, without a coupler",
+    ),
+    Statement(
+        "Figures 6.5, 6.6: taking D_c out of C changes nothing", "the same",
+        (exactly("largest relative difference of the responses", "split", 0, 1e-12),),
+        basis="G/(1 + G C) beside the loop of G/(1 + G D_c) and the rest of C, 200 angles, each material",
+    ),
+    Statement(
+        "(6.17): a level gamma that it certifies bounds the distortion", "|z| < gamma |omega|",
+        (above(f"{LEVEL_N_PER_M:g} N/m, which it {{certifies}}, over the norm", "share", 1),),
+        (
+            says(f"(6.17) at {LEVEL_N_PER_M:g} N/m", "certifies", "certifies"),
+            above("norm of the system of Figure 6.6, N/m,", "norm", 1e4 * LEVEL_N_PER_M),
+        ),
+        basis=f"wave coupler, weight of {CUTOFF_HZ:g} Hz, D_w = 0, Lambda, six samples",
+    ),
+    Statement(
+        "6.5.2: it is clear that different parts of the wall have different stiffness", "1000 and 800 N/m",
+        (above("relative difference of the stiffness felt", "felt", TOLD_APART),),
+        (below("that difference", "felt", TOLD_APART),),
+        basis="metre reading: a rendering that is safe for every passive hand is at most {ceiling:.4g} N/m stiff",
+    ),
+)
+# fmt: on

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.reproduce.judgement import Row, above, below, near, row, says
+from hil.reproduce.statements import Statement, above, below, exactly, says
 from hil.session import simulate
 
 SIDE_M = 0.02
@@ -29,8 +30,8 @@ ABSENT_M_PER_N = 100.0
 RUNS, SLOTS = 20, 400
 
 
-def statement_rows(device: HeldDevice) -> list[Row]:
-    """Return the rows of Remark 6.1, Sections 6.2.2 and 6.3, (6.7), Section 6.4, (6.15), (6.16) and Section 6.6.
+def statements(device: HeldDevice) -> dict[str, Any]:
+    """Return the numbers of Remark 6.1, Sections 6.2.2 and 6.3, (6.7), Section 6.4, (6.15), (6.16) and Section 6.6.
 
     Args:
         device: the device of (6.2) without a hand.
@@ -43,48 +44,15 @@ def statement_rows(device: HeldDevice) -> list[Row]:
     wave = wave_coupler(PERIOD_S, b, DELAY)
     safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=b).coupler
     needed = damping_needed(safe, PERIOD_S, range(9)).damping_n_s_per_m
-    bare = min(m.stiffness_n_per_m * PERIOD_S / 2 + m.damping_n_s_per_m for m in MATERIALS)
     absent = static_coupler(ABSENT_M_PER_N)
-    nearer = _distortion(absent) / _distortion(wave)
-    farther = ABSENT_M_PER_N / wave.static_compliance_m_per_n
     proper = Coupler(taps_m_per_n=(PERIOD_S / (2.0 * b), -0.05))
-    meets = "meets (6.9)" if meets_printed_condition(proper, b) else "misses (6.9)"
-    return [
-        row(
-            "Remark 6.1: the rates of one patch are those of every patch of its material", "a repeated pattern",
-            below("largest difference of Lambda over one cell and over two by two", float(np.abs(repeated - once).max()), 1e-12),
-            basis="the pattern of Figure 6.2 as rows of squares between strips",
-        ),
-        row(
-            "6.2.2: with a time-varying speed Lambda varies too", "lambda_ij(nu) in proportion to nu",
-            near("least chance to leave a material at half the speed over that at full speed", leaving.min(), 0.5, absolute=1e-9),
-            near("largest", leaving.max(), 0.5, absolute=1e-9), basis="the same pattern",
-        ),
-        _equalised(),
-        row(
-            "6.3: a coupler allows a larger T and more of K_i and B_i", "no b > K_i T/2 + |B_i|",
-            below("damping that the wall needs with the coupler, N s/m,", needed, b),
-            above("without one, N s/m,", bare, b),
-            basis="the stiffest coupler for 0 to 8 samples of delay, for any passive wall and hand",
-        ),
-        row(
-            "(6.7): it is equivalent to the least distortion", "the same minimum",
-            above("distortion of next to no wall over that of a safe coupler", nearer, 1.0),
-            witness=(below("that ratio", nearer, 1.0), above("ratio of how far the device is from x_d under 1 N", farther, 1.0)),
-            basis=f"wave coupler beside {ABSENT_M_PER_N:g} m/N, material 1, weight of 3 Hz: what distorts less errs more",
-        ),
-        row(
-            "6.4: a coupler of this form satisfies Theorem 6.1", "C_bar strictly proper",
-            says("T/(2 b) - 0.05 z^-1", meets, "meets (6.9)"), witness=(says("T/(2 b) - 0.05 z^-1", meets, "misses (6.9)"),),
-            basis="C_bar = -0.05 z^-1 m/N is strictly proper, d = 0 and D_c = T/(2 b)",
-        ),
-        _attenuation(wave),
-        row(
-            "6.6: the coupler depends on the damping b of the device", "b may change in the workspace",
-            above("damping that the coupler for b needs over 0.99 b", needed / (0.99 * b), 1.0),
-            below("over b", needed / b, 1.0), basis="the stiffest coupler: a device with 1 % less damping has no certificate",
-        ),
-    ]  # fmt: skip
+    return {
+        "b": b, "least_b": 0.99 * b, "needed": needed, "repeated": float(np.abs(repeated - once).max()), "leaving": leaving,
+        "least": leaving.min(), "most": leaving.max(), "ages": _equalised(),
+        "bare": min(m.stiffness_n_per_m * PERIOD_S / 2 + m.damping_n_s_per_m for m in MATERIALS),
+        "nearer": _distortion(absent) / _distortion(wave), "farther": ABSENT_M_PER_N / wave.static_compliance_m_per_n,
+        "meets": "meets (6.9)" if meets_printed_condition(proper, b) else "misses (6.9)", **_attenuation(wave),
+    }  # fmt: skip
 
 
 def _repeated(pattern: Pattern) -> Pattern:
@@ -100,23 +68,16 @@ def _distortion(coupler: Coupler) -> float:
     return hinf_norm(distortion(MATERIALS[:1], [[1.0]], coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=3.0))
 
 
-def _equalised() -> Row:
-    """Constant delays as what both ends make of random ones."""
+def _equalised() -> float:
+    """Largest difference of a rig over random ages and over constant ones, m."""
     found = []
     for sets in ([], ['links.sc.law={kind="constant", age=5}', 'links.ca.law={kind="constant", age=5}']):
         experiment = load_experiment("omni-wifi", sets, duration="6 s")
         found.append(simulate(compose(experiment), 0).arrays["/plant/state"]["position"])
-    return row(
-        "6.3: constant delays can be used to model some types of networks", "certain protocols",
-        below(
-            "largest difference of the rig over random ages of 1 to 5 and over constant ages of 5, m,",
-            float(np.abs(found[0] - found[1]).max()), 1e-15,
-        ),
-        basis="omni-wifi: both ends wait until the largest delay has passed, and the packet carries a row for every age",
-    )  # fmt: skip
+    return float(np.abs(found[0] - found[1]).max())
 
 
-def _attenuation(coupler: Coupler) -> Row:
+def _attenuation(coupler: Coupler) -> dict[str, float]:
     """The level gamma of (6.16) beside what random motions and materials give."""
     system = distortion(MATERIALS, LAMBDA, coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=CUTOFF_HZ)
     gamma, rng, law = hinf_norm(system), np.random.default_rng(6), np.array(LAMBDA)
@@ -131,11 +92,58 @@ def _attenuation(coupler: Coupler) -> Row:
             x = A[mode] @ x + B[mode, :, 0] * omega
             mode = int(rng.choice(3, p=law[mode]))
         ratios.append(math.sqrt(gave / took))
-    return row(
-        "(6.15), (6.16): a level gamma bounds |z| over |omega|", "|z| < gamma |omega|",
-        below("largest |z|/|omega| over the exact norm", max(ratios) / gamma, 1.0),
-        above("largest |z|/|omega|, N/m,", max(ratios), 1.0),
-        basis=f"{RUNS} motions of one frequency each, {SLOTS} slots under Lambda; wave coupler, weight of {CUTOFF_HZ:g} Hz, "
-        f"norm {gamma:.4g} N/m",
-    )  # fmt: skip
+    return {"ratio": max(ratios), "share": max(ratios) / gamma, "gamma": gamma}
 
+
+# fmt: off
+STATEMENTS = (
+    Statement(
+        "Remark 6.1: the rates of one patch are those of every patch of its material", "a repeated pattern",
+        (exactly("largest difference of Lambda over one cell and over two by two", "repeated", 0, 1e-12),),
+        basis="the pattern of Figure 6.2 as rows of squares between strips",
+    ),
+    Statement(
+        "6.2.2: with a time-varying speed Lambda varies too", "lambda_ij(nu) in proportion to nu",
+        (
+            exactly("least chance to leave a material at half the speed over that at full speed", "least", 0.5, 1e-9),
+            exactly("largest", "most", 0.5, 1e-9),
+        ),
+        basis="the same pattern",
+    ),
+    Statement(
+        "6.3: constant delays can be used to model some types of networks", "certain protocols",
+        (exactly("largest difference of the rig over random ages of 1 to 5 and over constant ages of 5, m,", "ages", 0, 1e-15),),
+        basis="omni-wifi: both ends wait until the largest delay has passed, and the packet carries a row for every age",
+    ),
+    Statement(
+        "6.3: a coupler allows a larger T and more of K_i and B_i", "no b > K_i T/2 + |B_i|",
+        (
+            below("damping that the wall needs with the coupler, N s/m,", "needed", "b"),
+            above("without one, N s/m,", "bare", "b"),
+        ),
+        basis="the stiffest coupler for 0 to 8 samples of delay, for any passive wall and hand",
+    ),
+    Statement(
+        "(6.7): it is equivalent to the least distortion", "the same minimum",
+        (above("distortion of next to no wall over that of a safe coupler", "nearer", 1),),
+        (below("that ratio", "nearer", 1), above("ratio of how far the device is from x_d under 1 N", "farther", 1)),
+        basis=f"wave coupler beside {ABSENT_M_PER_N:g} m/N, material 1, weight of 3 Hz: what distorts less errs more",
+    ),
+    Statement(
+        "6.4: a coupler of this form satisfies Theorem 6.1", "C_bar strictly proper",
+        (says("T/(2 b) - 0.05 z^-1", "meets", "meets (6.9)"),), (says("T/(2 b) - 0.05 z^-1", "meets", "misses (6.9)"),),
+        basis="C_bar = -0.05 z^-1 m/N is strictly proper, d = 0 and D_c = T/(2 b)",
+    ),
+    Statement(
+        "(6.15), (6.16): a level gamma bounds |z| over |omega|", "|z| < gamma |omega|",
+        (below("largest |z|/|omega| over the exact norm", "share", 1), above("largest |z|/|omega|, N/m,", "ratio", 1)),
+        basis=f"{RUNS} motions of one frequency each, {SLOTS} slots under Lambda; wave coupler, weight of {CUTOFF_HZ:g} Hz, "
+        "norm {gamma:.4g} N/m",
+    ),
+    Statement(
+        "6.6: the coupler depends on the damping b of the device", "b may change in the workspace",
+        (above("damping that the coupler for b needs", "needed", "least_b"), below("that damping", "needed", "b")),
+        basis="the stiffest coupler: a device with 1 % less damping has no certificate",
+    ),
+)
+# fmt: on

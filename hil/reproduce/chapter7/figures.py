@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -11,13 +13,13 @@ from hil.experiment import load_experiment
 from hil.measure.many import ManyView
 from hil.measure.tracking_many import tracking_of_many
 from hil.report.html.figures import Band, Figure, Marker, Series
-from hil.reproduce.chapter import Part, Plot, ReportProgress
+from hil.reproduce.chapter import Plot, ReportProgress
 from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.friction import Imperfections, loop_of
 from hil.reproduce.chapter7.many_runs import numbers_of
 from hil.reproduce.chapter7.models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, everywhere, vtol
 from hil.reproduce.chapter7.tables import CONTROLLERS, motor_prediction
-from hil.reproduce.judgement import above, below, row
+from hil.reproduce.statements import Statement, above, below
 from hil.session import simulate
 
 Array = npt.NDArray[np.float64]
@@ -75,7 +77,7 @@ def motor_plots(motor: Imperfections, report_progress: ReportProgress) -> list[P
     return plots
 
 
-def smith(report_progress: ReportProgress) -> Part:
+def smith(report_progress: ReportProgress) -> dict[str, Any]:
     """Figure 7.4, and how the verdict on the Smith predictor depends on its gain."""
     loops = {"H-infinity (7.36)": ideal("hinf"), "H2 (7.37)": ideal("h2")}
     for gain in SMITH_GAINS:
@@ -89,33 +91,55 @@ def smith(report_progress: ReportProgress) -> Part:
     )
     pulse = (Marker(x=30.0, label="disturbance"),)
     figure = Figure(title="Motor angle", series=series, y_label="angle", y_unit="rad", markers=pulse)
-    mean = {name: m.mean(axis=0) for name, m in marks.items()}
-    words = [f"{name}: sse {m[0]:.2f}, overshoot {m[1]:.0%}, peak {m[2]:.3f} rad" for name, m in mean.items()]
-    cautious, bold = marks["Smith, -0.03"], marks["Smith, -0.16"]
     hinf = marks["H-infinity (7.36)"]
-    basis = f"mean of {SMITH_RUNS} runs with the same delays, differences with 4 standard errors; the Smith gain is not printed"
-    rows = (
-        row(
-            "Figure 7.4: the proposed controllers are faster than a Smith predictor, overshoot more, reject disturbances better",
-            "holds", below("overshoot of Smith -0.03 less that of (7.36)", _surely(cautious, hinf, 1), 0.0),
-            above("sum of squares of Smith -0.03 less that of (7.36)", -_surely(hinf, cautious, 0), 0.0),
-            above("disturbance peak of Smith -0.03 less that of (7.36), rad,", -_surely(hinf, cautious, 2), 0.0),
-            computed="; ".join(words), basis=f"{basis}; it holds for cautious gains (-0.02 to -0.08)",
+    return {
+        "words": "; ".join(
+            f"{name}: sse {m[0]:.2f}, overshoot {m[1]:.0%}, peak {m[2]:.3f} rad"
+            for name, m in ((name, m.mean(axis=0)) for name, m in marks.items())
         ),
-        row(
-            "the same for every Smith gain", "implied",
-            above("sum of squares of Smith -0.16 less that of (7.36)", -_surely(hinf, bold, 0), 0.0),
-            above("disturbance peak of Smith -0.16 less that of (7.36), rad,", -_surely(hinf, bold, 2), 0.0),
-            computed=f"gain -0.16: sse {mean['Smith, -0.16'][0]:.2f} against {mean['H-infinity (7.36)'][0]:.2f}, peak "
-            f"{mean['Smith, -0.16'][2]:.3f} against {mean['H-infinity (7.36)'][2]:.3f} rad of (7.36)",
-            witness=tuple(
-                below(f"{what} of Smith -0.16 less that of (7.36)", _surely(bold, hinf, k), 0.0)
-                for k, what in enumerate(("sum of squares", "overshoot", "disturbance peak"))
-            ),
-            basis=f"{basis}; a predictor with the exact model and a bolder gain is better in all three",
+        **{
+            name: {
+                "more": [-_surely(hinf, marks[label], k) for k in range(3)],
+                "less": [_surely(marks[label], hinf, k) for k in range(3)], "mean": marks[label].mean(axis=0),
+            }
+            for name, label in (("hinf", "H-infinity (7.36)"), ("cautious", "Smith, -0.03"), ("bold", "Smith, -0.16"))
+        },
+        "figures": (Plot(title="Figure 7.4: Smith predictor", panels=(figure,)),),
+    }  # fmt: skip
+
+
+SMITH_BASIS = f"mean of {SMITH_RUNS} runs with the same delays, differences with 4 standard errors; the Smith gain is not printed"
+# fmt: off
+SMITH = (
+    Statement(
+        "Figure 7.4: the proposed controllers are faster than a Smith predictor, overshoot more, reject disturbances better",
+        "holds",
+        tuple(
+            claim(f"{what} of Smith {gain}, less that of (7.36),", f"{name}[{side}][{k}]", 0)
+            for gain, name in (("-0.03", "cautious"), ("-0.16", "bold"))
+            for claim, side, what, k in (
+                (below, "less", "overshoot", 1), (above, "more", "sum of squares", 0),
+                (above, "more", "disturbance peak, rad,", 2),
+            )
         ),
-    )  # fmt: skip
-    return Part(rows=rows, figures=(Plot(title="Figure 7.4: Smith predictor", panels=(figure,)),))
+        readings=True, computed="{words}", basis=f"{SMITH_BASIS}; it holds for cautious gains (-0.02 to -0.08), no bold one",
+    ),
+    Statement(
+        "the same for every Smith gain", "implied",
+        (
+            above("sum of squares of Smith -0.16 less that of (7.36)", "bold[more][0]", 0),
+            above("disturbance peak of Smith -0.16 less that of (7.36), rad,", "bold[more][2]", 0),
+        ),
+        tuple(
+            below(f"{what} of Smith -0.16 less that of (7.36)", f"bold[less][{k}]", 0)
+            for k, what in enumerate(("sum of squares", "overshoot", "disturbance peak"))
+        ),
+        computed="gain -0.16: sse {bold[mean][0]:.2f} against {hinf[mean][0]:.2f}, peak {bold[mean][2]:.3f} against "
+        "{hinf[mean][2]:.3f} rad of (7.36)",
+        basis=f"{SMITH_BASIS}; a predictor with the exact model and a bolder gain is better in all three",
+    ),
+)
+# fmt: on
 
 
 def _surely(a: Array, b: Array, column: int) -> float:
@@ -140,7 +164,7 @@ def _marks(view: ManyView) -> tuple[Array, Array, Array]:
     return found["sse"], found["overshoot"], peak
 
 
-def vtol_plots(report_progress: ReportProgress) -> Part:
+def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
     """Figures 7.2 and 7.3: one run of the published controller, the predicted band, and the local gain that diverges."""
     plots = []
     plant = vtol()
@@ -173,4 +197,4 @@ def vtol_plots(report_progress: ReportProgress) -> Part:
         )  # fmt: skip
         name = "H2" if kind == "vtol-h2" else "H-infinity"
         plots.append(Plot(title=f"Figure {number}: {name} controller of the VTOL", panels=panels))
-    return Part(figures=tuple(plots))
+    return {"figures": plots}

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,16 +26,16 @@ from hil.measure.many import ManyView
 from hil.measure.tracking_many import tracking_of_many
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.chapter7.many_runs import numbers_of
-from hil.reproduce.judgement import Row, rank, row
+from hil.reproduce.statements import Statement, run
 
 Array = npt.NDArray[np.float64]
 
-EXPERIMENT = {"hinf": (15.14, 0.0295), "h2": (14.57, 0.0193), "local": (16.16, 0.2989)}
+EXPERIMENT = {"hinf": ("15.14", "0.0295"), "h2": ("14.57", "0.0193"), "local": ("16.16", "0.2989")}
 NAMES = {"hinf": "H-infinity", "h2": "H2", "local": "local"}
 START = {"saturation_v": 0.058, "coulomb_v": 0.0017, "static_ratio": 2.5, "dead_zone_v": 0.0021, "encoder_rad": 0.0019}
 """The motor that the search starts from, chosen by hand."""
 
-STEADY = {"hinf": -0.0348, "h2": 0.0172}
+STEADY = {"hinf": "-0.0348", "h2": "0.0172"}
 FIT_SEEDS = 240
 CANDIDATES = 45
 SIDE = 0.2
@@ -110,10 +111,10 @@ def misfit(found: dict[str, Array]) -> float:
             if not np.isfinite(logs).all():
                 return 1e6
             spread = max(float(logs.std()), FLOOR[column])
-            total += ((float(np.log(printed[column])) - float(logs.mean())) / spread) ** 2
+            total += ((float(np.log(float(printed[column]))) - float(logs.mean())) / spread) ** 2
     for name, steady in STEADY.items():
         rms = float(np.sqrt(np.mean(found[name][:, 2] ** 2))) + 1e-4
-        total += (steady / rms) ** 2 + 2.0 * float(np.log(rms / 0.02))
+        total += (float(steady) / rms) ** 2 + 2.0 * float(np.log(rms / 0.02))
     return total
 
 
@@ -151,33 +152,41 @@ def imperfections(logs: Array, names: Sequence[str]) -> Imperfections:
     return Imperfections(**sizes)
 
 
-def experiment_rows(
+def experiment(
     motor: Imperfections, value: float, report_progress: ReportProgress, *, seeds: int = CHECK_SEEDS
-) -> list[Row]:
-    """The experiment column and Remark 7.7 with the fitted motor, on seeds that the fit has not seen."""
+) -> dict[str, Any]:
+    """The numbers of the experiment column and of Remark 7.7 with the fitted motor, on seeds that the fit has not seen."""
     report_progress(f"experiment column with the fitted motor, {seeds} runs")
     found = errors_of_all(motor, range(FIRST_CHECK, FIRST_CHECK + seeds))
-    rows = []
-    for name, printed in EXPERIMENT.items():
-        mean, sd = found[name].mean(axis=0), found[name].std(axis=0)
-        rows.append(
-            row(
-                f"Table 7.2, experiment, {NAMES[name]}", f"{printed[0]} / {printed[1]}",
-                *(rank(f"share of {seeds} runs below {p}", found[name][:, k], p) for k, p in enumerate(printed)),
-                computed=f"{mean[0]:.2f} ({sd[0]:.2f}) / {mean[1]:.4f} ({sd[1]:.4f})",
-                basis=f"T = 0.05 s, fitted motor ({motor}; misfit {value:.1f} over eight numbers); {seeds} runs "
-                "that the fit has not seen",
-            )
-        )  # fmt: skip
-    for name, printed_error in STEADY.items():
-        steady = found[name][:, 2]
-        low, high = np.percentile(steady, (2.5, 97.5))
-        rows.append(
-            row(
-                f"Remark 7.7: steady-state error, {NAMES[name]}", f"{printed_error} rad",
-                rank(f"share of {seeds} runs below {printed_error} rad", steady, printed_error),
-                computed=f"95 % of the runs in [{low:.4f}, {high:.4f}] rad",
-                basis="stiction, dead zone and the encoder leave an error of either sign; integral action removes it",
-            )
-        )  # fmt: skip
-    return rows
+    return {"motor": motor, "misfit": value, "seeds": seeds} | {
+        name: {
+            "runs": errors.T, "mean": errors.mean(axis=0), "sd": errors.std(axis=0),
+            "ends": np.percentile(errors[:, 2], (2.5, 97.5)),
+        }
+        for name, errors in found.items()
+    }  # fmt: skip
+
+
+# fmt: off
+EXPERIMENT_ROWS = (
+    *(
+        Statement(
+            f"Table 7.2, experiment, {NAMES[name]}", " / ".join(printed),
+            tuple(run(f"share of {{seeds}} runs below {p}", f"{name}[runs][{k}]", p) for k, p in enumerate(printed)),
+            computed=f"{{{name}[mean][0]:.2f}} ({{{name}[sd][0]:.2f}}) / {{{name}[mean][1]:.4f}} ({{{name}[sd][1]:.4f}})",
+            basis="T = 0.05 s, fitted motor ({motor}; misfit {misfit:.1f} over eight numbers); {seeds} runs that the fit has not "
+            "seen",
+        )
+        for name, printed in EXPERIMENT.items()
+    ),
+    *(
+        Statement(
+            f"Remark 7.7: steady-state error, {NAMES[name]}", f"{printed} rad",
+            (run(f"share of {{seeds}} runs below {printed} rad", f"{name}[runs][2]", printed),),
+            computed=f"95 % of the runs in [{{{name}[ends][0]:.4f}}, {{{name}[ends][1]:.4f}}] rad",
+            basis="stiction, dead zone and the encoder leave an error of either sign; integral action removes it",
+        )
+        for name, printed in STEADY.items()
+    ),
+)
+# fmt: on

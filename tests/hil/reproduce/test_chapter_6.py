@@ -15,12 +15,12 @@ from design.controllers.coupler import wave_coupler
 from design.controllers.wall import MATERIALS
 from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.device import HeldDevice
-from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion
 from hil.reproduce import chapters, reproduce
-from hil.reproduce.chapter6.numbers import passivity_rows, push_rows
-from hil.reproduce.chapter6.statement_rows import statement_rows
+from hil.reproduce.chapter6.numbers import PASSIVITY, PUSH, passivity, push
+from hil.reproduce.chapter6.statement_rows import STATEMENTS, statements
 from hil.reproduce.pages import chapter_page
+from hil.reproduce.statements import judge
 from tests.hil.reproduce.judging import assert_every_number_decides
 
 DEVICE = HeldDevice(mass_kg=0.7943, damping_n_s_per_m=1.9857)
@@ -54,14 +54,14 @@ def test_the_chapter_with_its_page():
 def test_a_verdict_turns_with_its_number():
     """With the damping of a joint on a lever the device needs no coupler: b > K T/2 + |B| holds, Theorem 6.1 still fails."""
     joint = HeldDevice(mass_kg=0.7943 / 0.135**2, damping_n_s_per_m=1.9857 / 0.135**2)
-    turned = {r.item: r.verdict for r in passivity_rows(joint)}
-    printed = {r.item: r.verdict for r in passivity_rows(DEVICE)}
+    turned = {r.item: r.verdict for r in judge(PASSIVITY, passivity(joint))}
+    printed = {r.item: r.verdict for r in judge(PASSIVITY, passivity(DEVICE))}
     condition = "6.3: without a coupler b > K T/2 + |B| cannot be guaranteed"
     assert printed[condition] == "reproduced" and turned[condition] == "not reproduced"
 
 
 def test_statements_with_the_number_that_decides_each():
-    found = statement_rows(DEVICE)
+    found = judge(STATEMENTS, statements(DEVICE))
     assert_every_number_decides(found)
     rows = {r.item.partition(":")[0]: r for r in found}
     verdicts = {item: r.verdict for item, r in rows.items()}
@@ -89,6 +89,5 @@ def test_the_printed_weighted_system_is_driven_by_nothing(cutoff, norm):
 
 
 def test_the_device_moves_at_once():
-    safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=DEVICE.damping_n_s_per_m).coupler
-    late = next(r for r in push_rows(DEVICE, safe) if "the delays of the responses" in r.item)
+    late = next(r for r in judge(PUSH, push(DEVICE)) if "the delays of the responses" in r.item)
     assert late.verdict == "claim false" and late.witness[0].value > 1.0  # mm after one sample

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
 import pytest
 from click.testing import CliRunner
 
-from hil.reproduce import Reproduction, Step, reproduce
-from hil.reproduce.chapter2.numbers import _sections
+from hil.reproduce import Reproduction, Row, Step, reproduce
+from hil.reproduce.chapter2.numbers import FEASIBILITY, _feasibility
 from hil.reproduce.pages import chapter_page
+from hil.reproduce.statements import judge
 from tests.hil.reproduce.judging import assert_every_number_decides
 
 
 def verdict(result: Reproduction, start: str) -> str:
     (found,) = [row.verdict for row in result.rows if row.item.startswith(start)]
     return found
+
+
+def verdicts(rows: Sequence[Row]) -> dict[str, str]:
+    return {row.item: row.verdict for row in rows}
 
 
 def titles(result: Reproduction) -> str:
@@ -44,8 +50,9 @@ def test_chapter_4_says_that_the_published_controller_diverges() -> None:
 
 
 def test_more_sections_are_feasible_where_fewer_are_not() -> None:
-    rows = _sections()
-    assert [row.verdict for row in rows] == ["reproduced", "reproduced"]
+    rows = judge(FEASIBILITY, _feasibility(lambda text, done=0, total=0, /: None))
+    assert [row.verdict for row in rows if row.item.startswith("M = 4 yields")] == ["reproduced", "reproduced"]
+    assert verdicts(rows)["computation time of the gains of Corollary 2.2, M = 2"] == "undecided"  # that PC is not at hand
     assert_every_number_decides(rows)
 
 
@@ -58,11 +65,12 @@ def test_chapter_2_tells_what_holds_and_what_does_not() -> None:
     assert verdict(result, "settling time (2.28) of (2.27)") == "not reproduced"
     assert verdict(result, "settling time (2.28) of [1, 2]") == "reproduced"
     assert verdict(result, "gains [1, 2] stabilise") == "claim false"
-    assert verdict(result, "Table 2.1, +-1 standard deviation, r_0 = 1, as printed") == "not reproduced"
-    assert verdict(result, "Table 2.1, +-1 standard deviation, r_0 = 2, not as printed") == "reproduced"
-    assert verdict(result, "Figure 2.2a: one run with (2.27)") == "reproduced"
+    tables = [row for row in result.rows if row.item.startswith("Table 2.1")]
+    assert [row.verdict for row in tables] == ["not reproduced", "not reproduced", "undecided"]  # four errors of the last: 20 %
+    assert [row.beside[0].outcome for row in tables] == [True, True, None]  # from the other initial mode
+    assert verdict(result, "Figure 2.2a: one run with (2.27)") == "undecided"  # 2.95 s is one of runs of half or twice the length
     assert verdict(result, "Figure 2.2a: the same run with [1, 2]") == "reproduced"
-    assert any(row.printed == "0.0749 s" for row in result.rows)  # its verdict depends on the machine
+    assert verdict(result, "h = 0.8326 halves") == "not reproduced"
     for number in ("2.2a", "2.2b", "2.3a", "2.3b", "2.4a", "2.4b"):
         assert number in titles(result)
     assert_every_number_decides(result.rows)
@@ -75,9 +83,9 @@ def test_chapter_3_tells_which_reading_the_gains_fit() -> None:
     assert [row.verdict for row in result.rows[:4]] == ["claim false", "reproduced", "claim false", "reproduced"]
     assert verdict(result, "Theorem 3.1") == "claim false"
     assert verdict(result, "gamma = 0.93") == "reproduced"
-    ratio = "||z|| / ||w|| in the simulation, if the run lasts"
-    assert verdict(result, f"{ratio} 20 s and the noise is held 1 s") == "reproduced"
-    assert verdict(result, f"{ratio} 20 s and the noise is held 0.01 s") == "not reproduced"
+    (ratio,) = [row for row in result.rows if row.printed == "0.2320"]
+    assert ratio.verdict == "undecided" and {check.outcome for check in ratio.checks} == {True, False}
+    assert verdict(result, "vertical velocity") == "undecided"
     assert "3.2" in titles(result)
     assert_every_number_decides(result.rows)
 

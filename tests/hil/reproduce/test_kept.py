@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,36 +16,41 @@ from hil.errors import HilError
 from hil.report.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
 from hil.reproduce import Chapter, Part, Plot, Stage
 from hil.reproduce.chapter import compute
-from hil.reproduce.judgement import below, near, rank, row, says
 from hil.reproduce.kept import KeptStages
 from hil.reproduce.pages import chapter_page
+from hil.reproduce.statements import Statement, below, equal, run, says, untold
 
 X = np.linspace(0.0, 1.0, 5)
 
 
-def a_part(number: float = 0.5) -> Part:
+def numbers(number: float = 0.5) -> dict[str, Any]:
     series, band = Series(label="x", x=X, y=X**2), Band(label="b", x=X, lower=X, upper=X + 1.0)
     panels = (
         Figure(title="f", series=(series,), bands=(band,), markers=(Marker(x=0.5, label="m"),), y_range=(0.0, 2.0)),
         Bars(title="b", categories=["one"], groups=(BarGroup(label="g", values=[1.0]),)),
         Histogram(title="h", edges=X, counts=np.arange(4)),
     )
-    checks = (below("x", number, 1.0), near("y", 1.0, 1.0, relative=0.1), rank("share", X, 0.5), says("w", "yes", "yes"))
-    return Part(
-        rows=(row("a", "1", *checks, witness=(below("z", float("inf"), 1.0),)),), figures=(Plot(title="p", panels=panels),)
-    )
+    return {"x": number, "y": 1.0, "runs": X, "w": "y", "z": float("inf"), "figures": (Plot(title="p", panels=panels),)}
+
+
+CLAIMS = (below("x", "x", 1), equal("y", "y", "1.00"), run("share", "runs", "0.5"), says("w", "w", "y"), untold("t", "y", "why"))
+SAID = (Statement("a", "1", CLAIMS, (below("z", "z", 1),), beside=(below("x", "x", 1),), readings=True),)
+
+
+def a_part() -> Part:
+    return Stage("s", lambda report_progress: numbers(), 1.0, SAID).part(lambda text, done=0, total=0: None)
 
 
 def chapter(calls: list[str], stops_at: str = "") -> Chapter:
     def stage(title: str) -> Stage:
-        def work(report_progress) -> Part:
+        def work(report_progress) -> dict[str, Any]:
             calls.append(title)
             if title == stops_at:
                 raise KeyboardInterrupt
             report_progress("half", 1, 2)
-            return a_part()
+            return numbers()
 
-        return Stage(title, work, 10.0)
+        return Stage(title, work, 10.0, SAID)
 
     return Chapter(title="C", stages=tuple(stage(title) for title in ("one", "two", "three")))
 

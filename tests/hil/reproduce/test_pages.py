@@ -12,14 +12,17 @@ import hil.reproduce
 from hil.cli.reproduce import command
 from hil.report.html.figures import Link
 from hil.reproduce import Reproduction, Step
-from hil.reproduce.judgement import below, row
+from hil.reproduce.statements import Statement, above, below, equal, judge
+
+MORE = {"ch3": (Statement("one more", "1.00", (equal("x", "x", "1.00"),)), Statement("false", "3", (above("x", "x", 3),)))}
 
 
 def quick(chapter: str, progress, kept=None) -> Reproduction:
     """A chapter of one row: what the command does with it is under test, not what it computes."""
     progress(Step(stage="first", number=1, stages=2))
     progress(Step(stage="first", number=1, stages=2, text="half", done=1, total=2))
-    return Reproduction(title=f"Title of {chapter} <b>", rows=(row("a", "1", below("x", 1.0, 2.0)),))
+    rows = judge([Statement(f"item of {chapter}", "1", (below("x", "x", 2),)), *MORE.get(chapter, ())], {"x": 1.0})
+    return Reproduction(title=f"Title of {chapter} <b>", rows=rows)
 
 
 @pytest.fixture
@@ -52,7 +55,21 @@ def test_all_as_json_is_one_object_by_chapter(run) -> None:
     found = json.loads(run("all", "--json").stdout)
     assert tuple(found) == hil.reproduce.chapters()
     one = json.loads(run("ch7", "--json").stdout)
-    assert set(one) == {"title", "rows", "counts"} and one["rows"][0]["rule"] == "x < 2"
+    assert set(one) == {"title", "rows", "counts"} and one["rows"][0]["rule"] == "one-sided: x < 2"
+
+
+def test_the_index_has_the_counts_and_the_rule_of_every_row(run, tmp_path: Path) -> None:
+    run("all", "-o", tmp_path / "pages")
+    index = (tmp_path / "pages" / "index.html").read_text()
+    for chapter in hil.reproduce.chapters():
+        assert f"item of {chapter}" in index
+    assert "one-sided: x &lt; 2" in index and "half a unit of the last printed digit" in index
+    assert "turns 1 of 7 reproduced rows with numbers: 1 of 1 equality, 0 of 0 one run, 0 of 6 one-sided" in index
+
+
+def test_the_power_of_the_rules_is_told_when_asked(run) -> None:
+    assert "turns 1 of 2 reproduced rows" in run("ch3", "--power").stdout and "turns" not in run("ch3").stdout
+    assert json.loads(run("ch3", "--power", "--json").stdout)["power"]["equality"] == [1, 1]
 
 
 def test_progress_is_told_on_standard_error(run) -> None:
