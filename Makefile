@@ -11,7 +11,7 @@ WORKERS := $(shell n=$$(nproc 2>/dev/null || echo 2); [ $$n -gt 2 ] && echo $$n 
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test .types .virtual check .changed test-slow test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
+.PHONY: pins help run test .types .virtual check .changed test-slow test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -81,8 +81,22 @@ test-hostile: $(INSTALLED) ## the attacks at length: a million inputs over all b
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal --hil-hostile -m "hostile and not realtime" tests/hostile $(PYTEST_ARGS)
 	$(BIN)/pytest -n 0 --hil-hostile -m "hostile and realtime" tests/hostile $(PYTEST_ARGS)
 
-sbom: $(INSTALLED) ## what is installed, and under which licence
-	@$(BIN)/hil licences
+# The tool has an environment of its own, held to hashes like the other: it lists ours and stands not in it.
+SBOM := .venv-sbom/bin
+sbom: $(INSTALLED) ## bill of materials of what is installed, CycloneDX 1.6, in runs/sbom.json
+	@$(SBOM)/cyclonedx-py --version >/dev/null 2>&1 || { $(PYTHON) -m venv --clear .venv-sbom && \
+	    $(SBOM)/python -m pip install -q --disable-pip-version-check --require-hashes --no-deps -r .ci/sbom.txt; }
+	@mkdir -p runs
+	@$(SBOM)/cyclonedx-py environment $(BIN)/python --pyproject pyproject.toml --spec-version 1.6 --output-reproducible \
+	    --mc-type application -o runs/sbom.json
+	@echo "bill of materials  $(CURDIR)/runs/sbom.json"
+
+pins: $(INSTALLED) ## choose the versions again and write their hashes: constraints.txt, .ci/*.txt
+	$(BIN)/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --extra test \
+	    pyproject.toml -o constraints.txt
+	for each in "build: hatchling==1.33.0 editables pip uv" "docs: sphinx>=8.1 myst-parser>=4 furo>=2024.8" "sbom: cyclonedx-bom"; do \
+	    printf '%s\n' $${each#*:} | $(BIN)/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header \
+	        --no-annotate --allow-unsafe -c constraints.txt - -o .ci/$${each%%:*}.txt || exit 1; done
 
 bench: $(INSTALLED) ## timing beside cyclictest, round trips of all links
 	$(BIN)/hil bench timing
@@ -98,25 +112,30 @@ figures: $(INSTALLED) ## measure every figure of speed, make the guide's page of
 # Sphinx is wanted by nobody but this target: it is installed when it is first asked for.
 docs: $(INSTALLED) ## the guide as a site, in runs/docs
 	@$(BIN)/python -c 'import sphinx, myst_parser, furo' 2>/dev/null || \
-	    $(BIN)/python -m pip install -q --disable-pip-version-check -e '.[docs]'
+	    $(PIP) --require-hashes --no-deps -r .ci/docs.txt
 	$(BIN)/python -m sphinx -q -W -b html -c hil/guide hil/guide runs/docs
 	@echo "guide  file://$(CURDIR)/runs/docs/index.html"
 
 clean: ## remove .venv, runs and caches (not ~/.cache/hilrig)
-	rm -rf .venv runs dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-sbom runs dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# uv inside the venv for speed; it holds what it installs to the hashes of constraints.txt. Plain pip does the same, slower, where
-# uv is not to be had, and without the hashes: with one it wants one of everything, and this folder itself has none.
-UV = uv==0.13.9
-$(INSTALLED): pyproject.toml constraints.txt
+# Every package has a hash that is checked, what builds and installs included (.ci/build.txt: pip, uv, hatchling): nothing is fetched
+# for a build, and nothing comes that stands in no list. Only the pip that Python itself brings is taken as it is. uv for speed;
+# where it does not run, plain pip does the same, with the same hashes, slower.
+PIP := $(BIN)/python -m pip install -q --disable-pip-version-check
+$(INSTALLED): pyproject.toml constraints.txt .ci/build.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	    echo "Python 3.11 or newer is needed; $(PYTHON) is $$($(PYTHON) -V 2>&1). Another one: make PYTHON=python3.12"; exit 1; }
 	@$(BIN)/python -c '' 2>/dev/null || $(PYTHON) -m venv --clear .venv || { \
 	    echo "$(PYTHON) -m venv failed; on Debian: apt-get install python3-venv"; exit 1; }
-	@echo "installing into .venv (once)"
-	@if $(BIN)/python -m pip install -q --disable-pip-version-check '$(UV)'; then \
-	   $(BIN)/uv pip install -q --python $(BIN)/python --verify-hashes --compile-bytecode -c constraints.txt -e '.[test]'; \
-	 else sed -e '/--hash=/d' -e 's/ *\\$$//' constraints.txt >.venv/constraints.txt && \
-	   $(BIN)/python -m pip install -q --disable-pip-version-check -c .venv/constraints.txt -e '.[test]'; fi
+	@echo "installing into .venv (once), every package held to its hash"
+	@$(PIP) --require-hashes --no-deps -r .ci/build.txt
+	@if $(BIN)/uv --version >/dev/null 2>&1; then \
+	   install="$(BIN)/uv pip install -q --python $(BIN)/python --compile-bytecode"; \
+	 else install="$(PIP)"; fi; \
+	 $$install --require-hashes --no-deps -r constraints.txt && $$install --no-deps --no-build-isolation -e .
+	@$(BIN)/python -m pip check --disable-pip-version-check >/dev/null || { \
+	    $(BIN)/python -m pip check --disable-pip-version-check; \
+	    echo "a package of pyproject.toml stands in no list of hashes: add it to constraints.txt (make pins)"; exit 1; }
 	@touch $@

@@ -116,7 +116,8 @@ TESTS: dict[str, tuple[str, ...]] = {
                        "test_no_node_of_a_rig_grows_with_its_slots", "test_a_busy_machine_is_told_from_a_fault_of_the_rig",
                        "test_a_chunk_that_is_written_leaves_no_memory_behind"),
     # What is installed
-    "a package is not": ("test_every_package_is_pinned_with_its_hashes", "test_build_and_installer_are_pinned"),
+    "a package is not": ("test_every_package_is_pinned_with_its_hashes", "test_build_and_installer_are_pinned_with_their_hashes",
+                         "test_every_install_of_the_makefile_checks_hashes_and_fetches_nothing_else"),
     "a licence asks": ("test_every_installed_package_is_listed_with_its_licence",),
 }  # fmt: skip
 """How a line begins, and what tests it."""

@@ -30,8 +30,31 @@ def test_every_package_is_pinned_with_its_hashes() -> None:
     assert set(found) & {plain(d.metadata["Name"]) for d in distributions()}
 
 
-def test_build_and_installer_are_pinned() -> None:
+def hashed(path: Path) -> dict[str, str]:
+    """Requirement lines of a list by the name of the package; each is one version with its hashes."""
+    text = path.read_text().replace("\\\n", " ")
+    found = {plain(re.split(r"[=;@ \[<>~!]", line)[0]): line for line in text.splitlines() if line.strip()}
+    for name, line in found.items():
+        assert re.match(r"[A-Za-z0-9._-]+==[0-9][^ ]*( |$)", line) and re.search(r"--hash=sha256:[0-9a-f]{64}\b", line), name
+    return found
+
+
+def test_build_and_installer_are_pinned_with_their_hashes() -> None:
     build = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
-    assert build and all("==" in requirement for requirement in build)
-    makefile = (ROOT / "Makefile").read_text()
-    assert re.search(r"^UV = uv==[0-9.]+$", makefile, re.M) and "--verify-hashes" in makefile
+    lists = {name: hashed(ROOT / f".ci/{name}.txt") for name in ("build", "docs", "sbom")}
+    assert {"pip", "uv", "hatchling", "editables", "pathspec", "pluggy", "trove-classifiers"} <= set(lists["build"])
+    assert "sphinx" in lists["docs"] and "cyclonedx-bom" in lists["sbom"]
+    known = pinned() | lists["build"]
+    for requirement in build:
+        version = requirement.partition(";")[0].strip()
+        assert version in (ROOT / "constraints.txt").read_text() + (ROOT / ".ci/build.txt").read_text(), requirement
+        assert plain(version.partition("==")[0]) in known
+
+
+def test_every_install_of_the_makefile_checks_hashes_and_fetches_nothing_else() -> None:
+    makefile = (ROOT / "Makefile").read_text().replace("\\\n", " ")
+    asked = re.findall(r"-r [.\w/]+\.txt|-e \.\S*", makefile)
+    assert len(asked) == 5, asked  # build, constraints, docs, sbom, and this folder
+    for line in makefile.splitlines():
+        for part in re.findall(r"[^&;]*(?:-r [.\w/]+\.txt|-e \.)[^&;]*", line):
+            assert "--no-deps" in part and ("--require-hashes" in part or "--no-build-isolation -e ." in part), part
