@@ -76,6 +76,7 @@ def command(
             "stopped_by_safety": int(values["stopped"].sum()),
             "metrics": {m: statistics(values[m]) for m in names},
             "verdict": comparison.verdict(name) if name != first else None,
+            "caution": comparison.cautions.get(name),
             "difference": {m: _as_json(comparison.difference(name, m)) for m in names},
         }
         for name, values in comparison.values.items()
@@ -86,6 +87,8 @@ def command(
     columns = get_terminal_size().columns
     for name in experiments[1:]:
         print(fill(visible(comparison.verdict(name)), columns, break_long_words=False, break_on_hyphens=False))
+    for name, caution in comparison.cautions.items():
+        print(fill(visible(f"{name}: {caution}"), columns, break_long_words=False, break_on_hyphens=False))
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("metric, experiment", overflow="fold", min_width=12)
     for head in ("n", "mean", "difference", "95 % interval"):

@@ -135,6 +135,7 @@ def command(
         "wall_s": round(time.perf_counter() - begun, 3),
         "stopped_by_safety": int(values["stopped"].sum()),
         "metrics": {name: statistics(values[name]) for name in metrics},
+        "caution": found.caution or None,
     }
     if rule is not None:
         seen = found.interval
@@ -200,6 +201,9 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
 
 
 def _show(out: dict[str, Any], as_json: bool) -> None:
+    from shutil import get_terminal_size
+    from textwrap import fill
+
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -211,6 +215,8 @@ def _show(out: dict[str, Any], as_json: bool) -> None:
         return
     name = visible(out["experiment"])
     print(f"{name}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
+    if out["caution"]:
+        print(fill(out["caution"], get_terminal_size().columns))
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for head in ("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"):
         table.add_column(head, justify="left" if head == "metric" else "right")

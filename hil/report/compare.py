@@ -82,7 +82,8 @@ def _answer(comparison: Comparison) -> Section:
         columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"), rows=rows,
         note=f"Differences are against {comparison.first}, run by run on the same delays. Runs: those that have the number.",
     )  # fmt: skip
-    return Section(title="Answer", blocks=(*verdicts, table))
+    cautions = tuple(Text(text=f"{name}: {caution}") for name, caution in comparison.cautions.items())
+    return Section(title="Answer", blocks=(*verdicts, *cautions, table))
 
 
 def _difference(gap: Interval, first: bool) -> tuple[float | None, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,14 @@ class Comparison:
         values: experiment to columns of its sweep, one entry per seed: ``seed``, ``stopped`` and every quantity.
         quantities: what all experiments measure.
         interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; then some values are missing.
+        cautions: experiment to what is to be said beside its mean of squared errors, where that does not converge well.
     """
 
     runs: int
     values: Mapping[str, Mapping[str, NDArray[np.float64]]]
     quantities: tuple[Quantity, ...]
     interrupted: int = 0
+    cautions: Mapping[str, str] = field(default_factory=dict)
 
     def difference(self, name: str, quantity: str) -> Interval:
         """Return the mean difference of an experiment against the first over the seeds that both have, and its 95 % interval."""
@@ -113,12 +115,15 @@ def compare(
     """
     quantities = common_quantities([quantities_in(experiment) for experiment in experiments.values()])
     values: dict[str, Mapping[str, NDArray[np.float64]]] = {}
+    cautions: dict[str, str] = {}
     for name, experiment in experiments.items():
         ran = run_sweep(experiment, range(runs), workers=here(jobs), progress=lambda done, name=name: progress(name, done))  # type: ignore[misc]
         if ran.interrupted:
             return Comparison(runs=runs, values=values, quantities=quantities, interrupted=ran.interrupted)
         values[name] = ran.values
-    return Comparison(runs=runs, values=values, quantities=quantities)
+        if ran.caution:
+            cautions[name] = ran.caution
+    return Comparison(runs=runs, values=values, quantities=quantities, cautions=cautions)
 
 
 def common_quantities(several: Sequence[Sequence[Quantity]]) -> tuple[Quantity, ...]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval, StopRule
 from design.monte_carlo.parallel import Workers, spread
+from hil.compose.fourth_moments import caution
 from hil.compose.loop import Loop, compose
 from hil.experiment import Experiment
 from hil.measure.many import ManyView, MeasureOfMany
@@ -111,12 +112,14 @@ class Sweep(NamedTuple):
     values: ``seed``, ``stopped`` and every metric, one entry per run in the order of the seeds.
     interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; the values are those of the runs that were done.
     interval, reached: with a stopping rule, its interval (None before the first look) and whether it is narrow enough.
+    caution: what is to be said beside a mean of squared errors, nothing where it converges; see `hil.compose.fourth_moments`.
     """
 
     values: dict[str, NDArray[np.float64]]
     interrupted: int
     interval: Interval | None = None
     reached: bool = False
+    caution: str = ""
 
 
 def sweep(
@@ -188,7 +191,7 @@ def run_sweep(
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]
     values = {name: np.array([row[name] for row in rows]) for name in ("seed", *columns_of(experiment))}
-    return Sweep(values, interrupted, interval, reached)
+    return Sweep(values, interrupted, interval, reached, caution(loop))
 
 
 def _parts(seeds: Sequence[int], workers: Workers, chunk: int | None) -> list[Sequence[int]]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.compose.fourth_moments import caution
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.measure.prediction import PredictedTracking, predict
@@ -21,9 +22,6 @@ TICKS = 120_000  # of emulation that a page may cost: some 3 s
 FEWEST = 20
 MOST_SLOTS = 100_000
 """Slots that are predicted at most: the first ones of a longer run."""
-
-RARE = 20.0
-"""Where the sd is so many times the mean, few runs make the mean."""
 
 
 def theory_section(view: RunView) -> Section | None:
@@ -94,13 +92,13 @@ def _sums(loop: Loop, predicted: PredictedTracking, error: np.ndarray[Any, Any],
         title = each.title if len(units) == 1 else with_unit(each.title, each.unit)
         rows.append([title, each.mean, each.sd, float((own**2).sum() * loop.model.period_s)])
     whose = "linear model" if simplified else "predicted"
-    rare = any(each.sd > RARE * abs(each.mean) for each in predicted.sums)
+    tails = caution(loop)
     head = with_unit("squared tracking error", units.pop()) if len(units) == 1 else "squared tracking error"
     return Table(
         columns=(head, f"{whose} mean", f"{whose} sd", "this run"),
         rows=rows,
         note="Squared error of the tracked outputs against the value stepped to, summed over the samples, times T: Table 7.2."
-        + (" A mean so far below its sd is made by few runs: most lie far below it." if rare else ""),
+        + (f" {tails[0].upper()}{tails[1:]}." if tails else ""),
     )
 
 

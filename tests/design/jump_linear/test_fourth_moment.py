@@ -1,0 +1,45 @@
+"""Growth of fourth moments, against closed forms, all eigenvalues, and runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from design.jump_linear import fourth_moment
+from design.jump_linear.fourth_moment import fourth_moments
+from design.jump_linear.second_moment import congruence_matrices, mean_square_radius, operator_matrix
+
+
+@pytest.mark.parametrize(("large", "state"), [(1.05, "bounded"), (1.3, "growing")])
+def test_a_scalar_loop_grows_by_the_mean_of_fourth_powers(large: float, state: str) -> None:
+    """x <- large x or 0.5 x, each with probability 1/2: E x^4 grows by (large^4 + 0.5^4) / 2, E x^2 stays below 1 in both."""
+    A, P = np.array([[[large]], [[0.5]]]), np.full((2, 2), 0.5)
+    found = fourth_moments(A, P)
+    assert found.radius == pytest.approx((large**4 + 0.5**4) / 2, rel=1e-6) and found.state == state
+    assert mean_square_radius(A, P) < 1.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_radius_is_the_largest_eigenvalue(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(3, 3, 3)) * rng.uniform(0.2, 0.7)
+    P = rng.dirichlet(np.ones(3), size=3)
+    W = congruence_matrices(A).transpose(0, 2, 1)
+    exact = float(np.abs(np.linalg.eigvals(operator_matrix(W, P))).max())
+    found = fourth_moments(A, P)
+    assert found.radius == pytest.approx(exact, rel=1e-5)
+    assert found.state == ("growing" if exact > 1 else "bounded")
+    monkeypatch.setattr(fourth_moment, "EXACT", 0)  # as of a large system
+    grown = fourth_moments(A, P)
+    assert grown.state == found.state and (grown.radius is None or grown.radius == pytest.approx(exact, rel=1e-4))
+    assert exact >= mean_square_radius(A, P) ** 2 * (1 - 1e-9)  # E x^4 >= (E x^2)^2
+
+
+def test_bounds_of_a_tail_and_too_many_moments_are_undecided(monkeypatch: pytest.MonkeyPatch) -> None:
+    A, P = np.array([[[1.1]], [[0.5]]]), np.full((2, 2), 0.5)
+    assert fourth_moments(A, P, upper=P * 1.05).state == "bounded"
+    assert fourth_moments(A, P, upper=P * 2.0).state == "undecided"
+    monkeypatch.setattr(fourth_moment, "EXACT", 0)
+    monkeypatch.setattr(fourth_moment, "MOST_MOMENTS", 0)
+    found = fourth_moments(A, P)
+    assert found.state == "undecided" and found.radius is None and "2 moments" in found.reason

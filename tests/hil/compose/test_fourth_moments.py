@@ -1,0 +1,32 @@
+"""Means of squared errors that converge badly are said so: a stable loop whose fourth moments grow."""
+
+from __future__ import annotations
+
+import hil
+from hil.compose.fourth_moments import caution, fourth_moments_of
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+
+STABLE_WITHOUT_VARIANCE = ["controller.gain=[[-0.32]]", "duration=3 s"]
+"""Over the network of dc-motor-local: second moments fall (radius below 1), fourth moments grow."""
+
+
+def test_a_stable_loop_may_have_fourth_moments_that_grow() -> None:
+    loop = compose(load_experiment("dc-motor-local", STABLE_WITHOUT_VARIANCE))
+    found = fourth_moments_of(loop)
+    assert loop.verdict is not None and loop.verdict.certified and found is not None
+    assert found.state == "growing" and found.radius is not None and found.radius > 1.0
+    assert "converges badly" in caution(loop)
+    assert caution(compose(load_experiment("dc-motor-hinf"))) == ""
+    assert fourth_moments_of(compose(load_experiment("dc-motor-smith", ["allow_uncertified=true"]))) is None
+
+
+def test_what_grows_for_a_thousand_slots_and_then_falls_is_bounded() -> None:
+    """1386 moments that grow by 1.0025 a slot at first; their radius is 0.99299."""
+    found = fourth_moments_of(compose(load_experiment("dc-motor-1khz"), certify=False))
+    assert found is not None and found.state == "bounded"
+
+
+def test_a_loop_whose_means_converge_has_no_caution() -> None:
+    assert hil.sweep("dc-motor-hinf", runs=2, jobs=1, duration=1).caution == ""
+    assert hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1, duration=1).cautions == {}
