@@ -166,7 +166,7 @@ def run_session(
         HilError: if the experiment cannot be composed, the log cannot be written, or the session could not start.
     """
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
-    loop = compose(experiment)
+    loop = compose(experiment, external=external)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are told now
     uri = "memory:" if clock == "virtual" else link_uri(experiment, link)
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from plants.parts.protocols import (
         BeyondModel,
         HasCost,
+        HasOwnInputs,
         HasSensorNoise,
         HasStateDelays,
         HasStateHistory,
@@ -60,6 +61,7 @@ _HOMES: Final = {
     "FaultyVTOLRun": "plants.vtol_fault",
     "Friction": "plants.parts.friction",
     "HasCost": "plants.parts.protocols",
+    "HasOwnInputs": "plants.parts.protocols",
     "HasSensorNoise": "plants.parts.protocols",
     "HasStateDelays": "plants.parts.protocols",
     "HasStateHistory": "plants.parts.protocols",
@@ -106,6 +108,7 @@ __all__ = [
     "FaultyVTOLRun",
     "Friction",
     "HasCost",
+    "HasOwnInputs",
     "HasSensorNoise",
     "HasStateDelays",
     "HasStateHistory",

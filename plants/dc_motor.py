@@ -154,6 +154,10 @@ class DCMotor:
         found += ["an encoder that rounds"] if self.encoder.step_rad else []
         return tuple(found)
 
+    def own_inputs(self) -> tuple[str, ...]:
+        """Return the load torque, where there is one: it sets in and ends by the clock, whatever the motor does."""
+        return ("a load torque",) if self.load.torque_v else ()
+
     def start(self, rng: np.random.Generator) -> DCMotorRun:
         """Return the motor at time 0. It draws nothing from ``rng``."""
         return DCMotorRun(self)

@@ -137,6 +137,10 @@ class Omni:
         found += ["an encoder that rounds"] if self.encoder_step_m else []
         return tuple(found)
 
+    def own_inputs(self) -> tuple[str, ...]:
+        """Return what the hand does of its own will: it pushes, leads the device along its path, and slides along the wall."""
+        return () if self.hand is None else ("the hand's push, path and slide",)
+
     def start(self, rng: np.random.Generator) -> LinearRun | NoisyRun | HeldRun:
         """Return the joint at time 0. A bare one without noise draws nothing from ``rng``."""
         if self.hand is None:

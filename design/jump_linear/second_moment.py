@@ -11,6 +11,7 @@ sqrt 2), so that the forward operator is the transpose of the backward one, and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
@@ -19,12 +20,16 @@ import numpy.typing as npt
 
 from design.jump_linear.coupled_lyapunov import solve_bordered, solve_coupled
 from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
+from design.jump_linear.positive_radius import is_sparse, positive_radius, solve_sparse, sparse_operator
 
 Array = npt.NDArray[np.float64]
 
 DENSE_LIMIT = 700  # unknowns up to which a dense factorisation is quicker than GMRES
 SINGLE_LIMIT = 100  # the same for a system of one mode
-EIG_DENSE_LIMIT = 260  # unknowns up to which all eigenvalues are computed
+EIG_DENSE_LIMIT = 260  # unknowns up to which all eigenvalues are computed at once
+EIG_DENSE_AFTER = 3500  # unknowns up to which they are where ARPACK does not find the largest: some 15 s
+POWER_BLOCK, POWER_STEPS, POWER_SETTLED = 100, 20_000, 1e-9  # slots of an average, slots at most, change per slot at the end
+ARPACK_RESTARTS = 60  # a spectrum that is not found by then is crowded: no number of restarts that pays finds it
 CLUSTER_LIMIT = 20_000  # unknowns up to which four eigenvalues are found, in case several lie on the spectral circle
 BORDERED_TOLERANCE = 1e-10  # of GMRES: Newton's method on the fold corrects what it leaves
 
@@ -178,6 +183,10 @@ def cost_once(A: Array, transition: Array, families: Array) -> Array:
         families: Q, (N, n, n), or several at once, (k, N, n, n).
     """
     size = A.shape[0] * A.shape[-1] * (A.shape[-1] + 1) // 2
+    if size > EIG_DENSE_LIMIT and len(A) > 1 and is_sparse(transition, A.shape[-1]):
+        vectors = to_vector(families)
+        found = solve_sparse(sparse_operator(congruence_matrices(A), transition), vectors.reshape(-1, size).T)
+        return to_matrix(np.ascontiguousarray(found.T).reshape(vectors.shape), A.shape[-1])
     if size > EIG_DENSE_LIMIT:
         return Resolvent(A, transition).cost(families)
     vectors = to_vector(families)
@@ -247,15 +256,21 @@ def mean_square_radius(A: Array, transition: Array) -> float:
         A: (N, n, n) mode matrices.
         transition: (N, N) row-stochastic matrix.
 
-    Small systems take every eigenvalue; one large mode takes the squares of those of A. Large systems take ARPACK,
-    matrix-free, started at the identity: the operator maps positive semidefinite families to such, so its radius is an
-    eigenvalue with a positive semidefinite family.
+    Small systems take every eigenvalue; one large mode takes the squares of those of A. Where few transitions are
+    possible, see `design.jump_linear.positive_radius`. Other large systems take ARPACK, matrix-free, started at the identity:
+    the operator maps positive semidefinite families to such, so its radius is an eigenvalue with such a family. Where ARPACK
+    does not converge, all eigenvalues are computed as far as the size allows, else the growth of the identity's iterates; nan
+    where that settles too slowly. Stability is decided by (7.17), not by this number: `design.jump_linear.certificate`.
     """
     size = A.shape[0] * A.shape[-1] * (A.shape[-1] + 1) // 2
     if len(A) == 1 and size > SINGLE_LIMIT:
         return float(transition[0, 0] * np.abs(np.linalg.eigvals(A[0])).max() ** 2)
     if size <= EIG_DENSE_LIMIT:
         return float(np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max())
+    if is_sparse(transition, A.shape[-1]):
+        operator = sparse_operator(congruence_matrices(A), transition)
+        unit = to_vector(np.broadcast_to(np.eye(A.shape[-1]), A.shape)).ravel()
+        return positive_radius(operator, unit, lambda x: to_matrix(x.reshape(len(A), -1), A.shape[-1]))
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
     shape, chains = (A.shape[0], size // A.shape[0]), factors_of(transition)
@@ -266,9 +281,34 @@ def mean_square_radius(A: Array, transition: Array) -> float:
 
     operator = LinearOperator((size, size), matvec=product, dtype=np.float64)
     start = to_vector(np.broadcast_to(np.eye(A.shape[-1]), A.shape)).ravel()
+    wanted = 4 if size < CLUSTER_LIMIT else 1
     try:
-        wanted = 4 if size < CLUSTER_LIMIT else 1
-        values: npt.NDArray[Any] = eigs(operator, k=wanted, v0=start, ncv=40, return_eigenvectors=False, tol=1e-12)
-    except ArpackNoConvergence as partial:  # a cluster on the spectral circle: fall back to all eigenvalues
-        values = partial.eigenvalues if len(partial.eigenvalues) else np.linalg.eigvals(operator_matrix(A, transition))
-    return float(np.abs(values).max())
+        values: npt.NDArray[Any] = eigs(
+            operator, k=wanted, v0=start, ncv=40, return_eigenvectors=False, tol=1e-12, maxiter=ARPACK_RESTARTS
+        )
+        return float(np.abs(values).max())
+    except ArpackNoConvergence:  # what has converged may not be the largest: its number is not taken
+        pass
+    if size <= EIG_DENSE_AFTER:
+        return float(np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max())
+    return _power_radius(product, start)
+
+
+def _power_radius(product: Callable[[Array], Array], start: Array) -> float:
+    """Spectral radius of an operator that keeps a cone, by what the trace of its iterates grows by; nan where that never settles.
+
+    The identity is inside the cone: no part of the spectrum is missed.
+    """
+    vector, before, growth = start / np.linalg.norm(start), 0.0, 0.0
+    for k in range(POWER_STEPS):
+        vector = product(vector)
+        norm = float(np.linalg.norm(vector))
+        if not 0.0 < norm < np.inf:
+            return norm
+        vector /= norm
+        growth += np.log(norm)
+        if (k + 1) % POWER_BLOCK == 0:
+            if abs(growth - before) < POWER_SETTLED * POWER_BLOCK:
+                return float(np.exp(growth / POWER_BLOCK))
+            before, growth = growth, 0.0
+    return float("nan")

@@ -30,6 +30,7 @@ class DesignTask:
         delayed_plant: the plant of Chapter 5, None of one that does not measure its state.
         initial_state: x(0) of that plant, shape (n,).
         folder: where relative file names begin.
+        chainless: what keeps the network from having chains, in words; empty where nothing does.
     """
 
     model: LoopModel
@@ -41,3 +42,4 @@ class DesignTask:
     delayed_plant: DelayedPlant | None = None
     initial_state: NDArray[np.float64] | None = None
     folder: str = "."
+    chainless: str = ""

@@ -110,8 +110,7 @@ class Designed:
                 sojourns=read.sojourns, samples=read.samples,
             )  # fmt: skip
         if sc is None or ca is None:
-            said = "a design needs age laws with a chain on both links, not packet laws or traces"
-            raise FieldError("kind", said + (", and nodes that send in every slot" if several else ""))
+            raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
         ages: tuple[int, ...] = ()
         if several and self.sojourns > 1:
             raise FieldError("sojourns", "needs one sensor node; with several nodes the gain depends on their ages")

@@ -33,7 +33,8 @@ class JumpCertificate:
         sound: whether ``certified`` implies stability (False for every printed form).
         verdict: certified, refused or undecided; reason: why, in one sentence.
         margin: -(largest eigenvalue) of the strict inequalities at the matrices, which are normalised to P >= I (or X >= I).
-        decay_rate: E|x|^2 falls at least like e^(-decay_rate t) (1/s); exact for ``exact``.
+        decay_rate: E|x|^2 falls at least like e^(-decay_rate t) (1/s): a bound, exact where the rates are constant. Where the
+            sojourn times vary much it may be half the true rate; of a refused loop it bounds the growth from above.
         gamma: L2 gain bound.
         spectral_radius: of the per-jump second-moment operator (``exact`` only).
         matrices: the solution by name.

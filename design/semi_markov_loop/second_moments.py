@@ -3,8 +3,9 @@
     T_ji = int_0^inf f_ij(h) Phi_i(h) (x) Phi_i(h) dh,    f_ij = lambda_ij e^(-H_i),    Phi_i(h) = transition matrix of mode i
 
 The second moments after jump k are vec M_j(k+1) = sum_i T_ji vec M_i(k), so the loop is mean-square stable if and only if
-the radius is below 1 (and the integral over the last, endless cell exists). With e^(beta h) under the integral, the largest
-beta that keeps the radius below 1 is the exact decay rate of E|x|^2. Necessary and sufficient for a certain system, also for
+the radius is below 1 (and the integral over the last, endless cell exists). With e^(beta h) under the integral, a beta that
+keeps the radius below 1 is a rate at which E|x|^2 decays: a bound from below, which modes that
+contract very differently make loose. Necessary and sufficient for a certain system, also for
 one whose uncertainty is constant; free time variation can be worse.
 
 Integration: Gauss-Legendre per step, Phi by fourth-order Magnus steps (exact where the gain is held), steps halved until the
@@ -204,7 +205,7 @@ def second_moment_radius(system: JumpSystem, gain: ScheduledGain, process: SemiM
 
 
 def second_moment_decay(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov) -> float:
-    """The exact decay rate of E|x|^2 (1/s), negative if the loop is unstable; raises as ``second_moment_radius``."""
+    """A lower bound of the decay rate of E|x|^2 (1/s), negative if the loop is unstable; raises as ``second_moment_radius``."""
     return _decay(*_settled_moments(system, gain, process))
 
 

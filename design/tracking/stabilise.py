@@ -45,8 +45,7 @@ def stabilising(objective: LoopObjective, start: Array) -> Array:
     if radius < 1.0:
         return v
     raise NotStable(
-        f"no gains of this information pattern make the loop mean-square stable: smallest radius reached {best:.6g}, "
-        "expected < 1",
+        f"no gains found from this start that make the loop mean-square stable: smallest radius {best:.6g}, expected < 1",
         value=best,
     )
 

@@ -34,6 +34,8 @@ __all__ = ["Design", "Progress", "TrackingProblem", "solve"]
 Progress = Callable[[str, int, int, float], None]
 BARRIER_WEIGHTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 MIXED_SLACK = 1.05
+STABLE_STARTS = 4
+"""Starts of the search for first gains that are stable."""
 ROUGH = 1e-6
 """Relative gain below which a descent stops whose result is only a start."""
 
@@ -139,10 +141,7 @@ def _multistart(
     count = problem.starts or DEFAULT_STARTS[str(problem.objective)]
     rng = np.random.default_rng(problem.seed)
     report = progress or (lambda stage, start, starts, value: None)
-    try:
-        first = stabilising(objective, space.coordinates(np.zeros(space.shape)))
-    except NotStable as error:
-        raise _with_class(problem, objective, error) from None
+    first = _first_stable(problem, objective, space.coordinates(np.zeros(space.shape)))
     centre = _descend(objective.descend_h2, first)
     report("h2", 1, count, centre.value)
     results: list[Descent] = []
@@ -164,6 +163,28 @@ def _multistart(
         radius = objective.radius(centre.x)
         raise NotStable(f"no start of {count} ended at a stable loop; best second-moment radius {radius:.9g}", value=radius)
     return best, tuple(float(r.value) for r in results)
+
+
+def _first_stable(problem: TrackingProblem, objective: LoopObjective, zero: Array) -> Array:
+    """Return coordinates of stable gains, searched for from zero and then from random starts.
+
+    Raises:
+        NotStable: none were found; that is no proof that there are none.
+    """
+    rng, best = np.random.default_rng((problem.seed, STABLE_STARTS)), np.inf
+    for start in range(STABLE_STARTS):
+        try:
+            return stabilising(objective, zero if start == 0 else zero + 0.1 * rng.standard_normal(zero.shape))
+        except NotStable as error:
+            best = min(best, float(error.value) if error.value is not None else np.inf)
+    advice = "samples = 2, " if problem.samples == 1 else ""
+    found = NotStable(
+        f"no gains found that make the loop mean-square stable: none in {STABLE_STARTS} starts of the search, best second-moment "
+        f"radius {best:.6g}, expected < 1; that is no proof that there are none: try {advice}another information pattern or a "
+        "shorter period",
+        value=best,
+    )
+    raise _with_class(problem, objective, found)
 
 
 def _other_start(

@@ -45,6 +45,8 @@ def show(summary: dict[str, Any]) -> None:
         for name, value in timing_rows(summary["timing"]):
             row(name, value, "red" if value.startswith("NOT VALID") else None)
     claim = summary.get("certificate")
+    if summary.get("controller") == "external":
+        row("controller", "external: not the experiment's", "yellow")
     if claim:
         state = str(claim.get("state", "no verdict"))
         colour = {"certified": "green", "refused": "red"}.get(state, "yellow")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from design.controllers import Controller, LoopModel
 from design.verdict import Kind, Verdict
+from hil.compose.said import Said
 from hil.experiment.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 
 if TYPE_CHECKING:
@@ -28,6 +29,12 @@ class LoopToCertify:
         digest: SHA-256 of everything above, in the user's words; a verdict on this loop carries it.
         damped: whether a passivity controller at the rig may add to the command.
         faults: faults on the time line.
+        input_limits: largest command per input that the run allows, None where it has no limit.
+        state_limits: largest value of named states.
+        selection: rule by which the controller that was started says that a row is picked; empty: nobody looked.
+        said: what plant and controller said of themselves.
+        unmet: what of the network never happens, as its laws begin; empty: every mode of theirs may come.
+        chainless: what keeps the experiment from having a chain of ages on both links; empty: nobody looked, or nothing does.
     """
 
     plant: Plant
@@ -38,6 +45,18 @@ class LoopToCertify:
     digest: str
     damped: bool = False
     faults: int = 0
+    input_limits: tuple[float, ...] | None = None
+    state_limits: Mapping[str, float] = field(default_factory=dict)
+    selection: str = ""
+    said: Said = field(default_factory=Said)
+    unmet: str = ""
+    chainless: str = ""
+
+    def no_chain(self) -> str:
+        """Return why nothing is known of a loop without chains of ages, as a reason."""
+        return f"no certificate covers this kind of network: {self.chainless}" if self.chainless else (
+            "no certificate covers this kind of network law"
+        )
 
 
 class Certifier(Protocol):

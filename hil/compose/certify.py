@@ -8,6 +8,7 @@ protocols is judged like ours.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,6 +23,7 @@ from hil.compose.jump_loop import certify_jump_loop
 from hil.compose.linear_law_loop import certify_linear_law
 from hil.compose.send_all_loop import certify_send_all
 from hil.compose.wall_loop import certify_wall_loop
+from hil.compose.word_and_deed import tested
 from hil.errors import ForeignVerdict
 from hil.experiment import Experiment
 
@@ -44,7 +46,35 @@ def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) 
 
 
 def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
-    """Return the verdict on a loop: ``undecided`` where no certifier knows its kind, or a proof cannot be computed.
+    """Return the verdict on a loop whose plant and controller were tested to be what they say: see `judge` and `tested`.
+
+    Args:
+        loop: the loop that will run.
+        certifiers: who is asked, in order.
+
+    Raises:
+        ForeignVerdict: as of `judge`.
+    """
+    return tested(loop, judge(loop, certifiers))
+
+
+def of_external(verdict: Verdict, named: str) -> Verdict:
+    """Return what is known of a loop whose controller is somebody else's program: nothing, whatever the named one is worth.
+
+    Args:
+        verdict: on the loop of the controller that the experiment names.
+        named: its kind.
+    """
+    worth = f"{verdict.state}, {verdict.kind}: {verdict.reason}"
+    return Verdict(
+        kind=verdict.kind, state="undecided", digest=verdict.digest,
+        reason=f"the controller is not ours: an external program answers on the link, and not the experiment's {named!r}",
+        details={"controller": "external", "stable": False, "the named controller would be": worth},
+    )  # fmt: skip
+
+
+def judge(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
+    """Return the verdict on what a loop says of itself: ``undecided`` where no certifier knows its kind, or no proof is computed.
 
     Args:
         loop: the loop that will run.
@@ -61,5 +91,7 @@ def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -
         if verdict is not None:
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
+            if loop.unmet and verdict.state != "undecided":
+                verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
             return limited_to_sound(loop, limited_to_undamped(loop, verdict))
     return undecided(loop, "mean-square stability", "no certificate covers this kind of controller")

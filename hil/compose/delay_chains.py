@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import prod
+from math import isqrt, prod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,6 +62,31 @@ def node_chains(e: Experiment, sojourns: int | Sequence[int] | None = None) -> t
     return known
 
 
+def why_no_chain(e: Experiment) -> str:
+    """Return what keeps an experiment from having a chain of ages on both links, in words; empty where nothing does.
+
+    Args:
+        e: checked, its laws loaded.
+    """
+    from design.processes.product_chain import MOST_MODES
+
+    sensors = sensors_of(e)
+    if shared_media(e):
+        return f"nodes share {' and '.join(f'media.{medium.name}' for medium in shared_media(e))}, and take turns"
+    for sensor in sensors:
+        where = f"nodes.{sensor.name}"
+        if sensor.trigger.kind != "every-slot":
+            return f"{where}.trigger ({sensor.trigger.kind}) lets a node keep silent"
+        if sensor.clock.every > 1:
+            return f"{where}.clock: a node sends in one of {sensor.clock.every} slots"
+        if delay_chain(sensor.law) is None:
+            return f"the law of {where if e.nodes else 'links.sc'} states no chain: it is a packet law or a trace"
+    modes = prod(chain.modes for sensor in sensors if (chain := delay_chain(sensor.law)) is not None)
+    if len(sensors) > 1 and modes > MOST_MODES:
+        return f"the chains of {len(sensors)} nodes together have {modes} modes, at most {MOST_MODES}"
+    return "" if delay_chain(e.links.ca.law) is not None else "the law of links.ca states no chain: it is a packet law or a trace"
+
+
 def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayChain | None:
     """Return the chain of the delay that the receiver measures under a network law, None where the law states no chain.
 
@@ -115,7 +140,41 @@ def initial_laws(e: Experiment) -> tuple[NDArray[np.float64], NDArray[np.float64
     return kron_of(known), ca.initial
 
 
+def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
+    """Return a chain without the modes that it never comes to; the chain itself where it comes to all of them.
+
+    Args:
+        chain: the delay chain.
+        initial: distribution of its mode in slot 0, (N,).
+    """
+    follows, reached = chain.bounds[1] > 0.0, np.asarray(initial) > 0.0
+    while True:
+        more = reached | follows[reached].any(axis=0)
+        if np.array_equal(more, reached):
+            break
+        reached = more
+    if reached.all():
+        return chain
+    from design.processes.delay_chain import DelayChain
+
+    kept = np.flatnonzero(reached)
+    inside = np.ix_(kept, kept)
+    return DelayChain(
+        transition=chain.matrix[inside], delays=chain.delay[kept], labels=chain.label[kept],
+        between=None if chain.between is None else (chain.bounds[0][inside], chain.bounds[1][inside]),
+        ages=None if chain.ages is None else np.asarray(chain.ages)[kept],
+    )  # fmt: skip
+
+
 def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
     """Return K[tau, row, m, p] for the delays that two chains reach; a table may cover more (``max_age``)."""
-    K = controller.table(model)[: int(sc.label.max()) + 1]
-    return K[:, : ca.max_delay + 1] if controller.selection in ("generated", "applied", "previous") else K
+    return gains_within(controller.table(model), controller.selection, sc, ca)
+
+
+def gains_within(table: NDArray[np.float64], selection: str, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
+    """Return the part of a table of gains that the delays of two chains reach."""
+    K, count = table[: int(sc.label.max()) + 1], ca.max_delay + 1
+    if selection == "both":  # a row for every pair of delays
+        side = isqrt(K.shape[1])
+        return K.reshape(len(K), side, side, *K.shape[2:])[:, :count, :count].reshape(len(K), count * count, *K.shape[2:])
+    return K[:, :count] if selection in ("generated", "applied", "previous") else K

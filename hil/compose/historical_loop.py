@@ -83,7 +83,7 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     if x0.shape != (len(plant.A),):
         return undecided(loop, KIND, "the plant has states that it does not measure")
     least = _least_cost(loop.plant, plant, history)
-    K = controller.history()
+    K = loop.said.once("history", lambda: np.array(controller.history(), dtype=float))
     unknown = gains_undecided(K, nodes, controller.uses, plant.memory)
     if nodes.silent:
         unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"

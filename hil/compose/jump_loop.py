@@ -40,12 +40,13 @@ def certify_jump_loop(loop: LoopToCertify) -> Verdict | None:
     if len(loop.model.nodes.names) > 1:
         return undecided(loop, KIND, "no certificate covers gains by mode over several sensor nodes")
     if loop.sc is None or loop.ca is None:
-        return undecided(loop, KIND, "no certificate covers this kind of network law")
+        return undecided(loop, KIND, loop.no_chain())
     from design.semi_markov_loop.sampled import sampled_verdict
 
     try:
-        system, process = system_of(plant.jump_system()), process_of(plant.jump_process())
-        gain = controller.schedule_of_modes()
+        system = system_of(loop.said.once("jump system", plant.jump_system))
+        process = process_of(loop.said.once("jump process", plant.jump_process))
+        gain = loop.said.once("schedule", controller.schedule_of_modes)
         found = sampled_verdict(system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca)
     except (ValueError, DesignError) as error:
         return undecided(loop, KIND, f"the theory does not cover this plant: {error}")

@@ -26,10 +26,10 @@ def certify_linear_law(loop: LoopToCertify) -> Verdict | None:
     if len(loop.model.nodes.names) > 1:
         return undecided(loop, "mean-square stability", f"{missing} a linear controller over several sensor nodes")
     if loop.sc is None or loop.ca is None:
-        return undecided(loop, "mean-square stability", f"{missing} this kind of network law")
+        return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", f"{missing} a linear controller over a plant that jumps")
-    law = controller.linear_law(loop.model)
+    law = loop.said.once("law", lambda: controller.linear_law(loop.model))
     return limited_to_model(loop.plant, judge_linear_law(loop.model, loop.sc, loop.ca, law, digest=loop.digest))
 
 

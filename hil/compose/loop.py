@@ -26,8 +26,8 @@ from design.errors import DesignError, FieldError
 from design.requests.task import DesignTask
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify
-from hil.compose.certify import certify, digest_of
-from hil.compose.delay_chains import delay_chains, node_chains
+from hil.compose.certify import certify, digest_of, of_external
+from hil.compose.delay_chains import delay_chains, initial_laws, node_chains, why_no_chain, within_reach
 from hil.compose.fit import check_own, check_references, size_faults
 from hil.compose.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.compose.jump_plant import process_of, system_of
@@ -149,15 +149,20 @@ def _schedule(start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float
     return at
 
 
-def compose(experiment: Experiment, *, certify: bool = True) -> Loop:
+def compose(experiment: Experiment, *, certify: bool = True, external: bool = False) -> Loop:
     """Make the loop of an experiment: check what belongs together, solve the design, certify the closed loop.
+
+    Args:
+        experiment: the checked description.
+        certify: whether to say what can be claimed of the loop.
+        external: somebody else's controller answers on the link: of its loop nothing is known.
 
     Raises:
         ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is
             not set.
     """
     with _small_matrices():
-        return _compose(experiment, certify)
+        return _compose(experiment, certify, external)
 
 
 def solved_gains(experiment: Experiment) -> tuple[NamedController, str] | None:
@@ -211,7 +216,7 @@ def _modelled(experiment: Experiment) -> tuple[Experiment, LoopModel]:
     )
 
 
-def _compose(experiment: Experiment, certify: bool) -> Loop:
+def _compose(experiment: Experiment, certify: bool, external: bool) -> Loop:
     experiment, model = _modelled(experiment)
     plant, links = experiment.plant, experiment.links
     controller: Controller
@@ -241,7 +246,11 @@ def _compose(experiment: Experiment, certify: bool) -> Loop:
         unknown = mask_faults(controller, model.nodes)
         if unknown:
             raise ExperimentError(experiment.name, unknown)
-    verdict = _certified(experiment, controller, model, sc, ca) if certify else None
+    verdict = _verdict(experiment, controller, model, sc, ca, running.selection) if certify else None
+    if verdict is not None and external:
+        verdict = of_external(verdict, experiment.kinds.get("controller", ""))
+    elif verdict is not None:
+        _allow(experiment, verdict)
     return Loop(
         experiment=experiment,
         model=model,
@@ -271,24 +280,41 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
     initial = None if delayed is None else known_past(plant)[0]
     return DesignTask(
         model=model, sc=sc, sc_nodes=node_chains(e) or (), ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial,
-        **jumps,
+        chainless=why_no_chain(e), **jumps,
     )  # fmt: skip
 
 
-def _certified(e: Experiment, controller: Controller, model: LoopModel, sc: DelayChain | None, ca: DelayChain | None) -> Verdict:
-    """Return the verdict on the loop that will run, or refuse the run."""
-    own = digest_of(e, controller, model)
+def _verdict(
+    e: Experiment, controller: Controller, model: LoopModel, sc: DelayChain | None, ca: DelayChain | None, selection: str
+) -> Verdict:
+    """Return the verdict on the loop of the controller that is named."""
+    own, unmet, chainless = digest_of(e, controller, model), "", ""
+    begun = initial_laws(e)
+    if sc is None or ca is None:
+        chainless = why_no_chain(e)
+    elif begun is not None:
+        modes = sc.modes, ca.modes
+        sc, ca = within_reach(sc, begun[0]), within_reach(ca, begun[1])
+        if (sc.modes, ca.modes) != modes:
+            never = sum(modes) - sc.modes - ca.modes
+            unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
     loop = LoopToCertify(
         plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own,
         damped=e.limits.passivity is not None, faults=len(e.fault),
+        input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
+        unmet=unmet, chainless=chainless,
     )  # fmt: skip
-    verdict = certify(loop)
-    if not verdict.certified and not e.allow_uncertified:
-        raise ExperimentError(
-            e.name,
-            [
-                f"controller: no certificate of {verdict.kind}, {verdict.state}: {verdict.reason}; "
-                "set allow_uncertified = true to run it all the same"
-            ],
-        )
-    return verdict
+    return certify(loop)
+
+
+def _allow(e: Experiment, verdict: Verdict) -> None:
+    """Refuse to run a loop without a certificate, unless the experiment allows it."""
+    if verdict.certified or e.allow_uncertified:
+        return
+    raise ExperimentError(
+        e.name,
+        [
+            f"controller: no certificate of {verdict.kind}, {verdict.state}: {verdict.reason}; "
+            "set allow_uncertified = true to run it all the same"
+        ],
+    )

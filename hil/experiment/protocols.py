@@ -11,6 +11,7 @@ from design.controllers import LoopModel, RunningController
 from plants.parts.protocols import (
     BeyondModel,
     HasCost,
+    HasOwnInputs,
     HasSensorNoise,
     HasStateDelays,
     HasStateHistory,
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from design.requests.task import DesignTask
 
 __all__ = [
-    "BeyondModel", "Designer", "HasCost", "HasSensorNoise", "HasStateDelays", "HasStateHistory", "JumpPlant",
+    "BeyondModel", "Designer", "HasCost", "HasOwnInputs", "HasSensorNoise", "HasStateDelays", "HasStateHistory", "JumpPlant",
     "NamedController", "NamesField", "NamesFiles", "Plant", "PlantRun",
 ]  # fmt: skip
 

@@ -22,7 +22,8 @@ from transport.medium.draws import REASONS
 def summarise(view: RunView) -> dict[str, Any]:
     """Return the summary of a run as plain JSON values.
 
-    Keys: experiment, seed, clock, link, ticks, duration_s; metrics (the numbers of the experiment's measures, see
+    Keys: experiment, seed, clock, link, controller (see `controller_of`), ticks, duration_s;
+    metrics (the numbers of the experiment's measures, see
     `hil.measure.measure.measured`) and units (of them, nothing for a pure number); network.sc and network.ca (see
     `network_metrics`) and network.nodes (the same per sensor node, and its load; see `network_summary`); timing (see
     `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or None); certificate (what the log
@@ -40,6 +41,7 @@ def summarise(view: RunView) -> dict[str, Any]:
         "seed": int(run.metadata.get("seed", 0)),
         "clock": run.metadata.get("clock", ""),
         "link": run.metadata.get("link", ""),
+        "controller": controller_of(run),
         "ticks": ticks,
         "duration_s": round(ticks * view.period_s, 9),
         "metrics": measured(view, measures),
@@ -49,6 +51,13 @@ def summarise(view: RunView) -> dict[str, Any]:
         "safety": safety_of(run),
         "certificate": dict(run.certificate) if run.certificate else None,
     }
+
+
+def controller_of(run: Run) -> str:
+    """Return who answered in a run: ``external``, or the kind of the experiment's controller."""
+    if run.session.get("external_controller") == "True":
+        return "external"
+    return str(run.resolved.get("controller", {}).get("kind", ""))
 
 
 def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:

@@ -75,6 +75,15 @@ class BeyondModel(Protocol):
 
 
 @runtime_checkable
+class HasOwnInputs(Protocol):
+    """A plant that says what pushes it from within, as time passes and whatever it does itself: loads, hands, gusts."""
+
+    def own_inputs(self) -> tuple[str, ...]:
+        """Return what pushes it, each a noun phrase; bounded, and no state of its own; empty: nothing does."""
+        ...
+
+
+@runtime_checkable
 class HasStateDelays(Protocol):
     """A plant in slots whose own past states act on it: its model is x(k+1) = A x(k) + A_1 x(k-1) + ... + B u(k)."""
 

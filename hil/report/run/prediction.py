@@ -12,6 +12,7 @@ from hil.errors import HilError
 from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import with_unit
 from hil.measure.step_response import target_of
+from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.report.html.figures import Band, Block, Figure, Section, Series, Table
 from hil.session import simulate
@@ -29,7 +30,7 @@ def theory_section(view: RunView) -> Section | None:
 
     None where there is no prediction, see `hil.measure.prediction.predict`, or where the log's experiment cannot be made again.
     """
-    if view.experiment is None:
+    if view.experiment is None or controller_of(view.run) == "external":
         return None
     try:
         loop = compose(view.experiment, certify=False)

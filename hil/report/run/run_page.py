@@ -109,6 +109,8 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
     else:
         found.append(Badge(label="safety not tripped", state="good"))
     certificate = summary.get("certificate")
+    if summary.get("controller") == "external":
+        found.append(Badge(label="external controller", state="warning", detail="another program answered, not the experiment's"))
     if certificate is None:
         found.append(Badge(label="no certificate", state="warning", detail="the run asked for none"))
     else:
@@ -210,7 +212,7 @@ def _summary_tables(view: RunView, summary: Mapping[str, Any]) -> list[Table]:
     if certificate:
         tables.append(
             Table(
-                title="Certificate, from the gains that ran",
+                title="Certificate" if summary.get("controller") == "external" else "Certificate, from the gains that ran",
                 columns=["quantity", "value"],
                 rows=[[_quantity(str(k)), _cell(v)] for k, v in certificate.items() if v is not None],
                 wide=True,

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.compose.certify import certify
+from hil.compose.certify import judge
 from tests.hil.compose.random_delayed_loops import delayed_case
 from tests.hil.compose.random_jump_loops import (
     fault_case,
@@ -43,7 +43,7 @@ def test_no_random_loop_is_falsely_certified(kind: str) -> None:
     stable = 0
     for seed in range(count):
         loop, growth = case(np.random.default_rng([list(CASES).index(kind), seed]))
-        verdict = certify(loop)
+        verdict = judge(loop)
         found[verdict.state] += 1
         stable += growth < 1.0
         if (verdict.state == "certified" and growth > 1.0 + EDGE) or (verdict.state == "refused" and growth < 1.0 - EDGE):
@@ -66,7 +66,7 @@ def test_moments_of_paths_that_come_back_unseen_count(seed: int) -> None:
     """Two loops that were falsely certified: a mode was left and entered again between two samples, and its moments were lost."""
     loop, growth = sectioned_case(np.random.default_rng([list(CASES).index("sectioned"), seed]))
     assert growth > 1.01
-    assert certify(loop).state == "refused"
+    assert judge(loop).state == "refused"
 
 
 def test_the_reference_agrees_with_a_literal_run_of_many_paths() -> None:

@@ -1,0 +1,149 @@
+"""Whether a plant moves as its model says: two runs of one seed that differ in their inputs alone, beside the model's answer.
+
+With the same seed a plant draws the same noise and carries the same load, so the difference of two runs is free of both, and
+
+    dx(k+1) = A dx(k) + A_1 dx(k-1) + ... + B u(k),    dy(k) = C dx(k)
+
+must hold to rounding, at inputs of every size. What the plant does without any input is judged apart: see `free_motion`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import LoopModel
+from hil.experiment.protocols import Plant
+
+Array = NDArray[np.float64]
+
+SLOTS = 200
+"""Slots of every run of the test; fewer where a motion grows beyond what floats resolve."""
+SEED = 20240301
+EQUAL = 1e-6
+"""Share of the motion by which an honest plant may miss its model: rounding, and a fine integrator's error."""
+ALIKE = 1e-2
+"""Share up to which a difference may come from a coarse integrator: undecided, and not refused."""
+CANCELS = 1e-11
+"""What the difference of two runs loses by rounding, as a share of their states."""
+LARGEST = 1e60
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    """States and outputs of a run, slot by slot after the first: (k, n') and (k, p)."""
+
+    states: Array
+    outputs: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Departure:
+    """How far a plant is from its model under inputs of one size.
+
+    Args:
+        size: largest input as a multiple of the unit of every input.
+        share: largest difference as a share of the motion that the model foretells.
+        slot: slot in which the difference passes `EQUAL` first.
+        signal: name and unit of the signal that differs most.
+        found, foretold: its motion there, and the model's.
+        slots: slots that were compared.
+    """
+
+    size: float
+    share: float
+    slot: int
+    signal: tuple[str, str]
+    found: float
+    foretold: float
+    slots: int
+
+
+def drive(plant: Plant, period_ns: int, inputs: Array, seed: int = SEED) -> Track:
+    """Return what a plant does under given inputs, (k, m), driven as a rig drives it; it ends where a number is not finite."""
+    run, still = plant.start(np.random.default_rng(seed)), (0.0,) * inputs.shape[1]
+    states, outputs = [run.state], [run.measure()]
+    for u in inputs.tolist():
+        run.advance(period_ns, tuple(u), still)
+        y, x = run.measure(), run.state
+        states.append(x)
+        outputs.append(y)
+        if not abs(sum(x)) + abs(sum(y)) < LARGEST:
+            break
+    return Track(states=np.array(states, dtype=float), outputs=np.array(outputs, dtype=float))
+
+
+def random_inputs(slots: int, inputs: int) -> Array:
+    """Return inputs of size 1 that change every slot in places and rest in others, of either sign, (slots, inputs)."""
+    rng = np.random.default_rng(SEED + 1)
+    found = rng.uniform(-1.0, 1.0, (slots, inputs))
+    for column in found.T:
+        k = 0
+        while k < slots:
+            held = int(rng.choice((1, 1, 2, 5, 20)))
+            column[k : k + held] = column[k]
+            k += held
+    return found
+
+
+def foretold(model: LoopModel, delayed: Array, inputs: Array) -> Array:
+    """Return dx(0), dx(1), ... of the model under inputs (k, m), from rest, (k + 1, n)."""
+    A, B, n = model.A, model.B, len(model.A)
+    x = np.zeros((len(inputs) + 1 + len(delayed), n))
+    first = len(delayed)
+    for k, u in enumerate(inputs, start=first):
+        x[k + 1] = A @ x[k] + B @ u
+        for i, matrix in enumerate(delayed, start=1):
+            x[k + 1] += matrix @ x[k - i]
+    return x[first:]
+
+
+def departure(
+    plant: Plant, model: LoopModel, delayed: Array, free: Track, shape: Array, unit: Array, size: float, bounds: Sequence[float]
+) -> Departure:
+    """Return how far a plant departs from its model under inputs of one size.
+
+    Args:
+        plant: what runs.
+        model: what it says of itself, at the period of the loop.
+        delayed: matrices of the delayed states, (tau, n, n).
+        free: the same plant without inputs.
+        shape: inputs of size 1, (slots, m).
+        unit: (m,) unit of every input.
+        size: times the unit.
+        bounds: (n,) largest motion of every state that is asked for, inf where there is none.
+    """
+    slots = len(free.states) - 1
+    inputs = shape[:slots] * unit * size
+    x = foretold(model, delayed, inputs)
+    with np.errstate(over="ignore", invalid="ignore"):
+        beyond = ~(np.abs(x) < np.minimum(LARGEST, bounds)).all(axis=1)
+    kept = int(beyond.argmax()) if beyond.any() else len(x)
+    inputs, x = inputs[: max(kept - 1, 1)], x[: max(kept, 2)]
+    driven = drive(plant, round(model.period_s * 1e9), inputs)
+    told = x @ model.C.T
+    pairs = [(driven.outputs, free.outputs, told, [tuple(s) for s in plant.outputs])]
+    if driven.states.shape[1] == x.shape[1]:
+        pairs.append((driven.states, free.states, x, [tuple(s) for s in plant.states]))
+    worst = Departure(size=size, share=0.0, slot=0, signal=("", ""), found=0.0, foretold=0.0, slots=len(x) - 1)
+    largest = float(np.abs(x).max()) if x.size else 0.0
+    for moved, rest, expected, signals in pairs:
+        count = min(len(moved), len(rest), len(expected))
+        moved, rest, expected = moved[:count], rest[:count], expected[:count]
+        reached = np.maximum.accumulate(np.abs(expected))
+        scale = reached + 1e-9 * max(largest * float(np.abs(model.C).max()), float(np.abs(expected).max()), 1e-300)
+        lost = CANCELS * np.maximum.accumulate(np.maximum(np.abs(moved), np.abs(rest)))
+        with np.errstate(invalid="ignore", over="ignore"):
+            apart = np.nan_to_num(np.abs(moved - rest - expected) - lost, nan=np.inf) / scale
+        k, i = np.unravel_index(int(apart.argmax()), apart.shape)
+        if apart[k, i] > max(worst.share, 0.0):
+            first = int((apart > EQUAL).any(axis=1).argmax()) if apart[k, i] > EQUAL else int(k)
+            j = int(apart[first].argmax())
+            worst = Departure(
+                size=size, share=float(apart[k, i]), slot=first, signal=(str(signals[j][0]), str(signals[j][1])),
+                found=float(moved[first, j] - rest[first, j]), foretold=float(expected[first, j]), slots=count - 1,
+            )  # fmt: skip
+    return worst

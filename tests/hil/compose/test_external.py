@@ -1,0 +1,15 @@
+"""Of a loop whose controller is somebody else's program nothing is claimed."""
+
+from __future__ import annotations
+
+from hil.compose.loop import compose
+from hil.experiment_source import load_experiment
+
+
+def test_the_verdict_on_an_external_controller_is_undecided_and_says_what_the_named_one_is_worth() -> None:
+    experiment = load_experiment("dc-motor-hinf")
+    own, external = compose(experiment).verdict, compose(experiment, external=True).verdict
+    assert own is not None and external is not None and own.certified
+    assert external.state == "undecided" and external.reason.startswith("the controller is not ours")
+    assert external.number is None and not external.assumptions and external.digest == own.digest
+    assert str(external.details["the named controller would be"]).startswith("certified, mean-square stability: ")
