@@ -25,3 +25,10 @@ def test_ci_calls_scripts_and_targets_that_exist() -> None:
     targets = re.findall(r"^make (\S+)", text, flags=re.M)
     makefile = (TOP / "Makefile").read_text()
     assert targets == ["test", "test-vcan"] and all(re.search(rf"^{name}:", makefile, flags=re.M) for name in targets)
+
+
+def test_ci_runs_the_tests_in_an_order_of_its_own_and_says_which() -> None:
+    text = (TOP / ".ci/run").read_text()
+    assert re.search(r"^seed=\$\(date \+%s\)$", text, flags=re.M)
+    assert re.search(r"^make test .*--random-order-seed=\$seed", text, flags=re.M)
+    assert re.search(r"^echo .*--random-order-seed=\$seed", text, flags=re.M)
