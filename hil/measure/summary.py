@@ -15,7 +15,7 @@ from hil.measure.network import network_metrics
 from hil.measure.network_load import loads
 from hil.measure.network_paths import network_paths
 from hil.measure.timing import timing_metrics
-from hil.measure.view import MEASUREMENT, TIMING, RunView, view_of
+from hil.measure.view import APPLIED, TIMING, RunView, view_of
 from transport.medium.draws import REASONS
 
 
@@ -121,5 +121,5 @@ def safety_of(run: Run) -> str | None:
 
 
 def _ticks(run: Run) -> int:
-    ticks = run.arrays[MEASUREMENT]["tick"]
+    ticks = run.arrays[APPLIED]["tick"]  # a slot that was cut off by a signal was measured, and nothing was applied
     return int(ticks[-1]) + 1 if len(ticks) else 0

@@ -11,13 +11,12 @@ counted at both ends (`dropped`, `lost`).
 
 from __future__ import annotations
 
-import os
 import re
-from pathlib import Path
 from struct import Struct
 from time import time
 from typing import TYPE_CHECKING, Any, Final
 
+from transport.links.dead_channels import bus_directory as bus_directory
 from transport.links.link import TransportError
 from transport.links.python_can import can
 from transport.links.unix_mesh import Mesh
@@ -36,14 +35,6 @@ _SKIPPED: Final = 64
 """So many frames that a filter keeps out are passed over in one call, lest a flood of them holds it for ever."""
 
 _CHANNEL = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,31}")
-
-
-def bus_directory() -> Path:
-    """Return the directory that holds the buses of this user.
-
-    It does not depend on the login session, so that a service, a cron job and a shell of one user meet.
-    """
-    return Path(os.environ.get("HIL_CAN_DIR") or f"/tmp/hil-can-{os.geteuid()}")
 
 
 class HilBus(can.BusABC):

@@ -26,6 +26,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Final
 
+from transport.links.dead_channels import SOCKETS
 from transport.links.link import Closing, TransportError
 from transport.links.mesh_peer import HEAD, Peer
 from transport.links.private_directory import locked
@@ -39,7 +40,6 @@ _MOST_IN_VAIN: Final = 8
 
 _LARGEST: Final = 128
 _JOIN_TIMEOUT_S: Final = 2.0
-_OURS: Final = "[0-9]*-[0-9]*.sock"  # process and number; nothing else in the directory is touched
 _MARK_BYTES: Final = 8
 _COARSE_S: Final = 0.05  # epoll rounds up to milliseconds: good enough for a wait as long as this
 
@@ -93,7 +93,7 @@ class Mesh(Closing):
 
     def _join(self) -> None:
         peers = []
-        for path in sorted(self.directory.glob(_OURS)):
+        for path in sorted(self.directory.glob(SOCKETS)):
             if not stat.S_ISSOCK(path.lstat().st_mode):
                 continue  # not ours, and not ours to remove
             connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -294,7 +294,7 @@ class Mesh(Closing):
         with suppress(TransportError, OSError, ValueError), locked(self.directory, 0.2):
             self._path.unlink(missing_ok=True)
             if self._last():
-                for path in self.directory.glob(_OURS):
+                for path in self.directory.glob(SOCKETS):
                     if stat.S_ISSOCK(path.lstat().st_mode):
                         path.unlink(missing_ok=True)
                 (self.directory / "joined").unlink(missing_ok=True)

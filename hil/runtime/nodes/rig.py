@@ -80,6 +80,7 @@ class Rig:
         self._end: int | None = None
         self._stop = stop
         self.k = -1
+        self._slots = 0  # that were completed
         self._y: tuple[float, ...] = ()
         self._r: tuple[float, ...] = ()
         self._w: tuple[float, ...] = (0.0,) * inputs
@@ -172,6 +173,7 @@ class Rig:
             self._note_trip(t_ns, applied.tripped)
         self._w = self._disturbance(k)
         self._journal.slot_answered(t_ns, k, applied, self._w, draws, packet, self.answers.data)
+        self._slots = k + 1
         if self._end is not None and k >= self._end:
             self._stop()
 
@@ -180,5 +182,5 @@ class Rig:
         self._journal.event(t_ns, "safety", f"safe state (zero input, latched): {reason}", tick=self.k, severity="error")
 
     def outcome(self) -> dict[str, Any]:
-        """Return the counters that the summary needs."""
-        return {"ticks": self.k + 1, **self.answers.outcome(), "safety": self.actuator.tripped}
+        """Return the counters that the summary needs; a slot that was cut off by a signal is none."""
+        return {"ticks": self._slots, **self.answers.outcome(), "safety": self.actuator.tripped}

@@ -25,6 +25,7 @@ from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
 from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
+from transport.links.dead_channels import bus_directory, clear_dead_channels
 from transport.links.local import LOCAL
 
 POLL_S = 0.02
@@ -72,6 +73,7 @@ def run_real(
     restarts = deque(first * loop.experiment.period_ns for first, _ in time_line(loop.experiment).restarts)
     if external and restarts:
         raise HilError("fault: controller-restart: hil cannot restart an external controller; end and start it by hand")
+    clear_dead_channels(bus_directory())
     outcome = RealOutcome()
     read_fd, write_fd = os.pipe()
     parent = os.getpid()

@@ -1,0 +1,60 @@
+"""What killed processes left is cleared at the next start; what runs is not touched."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import hil
+from transport.links.dead_channels import clear_dead_channels
+from transport.links.unix_mesh import Mesh
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from transport.links.unix_mesh import Mesh
+mesh = Mesh(Path(sys.argv[1]))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def killed_in(channel: Path) -> None:
+    assert subprocess.run([sys.executable, "-P", "-c", KILLED, str(channel)]).returncode == -9
+    assert [*channel.glob("*.sock")]
+
+
+def test_a_channel_of_killed_processes_is_removed_and_a_live_one_stays(tmp_path: Path) -> None:
+    buses = tmp_path / "buses"
+    buses.mkdir(mode=0o700)
+    for name in ("dead", "mixed", "foreign"):
+        killed_in(buses / name)
+    (buses / "foreign" / "mine.txt").write_text("keep")
+    with Mesh(buses / "mixed") as live:
+        killed_in(buses / "mixed")
+        clear_dead_channels(buses)
+        assert sorted(path.name for path in buses.iterdir()) == ["foreign", "mixed"]
+        assert [path.name.partition("-")[0] for path in (buses / "mixed").glob("*.sock")] == [str(os.getpid())]
+        assert (buses / "foreign" / "mine.txt").read_text() == "keep"
+        assert live.dropped == live.lost == 0
+
+
+def test_a_socket_at_which_another_container_listens_stays(tmp_path: Path) -> None:
+    channel = tmp_path / "far"
+    channel.mkdir(mode=0o700)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(str(channel / "4999999-0.sock"))  # no process of this number can be here
+        listener.listen()
+        clear_dead_channels(tmp_path)
+        assert (channel / "4999999-0.sock").exists()
+
+
+def test_the_next_session_clears_what_a_killed_one_left(tmp_path: Path, monkeypatch) -> None:
+    buses = tmp_path / "b"
+    buses.mkdir(mode=0o700)
+    monkeypatch.setenv("HIL_CAN_DIR", str(buses))
+    killed_in(buses / "gone")
+    hil.run(hil.load_experiment("dc-motor-hinf", duration=0.2), clock="real", link="local:", log=tmp_path / "x.mcap")
+    assert not (buses / "gone").exists()
