@@ -1,9 +1,9 @@
 """Partitions of the sojourn time into sections, one scheduled gain (or one Lyapunov cell) each.
 
 A partition is a tuple of section starts per mode, 0 = h_0 < h_1 < ... < h_{M-1}; section m is [h_{m-1}, h_m), the last
-one never ends. Strategies: equal probability (2.22), uniform (2.23), rate threshold (2.24), and geometric in the rate.
+one never ends. Strategies: equal probability (2.22), uniform (2.23), rate threshold (2.24).
 
-The form of the Lyapunov function matters more than the partition: `hil reproduce ch2`, certified scales.
+The form of the Lyapunov function matters more than the partition: `hil reproduce ch2`, certified scales and Remark 2.2.
 """
 
 from __future__ import annotations
@@ -66,3 +66,36 @@ def uniform(process: SemiMarkov, sections: int, end_s: float | None = None) -> P
     _sections(sections)
     ends = [_end(process, mode, end_s) for mode in range(process.modes)]
     return tuple(tuple((end * np.arange(sections if end > 0 else 1) / sections).tolist()) for end in ends)
+
+
+def rate_threshold(process: SemiMarkov, threshold: float, *, most: int = 1000) -> Partition:
+    """Sections as long as they can be on which no rate changes by more than a threshold (2.24).
+
+    Args:
+        process: whose rates settle.
+        threshold: largest change of any rate within a section, 1/s.
+        most: sections of a mode.
+
+    Raises:
+        FieldError: the threshold is not positive, a rate jumps by more, or a mode takes more sections.
+    """
+    if not threshold > 0.0:
+        raise FieldError("threshold", f"{threshold!r}, expected a rate above 0")
+    return tuple(tuple(_steps(process, mode, threshold, most)) for mode in range(process.modes))
+
+
+def _steps(process: SemiMarkov, mode: int, threshold: float, most: int) -> list[float]:
+    def fits(start: float, stop: float) -> bool:
+        low, high = process.bounds(mode, start, stop)
+        return bool((high - low <= threshold).all())
+
+    starts, end = [0.0], _end(process, mode, None)
+    while not fits(starts[-1], end):
+        short, long = starts[-1], end
+        for _ in range(60):  # the longest section from here, to the last bit of a few seconds
+            middle = 0.5 * (short + long)
+            short, long = (middle, long) if fits(starts[-1], middle) else (short, middle)
+        if short <= starts[-1] or len(starts) == most:
+            raise FieldError("threshold", f"{threshold:g}: mode {mode} takes more than {most} sections, or its rate jumps")
+        starts.append(short)
+    return starts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.processes.partitions import check_partition, equal_probability, uniform
+from design.processes.partitions import check_partition, equal_probability, rate_threshold, uniform
 from design.processes.rates import WeibullRate, clip_rate, constant_rate
 from design.processes.semi_markov import SemiMarkov
 
@@ -32,9 +32,22 @@ def test_uniform_sections_have_equal_length() -> None:
     assert uniform(SemiMarkov(rates=((None, constant_rate(1.0)), (RAMP, None))), 2)[0] == (0.0,)
 
 
+def test_no_rate_changes_by_more_than_the_threshold_in_a_section_and_none_could_be_longer() -> None:
+    """The ramp from 0.1 to 4.6 in four steps: it starts at 0.1 s, so that the first section is longer than the others."""
+    starts = rate_threshold(PROCESS, 4.5 / 4)
+    check_partition(PROCESS, starts)
+    assert starts[0] == pytest.approx((0.0, 1.225, 2.35, 3.475)) and starts[1] == starts[0]
+    assert rate_threshold(PROCESS, 4.5)[0] == (0.0,) and len(rate_threshold(PROCESS, 0.11)[0]) == 41
+    for start, stop in zip(starts[0], (*starts[0][1:], 10.0)):
+        low, high = PROCESS.bounds(0, start, stop)
+        assert (high - low <= 4.5 / 4).all()
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: rate_threshold(PROCESS, 0.0), "threshold: 0.0"),
+        (lambda: rate_threshold(PROCESS, 1e-3, most=10), "threshold: 0.001: mode 0 takes more than 10 sections"),
         (lambda: equal_probability(PROCESS, 0), "sections: 0"),
         (
             lambda: uniform(SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=2.0)), (RAMP, None))), 2),

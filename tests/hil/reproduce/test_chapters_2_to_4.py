@@ -67,10 +67,12 @@ def test_chapter_2_tells_what_holds_and_what_does_not() -> None:
     assert verdict(result, "gains [1, 2] stabilise") == "claim false"
     tables = [row for row in result.rows if row.item.startswith("Table 2.1")]
     assert [row.verdict for row in tables] == ["not reproduced", "not reproduced", "undecided"]  # four errors of the last: 20 %
-    assert [row.beside[0].outcome for row in tables] == [True, True, None]  # from the other initial mode
+    assert [row.beside[0].outcome for row in tables] == [None, True, None]  # from the other initial mode; power at the second
     assert verdict(result, "Figure 2.2a: one run with (2.27)") == "undecided"  # 2.95 s is one of runs of half or twice the length
     assert verdict(result, "Figure 2.2a: the same run with [1, 2]") == "reproduced"
     assert verdict(result, "h = 0.8326 halves") == "not reproduced"
+    (remark,) = [row for row in result.rows if row.printed == "Remark 2.2"]
+    assert [check.value for check in remark.checks[1:]] == [4, 4, 4] and remark.beside[0].value >= 1.0
     for number in ("2.2a", "2.2b", "2.3a", "2.3b", "2.4a", "2.4b"):
         assert number in titles(result)
     assert_every_number_decides(result.rows)
@@ -86,6 +88,8 @@ def test_chapter_3_tells_which_reading_the_gains_fit() -> None:
     (ratio,) = [row for row in result.rows if row.printed == "0.2320"]
     assert ratio.verdict == "undecided" and {check.outcome for check in ratio.checks} == {True, False}
     assert verdict(result, "vertical velocity") == "undecided"
+    (less,) = [row for row in result.rows if row.item.startswith("3.3.3: two partitions")]
+    assert all(check.value > 0.999 for check in less.checks)  # one gain for both sections is one of two gains
     assert "3.2" in titles(result)
     assert_every_number_decides(result.rows)
 
