@@ -1,0 +1,113 @@
+"""Gains come from the file that the solver wrote, while it fits its problem; what is solved instead is said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from design.controllers import SendAll
+from design.processes.rates import clip_rate
+from design.processes.semi_markov import SemiMarkov
+from design.processes.user_rate import UserRate
+from design.requests.task import DesignTask
+from hil.compose.loop import compose, solved_gains
+from hil.compose.stored_gains import FORMAT, Gains, NoDigest, problem_digest
+from hil.experiment import Experiment, load_experiment, shipped
+from tests.hil.cli.conftest import Hil
+
+NAME = "dc-motor-ours-h2"
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """An experiment of a user's own that asks for a design."""
+    path = tmp_path / "own.toml"
+    path.write_text(shipped()[NAME].read_text().replace(f'name = "{NAME}"', 'name = "own"'))
+    return path
+
+
+def gains_of(experiment: Experiment) -> Gains:
+    found = compose(experiment, certify=False).gains
+    assert found is not None
+    return found
+
+
+def test_one_command_stores_the_gains_beside_the_experiment(cli: Hil, own: Path) -> None:
+    first = gains_of(load_experiment(own))
+    assert first.origin == "solved here" and "gains/own.json is not there; `hil solve` stores them" in first.note
+    solved = compose(load_experiment(own)).controller
+    status, out, _ = cli("solve", own)
+    assert status == 0 and "gains of own (send-all)" in out
+    said = json.loads((own.parent / "gains" / "own.json").read_text())
+    assert said["format"] == FORMAT and len(said["problem"]) == 64
+    loop = compose(load_experiment(own))
+    assert loop.gains == Gains(origin="stored") and loop.controller == solved
+    assert loop.verdict is not None and loop.verdict.certified, "computed from the gains that run"
+
+
+def test_gains_that_are_stored_run_and_not_what_would_be_solved(cli: Hil, own: Path) -> None:
+    cli("solve", own)
+    path = own.parent / "gains" / "own.json"
+    said = json.loads(path.read_text())
+    said["controller"]["gains"][0][0][0][0] *= 0.5
+    path.write_text(json.dumps(said))
+    loop, solved = compose(load_experiment(own)), compose(load_experiment(NAME))
+    assert loop.gains == Gains(origin="stored") and isinstance(loop.controller, SendAll)
+    assert loop.controller.gains[0][0][0][0] == said["controller"]["gains"][0][0][0][0]
+    assert loop.verdict is not None and solved.verdict is not None
+    assert loop.verdict.number != solved.verdict.number, "the certificate is of the gains that run"
+
+
+@pytest.mark.parametrize("change", ["plant.gain=151.0", "controller.input_weight=0.02", 'period="49 ms"'])
+def test_a_file_of_another_problem_is_not_used_and_that_is_said(change: str) -> None:
+    stored, changed = load_experiment(NAME), load_experiment(NAME, [change])
+    assert gains_of(stored).origin == "stored"
+    found = gains_of(changed)
+    assert found.origin == "solved here" and f"gains/{NAME}.json is of another problem" in found.note
+    assert compose(changed).controller != compose(stored).controller
+
+
+@pytest.mark.parametrize("change", ["seed=3", 'duration="2 s"', 'reference=[{at="2 s", value=[1.0]}]'])
+def test_what_is_no_part_of_the_problem_changes_nothing(change: str) -> None:
+    assert gains_of(load_experiment(NAME, [change])).origin == "stored"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("{", "cannot be used"),
+        ("[]", "is no file of gains"),
+        ('{"format": "hilrig-gains/1", "controller": {}}', "is of another problem"),
+    ],
+)
+def test_a_damaged_file_is_told_and_solved_again(own: Path, text: str, why: str) -> None:
+    (own.parent / "gains").mkdir()
+    (own.parent / "gains" / "own.json").write_text(text)
+    found = gains_of(load_experiment(own))
+    assert found.origin == "solved here" and why in found.note
+
+
+def test_the_summary_and_the_terminal_say_where_gains_come_from(cli: Hil, own: Path, tmp_path: Path) -> None:
+    status, out, _ = cli("run", NAME, "--duration", "1", "-o", tmp_path / "a.mcap", "--json")
+    assert status == 0 and json.loads(out)["gains"] == {"origin": "stored"}
+    status, out, _ = cli("run", own, "--duration", "1", "-o", tmp_path / "b.mcap")
+    assert status == 0 and "solved here" in out
+    status, out, _ = cli("run", "dc-motor-hinf", "--duration", "1", "-o", tmp_path / "c.mcap", "--json")
+    assert status == 0 and json.loads(out)["gains"] is None
+
+
+def test_given_gains_are_not_solved(cli: Hil) -> None:
+    status, _, err = cli("solve", "dc-motor-hinf")
+    assert status == 2 and "its gains are given" in err
+    assert solved_gains(load_experiment("vtol-ours-hinf")) is None, "a file of the user's has them"
+
+
+def test_a_problem_with_a_function_in_it_has_no_digest() -> None:
+    rate = UserRate(function=lambda h: 1.0 + 0.0 * h, lower=1.0, upper=1.0, horizon_s=1.0)
+    experiment = load_experiment("smjls-robust")
+    process = SemiMarkov(rates=((None, rate), (clip_rate(0.1, 1.0), None)))
+    task = DesignTask(model=compose(experiment, certify=False).model, jump_process=process)
+    with pytest.raises(NoDigest, match="function"):
+        problem_digest(experiment.controller, task)  # type: ignore[arg-type]
