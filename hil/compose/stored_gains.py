@@ -90,8 +90,7 @@ def solve_controller(experiment: Experiment, task: DesignTask) -> tuple[NamedCon
 
 def problem_digest(request: Designer, task: DesignTask) -> str:
     """Return the SHA-256 of what decides the gains: the request and the loop, number by number."""
-    parts = {f.name: _said(getattr(task, f.name)) for f in dataclasses.fields(task) if f.name != "folder"}
-    return digest({"request": _said(request), **parts})
+    return digest({"request": _said(request), "task": _said(dataclasses.replace(task, folder="", chainless=""))})
 
 
 def gains_text(experiment: Experiment, controller: NamedController, own: str) -> str:
@@ -128,7 +127,8 @@ def _said(value: Any) -> Any:
     """Return a value as `digest` takes it; what is no number, text, table or list has no digest."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {f.name: _said(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
-        return {"class": type(value).__qualname__, **fields}
+        told = {name: said for name, said in fields.items() if said not in (None, "", [], {})}  # what is left out says nothing
+        return {"class": type(value).__qualname__, **told}
     if isinstance(value, msgspec.Struct):
         return {"class": type(value).__qualname__, **{f: _said(getattr(value, f)) for f in value.__struct_fields__}}
     if isinstance(value, np.ndarray | np.generic):
