@@ -89,11 +89,11 @@ class LoopStructure:
         mask[self.entries.sc, self.entries.row] = True
         return mask
 
-    def matrices(self, gains: Array) -> Array:
-        """(N, n, n) closed-loop matrices for gains K of shape `gain_shape`."""
+    def matrices(self, gains: Array, rows: Index | None = None) -> Array:
+        """(N, n, n) closed-loop matrices for gains K of shape `gain_shape`; `rows` stand for those of the entries."""
         e = self.entries
         A = self.base.copy()
-        np.add.at(A, e.mode, e.left @ gains[e.sc, e.row] @ e.right)
+        np.add.at(A, e.mode, e.left @ gains[e.sc, e.row if rows is None else rows] @ e.right)
         return A
 
     def gain_gradient(self, gradient_A: Array) -> Array:

@@ -9,13 +9,15 @@ is a jump-linear system again, so one second-moment recursion of [eta; s] gives,
 (through the 1), its variance, mean and variance of its square, and mean and variance of the sums of Table 7.2.
 
 Before slot 0 the plant was at rest in its first state: the samples that the first packet carries beside the newest are
-y(0). Before the first sample has come the controller answers zeros, and before the first packet the input is 0; the rows
-of packets under way when the reference steps were computed for the old one. What else acts on the state and is known (a load)
-is a drive f(k). All of this is in the recursion.
+y(0). Before the first sample has come the controller answers zeros, and before the first packet the input is 0. An actuator
+that has no packet measures no delay, and a row that is chosen by this delay is that of the longest one. The rows of packets
+under way when the reference steps were computed for the old one. What else acts on the state and is known (a load) is a drive
+f(k). All of this is in the recursion.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -108,7 +110,7 @@ def predict_tracking(
     output = np.asarray(C, dtype=np.float64)
     summed = np.zeros(p)
     summed[list(range(p) if tracked is None else tracked)] = 1.0
-    walk = _Recursion(structure, K, sc, period_s, output, sums_from, summed)
+    walk = _Recursion(structure, K, (sc, ca), period_s, output, sums_from, summed)
 
     def ideal(value: Array) -> Array:
         """Steady closed-loop state at a constant reference."""
@@ -150,11 +152,13 @@ class _Recursion:
     """Second moments of [eta; s], mode by mode."""
 
     def __init__(
-        self, structure: LoopStructure, gains: Array, sc: DelayChain, period_s: float, C: Array, sums_from: tuple[int, ...],
-        summed: Array,
+        self, structure: LoopStructure, gains: Array, chains: tuple[DelayChain, DelayChain], period_s: float, C: Array,
+        sums_from: tuple[int, ...], summed: Array,
     ) -> None:  # fmt: skip
         self.structure, self.gains, self.sums_from = structure, gains, sums_from
-        self.tau = sc.delay[structure.sc_mode]
+        sc, ca = chains
+        self.tau, self.received = sc.delay[structure.sc_mode], ca.delay[structure.ca_mode]
+        self.received_before = ca.delay[structure.ca_before] if structure.selection == "previous" else self.received
         self.d = structure.base.shape[-1] + 1
         self.size = self.d * (self.d + 1) // 2
         self.period_s, self.p, self.summed = period_s, C.shape[0], summed
@@ -188,25 +192,40 @@ class _Recursion:
         """One tick under the disturbance w and the drive f; `hold` is u*, from which the silent first packets deviate."""
         silent = bool((self.tau > k).any())
         counted = tuple(k >= first for first in self.sums_from)
-        key = (k if silent else -1, w.tobytes(), f.tobytes(), hold.tobytes() if silent else b"", counted, self.G[:, -1].tobytes())
+        rows, early = self._rows(k)
+        held = hold.tobytes() if silent else b""
+        key = (k if silent or early else -1, w.tobytes(), f.tobytes(), held, counted, self.G[:, -1].tobytes())
         if key not in self._lifted:
             affine = np.zeros((self.closed.shape[0], self.d, self.d))
-            affine[:, :-1, :-1] = self.closed
+            affine[:, :-1, :-1] = self.structure.matrices(self.gains, rows) if early else self.closed
             affine[:, -1, -1] = 1.0
             affine[:, :-1, -1] = self.structure.B @ w
             affine[:, : f.size, -1] += f
             if silent:
-                self._silence(affine, self.tau > k, hold)
+                self._silence(affine, self.tau > k, hold, rows)
             weights = self.period_s * np.array(counted, dtype=np.float64)
             self._lifted[key] = self._complete(congruence_matrices(affine.transpose(0, 2, 1)), weights)
         self.M = forward(self._lifted[key], self.structure.transition, self.M)
 
-    def _silence(self, affine: Array, quiet: npt.NDArray[np.bool_], hold: Array) -> None:
+    def _rows(self, k: int) -> tuple[npt.NDArray[np.int64], bool]:
+        """Rows of the entries in slot k, and whether some are others than later: no packet had come whose delay chooses them."""
+        rows, mode, selection = self.structure.entries.row, self.structure.entries.mode, self.structure.selection
+        if selection in ("constant", "applied"):
+            return rows, False
+        none = self.received_before > k - 1 if selection == "previous" and k else self.received > k
+        if not none.any():
+            return rows, False
+        count = self.gains.shape[1]
+        labels = math.isqrt(count) if selection == "both" else count
+        longest = count - labels + rows % labels if selection == "both" else np.full_like(rows, count - 1)
+        return np.where(none[mode], longest, rows), True
+
+    def _silence(self, affine: Array, quiet: npt.NDArray[np.bool_], hold: Array, rows: npt.NDArray[np.int64]) -> None:
         """No sample has come yet: rows are 0, u* below the ideal, and no error is added to the integral."""
         s, e = self.structure, self.structure.entries
         for index in np.flatnonzero(quiet[e.mode]):
             mode = e.mode[index]
-            affine[mode, :-1, :-1] -= e.left[index] @ self.gains[e.sc[index], e.row[index]] @ e.right[index]
+            affine[mode, :-1, :-1] -= e.left[index] @ self.gains[e.sc[index], rows[index]] @ e.right[index]
             affine[mode, :-1, -1] -= e.left[index] @ hold
         if s.integral:
             at = s.plant_order + s.stored_outputs * self.p

@@ -225,6 +225,9 @@ def _show(out: dict[str, Any], as_json: bool) -> None:
         table.add_row(name, str(s["n"]), *("-" if v is None else f"{v:.4g}" for v in values))
     print_table(table)
     wanted = out.get("until")
+    if wanted and not wanted["interval"]:
+        what = "mean" if wanted["statistic"] == "mean" else "deviation, whose sample is too small for its tails"
+        print(f"{wanted['statistic']} of {wanted['metric']}: no interval of the {what}")
     if wanted and wanted["interval"]:
         seen = wanted["interval"]
         print(

@@ -73,9 +73,9 @@ def _lines(key: str, axis: tuple[str, ...], groups: dict[str, list[Interval]], q
     order = np.argsort(x)
     series, bands = [], []
     for colour, (name, line) in enumerate(groups.items()):
-        mean, half = np.array([i.value for i in line])[order], np.array([_half(i) for i in line])[order]
+        mean, low, high = (np.array(side)[order] for side in zip(*((i.value, *_ends(i)) for i in line)))
         series.append(Series(label=name or "mean", x=x[order], y=mean, colour=colour))
-        bands.append(Band(label="95 % interval", x=x[order], lower=mean - half, upper=mean + half, colour=colour))
+        bands.append(Band(label="95 % interval", x=x[order], lower=low, upper=high, colour=colour))
     return Figure(
         title=f"{label}: mean, 95 % interval", series=tuple(series), bands=tuple(bands), x_label=key, x_unit=unit,
         y_label=quantity.title, y_unit=quantity.unit, sync=None,
@@ -95,6 +95,11 @@ def numbers_of(axis: tuple[str, ...]) -> tuple[NDArray[np.float64] | None, str]:
         return None, ""
     units = {unit for _, _, unit in parts}
     return (x, units.pop()) if len(units) == 1 and np.isfinite(x).all() else (None, "")
+
+
+def _ends(interval: Interval) -> tuple[float, float]:
+    """The interval, the value alone where it is infinitely wide."""
+    return (interval.low, interval.high) if np.isfinite(interval.half_width) else (interval.value, interval.value)
 
 
 def _half(interval: Interval) -> float:
