@@ -151,5 +151,5 @@ def test_a_log_is_verified_with_the_models_that_it_was_run_with(tmp_path: Path) 
     assert hil.verify(tmp_path / "a.mcap", plant=motor, controller=gain).difference is None
     other = hil.verify(tmp_path / "a.mcap", plant=control.tf([140.0], [1.0, 12.0, 0.0])).difference
     assert other is not None and "/plant/measurement" in str(other)
-    with pytest.raises(hil.HilError, match=r"plant: builtins\.int: is no plant"):
+    with pytest.raises(hil.HilError, match=r"plant: builtins\.int: .*a plant, needs `inputs`"):
         hil.verify(tmp_path / "a.mcap", plant=3)
