@@ -16,6 +16,7 @@ from hil.compose.loop import Loop, compose
 from hil.compose.time_line import beyond_the_end
 from hil.errors import HilError
 from hil.experiment import Experiment
+from hil.experiment.asked import told_of
 from hil.experiment.can_frames import link_uri, said_identifiers
 from hil.log.events import decode_event, to_json
 from hil.log.read.arrays import StructuredArray
@@ -29,9 +30,10 @@ from hil.measure.measure import measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, view_of
-from hil.runtime.real.stop_signals import StopSignals
+from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
+from plants.errors import PlantError
 from transport.links.who_commands import who_commands
 from transport.medium.draws import REASONS
 from transport.packets import SELECTIONS
@@ -42,6 +44,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ClockName = Literal["virtual", "real"]
+FORCE_S = 0.5
+"""A run in virtual time whose slot does not end for so long after a signal is ended in it: everything stops within a second."""
+
 INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that somebody else sends on the link: exit status
 
 
@@ -279,10 +284,24 @@ def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink) -> dict[str, Any
             each()
 
     log.failed = lambda: stop(0)  # nothing that the log cannot hold is computed
-    with StopSignals(stop) as signals:
-        rig = run_virtual(loop, loop.experiment.seed, sink, stoppable=stops.append)
+    out: dict[str, Any] = {}
+
+    def failed(error: BaseException) -> bool:
+        """Keep what a plant, a controller or a law of somebody's own raised in mid-run: the log is closed with it."""
+        parts = (loop.experiment.plant, loop.controller, loop.ca_law, *(sensor.law for sensor in loop.sensors))
+        if isinstance(error, PlantError):
+            out["plant_failed"] = str(error)
+        elif not isinstance(error, KeyboardInterrupt) and (told := told_of(error, parts)) is not None:
+            out["plug_in_failed"] = told
+        return bool(out) or isinstance(error, Forced)
+
+    with StopSignals(stop, FORCE_S) as signals:
+        rig = run_virtual(loop, loop.experiment.seed, sink, stoppable=stops.append, failed=failed)
     end_ns = max(rig.k, 0) * loop.experiment.period_ns
-    out = {} if signals.seen is None else _interrupted(signals.seen, sink, end_ns)
+    for name, told in out.items():
+        sink.event(end_ns, name.replace("_", " "), told, severity="error")
+    if signals.seen is not None:
+        out |= _interrupted(signals.seen, sink, end_ns)
     sink.event(end_ns, "outcome", "rig ended", **rig.outcome())
     if log.error is not None:
         out["log_error"] = f"disk full at slot {rig.k}: {log.error}; what was written before is kept: hil recover {log.path}"
@@ -334,7 +353,8 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
         "messages": sink.messages,
         "dropped": sink.dropped,
     }
-    problems = {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in INTRUSIONS}
+    told = {*INTRUSIONS, "plant failed"}
+    problems = {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in told}
     summary["link_counters"] = link_counters(run)
     refused = (summary["link_counters"] or {}).get("refused", 0)
     if refused:
@@ -352,7 +372,7 @@ def link_counters(run: Run) -> dict[str, int] | None:
 def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
     if "interrupted" in outcome:
         return 128 + int(signal.Signals[outcome["interrupted"]])
-    if "rig_lost" in outcome or "log_lost" in outcome or sink.error is not None:
+    if outcome.keys() & {"rig_lost", "log_lost", "plant_failed", "plug_in_failed"} or sink.error is not None:
         return 1
     kinds = {event["kind"] for event in run.events}
     if "second controller" in kinds:

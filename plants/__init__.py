@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from plants.dc_motor import DCMotor, DCMotorRun, LoadTorque
     from plants.delayed_states import DelayedStates
     from plants.errors import PlantError
-    from plants.fmu import FMU, FMURun
+    from plants.fmu import FMU
+    from plants.fmu_run import FMURun
     from plants.omni import Omni
     from plants.parts.actuators import Driver
     from plants.parts.check import check_plant
@@ -56,7 +57,7 @@ _HOMES: Final = {
     "Driver": "plants.parts.actuators",
     "Encoder": "plants.parts.sensors",
     "FMU": "plants.fmu",
-    "FMURun": "plants.fmu",
+    "FMURun": "plants.fmu_run",
     "FaultyVTOL": "plants.vtol_fault",
     "FaultyVTOLRun": "plants.vtol_fault",
     "Friction": "plants.parts.friction",

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import re
-import tempfile
-import weakref
 import zipfile
-from collections.abc import Sequence
+import zlib
 from dataclasses import dataclass, field, replace
-from functools import cache
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,12 +14,21 @@ from typing import Any, Final
 import numpy as np
 
 from plants.errors import FieldError, PlantError
+from plants.fmu_run import FMURun
 from plants.parts.exponential import Rows
-from plants.parts.linear import NS_PER_S, Signal, StateSpace
+from plants.parts.linear import Signal, StateSpace
 from plants.parts.validation import require_rows
 
 MOST_BYTES: Final = 500_000_000
-MOST_FILES: Final = 10_000
+LEAST_BYTES: Final = 1 << 24
+MOST_RATIO: Final = 40
+"""A unit unpacks to so many times its own length at most, or to 16 MiB: libraries shrink to a third or a tenth."""
+
+MOST_FILES: Final = 2_000
+MOST_VARIABLES: Final = 50_000
+MOST_DESCRIPTION: Final = 20_000_000
+_DESCRIPTION: Final = "modelDescription.xml"
+_IDENTIFIER: Final = re.compile(r"[A-Za-z_][\w.-]*", re.ASCII)
 _NO_LETTER: Final = re.compile(r"[^a-z0-9_]+")
 
 
@@ -51,7 +57,7 @@ class Unit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FMU:
-    """A plant that a functional mock-up unit computes, by co-simulation: native code of the file runs in the rig.
+    """A plant that a functional mock-up unit computes, by co-simulation: native code of the file runs in a process of its own.
 
     The rig steps it from slot to slot under a held input. Whether two steps are one of their sum is the unit's own affair; A, B
     and C are what a controller is told of it, and no claim on them is a claim on the unit.
@@ -108,13 +114,14 @@ class FMU:
         object.__setattr__(found, "_unit", self._found(path))
         try:
             found.start(np.random.default_rng(0))
-        except Exception as error:  # whatever a stranger's library does when it is loaded
-            raise FieldError("file", f"{path}: cannot be started: {type(error).__name__}: {error}") from error
+        except PlantError as error:
+            raise FieldError("file", f"{path}: cannot be started: {str(error).removeprefix(f'{path}: ')}") from error
         return found
 
     def _found(self, path: Path) -> Unit:
         import fmpy
 
+        _bounded_description(path)
         try:
             description = fmpy.read_model_description(str(path))
             platforms = fmpy.supported_platforms(str(path))
@@ -124,6 +131,8 @@ class FMU:
         simulation = description.coSimulation
         if version not in (2, 3) or simulation is None:
             raise FieldError("file", f"{path}: FMI {description.fmiVersion}; expected co-simulation of FMI 2 or 3")
+        if not _IDENTIFIER.fullmatch(simulation.modelIdentifier or ""):
+            raise FieldError("file", f"{path}: modelIdentifier {simulation.modelIdentifier!r:.60} is no name of a library")
         if fmpy.platform not in platforms and fmpy.platform_tuple not in platforms:
             raise FieldError("file", f"{path}: runs on {', '.join(platforms) or 'no machine'}, and not on {fmpy.platform_tuple}")
         real = {v.name: v for v in description.modelVariables if v.type in ("Real", "Float64") and not v.dimensions}
@@ -186,71 +195,7 @@ class FMU:
 
     def start(self, rng: np.random.Generator) -> FMURun:
         """Return the unit at time 0. It draws nothing from ``rng``."""
-        return FMURun(self.unit, _unpacked(self.unit.path, self.sha256))
-
-
-class FMURun:
-    """A unit that runs.
-
-    Args:
-        unit: what was found in its file.
-        folder: where it is unpacked.
-    """
-
-    __slots__ = ("__weakref__", "_applied", "_get", "_set", "_slave", "_t_ns", "_unit")
-
-    def __init__(self, unit: Unit, folder: str) -> None:
-        from fmpy.fmi2 import FMU2Slave
-        from fmpy.fmi3 import FMU3Slave
-
-        made: Any = FMU2Slave if unit.version == 2 else FMU3Slave
-        slave = made(guid=unit.token, unzipDirectory=folder, modelIdentifier=unit.identifier, instanceName="plant")
-        slave.instantiate()
-        weakref.finalize(self, slave.freeInstance)
-        self._slave, self._unit, self._t_ns = slave, unit, 0
-        self._set, self._get = (slave.setReal, slave.getReal) if unit.version == 2 else (slave.setFloat64, slave.getFloat64)
-        if unit.version == 2:
-            slave.setupExperiment(startTime=0.0)
-        references, values = unit.parameters
-        if references:
-            self._set(list(references), list(values))
-        slave.enterInitializationMode()
-        slave.exitInitializationMode()
-        self._applied = (0.0,) * len(unit.references[0])
-
-    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
-        """Hold the input u + w for dt_ns.
-
-        Args:
-            dt_ns: time in nanoseconds, at least 0.
-            u: commanded input, m entries.
-            w: disturbance at the input, m entries, or nothing.
-
-        Raises:
-            PlantError: the unit ended the simulation.
-        """
-        self._applied = tuple(map(float, u))
-        if not dt_ns:
-            return
-        self._set(list(self._unit.references[0]), [a + b for a, b in zip(u, w)] if w else list(u))
-        ended = self._slave.doStep(self._t_ns / NS_PER_S, dt_ns / NS_PER_S)
-        self._t_ns += dt_ns
-        if isinstance(ended, tuple) and ended[1]:
-            raise PlantError(f"{self._unit.path}: the unit ended the simulation at {self._t_ns / NS_PER_S:g} s")
-
-    def measure(self) -> tuple[float, ...]:
-        """Return what is measured."""
-        return tuple(map(float, self._get(list(self._unit.references[1]))))
-
-    @property
-    def state(self) -> tuple[float, ...]:
-        """What is logged."""
-        return tuple(map(float, self._get(list(self._unit.references[2]))))
-
-    @property
-    def applied(self) -> tuple[float, ...]:
-        """What was commanded in the last advance, without the disturbance."""
-        return self._applied
+        return FMURun(self.unit, self.sha256)
 
 
 def _digest(path: Path) -> str:
@@ -260,25 +205,35 @@ def _digest(path: Path) -> str:
             raise FieldError("file", f"{path}: is no file, or has more than {MOST_BYTES} bytes")
         with zipfile.ZipFile(path) as file:
             members = file.infolist()
-        if len(members) > MOST_FILES or sum(member.file_size for member in members) > MOST_BYTES:
-            raise FieldError("file", f"{path}: unpacks to more than {MOST_FILES} files or {MOST_BYTES} bytes")
+        unpacked, most = sum(member.file_size for member in members), most_unpacked(path.stat().st_size)
+        if len(members) > MOST_FILES or unpacked > most:
+            told = f"unpacks to {len(members)} files, {unpacked} bytes; at most {MOST_FILES} and {most}"
+            raise FieldError("file", f"{path}: {told}")
         return sha256(path.read_bytes()).hexdigest()
     except (OSError, zipfile.BadZipFile) as error:
         raise FieldError("file", f"{path}: is no FMU: {error}") from error
 
 
-@cache
-def _unpacking(path: str, digest: str) -> tempfile.TemporaryDirectory[str]:
-    import fmpy
+def most_unpacked(length: int) -> int:
+    """Return how many bytes a unit of so many may unpack to.
 
-    folder = tempfile.TemporaryDirectory(prefix="hilrig-fmu-")  # removed when the process ends
-    fmpy.extract(path, folder.name)
-    return folder
+    >>> most_unpacked(1000), most_unpacked(10**6), most_unpacked(10**9)
+    (16777216, 40000000, 500000000)
+    """
+    return min(MOST_BYTES, max(LEAST_BYTES, MOST_RATIO * length))
 
 
-def _unpacked(path: str, digest: str) -> str:
-    """Return where a unit is unpacked, once for each process and file."""
-    return _unpacking(path, digest).name
+def _bounded_description(path: Path) -> None:
+    """Refuse a description that would take minutes to read."""
+    try:
+        with zipfile.ZipFile(path) as file, file.open(_DESCRIPTION) as member:
+            text = member.read(MOST_DESCRIPTION + 1)
+    except (OSError, KeyError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+        raise FieldError("file", f"{path}: is no FMU: {error}") from error
+    variables = text.count(b"valueReference")
+    if len(text) > MOST_DESCRIPTION or variables > MOST_VARIABLES:
+        size = f"{variables} variables" if len(text) <= MOST_DESCRIPTION else f"more than {MOST_DESCRIPTION} bytes"
+        raise FieldError("file", f"{path}: its {_DESCRIPTION} has {size}; at most {MOST_VARIABLES} variables are taken")
 
 
 def _signal(name: str, unit: str) -> Signal:

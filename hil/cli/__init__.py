@@ -115,6 +115,9 @@ def main(args: list[str] | None = None) -> Any:
     try:
         with signals_as_exceptions():
             return cli.main(args, prog_name="hil", standalone_mode=True)
+    except KeyboardInterrupt as e:  # between the last line of a command and the end of this process
+        print("\nhil: interrupted", file=sys.stderr)
+        sys.exit(e.status if isinstance(e, Terminated) else 130)
     except BrokenPipeError:
         _close_stdout()
         sys.exit(141)

@@ -17,12 +17,13 @@ LONGEST_IMPORT_S: Final = 0.8
 """After so long a signal is raised inside an import also: within a second, everything stops."""
 
 _AGAIN_S: Final = 0.005
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 _held: Final[list[int]] = []
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM or SIGHUP, raised where Ctrl-C would be: everything is taken down in order.
+    """SIGTERM, SIGHUP or SIGQUIT, raised where Ctrl-C would be: everything is taken down in order.
 
     Args:
         number: which.
@@ -35,21 +36,23 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def signals_as_exceptions() -> Iterator[None]:
-    """Raise KeyboardInterrupt for SIGINT and `Terminated` for SIGTERM and SIGHUP, unless somebody else handles them.
+    """Raise KeyboardInterrupt for SIGINT and `Terminated` for SIGTERM, SIGHUP and SIGQUIT, unless somebody else handles them.
 
     Raises:
         KeyboardInterrupt: SIGINT came.
-        Terminated: SIGTERM or SIGHUP came.
+        Terminated: SIGTERM, SIGHUP or SIGQUIT came.
     """
     plain = (signal.SIG_DFL, signal.default_int_handler)  # nohup ignores SIGHUP, and & ignores SIGINT
-    ours = {n: h for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if (h := signal.getsignal(n)) in plain}
+    ours = {n: h for n in _ENDING if (h := signal.getsignal(n)) in plain}
     for number in ours:
         signal.signal(number, _see)
     try:
         yield
     finally:
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, ours)  # what comes now comes when all is as it was
         for number, handler in ours.items():
             signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _see(number: int, frame: FrameType | None) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
 import re
@@ -37,7 +39,7 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
         while True:
             try:
                 fresh = not (force and output is not None)
-                flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_EXCL if fresh else 0)
+                flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_EXCL if fresh else os.O_NOFOLLOW)
                 descriptor = os.open(path, flags, mode)
                 try:
                     if stat.S_ISREG(os.fstat(descriptor).st_mode):  # a device is told where the log is opened
@@ -51,7 +53,23 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
                 number += 1
                 path = path.with_name(f"{stem}-{number}.mcap")
     except OSError as e:
+        if e.errno == errno.ELOOP and path.is_symlink():
+            told = f"{path}: is a symbolic link, and --force overwrites no file through one; name {os.path.realpath(path)} itself"
+            raise HilError(told) from None
         raise HilError(f"log {path}: cannot be created: {e.strerror}") from e
+
+
+def _let_go(path: Path) -> None:
+    """Remove a log that was reserved and holds nothing; one that another run writes has nothing yet, and stays."""
+    with suppress(OSError):
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            about = os.fstat(descriptor)
+            if stat.S_ISREG(about.st_mode) and not about.st_size:  # a device has no bytes either, and stays
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+        finally:
+            os.close(descriptor)
 
 
 @click.command()
@@ -131,10 +149,9 @@ def command(
                 session = run_session(
                     checked, clock=clock, link=uri, path=path, external=external, taps=view.taps, index=index,  # type: ignore[arg-type]
                 )
-    except HilError:
-        with suppress(OSError):
-            if path is not None and path.is_file() and not path.stat().st_size:  # a device has no bytes either, and stays
-                path.unlink()
+    except BaseException:  # Ctrl-C too
+        if path is not None:
+            _let_go(path)
         for each in made:
             with suppress(OSError):
                 each.rmdir()  # unless there is something in it

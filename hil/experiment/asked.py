@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 from hil.own_packages import OURS, ROOT
@@ -51,6 +52,20 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         raise
     except BaseException as error:  # whatever a stranger's code raises, SystemExit too
         raise AssertionError(f"{what}: {words(error)}") from error
+
+
+def told_of(error: BaseException, objects: Iterable[object]) -> str | None:
+    """Return what an exception says that came of a class of the user's own, None for any other exception.
+
+    Args:
+        error: as it was caught.
+        objects: plug-ins, ours and others'.
+    """
+    modules = (sys.modules.get(type(made).__module__) for made in objects)
+    files = {str(getattr(module, "__file__", None)) for module in modules}
+    theirs = {file for file in files if not file.startswith(_OUR_FOLDERS)}
+    frames = traceback.extract_tb(error.__traceback__)
+    return words(error) if any(frame.filename in theirs for frame in frames) else None
 
 
 def words(error: BaseException) -> str:

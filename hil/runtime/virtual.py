@@ -37,8 +37,9 @@ class DirectExchange:
 
 
 def run_virtual(
-    loop: Loop, seed: int, sink: Sink, *, stoppable: Callable[[Callable[[], None]], None] = lambda stop: None
-) -> Rig:
+    loop: Loop, seed: int, sink: Sink, *, stoppable: Callable[[Callable[[], None]], None] = lambda stop: None,
+    failed: Callable[[BaseException], bool] = lambda error: False,
+) -> Rig:  # fmt: skip
     """Run a loop from slot 0 to its end, or until safety ends it; return the rig with its counters.
 
     Args:
@@ -46,6 +47,7 @@ def run_virtual(
         seed: seed of the run (the loop's own seed is not read).
         sink: takes the records.
         stoppable: given, before the first slot, a function that ends the run; a signal handler may call it.
+        failed: asked of whatever the run raises: whether the run ends in order with it.
     """
     e = loop.experiment
     kernel = Kernel(VirtualClock())
@@ -53,5 +55,9 @@ def run_virtual(
     rig = Rig(loop, seed, sink, loop.channels(), kernel.stop)
     slot = Slot(rig, DirectExchange(ControlNode(loop)), lambda t_ns: sink.commit(), lambda: kernel.stopped)
     kernel.every(e.period_ns, e.ticks, slot.run)
-    kernel.run()
+    try:
+        kernel.run()
+    except BaseException as error:
+        if not failed(error):
+            raise
     return rig

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
+import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -244,6 +246,23 @@ class McapSink:
         self.close()
 
 
+def _alone(path: Path) -> int:
+    """Open a file, empty; no other run may write it until it is closed.
+
+    Raises:
+        OSError: it is a symbolic link, another run writes it, or it cannot be opened.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    try:
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.ftruncate(descriptor, 0)
+    except OSError as error:
+        os.close(descriptor)
+        raise OSError(error.errno, "another run is writing it") if isinstance(error, BlockingIOError) else error from None
+    return descriptor
+
+
 class _Disk:
     """A file that grows by whole flushes: after a failed one it is cut back to the end of the last good one.
 
@@ -252,8 +271,7 @@ class _Disk:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        flags = os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
-        self._file = open(os.open(path, flags, 0o600), "w+b", buffering=0)  # noqa: SIM115
+        self._file = open(_alone(path), "w+b", buffering=0)  # noqa: SIM115
         self._parts: list[bytes] = []
         self._waiting = 0  # bytes in the parts
         self._position = 0

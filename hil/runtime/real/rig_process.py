@@ -145,8 +145,13 @@ def main() -> None:
         real.begin()
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
         sink.commit()
+        failure: PlantError | None = None
         if not stopped:
-            real.kernel.run()
+            try:
+                real.kernel.run()
+            except PlantError as error:
+                failure = error
+                sink.event(max(real.rig.k, 0) * job.loop.experiment.period_ns, "plant failed", str(error), severity="error")
         sink.event(
             max(real.rig.k, 0) * job.loop.experiment.period_ns,
             "outcome",
@@ -158,6 +163,8 @@ def main() -> None:
         )
         sink.close()
         leave_real_time()
+        if failure is not None:
+            raise failure
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""SIGINT, SIGTERM and SIGHUP as a request to stop in order, so that every log is closed.
+"""SIGINT, SIGTERM, SIGHUP and SIGQUIT as a request to stop in order, so that every log is closed.
 
 A signal that is ignored when a session begins stays ignored: ``nohup`` ignores SIGHUP, ``command &`` in a script SIGINT.
 SIGTERM then still stops the session.
@@ -9,7 +9,14 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
+
+STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+_AGAIN_S: Final = 0.1
+
+
+class Forced(KeyboardInterrupt):
+    """What runs did not stop when it was asked to: raised in its midst."""
 
 
 class StopSignals:
@@ -17,6 +24,7 @@ class StopSignals:
 
     Args:
         told: called in the signal handler, with the signal's number.
+        force_s: after so long `Forced` is raised where the main thread stands, at a second signal at once; None: never.
 
     >>> with StopSignals() as signals:
     ...     signal.raise_signal(signal.SIGTERM)
@@ -24,23 +32,33 @@ class StopSignals:
     True
     """
 
-    def __init__(self, told: Callable[[int], None] = lambda number: None) -> None:
+    def __init__(self, told: Callable[[int], None] = lambda number: None, force_s: float | None = None) -> None:
         self.seen: int | None = None
         self._told = told
+        self._force_s = force_s
         self._old: dict[int, Any] = {}
 
     def __enter__(self) -> StopSignals:
         if threading.current_thread() is threading.main_thread():  # no other thread may set handlers, and none gets a signal
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            for number in STOPPING:
                 if (before := signal.getsignal(number)) != signal.SIG_IGN:
                     self._old[number] = before
                     signal.signal(number, self._see)
+            if self._force_s is not None:
+                self._old[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._force)
         return self
 
     def _see(self, number: int, _frame: object) -> None:
-        self.seen = self.seen or number
+        again, self.seen = self.seen is not None, self.seen or number
         self._told(number)
+        if self._force_s is not None:
+            signal.setitimer(signal.ITIMER_REAL, 1e-6 if again else self._force_s, _AGAIN_S)
+
+    def _force(self, _number: int, _frame: object) -> None:
+        raise Forced
 
     def __exit__(self, *_: object) -> None:
+        if signal.SIGALRM in self._old:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in self._old.items():
             signal.signal(number, handler)

@@ -1,0 +1,157 @@
+"""How a run ends that is not left in peace: signals early and late, two runs on one file, links, plug-ins that fail."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.cli.run import _let_go
+from hil.experiment import shipped
+from hil.log.read.run import read_run
+from tests.hil.cli.conftest import Hil
+from tests.waiting import until
+
+PLANT = '''
+import sys
+from dataclasses import dataclass
+from typing import ClassVar
+from plants import LinearRun, Signal, StateSpace
+
+class Base(BaseException):
+    pass
+
+class Run(LinearRun):
+    slots = 0
+    def advance(self, dt_ns, u, w=()):
+        Run.slots += 1
+        if Run.slots > 420:  # behind the check
+            {late}
+        super().advance(dt_ns, u, w)
+
+@dataclass(frozen=True)
+class Cart:
+    inputs: ClassVar = (Signal("force", "N"),)
+    outputs: ClassVar = (Signal("speed", "m/s"),)
+    states: ClassVar = (Signal("speed", "m/s"),)
+    def model(self):
+        return StateSpace(A=[[-1.0]], B=[[1.0]], C=[[1.0]])
+    def start(self, rng):
+        return Run(self.model(), (0.0,))
+'''
+WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--json")
+
+
+def started(folder: Path, late: str) -> list[str]:
+    (folder / "cart.py").write_text(PLANT.replace("{late}", late))
+    (folder / "exp.toml").write_text(shipped()["dc-motor-hinf"].read_text())
+    return [sys.executable, "-m", "hil", "run", str(folder / "exp.toml"), "-o", str(folder / "a.mcap"), *WORDS]
+
+
+@pytest.mark.parametrize("late", ["return {}['x']", "raise Base('not now')", "sys.exit(0)", "return 1 / 0"])
+def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path: Path, late: str) -> None:
+    done = subprocess.run(started(tmp_path, late), capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
+    told = json.loads(done.stdout)["problems"]["plug_in_failed"]
+    assert f"{tmp_path}/cart.py, line " in told and told.startswith(("KeyError", "Base", "SystemExit", "ZeroDivisionError"))
+    run = read_run(tmp_path / "a.mcap")
+    assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [told]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path: Path, number: int) -> None:
+    late = "print('loops', file=sys.stderr, flush=True)\n            while True: pass"
+    with subprocess.Popen(started(tmp_path, late), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None and process.stderr.readline() == "loops\n"
+        process.send_signal(number)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 128 + number and "Traceback" not in err
+    assert json.loads(out)["problems"] == {"interrupted": signal.Signals(number).name}
+    assert read_run(tmp_path / "a.mcap").events[-1]["kind"] == "outcome"
+
+
+def test_a_signal_before_the_first_record_leaves_no_empty_log(tmp_path: Path) -> None:
+    late = ""
+    words = started(tmp_path, late or "pass")
+    text = (tmp_path / "cart.py").read_text()
+    slow = "    def model(self):\n        import pathlib, time\n        if pathlib.Path({log!r}).exists(): time.sleep(60)\n"
+    (tmp_path / "cart.py").write_text(text.replace("    def model(self):\n", slow.format(log=str(tmp_path / "a.mcap"))))
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        until((tmp_path / "a.mcap").exists, "the log's name is taken")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130 and "Traceback" not in err and not (tmp_path / "a.mcap").exists()
+
+
+def test_what_another_run_has_begun_is_not_removed(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with open(path, "wb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        _let_go(path)
+        assert path.exists()
+    _let_go(path)
+    assert not path.exists()
+
+
+def test_two_runs_never_write_one_file(tmp_path: Path, cli: Hil) -> None:
+    assert cli("run", "dc-motor-hinf", "--duration", "1s", "-o", "a.mcap")[0] == 0
+    before = (tmp_path / "a.mcap").read_bytes()
+    with open(tmp_path / "a.mcap", "rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # as a run does while it writes
+        status, _, err = cli("run", "dc-motor-hinf", "--duration", "1s", "-o", "a.mcap", "--force")
+    assert status == 2 and "another run is writing it" in err and (tmp_path / "a.mcap").read_bytes() == before
+    assert cli("run", "dc-motor-hinf", "--duration", "1s", "-o", "a.mcap", "--force")[0] == 0
+
+
+def test_a_run_holds_its_log_while_it_writes(tmp_path: Path) -> None:
+    seen = []
+
+    def look(t_ns: int, payload: bytes) -> None:
+        if not seen:
+            with open(tmp_path / "a.mcap", "rb") as file:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    seen.append(False)
+                except BlockingIOError:
+                    seen.append(True)
+
+    from hil.session import run_session
+
+    run_session(hil.load_experiment("dc-motor-hinf", duration=1), path=tmp_path / "a.mcap", taps={"/plant/state": look})
+    assert seen == [True]
+
+
+def test_force_goes_through_no_link(tmp_path: Path, cli: Hil) -> None:
+    (tmp_path / "victim.txt").write_text("mine")
+    (tmp_path / "l.mcap").symlink_to("victim.txt")
+    status, out, err = cli("run", "dc-motor-hinf", "--duration", "1s", "-o", "l.mcap", "--force")
+    assert (status, out) == (2, "") and f"is a symbolic link, and --force overwrites no file through one; name {tmp_path}" in err
+    assert (tmp_path / "victim.txt").read_text() == "mine" and (tmp_path / "l.mcap").is_symlink()
+    with pytest.raises(hil.HilError, match=r"l\.mcap: exists already"):
+        hil.run("dc-motor-hinf", duration=1, log=tmp_path / "l.mcap")
+
+
+def test_a_reader_of_json_that_has_left_is_told_like_one_of_text() -> None:
+    for words in (["--json"], []):
+        read, write = os.pipe()
+        os.close(read)
+        with open(write, "w") as closed:
+            done = subprocess.run([sys.executable, "-m", "hil", "list", *words], stdout=closed, stderr=subprocess.PIPE, text=True)
+        assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_an_interrupt_behind_the_last_line_of_a_command_is_one_line(monkeypatch: pytest.MonkeyPatch, cli: Hil) -> None:
+    from hil.cli import cli as group
+
+    def late(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(group, "main", late)
+    assert cli("list")[::2] == (130, "\nhil: interrupted\n")
