@@ -20,6 +20,7 @@ from tests.hil.cli.conftest import Hil
 from tests.waiting import until
 
 PLANT = '''
+import os
 import sys
 from dataclasses import dataclass
 from typing import ClassVar
@@ -31,8 +32,8 @@ class Base(BaseException):
 class Run(LinearRun):
     slots = 0
     def advance(self, dt_ns, u, w=()):
-        Run.slots += 1
-        if Run.slots > 420:  # behind the check
+        Run.slots += {begun}  # behind all checks
+        if Run.slots > 20:
             {late}
         super().advance(dt_ns, u, w)
 
@@ -50,7 +51,9 @@ WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set
 
 
 def started(folder: Path, late: str) -> list[str]:
-    (folder / "cart.py").write_text(PLANT.replace("{late}", late))
+    log = str(folder / "a.mcap")
+    begun = f"os.path.exists({log!r}) and os.path.getsize({log!r}) > 0"
+    (folder / "cart.py").write_text(PLANT.replace("{late}", late).replace("{begun}", begun))
     (folder / "exp.toml").write_text(shipped()["dc-motor-hinf"].read_text())
     return [sys.executable, "-m", "hil", "run", str(folder / "exp.toml"), "-o", str(folder / "a.mcap"), *WORDS]
 
