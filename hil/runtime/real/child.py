@@ -55,13 +55,18 @@ class Child:
     ) -> None:
         self.name = name
         # A new session keeps the terminal's Ctrl-C away: this process ends its children in order.
-        self._process = subprocess.Popen(
-            python_module(module, *folders),
-            stdin=subprocess.PIPE,
-            stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
-            pass_fds=pass_fds,
-            start_new_session=True,
-        )
+        # It ignores SIGINT; blocked, one that comes before it has said so waits for that, and no import is cut off.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._process = subprocess.Popen(
+                python_module(module, *folders),
+                stdin=subprocess.PIPE,
+                stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
+                pass_fds=pass_fds,
+                start_new_session=True,
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         assert self._process.stdin is not None
         try:
             dump(job, self._process.stdin)
@@ -111,7 +116,10 @@ class Child:
 def read_job() -> Any:
     """Return, in a `Child`, the job that it was given."""
     sys.path.extend(folder for folder in sys.argv[1:] if folder not in sys.path)
-    return pickle.load(sys.stdin.buffer)
+    try:
+        return pickle.load(sys.stdin.buffer)
+    except (EOFError, pickle.UnpicklingError):
+        sys.exit(1)  # the session ended before it had said what to run
 
 
 def _has_fileno(stream: object) -> bool:

@@ -4,13 +4,14 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
-from hil.runtime.real.child import is_stopped
+from hil.runtime.real.child import Child, is_stopped
 
 OFTEN = """
 import os
 import hil.session
-from hil.runtime.real.child import is_stopped
+from hil.runtime.real.child import Child, is_stopped
 
 def anonymous_kb():
     with open("/proc/self/status") as file:
@@ -41,3 +42,17 @@ def test_a_process_that_is_stopped_is_told_from_one_that_runs_and_from_none() ->
         finally:
             process.kill()
     assert not is_stopped(process.pid)
+
+
+def test_an_interrupt_cuts_off_no_import_of_a_child() -> None:
+    """SIGINT is blocked from before its first instruction on; here it is not blocked any more."""
+    child = Child("rig", "json.tool", None, dump=lambda job, stream: None)
+    blocked = int(Path(f"/proc/{child.pid}/status").read_text().partition("SigBlk:")[2].split()[0], 16)
+    child.kill()
+    assert blocked >> (signal.SIGINT - 1) & 1 and signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_a_job_that_never_comes_whole_ends_a_child_without_a_traceback() -> None:
+    """The session was interrupted while it told the rig what to run."""
+    done = subprocess.run([sys.executable, "-P", "-m", "hil.runtime.real.rig_process"], input=b"\x80\x04", capture_output=True)
+    assert done.returncode == 1 and done.stderr == b""
