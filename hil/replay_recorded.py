@@ -12,7 +12,7 @@ from hil.errors import HilError
 from hil.log.growing import Growing, let_go, pieces
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
-from hil.log.topics import CONTROL, SENSOR
+from hil.log.topics import CONTROL, SENSOR, TIMING
 from hil.replay_compare import BATCH, in_time
 from hil.runtime.nodes.wire import Wire
 from transport.packets import SensorPacket, decode
@@ -103,3 +103,24 @@ class _Nonces:
             let_go(self._slots)
             let_go(self._nonces)
         return self._known.get(k, 0)
+
+
+class Woken:
+    """When each slot began: a watchdog that looks at the clock trips again where it did. Slots are asked for in order.
+
+    Args:
+        run: the log.
+        period_ns: sample period, ns.
+    """
+
+    def __init__(self, run: Run, period_ns: int) -> None:
+        timed = run.pieces(TIMING.name, BATCH) if TIMING.name in run.arrays else iter(())
+        self._late = (late for piece in timed for late in zip(piece["tick"].tolist(), piece["lateness_us"].tolist()))
+        self._period_ns, self._next = period_ns, next(self._late, None)
+
+    def at(self, t_ns: int) -> int:
+        """Return when the slot of a nominal time began, ns; at that time where the log does not say."""
+        k = t_ns // self._period_ns
+        while self._next is not None and self._next[0] < k:
+            self._next = next(self._late, None)
+        return t_ns if self._next is None or self._next[0] != k else t_ns + round(self._next[1] * 1e3)

@@ -329,6 +329,12 @@ def _run_real(
     if real.controller_lost:
         out["controller_lost"] = real.controller_lost
         sink.event(real.controller_lost_ns, "controller lost", real.controller_lost, severity="error")
+    counts: dict[str, Any] = dict(real.controller_counts)
+    if counts:
+        sink.event(real.pump.last_ns, "controller ended", "what the controller and its end of the link counted", **counts)
+    unwanted = counts.get("refused", 0) + counts.get("contradicted", 0)
+    if unwanted:
+        out["controller_refused"] = f"the controller refused {unwanted} frames: they are not of this rig, or not of its slot"
     if real.interrupted is not None:
         out |= _interrupted(real.interrupted, sink, real.pump.last_ns)
     elif real.rig_silent is not None:
@@ -356,6 +362,7 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
     told = {*INTRUSIONS, "plant failed"}
     problems = {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in told}
     summary["link_counters"] = link_counters(run)
+    summary["controller_counters"] = controller_counters(run)
     refused = (summary["link_counters"] or {}).get("refused", 0)
     if refused:
         problems["refused"] = f"{refused} packets or peers on the link were refused: they had not the key or the name"
@@ -366,6 +373,12 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
 def link_counters(run: Run) -> dict[str, int] | None:
     """Return what the rig's end of the link counted, None where there was no link or the rig did not end in order."""
     said = [event["data"]["link"] for event in run.events if event["kind"] == "outcome" and "link" in event.get("data", {})]
+    return {name: int(value) for name, value in said[0].items()} if said else None
+
+
+def controller_counters(run: Run) -> dict[str, int] | None:
+    """Return what our controller and its end of the link counted, None where it did not end in order, or was not ours."""
+    said = [event["data"] for event in run.events if event["kind"] == "controller ended" and "data" in event]
     return {name: int(value) for name, value in said[0].items()} if said else None
 
 

@@ -30,15 +30,16 @@ with HilBus(sys.argv[1]) as bus:
     end = time.monotonic() + float(sys.argv[2]) if sys.stdin.readline() else 0.0
     while time.monotonic() < end:
         for _ in range(100):
-            bus.send_frame(0x140, b"garbage!")  # the rig's queue is full soon; the rest is dropped there
+            bus.send_frame(int(sys.argv[3], 0), b"garbage!")  # the rig's queue is full soon; the rest is dropped there
 """
 
 
 @contextmanager
-def flooders(channel: str, count: int, seconds: float) -> Iterator[Callable[[], None]]:
+def flooders(channel: str, count: int, seconds: float, identifier: str = "0x140") -> Iterator[Callable[[], None]]:
     """So many senders of frames that answer nothing, joined and silent until the function that is given here is called."""
+    program = [sys.executable, "-c", FLOOD, channel, str(seconds), identifier]
     started = [
-        subprocess.Popen([sys.executable, "-c", FLOOD, channel, str(seconds)], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         for _ in range(count)
     ]
     try:
@@ -117,3 +118,45 @@ def test_eight_senders_for_ten_seconds_make_no_slot_late_and_are_said(tmp_path: 
     print(f"lateness p50 {np.median(ours_us):.0f}, max {ours_us.max():.0f} us; cyclictest {np.median(theirs_us):.0f}, "
           f"max {theirs_us.max():.0f} us; {summary['timing']['late']} of 260 slots without an answer in time")  # fmt: skip
     assert ours_us.max() <= theirs_us.max() + 50_000.0
+
+
+@pytest.mark.hostile
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("identifier", ["0x300", "0x140"], ids=["filtered", "garbage"])
+@pytest.mark.parametrize("senders", [1, 8])
+def test_the_watchdog_keeps_its_time_under_every_flood_at_1_khz(tmp_path: Path, senders: int, identifier: str) -> None:
+    """200 periods without a command are 200 ms by the clock, whatever a slot takes."""
+    channel, log = f"k{os.getpid()}-{senders}", tmp_path / "run.mcap"
+    with flooders(channel, senders, 30.0, identifier) as begin:
+        session = subprocess.Popen(
+            [sys.executable, "-m", "hil", "run", "dc-motor-1khz", "--clock", "real", "--link", f"can:hil:{channel}", "--json",
+             "--duration", "4", "-o", str(log)], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        try:
+            until(lambda: session.poll() is not None or (log.exists() and log.stat().st_size > 12_000), "the session")
+            begin()
+            out, err = session.communicate(timeout=120)
+        finally:
+            session.kill()
+            session.wait()
+    assert "Traceback" not in err
+    summary, run = json.loads(out), read_run(log)
+    assert "flood" in summary["problems"] and session.returncode in (1, 3, 6), summary
+    assert identifier == "0x140" or summary["link_counters"]["foreign"] > 64
+    promised_s = run.resolved["limits"]["watchdog_slots"] * run.resolved["period"]
+    timed, applied = run.arrays["/timing/tick"], run.arrays["/actuator/applied"]
+    woken_s = timed["t_ns"] / 1e9 + timed["lateness_us"] / 1e6
+    taken = _longest_s(woken_s, applied["status"][: len(woken_s)] == 0)
+    slots_s = float(np.diff(woken_s).max())
+    print(f"{senders} senders, {identifier}: {taken:.3f} s without a command: {taken / promised_s:.2f} of what is promised")
+    assert taken <= promised_s + 3 * slots_s, (taken, promised_s, slots_s)
+
+
+def _longest_s(woken_s: np.ndarray[Any, Any], commanded: np.ndarray[Any, Any]) -> float:
+    """The longest time from a slot without a command to the safe state, or to the next command."""
+    begin, longest = None, 0.0
+    for at, good in zip(woken_s, commanded, strict=True):
+        begin = None if good else at if begin is None else begin
+        if begin is not None and at - begin > longest:
+            longest = float(at - begin)
+    return longest

@@ -24,7 +24,7 @@ from hmac import compare_digest
 from time import monotonic
 from typing import Final
 
-from transport.links.link import Closing, Link, LinkCounters, Role, TransportError
+from transport.links.link import LOOK_S, Closing, Link, LinkCounters, Role, TransportError
 from transport.links.secret_file import read_secret
 from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES
 from transport.wire.tags import Tagged, tag_of, with_tag
@@ -107,7 +107,7 @@ class AuthenticatedLink(Closing):
             self._link.send(sealed)
 
     def receive(self, timeout_s: float) -> bytes | None:
-        end_s = self._now_s() + timeout_s if timeout_s > 0 else 0.0
+        end_s = self._now_s() + (timeout_s if timeout_s > 0 else LOOK_S)
         for _ in range(_SKIPPED):
             data = self._link.receive(timeout_s)
             if data is None:
@@ -116,7 +116,10 @@ class AuthenticatedLink(Closing):
             if said is not None and said.kind == self._hears and self._accepts(said):
                 return data
             self._refused += 1
-            timeout_s = end_s - self._now_s() if end_s else 0.0
+            left_s = end_s - self._now_s()
+            if left_s <= 0:
+                return None
+            timeout_s = left_s if timeout_s > 0 else 0.0
         return None
 
     def _accepts(self, said: Tagged) -> bool:

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import re
 from struct import Struct
-from time import time
+from time import monotonic, time
 from typing import TYPE_CHECKING, Any, Final
 
 from transport.links.dead_channels import bus_directory as bus_directory
-from transport.links.link import TransportError
+from transport.links.link import LOOK_S, TransportError
 from transport.links.python_can import can
 from transport.links.unix_mesh import Mesh
 
@@ -72,6 +72,7 @@ class HilBus(can.BusABC):
         self._fd = fd
         self._own = receive_own_messages
         self._matches: tuple[tuple[int, int], ...] | None = None
+        self.filtered = 0
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     @property
@@ -162,6 +163,7 @@ class HilBus(can.BusABC):
         """Return the fields of `FRAME` and the data of the next frame that no filter keeps out."""
         if self._is_shutdown:
             raise can.CanOperationError(f"{self.channel_info} is shut down")
+        end = None if timeout is None else monotonic() + (timeout if timeout > 0 else LOOK_S)
         for _ in range(_SKIPPED):
             frame = self._mesh.receive(timeout)
             if frame is None:
@@ -170,6 +172,9 @@ class HilBus(can.BusABC):
                 fields = FRAME.unpack_from(frame)
                 if (self._fd or not fields[4] & FD_FRAME) and (self._matches is None or self._wanted(fields[2])):
                     return fields, frame[FRAME.size :]
+            self.filtered += 1
+            if end is not None and monotonic() >= end:
+                return None
             timeout = 0
         return None
 

@@ -24,7 +24,7 @@ from typing import Final, Protocol
 
 from transport.links.can_bus import ERROR, EXTENDED, REMOTE, HilBus
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
-from transport.links.link import Closing, LinkCounters, Role
+from transport.links.link import LOOK_S, Closing, LinkCounters, Role
 from transport.links.python_can import can
 from transport.packets import decode, frame_length, node_of, packet_size
 
@@ -46,6 +46,9 @@ class _Frames(Protocol):
     @property
     def turned_away(self) -> int: ...
 
+    @property
+    def filtered(self) -> int: ...
+
     def send_frame(self, identifier: int, data: bytes) -> bool: ...
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None: ...
@@ -58,7 +61,7 @@ class _MessageFrames:
 
     __slots__ = ("_bus", "_fd", "shutdown")
 
-    lost = turned_away = 0  # no other bus says so
+    lost = turned_away = filtered = 0  # no other bus says so
 
     def __init__(self, bus: can.BusABC, fd: bool) -> None:
         self._bus, self._fd = bus, fd
@@ -127,7 +130,8 @@ class CanLink(Closing):
     @property
     def counters(self) -> LinkCounters:
         bus = self._bus
-        return replace(self._counters, dropped=self._counters.dropped + bus.lost, turned_away=bus.turned_away)
+        return replace(self._counters, dropped=self._counters.dropped + bus.lost, foreign=self._counters.foreign + bus.filtered,
+                       turned_away=bus.turned_away)  # fmt: skip
 
     def send(self, packet: bytes) -> None:
         step, say, size, send, heard = self._step, self._say, len(packet), self._bus.send_frame, True
@@ -170,7 +174,10 @@ class CanLink(Closing):
                 return None
             if wait <= 0 and frame is None:
                 return None
-            wait = max(0.0, timeout_s - (monotonic() - begin))
+            left_s = (timeout_s if timeout_s > 0 else LOOK_S) - (monotonic() - begin)
+            if left_s <= 0:
+                return None
+            wait = left_s if timeout_s > 0 else 0.0
         return None
 
     def _packet(self, identifier: int, fd: bool, data: bytes) -> bytes | None:
@@ -181,7 +188,9 @@ class CanLink(Closing):
                 self._counters.errors += 1
             elif identifier & REMOTE:
                 self._counters.malformed += 1
-            return None  # foreign, on an interface that cannot filter
+            else:
+                self._counters.foreign += 1  # on an interface that cannot filter
+            return None
         if fd != self._fd:
             self._counters.malformed += 1
             return None

@@ -15,6 +15,9 @@ from urllib.parse import parse_qsl
 
 Role = Literal["rig", "controller"]
 
+LOOK_S: Final = 0.02
+"""How long a call that only looks may pass over frames, s."""
+
 
 class TransportError(Exception):
     """A link that cannot be had; the message names the link, what is wrong and how to mend it."""
@@ -33,6 +36,7 @@ class LinkCounters:
         errors: error frames and faults of the medium (interface down, buffer full).
         refused: packets that are not authentic (forged, replayed, without a code), and peers of another name than the one
             whom the link lets speak; in a rig's process over zenoh also what the access-control list denies, and failed logins.
+        foreign: frames of other identifiers that this end passed over.
         turned_away: how often a newcomer found no free file descriptor here and had to wait (can:hil).
     """
 
@@ -42,6 +46,7 @@ class LinkCounters:
     malformed: int = 0
     errors: int = 0
     refused: int = 0
+    foreign: int = 0
     turned_away: int = 0
 
 
@@ -75,7 +80,8 @@ class Link(Protocol):
         handed on as they came: `transport.packets.decode` judges them.
 
         Args:
-            timeout_s: how long to wait, s; 0 or less only looks.
+            timeout_s: how long to wait, s; 0 or less only looks. However many frames are passed over, the call ends then, a
+                look within `LOOK_S`.
         """
         ...
 

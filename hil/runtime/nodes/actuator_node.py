@@ -105,12 +105,13 @@ class ActuatorNode:
             self.u = self._command = self._zero
         return reason
 
-    def apply(self, k: int, arrivals: Iterable[tuple[int, Any]]) -> Applied:
+    def apply(self, k: int, arrivals: Iterable[tuple[int, Any]], now_ns: int = 0) -> Applied:
         """Take what arrived in slot k, measure d_k, choose the row, and set the input for this slot.
 
         Args:
             k: slot.
             arrivals: (slot of generation, control packet) each, in order of arrival.
+            now_ns: when the slot began, ns; the watchdog looks at it.
         """
         for g, arrived in arrivals:
             if g >= self._held_tick:
@@ -122,7 +123,7 @@ class ActuatorNode:
         if safety.tripped is None:
             if held is None or d > d_max:
                 status = HOLD if held is not None else NONE_YET
-                reason = safety.starved() if k > d_max else None
+                reason = safety.starved(now_ns) if k > d_max else None
             else:
                 rule, status = held.selection, OK
                 row = 0 if rule == CONSTANT else row_index(SELECTIONS[rule], d, g, measured_d, d_max)

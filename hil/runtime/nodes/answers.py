@@ -13,8 +13,8 @@ from hil.runtime.nodes.journal import Journal
 from transport.packets import SELECTIONS, ControlPacket, decode
 from transport.wire.tags import echo
 
-FLOOD = 64
-"""Frames thrown away in one slot that make a flood."""
+FLOOD, FLOOD_NS = 64, 50_000_000
+"""So many frames thrown away within so long (or one slot, if that is longer) make a flood."""
 
 LOGGED = 16
 """Late frames of one slot that the log keeps."""
@@ -43,10 +43,12 @@ class Answers:
         inputs: number m of inputs.
         d_max: largest age that the rows cover, samples.
         journal: takes records and events.
+        period_ns: sample period, ns.
     """
 
-    def __init__(self, inputs: int, d_max: int, journal: Journal) -> None:
+    def __init__(self, inputs: int, d_max: int, journal: Journal, period_ns: int) -> None:
         self._inputs, self._journal = inputs, journal
+        self._forgotten = max(FLOOD * period_ns / FLOOD_NS, 1.0)  # thrown away, and no longer counted after one slot
         self._row_counts = [row_count(selection, d_max) for selection in SELECTIONS]
         self._k = -1
         self._t_ns = 0
@@ -55,7 +57,8 @@ class Answers:
         self._echoes: dict[int, int] = {}  # of the last slots
         self._samples: dict[int, None] = {}  # instants of the samples that were sent last
         self._forgotten_ns = -1
-        self._thrown = self._logged = 0
+        self._thrown = 0.0
+        self._logged = 0
         self._answered: dict[int, bytes | None] = {}  # of the last slots; None where nothing came in time
         self._packet: ControlPacket | None = None
         self.data = b""
@@ -83,7 +86,8 @@ class Answers:
                     del self._samples[self._forgotten_ns]
         self._answered.pop(k - REMEMBERED, None)
         self._echoes.pop(k - REMEMBERED, None)
-        self._thrown = self._logged = 0
+        self._logged = 0
+        self._thrown = max(self._thrown - self._forgotten, 0.0)
 
     def take(self, data: bytes, when: Arrival = "in time") -> bool:
         """Take one frame; return whether it answers the open slot.
@@ -95,7 +99,7 @@ class Answers:
         packet = decode(data)
         if not isinstance(packet, ControlPacket):
             self.malformed += 1
-            self._throw_away()
+            self.throw_away()
             return False
         seq = packet.seq
         if packet.echo != (self._echo if seq == self._k else self._echoes.get(seq, packet.echo)):
@@ -177,15 +181,16 @@ class Answers:
         self.foreign += 1
         if seq != HELLO:
             self._late(seq, data)
-        self._throw_away()
+        self.throw_away()
 
-    def _throw_away(self) -> None:
-        self._thrown += 1
-        if self._thrown == FLOOD and not self.flooded:
+    def throw_away(self, frames: int = 1) -> None:
+        """Count frames that are no answer; too many in too short a time are a flood, which is said once."""
+        self._thrown += frames
+        if self._thrown >= FLOOD and not self.flooded:
             self.flooded = True
             self._journal.event(
-                self._t_ns, "flood", f"{FLOOD} frames that answer no question came within slot {self._k}: they are thrown away "
-                "and counted, and the answer may be lost among them", tick=self._k, severity="error",
+                self._t_ns, "flood", f"{FLOOD} frames that answer no question came within {FLOOD_NS // 1_000_000} ms or a slot: "
+                "they are thrown away and counted, and the answer may be lost among them", tick=self._k, severity="error",
             )  # fmt: skip
 
     def _contradict(self, what: str, seq: int) -> None:

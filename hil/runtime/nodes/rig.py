@@ -43,6 +43,7 @@ class Rig:
         stop: ends the run (after a trip of the safety, once ``after_trip`` has passed).
         wire: the nonces; by default none, as nobody else can speak in virtual time.
         identifiers: CAN identifiers of the frames, where the table holds them.
+        woken: when the slot of a nominal time really began, session time, ns; in virtual time at its nominal time.
     """
 
     def __init__(
@@ -54,11 +55,12 @@ class Rig:
         stop: Callable[[], None],
         wire: Wire | None = None,
         identifiers: FirstIdentifiers | None = None,
+        woken: Callable[[int], int] = lambda t_ns: t_ns,
     ) -> None:
         e = loop.experiment
         inputs, names = len(e.plant.inputs), [s.name for s in e.plant.states]
         deadline_s = e.timing.deadline * float(e.period)
-        self._period_ns = e.period_ns
+        self._period_ns, self._woken = e.period_ns, woken
         self._plant = e.plant.start(rng_for(seed, "plant"))
         self._samples = [sensor.buffer for sensor in loop.sensors]
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.sensors)
@@ -67,14 +69,14 @@ class Rig:
         self._uplink = faults.uplink(uplink_of(loop, seed, float(e.period), deadline_s))
         self._downlink = faults.downlink(impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s))
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
-        safety = Safety(e.limits.input, limits, e.limits.watchdog_slots)
+        safety = Safety(e.limits.input, limits, e.limits.watchdog_slots, e.period_ns)
         self._port = loop.port.output if loop.port is not None and e.limits.passivity is not None else None
         self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop))
         numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.sensors)]
         self._journal = Journal(sink, channels, loop.rows * inputs, numbers, identifiers)
         self._wire = wire or VIRTUAL
         self._counter = 0
-        self.answers = Answers(inputs, loop.model.d_max, self._journal)
+        self.answers = Answers(inputs, loop.model.d_max, self._journal, e.period_ns)
         self._reference, self._disturbance = loop.reference(), loop.disturbance()
         self._after_trip = round(e.limits.after_trip / e.period)
         self._end: int | None = None
@@ -161,6 +163,10 @@ class Rig:
         """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
         self.answers.take(data, "late")
 
+    def passed_over(self, frames: int) -> None:
+        """Count frames that the link itself threw away while this slot waited for its answer."""
+        self.answers.throw_away(frames)
+
     def actuate(self, t_ns: int) -> None:
         """Let the medium pass what it passes, choose the row, and hold it until the next slot."""
         k = self.k
@@ -168,7 +174,7 @@ class Rig:
         if packet is not None and self.answers.usable(packet):
             self._downlink.offer(k, packet)
         draws, arrivals = self._downlink.collect(k)
-        applied = self.actuator.apply(k, arrivals)
+        applied = self.actuator.apply(k, arrivals, self._woken(t_ns))
         if applied.tripped is not None:
             self._note_trip(t_ns, applied.tripped)
         self._w = self._disturbance(k)

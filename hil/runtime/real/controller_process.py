@@ -5,10 +5,14 @@ Started as ``python -m hil.runtime.real.controller_process`` with a pickled :cla
 
 from __future__ import annotations
 
+import json
+import os
 import signal
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import partial
 from types import FrameType
 
 from hil.compose.loop import Loop
@@ -30,6 +34,7 @@ class Job:
     loop: Loop
     uri: str
     parent: int
+    counts_fd: int = -1  # where its counters go at its end
 
 
 class Stopped(Exception):
@@ -46,24 +51,38 @@ def stop_on_sigterm() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def serve(loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None) -> None:
+def serve(
+    loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None,
+    at_end: Callable[[dict[str, int]], object] = lambda counts: None,
+) -> None:  # fmt: skip
     """Answer sensor frames on a link until stopped.
 
     Args:
         loop: the composed experiment.
         uri: the link.
+        at_end: given what the controller and its link counted.
         before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
     """
     warm_up_controller(loop)
     node = ControlNode(loop)
     before_open()
     with open_link(uri, "controller") as link:
-        while True:
-            data = link.receive(IDLE_S)
-            if data is not None:
-                answer = node.hear(data, monotonic_ns())
-                if answer is not None:
-                    link.send(answer)
+        try:
+            while True:
+                data = link.receive(IDLE_S)
+                if data is not None:
+                    answer = node.hear(data, monotonic_ns())
+                    if answer is not None:
+                        link.send(answer)
+        finally:
+            counters, counts = asdict(link.counters), asdict(node.counts)
+            at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts})
+
+
+def _write(fd: int, counts: dict[str, int]) -> None:
+    if fd >= 0:
+        with suppress(OSError):
+            os.write(fd, json.dumps(counts).encode())
 
 
 def main() -> None:
@@ -74,7 +93,7 @@ def main() -> None:
         stop_on_sigterm()
         die_with_parent(job.parent)
         cpu = cpu_for(timing.affinity, "controller", job.uri)
-        serve(job.loop, job.uri, before_open=lambda: go_real_time(max(timing.priority - 1, 1), cpu))
+        serve(job.loop, job.uri, lambda: go_real_time(max(timing.priority - 1, 1), cpu), partial(_write, job.counts_fd))
     except Stopped:
         leave_real_time()
 

@@ -25,6 +25,10 @@ Now = Callable[[], int]
 class Listener(Protocol):
     """Who judges the frames that come back: the rig."""
 
+    def passed_over(self, frames: int) -> None:
+        """Count frames that the link did not hand on: foreign, malformed, refused."""
+        ...
+
     def hear_late(self, data: bytes) -> None:
         """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
         ...
@@ -147,6 +151,7 @@ class LinkExchange:
         self._happened = happened
         self._link, self._listener, self._deadline_ns, self._stopped, self._now = link, listener, deadline_ns, stopped, now
         self._sent_ns = 0
+        self._passed = _passed(link)
         self.round_trip_us = math.nan
         self.waited_ns = 0
 
@@ -177,4 +182,13 @@ class LinkExchange:
                 break
         if not frames:
             self._happened(now - t_ns)
+        passed = _passed(self._link)
+        if passed > self._passed:
+            self._listener.passed_over(passed - self._passed)
+            self._passed = passed
         self.waited_ns = now - begin
+
+
+def _passed(link: Link) -> int:
+    counters = link.counters
+    return counters.foreign + counters.malformed + counters.refused

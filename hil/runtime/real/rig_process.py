@@ -66,7 +66,7 @@ class RealLoop:
         channels = job.loop.channels(on_can=identifiers is not None)
         self.clock = RealClock(0)  # until the session begins
         self.kernel = Kernel(self.clock)
-        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire, identifiers)
+        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire, identifiers, lambda t_ns: self._woken_ns)
         self.overruns = 0
         self._sink = sink
         self._period_ns = e.period_ns

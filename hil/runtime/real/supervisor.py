@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import threading
@@ -42,6 +43,7 @@ class RealOutcome:
     rig_silent: str | None = None  # why the rig was given up
     controller_lost: str | None = None
     controller_lost_ns: int = 0  # session time
+    controller_counts: dict[str, int] = field(default_factory=dict)  # what it and its link counted, once it has ended in order
 
 
 def run_real(
@@ -76,6 +78,7 @@ def run_real(
     clear_dead_channels(bus_directory())
     outcome = RealOutcome()
     read_fd, write_fd = os.pipe()
+    counts_fd, counted_fd = os.pipe()
     parent = os.getpid()
     children: list[Child] = []
     stop_pump = threading.Event()
@@ -102,8 +105,8 @@ def run_real(
             thread.start()
             controller = None
             if not external and uri != LOCAL:
-                theirs = controller_process.Job(loop=loop, uri=uri, parent=parent)
-                controller = start("controller", "hil.runtime.real.controller_process", theirs)
+                theirs = controller_process.Job(loop=loop, uri=uri, parent=parent, counts_fd=counted_fd)
+                controller = start("controller", "hil.runtime.real.controller_process", theirs, (counted_fd,))
                 children.append(controller)
             silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
             free = FreeMemory(monotonic_ns())
@@ -116,7 +119,7 @@ def run_real(
                 if controller is not None and restarts and outcome.pump.records and outcome.pump.last_ns >= restarts[0]:
                     restarts.popleft()
                     controller.kill()  # a fault on the time line: it loses what it knew, and takes the time that a start takes
-                    controller = start("controller", "hil.runtime.real.controller_process", theirs)
+                    controller = start("controller", "hil.runtime.real.controller_process", theirs, (counted_fd,))
                     children.append(controller)
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
                     outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
@@ -125,6 +128,8 @@ def run_real(
                 pause(POLL_S)
         finally:
             end_all(children)
+            os.close(counted_fd)
+            outcome.controller_counts = _counts(counts_fd)
             if write_fd >= 0:
                 os.close(write_fd)
             stop_pump.set()
@@ -148,3 +153,13 @@ def _starter(loop: Loop) -> Callable[..., Child]:
     from cloudpickle import dump
 
     return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path])
+
+
+def _counts(fd: int) -> dict[str, int]:
+    """Return what a controller has written at its end, nothing if it could not."""
+    with open(fd, "rb") as file:
+        try:
+            said = json.loads(file.read())
+        except ValueError:  # killed, or stopped and then killed
+            return {}
+    return {str(name): int(number) for name, number in said.items()}

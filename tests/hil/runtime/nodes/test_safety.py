@@ -36,3 +36,14 @@ def test_watchdog_counts_slots_in_a_row_only() -> None:
         assert safety.starved() is None
         assert safety.check_command((0.0,)) is None
     assert [safety.starved() is not None for _ in range(4)] == [False, False, True, False]
+
+
+def test_the_watchdog_trips_by_the_clock_where_slots_take_longer() -> None:
+    """200 slots of 1 ms are 200 ms, also where a slot takes 4 ms; in nominal time nothing changes."""
+    ms = 1_000_000
+    slow, nominal = Safety(None, [], 200, ms), Safety(None, [], 200, ms)
+    tripped = [k for k in range(200) if slow.starved(4 * k * ms)]
+    assert tripped == [50] and "ms (51 slots) without a usable command" in str(slow.tripped)  # 199 ms after the first
+    assert [k for k in range(300) if nominal.starved(k * ms)] == [199] and "200 slots in a row" in str(nominal.tripped)
+    fed = Safety(None, [], 200, ms)
+    assert not any(fed.starved(4 * k * ms) or (k % 40 == 0 and fed.check_command((0.0,))) for k in range(400))
