@@ -44,7 +44,7 @@ class FieldChange(click.ParamType[str]):
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Return the paths that begin so, up to the next dot."""
-        from hil.experiment import load_experiment, shipped
+        from hil.experiment import shipped
 
         # Click gives up on arguments before an option that still lacks its value: the words themselves are read.
         words = split_arg_string(os.environ.get("COMP_WORDS", ""))[2:]
@@ -52,14 +52,48 @@ class FieldChange(click.ParamType[str]):
         if source is None or "=" in incomplete:
             return []
         try:
-            paths = keys_of(load_experiment(source).resolved())
-        except HilError:  # what is wrong is told when the command runs
+            paths = keys_of(_static(shipped().get(source, Path(source))))
+        except (HilError, ValueError, RecursionError):  # what is wrong is told when the command runs
             return []
         return [CompletionItem(f"{path}=") for path in paths if path.startswith(incomplete)]
 
 
 EXPERIMENT = ExperimentName()
 CHANGE = FieldChange()
+
+
+def _static(path: Path) -> dict[str, Any]:
+    """Return the tables of an experiment as they are written, with the keys that installed plug-ins and ours may have.
+
+    Nothing that the file names is run: no module of one's own, no FMU.
+    """
+    from hil.experiment import plugins as registry
+    from hil.experiment.limits import Limits
+    from hil.experiment.load import MAX_BYTES
+    from hil.experiment.plugin_fields import fields_of
+    from hil.experiment.tables import Experiment, Report, Timing
+    from hil.experiment.toml_text import parse_toml
+    from hil.regular_file import read_regular
+
+    raw = parse_toml(read_regular(path, MAX_BYTES, "an experiment file").decode())
+
+    def with_keys(table: object, cls: object) -> object:
+        return {f.name: None for f in fields_of(cls)} | table if isinstance(table, dict) else table
+
+    def with_plugin(table: object, group: registry.Group) -> object:
+        kind = table.get("kind") if isinstance(table, dict) else None
+        return with_keys(table, registry.load(group, kind)) if kind in registry.names(group) else table
+
+    raw = {name: None for name in Experiment.__struct_fields__ if name not in ("kinds", "text", "folder")} | raw
+    for name, cls in (("limits", Limits), ("timing", Timing), ("report", Report)):
+        raw[name] = with_keys(raw[name] or {}, cls)
+    raw["plant"] = with_plugin(raw["plant"], "hil.plants")
+    raw["controller"] = with_plugin(raw["controller"], "hil.controllers")
+    for side in (raw["links"] or {}).values() if isinstance(raw["links"], dict) else ():
+        if isinstance(side, dict):
+            side["law"] = with_plugin(side.get("law"), "hil.laws")
+            side.setdefault("max_age", None)
+    return raw
 
 
 def keys_of(table: dict[str, Any], at: str = "") -> list[str]:

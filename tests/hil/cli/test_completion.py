@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from hil.cli.completion import SHELLS, script
+from hil.experiment import shipped
 from tests.hil.cli.conftest import Hil
 
 ASKED = """
@@ -73,3 +74,15 @@ def test_bash_takes_the_script(tmp_path: Path) -> None:
         capture_output=True, text=True, timeout=120, check=True,
     )  # fmt: skip
     assert "_hil_completion hil" in done.stdout and done.stdout.splitlines()[-1] == "plant.gain="
+
+
+def test_completion_runs_nothing_that_an_experiment_names(tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+    (tmp_path / "evil.py").write_text(f"open({str(ran)!r}, 'w').close()\n")
+    motor = shipped()["dc-motor-hinf"].read_text()
+    experiment = tmp_path / "e.toml"
+    for plant in ('kind = "evil:Plant"\nmass = 1.0', 'kind = "fmu"\nfile = "evil.fmu"'):
+        experiment.write_text(motor.replace('kind = "dc-motor"', plant).replace('measures = ["', 'measures = ["evil:x", "'))
+        keys, limits = offered(f"hil run {experiment} --set plant.", f"hil run {experiment} --set limits.after")
+        assert "plant.kind=" in keys and limits == ["limits.after_trip="] and not ran.exists()
+    assert {"plant.file=", "plant.measured="} <= set(keys)
