@@ -88,7 +88,12 @@ class Normals:
 
     def several(self, size: int) -> list[float]:
         """Return the next ``size`` draws."""
-        return [self() for _ in range(size)]
+        left = self._left
+        if len(left) < size:
+            return [self() for _ in range(size)]
+        drawn = left[: -size - 1 : -1]  # as one after the other
+        del left[len(left) - size :]
+        return drawn
 
 
 def exponential(rng: np.random.Generator) -> float:
