@@ -51,7 +51,7 @@ REQUIREMENTS: Final = pytest.StashKey[dict[str, Requirement]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the ``--hil-*`` options."""
     group = parser.getgroup("hil", "hardware-in-the-loop")
-    group.addoption("--hil-require", default="", metavar="WHAT", help="comma list, such as vcan: fail, don't skip, without it")
+    group.addoption("--hil-require", default="", metavar="WHAT", help="vcan: fail, don't skip; timing: it must be valid")
     group.addoption("--hil-clock", choices=["virtual", "real"], default="virtual", help="clock of hil.run() [virtual]")
     group.addoption("--hil-link", metavar="URI", help="link of hil.run() in real time; each xdist worker has its own part of it")
     group.addoption("--hil-logs", metavar="DIR", help="keep the logs of hil.run() here, in folders named after the tests")
@@ -62,7 +62,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Register the marker and what it requires."""
     remedy = "no vcan0: hil vcan -- pytest, or as root: ip link add dev vcan0 type vcan && ip link set vcan0 mtu 72 up"
     need = Requirement(has_vcan, remedy, "hil_vcan", "hil")
-    config.stash[REQUIREMENTS] = {"vcan": need}
+    timing = Requirement(lambda: True, "", "hil_timing")  # asked of every run in real time, see `Runner`
+    config.stash[REQUIREMENTS] = {"vcan": need, "timing": timing}
     config.addinivalue_line("markers", "hil_vcan: uses `hil` on vcan0; skipped without one, failed with --hil-require=vcan")
 
 
@@ -98,8 +99,9 @@ def _uses(item: pytest.Item, fixture: str | None) -> bool:
 class Runner:
     """What the ``hil`` fixture gives: runs experiments, keeps their logs where the test's report can name them."""
 
-    def __init__(self, folder: Path, clock: ClockName, link: str | None, worker: int | None) -> None:
+    def __init__(self, folder: Path, clock: ClockName, link: str | None, worker: int | None, timing: bool = False) -> None:
         self._folder, self._clock, self._link, self._worker = folder, clock, link, worker
+        self._timing = timing  # fail where the timing of a run in real time is not valid
         self.sessions: list[Session] = []
 
     def run(
@@ -143,6 +145,9 @@ class Runner:
         self.sessions.append(session)
         if session.status == 130:
             raise KeyboardInterrupt  # the session closed its log first; now pytest shall end too
+        timing = session.summary["timing"]
+        if self._timing and clock == "real" and not timing["valid"]:
+            pytest.fail(f"--hil-require=timing: {checked.name} is NOT VALID: {'; '.join(timing['why'])}", pytrace=False)
         return session
 
     def _shared(self, uri: str) -> str:
@@ -178,9 +183,23 @@ def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runner]:
         request.config.getoption("--hil-clock"),
         request.config.getoption("--hil-link"),
         int(worker) if worker.isdecimal() else None,
+        "timing" in _required(request.config),
     )
     yield rig
-    request.node.user_properties += [("hil_log", s.summary["log"]["path"]) for s in rig.sessions]
+    request.node.user_properties += [each for s in rig.sessions for each in properties(s)]
+
+
+def properties(session: Session) -> list[tuple[str, str]]:
+    """Return what JUnit keeps of a session: log, seed, verdict, timing and metrics.
+
+    Args:
+        session: a finished run.
+    """
+    s = session.summary
+    timing = "valid" if s["timing"]["valid"] else f"NOT VALID: {'; '.join(s['timing']['why'])}"
+    told = {"log": s["log"]["path"], "seed": s["seed"], "verdict": (s["certificate"] or {}).get("state"), "timing": timing}
+    numbers = {f"metric_{name}": value for name, value in s["metrics"].items() if not isinstance(value, dict)}
+    return [(f"hil_{name}", str(value)) for name, value in (told | numbers).items()]
 
 
 def folder_of(node_id: str) -> Path:
@@ -229,7 +248,8 @@ def explained(session: Session) -> str:
     if s["safety"]:
         told.append(f"safety: {s['safety']}")
     if not s["timing"]["valid"]:
-        told.append(f"timing not valid: {'; '.join(s['timing']['why'])}")
+        told.append(f"timing NOT VALID: {'; '.join(s['timing']['why'])}")
+    told += [f"{name.removeprefix('hil_')}: {value}" for name, value in properties(session)[2:] if name != "hil_timing"]
     told += [f"{name.replace('_', ' ')}: {text}" for name, text in s["problems"].items()]
     quoted = shlex.quote(str(log))
     told += [

@@ -160,3 +160,20 @@ def test_workers_of_xdist_have_a_channel_each(pytester: pytest.Pytester) -> None
     result = pytester.runpytest_subprocess("-n", "2", "--hil-clock", "real", "-p", "no:cacheprovider")
     result.assert_outcomes(passed=4)
 
+
+
+def test_timing_that_is_not_valid_fails_where_it_is_required(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hil import session
+    from hil.pytest_plugin import Runner
+
+    kept = session.run_session
+
+    def late(*given: object, **options: object) -> object:
+        done = kept(*given, **{**options, "clock": "virtual", "link": None})  # type: ignore[arg-type]
+        done.summary["timing"] |= {"valid": False, "why": ["16 of 40 slots had no answer in time"]}
+        return done
+
+    monkeypatch.setattr(session, "run_session", late)
+    Runner(tmp_path / "a", "real", "local:", None).run("dc-motor-hinf", duration="1s")
+    with pytest.raises(pytest.fail.Exception, match=r"--hil-require=timing: dc-motor-hinf is NOT VALID: 16 of 40"):
+        Runner(tmp_path / "b", "real", "local:", None, True).run("dc-motor-hinf", duration="1s")
