@@ -59,8 +59,7 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--gain-bound", "-1"), "design: gain_bound: -1"),
         (("dc-motor", "--hinf-bound", "17"), "design: hinf_bound: only a mixed design"),
         (("dc-motor", "--objective", "mixed", "--hinf-bound", "15"), "smallest H-infinity norm found is 16.27"),
-        (("dc-motor", "--period", "-0.1"), "--period: -0.1"),
-        (("vtol", "--period", "1"), "smallest radius reached"),
+        (("vtol", "--period", "1"), "none in 4 starts of the search, best second-moment radius 1.*try samples = 2"),
         (("dc-motor", "--sojourns", "2"), "Markov network of dc-motor"),
         (("dc-motor-hinf", "--sojourns", "2"), "sojourns: only a semi-Markov law takes it"),
         (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),
@@ -79,6 +78,12 @@ def test_experiment_gives_plant_period_and_network():
 def test_bad_requests_are_refused_with_the_number_that_decides(arguments, message):
     with pytest.raises(HilError, match=message):
         run(*arguments)
+
+
+@pytest.mark.parametrize("period", ["-0.1", "0", "0 ms"])
+def test_a_period_that_is_none_is_refused(period):
+    result = run("dc-motor", "--period", period)
+    assert result.exit_code == 2 and "'--period': " in result.stderr and "expected a duration above 0 s" in result.stderr
 
 
 def test_local_design_has_its_norms_and_the_verdict_over_the_network():
