@@ -46,7 +46,7 @@ def command(
     from hil.cli.terminal import cell, visible
     from hil.experiment import load_experiment
     from hil.measure.signals import with_unit
-    from hil.report.compare import compare_page
+    from hil.pages.compare import compare_page
     from hil.sweeps.comparison import compare
     from hil.sweeps.seeds import statistics
 

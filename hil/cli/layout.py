@@ -22,7 +22,7 @@ def command(viewer: str, source: str, output: Path | None, force: bool) -> None:
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
     from hil.log.read.run import read_run
-    from hil.report.layouts import foxglove, plotjuggler
+    from hil.pages.layouts import foxglove, plotjuggler
 
     if output is not None:
         check_output(output, fresh=not force, remedy="choose another -o or add --force")

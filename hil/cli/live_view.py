@@ -20,7 +20,7 @@ from hil.log.events import decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC
 from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, Logged, SignalLike, channels
 from hil.measure.signals import PURE, tracked_among
-from hil.report.html.numbers import text_of
+from hil.pages.html.numbers import text_of
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType

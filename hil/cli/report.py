@@ -25,9 +25,9 @@ def command(file: Path, output: Path | None, figures: Path | None, show: bool) -
     from hil.log.read.run import read_run
     from hil.measure.summary import summarise
     from hil.measure.view import view_of
-    from hil.report.run.prediction import theory_section
-    from hil.report.run.run_page import render_report
-    from hil.report.run.wall_section import wall_section
+    from hil.pages.run.prediction import theory_section
+    from hil.pages.run.run_page import render_report
+    from hil.pages.run.wall_section import wall_section
 
     run = read_run(file)
     target = output or file.with_suffix(".html")
@@ -43,8 +43,8 @@ def command(file: Path, output: Path | None, figures: Path | None, show: bool) -
     write_output(target, page)
     click.echo(f"written: {visible(target)} ({len(page.encode()) / 1e6:.1f} MB)")
     if figures is not None:
-        from hil.report.paper import write_figures
-        from hil.report.run.run_page import run_sections
+        from hil.pages.paper import write_figures
+        from hil.pages.run.run_page import run_sections
 
         drawn = write_figures([*run_sections(view, summary, {}), *further], figures)
         click.echo(f"written: {len(drawn)} figures in {visible(figures)}")

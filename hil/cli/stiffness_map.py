@@ -33,7 +33,7 @@ def command(
     """
     from design.passivity.stiffness_map import stiffness_map
     from hil.cli.outputs import check_output, write_output
-    from hil.report.stiffness_page import stiffness_page
+    from hil.pages.stiffness_page import stiffness_page
     from plants.omni import Omni
     from plants.parts.hand import Hand
 

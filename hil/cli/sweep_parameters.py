@@ -52,7 +52,7 @@ def run_points(
     from rich.progress import Progress, TimeRemainingColumn
 
     from hil.cli.outputs import check_output, write_output
-    from hil.report.parameters import interval_of, parameter_page
+    from hil.pages.parameters import interval_of, parameter_page
     from hil.sweeps.parameters import sweep_parameters
 
     for path in (page, table):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from hil.report.html.figures import Bars, Figure, Histogram
+from hil.pages.html.figures import Bars, Figure, Histogram
 from hil.reproduce.judgement import VERDICTS, Row
 from hil.reproduce.statements import Statement, judge
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hil.report.html.figures import Badge, Cell, Link, Section, State, Table, Text, Tile
-from hil.report.html.page import render_page
+from hil.pages.html.figures import Badge, Cell, Link, Section, State, Table, Text, Tile
+from hil.pages.html.page import render_page
 from hil.reproduce.chapter import Reproduction
 from hil.reproduce.judgement import VERDICTS, Row, Verdict
 from hil.reproduce.power import power_in_words

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.report.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
+from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
 from hil.reproduce.chapter import Part, Plot
 from hil.reproduce.judgement import Check, Drawn, Is, Near, Row, Untold, Within
 

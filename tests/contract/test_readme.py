@@ -27,7 +27,7 @@ from hil.measure.check import check_measure
 from hil.measure.view import view_of
 from hil.session import run_session
 from plants import check_plant
-from tests.hil.report.runs import run_of
+from tests.hil.pages.runs import run_of
 from tests.waiting import until
 from transport import open_link
 

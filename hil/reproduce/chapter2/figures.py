@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.studies import mean_states, trajectories
-from hil.report.html.figures import BarGroup, Bars, Figure, Histogram, Series
+from hil.pages.html.figures import BarGroup, Bars, Figure, Histogram, Series
 from hil.reproduce.chapter import Plot
 
 FloatArray = npt.NDArray[np.float64]

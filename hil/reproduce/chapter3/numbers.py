@@ -14,7 +14,7 @@ from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
 from design.semi_markov_loop.system import DelayedJumpSystem
-from hil.report.html.figures import BarGroup, Bars, Figure, Series
+from hil.pages.html.figures import BarGroup, Bars, Figure, Series
 from hil.reproduce.chapter import Chapter, Plot, ReportProgress, Stage
 from hil.reproduce.judgement import rank
 from hil.reproduce.noisy_runs import NoisyRuns, delayed_runs

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from design.processes.lifetimes import ColdStandbyRate, KOutOfNRate
 from design.processes.semi_markov import FaultDetection, sample_fault_detection
-from hil.report.html.figures import Figure, Histogram, Series
+from hil.pages.html.figures import Figure, Histogram, Series
 from hil.reproduce.chapter import Plot
 
 FloatArray = npt.NDArray[np.float64]

@@ -16,7 +16,7 @@ from design.historical_data.information import round_robin
 from design.historical_data.lifted_loop import DelayedPlant, close
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.report.html.figures import Figure, Series
+from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Chapter, Plot, Stage
 from hil.reproduce.chapter5.equation_rows import EQUATIONS, equations
 from hil.reproduce.chapter5.further import FURTHER, further

@@ -23,7 +23,7 @@ from design.passivity.device import HeldDevice
 from design.passivity.loop import HapticLoop, push_response
 from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion, distortion_bound
-from hil.report.html.figures import Figure, Series
+from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Chapter, Plot, Stage
 from hil.reproduce.chapter6.equation_rows import EQUATIONS, equations
 from hil.reproduce.chapter6.rig_rows import IDENTIFICATION, SLIDE, identification, slide

@@ -16,7 +16,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.avatar import avatar_path, wall_loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, view_of
-from hil.report.html.figures import Figure, Series
+from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Plot
 from hil.reproduce.statements import Statement, below, mean, says, within
 from hil.session import simulate

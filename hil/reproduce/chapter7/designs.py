@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from design.tracking.synthesis import Design, TrackingProblem, solve
-from hil.report.html.figures import BarGroup, Bars, Figure, Series
+from hil.pages.html.figures import BarGroup, Bars, Figure, Series
 from hil.reproduce.chapter import Plot, ReportProgress
 from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.models import (

@@ -12,7 +12,7 @@ from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.measure.many import ManyView
 from hil.measure.tracking_many import tracking_of_many
-from hil.report.html.figures import Band, Figure, Marker, Series
+from hil.pages.html.figures import Band, Figure, Marker, Series
 from hil.reproduce.chapter import Plot, ReportProgress
 from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.friction import Imperfections, loop_of

@@ -15,9 +15,9 @@ from hil.experiment.nodes import ClockTable
 from hil.measure.cost import Cost
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
+from hil.pages.html.figures import Figure
+from hil.pages.run.sensor_blocks import sensor_blocks
 from hil.replay import verify
-from hil.report.html.figures import Figure
-from hil.report.run.sensor_blocks import sensor_blocks
 from hil.session import run_session, simulate
 from tests.transport.medium.test_arbitration import bus, heard
 from transport.medium.sample_clock import SampleClock

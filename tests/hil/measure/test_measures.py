@@ -21,11 +21,11 @@ from hil.measure.signals import Signals, signals_of
 from hil.measure.summary import summarise
 from hil.measure.tracking import Tracking
 from hil.measure.view import RunView, view_of
-from hil.report.run.prediction import theory_section
-from hil.report.run.run_page import render_report
+from hil.pages.run.prediction import theory_section
+from hil.pages.run.run_page import render_report
 from hil.session import run_session
 from hil.sweeps.seeds import columns_of, run_sweep
-from tests.hil.report.runs import run_of
+from tests.hil.pages.runs import run_of
 
 
 class Effort:

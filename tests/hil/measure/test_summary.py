@@ -12,7 +12,7 @@ from hil.measure.summary import run_metrics, run_timing, summarise
 from hil.measure.timing import timing_metrics
 from hil.measure.view import view_of
 from hil.runtime.virtual import run_virtual
-from tests.hil.report.runs import run_of
+from tests.hil.pages.runs import run_of
 from transport.laws.age import MarkovAge
 
 

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import hil.reproduce
 from hil.cli.reproduce import command, remaining
 from hil.errors import HilError
-from hil.report.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
+from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
 from hil.reproduce import Chapter, Part, Plot, Stage
 from hil.reproduce.chapter import compute
 from hil.reproduce.kept import KeptStages

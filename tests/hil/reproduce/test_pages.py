@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import hil.reproduce
 from hil.cli.reproduce import command
-from hil.report.html.figures import Link
+from hil.pages.html.figures import Link
 from hil.reproduce import Reproduction, Step
 from hil.reproduce.statements import Statement, above, below, equal, judge
 

@@ -15,8 +15,8 @@ from hil.experiment.schema import experiment_schema
 from hil.log.read.run import read_run
 from hil.log.write.sinks import MemorySink
 from hil.measure.view import view_of
+from hil.pages.run.prediction import theory_section
 from hil.replay import verify
-from hil.report.run.prediction import theory_section
 from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.supervisor import run_real

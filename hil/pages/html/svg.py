@@ -1,0 +1,153 @@
+"""Bars and histograms as SVG: drawn here, once, so that they need no script and print sharp."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from html import escape
+
+import numpy as np
+
+from hil.pages.html.figures import Bars, Histogram, Marker
+from hil.pages.html.numbers import text_of
+
+WIDTH, HEIGHT = 560, 250
+LEFT, RIGHT, TOP, BOTTOM = 58, 12, 18, 44
+
+
+def draw_bars(bars: Bars) -> str:
+    """Return the SVG of grouped bars; whiskers where a group has errors."""
+    tallest = [
+        value + (group.errors[i] if group.errors is not None else 0.0)
+        for group in bars.groups
+        for i, value in enumerate(group.values)
+        if math.isfinite(value)
+    ]
+    ticks = nice_ticks(0.0, max([v for v in tallest if math.isfinite(v)], default=1.0) or 1.0)
+    y_of = _linear(ticks[0], ticks[-1], HEIGHT - BOTTOM, TOP)
+    parts = _frame(ticks, y_of, bars.x_label, _with_unit(bars.y_label, bars.y_unit))
+    slot = (WIDTH - LEFT - RIGHT) / max(len(bars.categories), 1)
+    width = min(0.76 * slot / max(len(bars.groups), 1), 54.0)
+    for i, category in enumerate(bars.categories):
+        middle = LEFT + (i + 0.5) * slot
+        parts.append(_label("tick", middle, HEIGHT - BOTTOM + 16, "middle", str(category)))
+        for g, group in enumerate(bars.groups):
+            value = float(group.values[i])
+            if not math.isfinite(value):
+                continue
+            left = middle + (g - len(bars.groups) / 2) * width
+            top = y_of(value)
+            style = _bar_class(group.colour if group.colour is not None else g, group.hollow)
+            tip = escape(f"{category}: {group.label} {text_of(value)} {bars.y_unit}".strip())
+            parts.append(
+                f'<rect class="{style}" x="{left + 1:.1f}" y="{top:.1f}" width="{width - 2:.1f}" '
+                f'height="{max(HEIGHT - BOTTOM - top, 0):.1f}"><title>{tip}</title></rect>'
+            )
+            if group.errors is not None and math.isfinite(group.errors[i]):
+                x, low, high = left + width / 2, y_of(max(value - group.errors[i], 0.0)), y_of(value + group.errors[i])
+                caps = f"M{x - 4:.1f} {high:.1f}h8M{x - 4:.1f} {low:.1f}h8"
+                parts.append(f'<path class="whisker" d="M{x:.1f} {low:.1f}V{high:.1f}{caps}"/>')
+    return _svg(parts, bars.title)
+
+
+def draw_histogram(histogram: Histogram) -> str:
+    """Return the SVG of a histogram, with vertical lines for the markers."""
+    edges = np.asarray(histogram.edges, dtype=np.float64)
+    counts = np.asarray(histogram.counts, dtype=np.float64)
+    most = float(counts.max()) if counts.size else 1.0
+    if histogram.y_log:
+        ticks = [10.0**e for e in range(math.ceil(math.log10(max(most, 1.0))) + 1)]
+        ticks = ticks if len(ticks) > 1 else [1.0, 10.0]
+        y_of = _logarithmic(0.6, ticks[-1], HEIGHT - BOTTOM, TOP)
+    else:
+        ticks = nice_ticks(0.0, most or 1.0)
+        y_of = _linear(0.0, ticks[-1], HEIGHT - BOTTOM, TOP)
+    low, high = (float(edges[0]), float(edges[-1])) if edges.size > 1 else (0.0, 1.0)
+    if histogram.x_log and low > 0:
+        x_of = _logarithmic(low, high, LEFT, WIDTH - RIGHT)
+        x_ticks = [10.0**e for e in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)]
+        if len(x_ticks) < 3:
+            decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)))
+            x_ticks = [v for e in decades for m in (1, 2, 5) if low <= (v := m * 10.0**e) <= high]
+    else:
+        x_of = _linear(low, high, LEFT, WIDTH - RIGHT)
+        x_ticks = [v for v in nice_ticks(low, high) if low <= v <= high]
+    parts = _frame(ticks, y_of, _with_unit(histogram.x_label, histogram.x_unit), histogram.y_label)
+    parts += [_label("tick", x_of(v), HEIGHT - BOTTOM + 16, "middle", text_of(v, 3)) for v in x_ticks]
+    style = _bar_class(histogram.colour or 0, False)
+    for count, left, right in zip(counts, edges[:-1], edges[1:]):
+        if count > 0:
+            x, top = x_of(float(left)), y_of(float(count))
+            tip = escape(f"{text_of(float(left), 3)} to {text_of(float(right), 3)} {histogram.x_unit}: {int(count)}")
+            parts.append(
+                f'<rect class="{style}" x="{x:.2f}" y="{top:.1f}" width="{max(x_of(float(right)) - x - 0.5, 0.8):.2f}" '
+                f'height="{HEIGHT - BOTTOM - top:.1f}"><title>{tip}</title></rect>'
+            )
+    parts += _marker_lines([m for m in histogram.markers if low <= m.x <= high], x_of)
+    return _svg(parts, histogram.title)
+
+
+def _marker_lines(markers: Sequence[Marker], x_of: Callable[[float], float]) -> list[str]:
+    parts, taken = [], [-1e9, -1e9, -1e9]
+    for marker in sorted(markers, key=lambda m: m.x):
+        x, width = x_of(marker.x), 6.4 * len(marker.label) + 8
+        right_side = x + width < WIDTH - RIGHT
+        start = x + 4 if right_side else x - width
+        level = next((i for i, end in enumerate(taken) if end <= start), len(taken) - 1)
+        taken[level] = start + width
+        y = TOP - 6 + 13 * level
+        parts.append(f'<path class="mark mark-{marker.state}" d="M{x:.1f} {TOP}V{HEIGHT - BOTTOM}"/>')
+        at, anchor = (x + 4, "start") if right_side else (x - 4, "end")
+        parts.append(_label("mark-label", at, y + 4, anchor, marker.label))
+    return parts
+
+
+def _frame(ticks: Sequence[float], y_of: Callable[[float], float], x_label: str, y_label: str) -> list[str]:
+    parts = []
+    for tick in ticks:
+        y = y_of(tick)
+        parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}"/>')
+        parts.append(_label("tick", LEFT - 7, y + 4, "end", text_of(tick, 3)))
+    parts.append(f'<path class="axis" d="M{LEFT} {HEIGHT - BOTTOM}H{WIDTH - RIGHT}"/>')
+    parts.append(_label("axis-label", (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, "middle", x_label))
+    y_middle = (TOP + HEIGHT - BOTTOM) / 2
+    upright = _label("axis-label", 0, 0, "middle", y_label)
+    parts.append(f'<g transform="translate(13 {y_middle:.0f}) rotate(-90)">{upright}</g>')
+    return parts
+
+
+def _label(kind: str, x: float, y: float, anchor: str, text: str) -> str:
+    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+
+
+def _svg(parts: Sequence[str], title: str) -> str:
+    label = escape(title, quote=True)
+    return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+
+
+def _bar_class(colour: int, hollow: bool) -> str:
+    return f"bar c{colour % 8}{' hollow' if hollow else ''}"
+
+
+def _with_unit(label: str, unit: str) -> str:
+    return f"{label} ({unit})" if unit else label
+
+
+def _linear(low: float, high: float, start: float, end: float) -> Callable[[float], float]:
+    span = (high - low) or 1.0
+    return lambda value: start + (value - low) / span * (end - start)
+
+
+def _logarithmic(low: float, high: float, start: float, end: float) -> Callable[[float], float]:
+    position = _linear(math.log10(low), math.log10(high), start, end)
+    return lambda value: position(math.log10(max(value, low)))
+
+
+def nice_ticks(low: float, high: float, wanted: int = 5) -> list[float]:
+    """Return ticks of 1, 2, 2.5 or 5 times a power of ten that enclose [low, high]."""
+    span = (high - low) or 1.0
+    raw = span / wanted
+    unit = 10.0 ** math.floor(math.log10(raw))
+    step = next(unit * s for s in (1, 2, 2.5, 5, 10) if unit * s >= raw * (1 - 1e-9))
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    return [i * step for i in range(first, last + 1)]

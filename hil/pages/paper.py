@@ -1,0 +1,186 @@
+"""The plots of a report as files for a paper: SVG and PDF, drawn by matplotlib, in millimetres."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from hil.errors import HilError
+from hil.notebook import MM_PER_INCH, PAPER_STYLE
+from hil.pages.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
+from hil.pages.html.numbers import share_text
+
+Plot: TypeAlias = Figure | Bars | Histogram | Matrix | Scene
+
+ENDINGS = (".svg", ".pdf")
+GREY = 7
+"""The colour number of what is no curve of its own: the reference."""
+
+
+def write_figures(
+    sections: Sequence[Section], folder: Path, *, width_mm: float = 85.0, height_mm: float = 55.0
+) -> list[Path]:
+    """Write every plot of a report as SVG and PDF, and return the files.
+
+    Args:
+        sections: of the report; tables and words are left out.
+        folder: made where it is missing; files of the same names are replaced.
+        width_mm, height_mm: of each figure as it is printed; 85 mm is a column of many journals.
+
+    Raises:
+        HilError: if matplotlib is not installed, or the folder cannot be written.
+    """
+    try:
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure as Sheet
+    except ImportError as error:
+        raise HilError("--figures: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
+    written: list[Path] = []
+    plots = [block for section in sections for block in section.blocks if isinstance(block, Plot)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for number, plot in enumerate(plots, start=1):
+            with rc_context(PAPER_STYLE):
+                sheet = Sheet(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
+                draw(plot, sheet.subplots())
+                for ending in ENDINGS:
+                    path = folder / f"{number:02d}-{slug(plot.title)}{ending}"
+                    sheet.savefig(path, metadata={"Date": None} if ending == ".svg" else {"CreationDate": None})
+                    written.append(path)
+    except OSError as error:
+        raise HilError(f"--figures: {error.filename or folder}: cannot be written: {error.strerror}") from error
+    return written
+
+
+def slug(title: str) -> str:
+    """Return a title as part of a file name.
+
+    >>> slug("Delay (sensor → controller)")
+    'delay-sensor-controller'
+    """
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "figure"
+
+
+def draw(plot: Plot, axis: Any) -> None:
+    """Draw one plot of a report.
+
+    Args:
+        plot: the plot.
+        axis: of matplotlib.
+    """
+    if isinstance(plot, Figure):
+        _curves(plot, axis)
+    elif isinstance(plot, Bars):
+        _bars(plot, axis)
+    elif isinstance(plot, Matrix):
+        _heat_map(plot, axis)
+    elif isinstance(plot, Scene):
+        _map(plot, axis)
+    else:
+        edges, counts = np.asarray(plot.edges), np.asarray(plot.counts)
+        axis.stairs(counts, edges, fill=True, color=_colour(plot.colour, 0))
+        _scales(axis, plot.x_log, plot.y_log)
+        axis.set_xlabel(_label(plot.x_label, plot.x_unit))
+        axis.set_ylabel(plot.y_label)
+        _marks(axis, plot.markers)
+
+
+def _curves(plot: Figure, axis: Any) -> None:
+    for number, band in enumerate(plot.bands):
+        colour = _colour(band.colour, number)
+        axis.fill_between(band.x, band.lower, band.upper, color=colour, alpha=0.25, linewidth=0, label=band.label)
+    for number, series in enumerate(plot.series):
+        style: dict[str, Any] = {"color": _colour(series.colour, number), "label": series.label}
+        style["alpha"] = 0.4 if series.faint else 1.0
+        if series.style == "points":
+            axis.plot(series.x, series.y, linestyle="none", marker=".", markersize=2, **style)
+        else:
+            axis.plot(
+                series.x, series.y, "--" if series.style.startswith("dashed") else "-",
+                drawstyle="steps-post" if series.style.endswith("step") else "default",
+                linewidth=2.5 if series.halo else 1.0, **style,
+            )  # fmt: skip
+    _scales(axis, plot.x_log, plot.y_log)
+    if plot.y_range is not None:
+        axis.set_ylim(*plot.y_range)
+    axis.set_xlabel(_label(plot.x_label, plot.x_unit))
+    axis.set_ylabel(_label(plot.y_label, plot.y_unit))
+    _marks(axis, plot.markers)
+    if len(plot.series) + len(plot.bands) > 1:
+        axis.legend(frameon=False)
+
+
+def _bars(plot: Bars, axis: Any) -> None:
+    x, width = np.arange(len(plot.categories)), 0.8 / max(len(plot.groups), 1)
+    for number, group in enumerate(plot.groups):
+        at = x + (number - (len(plot.groups) - 1) / 2) * width
+        colour = _colour(group.colour, number)
+        face = "none" if group.hollow else colour
+        axis.bar(at, group.values, width, yerr=group.errors, label=group.label, edgecolor=colour, facecolor=face)
+    axis.set_xticks(x, plot.categories)
+    axis.set_xlabel(plot.x_label)
+    axis.set_ylabel(_label(plot.y_label, plot.y_unit))
+    if len(plot.groups) > 1:
+        axis.legend(frameon=False)
+
+
+def _heat_map(plot: Matrix, axis: Any) -> None:
+    values = np.array([[np.nan if value is None else value for value in row] for row in plot.values], dtype=np.float64)
+    axis.imshow(values, cmap="Blues", vmin=plot.low, vmax=plot.low + 1.6 * ((plot.high - plot.low) or 1.0), aspect="auto")
+    for (i, j), value in np.ndenumerate(values):
+        expected = None if plot.expected is None else plot.expected[i][j]
+        below = "" if expected is None else f"\n({share_text(expected)})"
+        axis.text(j, i, f"{share_text(float(value))}{below}", ha="center", va="center")
+    axis.set_xticks(range(len(plot.columns)), [str(name) for name in plot.columns])
+    axis.set_yticks(range(len(plot.rows)), [str(name) for name in plot.rows])
+    axis.set_xlabel(plot.column_label)
+    axis.set_ylabel(plot.row_label)
+
+
+def _map(plot: Scene, axis: Any) -> None:
+    told: set[str] = set()
+    for shape in plot.shapes:
+        points = np.asarray(shape.points, dtype=np.float64)
+        style: dict[str, Any] = {"color": _ink(shape), "linewidth": 0.5 if shape.faint else 1.0}
+        style["label"] = shape.label if shape.label not in told else None
+        if shape.filled:
+            axis.fill(points[:, 0], points[:, 1], **{**style, "alpha": 0.3, "linewidth": 0.0})
+        else:
+            axis.plot(points[:, 0], points[:, 1], alpha=0.5 if shape.faint else 1.0, **style)
+        told.add(shape.label)
+    for x, y, words in plot.labels:
+        axis.text(x, y, words)
+    axis.set_aspect("equal", adjustable="datalim")
+    if not plot.axes:
+        axis.set_axis_off()
+    axis.set_xlabel(plot.x_label)
+    axis.set_ylabel(plot.y_label)
+    if told - {""}:
+        axis.legend(frameon=False)
+
+
+def _ink(shape: Shape) -> str:
+    return "black" if shape.colour is None else _colour(shape.colour, 0)
+
+
+def _scales(axis: Any, x_log: bool, y_log: bool) -> None:
+    axis.set_xscale("log" if x_log else "linear")
+    axis.set_yscale("log" if y_log else "linear")
+
+
+def _marks(axis: Any, markers: Sequence[Any]) -> None:
+    for marker in markers:
+        axis.axvline(marker.x, color="0.6", linewidth=0.5, zorder=0)
+
+
+def _colour(number: int | None, otherwise: int) -> str:
+    chosen = otherwise if number is None else number
+    return "0.45" if chosen == GREY else f"C{chosen}"
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name

@@ -1,0 +1,247 @@
+"""What a run says of its network and of its times: frequencies against the law, transitions, fates, histograms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.log.growing import pieces, whole
+from hil.log.run import Run
+from hil.log.topics import APPLIED, ROWS, TIMING
+from hil.measure.network import expected_frequencies, expected_transitions, mode_sequence
+from hil.measure.network_paths import NetworkPath
+from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
+from hil.pages.html.numbers import text_of
+from transport.laws.protocols import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
+from transport.laws.sojourn import hazards
+from transport.laws.statistics import is_testable
+
+DOUBTFUL = 0.01
+"""A p-value below this is marked: it happens to one right run in a hundred."""
+
+BINS = 70
+FEWEST_SOJOURNS = 20
+LONGEST = 16
+DIRECTIONS: Mapping[str, tuple[str, str]] = {"sc": ("sensor to controller", "τ"), "ca": ("controller to actuator", "d")}
+
+
+def network_blocks(run: Run, network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> list[Block]:
+    """Return frequencies and transitions of every emulated network, beside what its law states.
+
+    Args:
+        network: the part of that name of the run's summary.
+        paths: the emulated networks.
+    """
+    blocks: list[Block] = []
+    for path, way, found in _numbers(network, paths):
+        law, symbol = path.law, DIRECTIONS[path.side][1]
+        if not found["mode_counts"]:
+            continue
+        ages: Sequence[int] = law.mode_ages if isinstance(law, ChainLaw | SemiMarkovLaw) else range(0)
+        plain = isinstance(law, RecordedLaw) or list(ages) == list(range(len(found["mode_counts"])))
+        what = f"{symbol} (samples)" if plain else "mode of the law"
+        blocks.append(_frequencies(found, law, f"{_capital(way)}: mode frequencies", what))
+        blocks.append(_transitions(found, law, f"{_capital(way)}: transitions", symbol if plain else "mode"))
+        blocks += _sojourns(path, way, symbol)
+    blocks += [block for side in DIRECTIONS if (block := _measured_ages(run, network, side)) is not None]
+    return blocks
+
+
+def _numbers(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> list[tuple[NetworkPath, str, Mapping[str, Any]]]:
+    """Every path with its name for people and its numbers."""
+    alone = sum(path.side == "sc" for path in paths) == 1
+    return [
+        (
+            path,
+            DIRECTIONS[path.side][0] if path.side == "ca" or alone else f"{path.node} to controller",
+            network["ca"] if path.side == "ca" else network["nodes"][path.node],
+        )
+        for path in paths
+    ]
+
+
+def verdict(found: Mapping[str, Any], law: NetworkLaw | None) -> Badge:
+    """Return whether the record of a network agrees with its law."""
+    p = found["p_value"]
+    if p is None and law is not None and is_testable(law):
+        return Badge(label="no test", detail="too few slots")
+    if p is None:
+        return Badge(label="no test", detail=f"for a law of kind {found['law']}")
+    if p < DOUBTFUL:
+        return Badge(label="differs from its law", state="warning", detail=f"p = {text_of(p, 3)}")
+    return Badge(label="agrees with its law", state="good", detail=f"p = {text_of(p, 3)}")
+
+
+def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> Table:
+    """Return one row per emulated network: law, verdict, and what became of the packets."""
+    numbers = _numbers(network, paths)
+    fates = sorted({fate for _, _, found in numbers for fate in found["fates"]} - {"lost", "duplicated"})
+    rows = [
+        [
+            _capital(way),
+            found["law"],
+            verdict(found, path.law),
+            found["lost"],
+            found["late"],
+            found["duplicated"],
+            *(found["fates"].get(fate, 0) for fate in fates),
+        ]
+        for path, way, found in numbers
+    ]
+    return Table(
+        columns=["direction", "law", "test of the record", "lost", "late", "duplicated", *fates],
+        rows=rows,
+        note="The p-value is the probability of a record at least as unlike the law, if the law is right: below "
+        f"{DOUBTFUL:g} in one right run of a hundred. Late packets missed the deadline of their slot and count as lost.",
+    )
+
+
+def _frequencies(found: Mapping[str, Any], law: NetworkLaw | None, title: str, what: str) -> Bars:
+    counts = np.asarray(found["mode_counts"], dtype=np.float64)
+    groups = [BarGroup(label="counted", values=(counts / max(counts.sum(), 1.0)).tolist(), colour=0)]
+    stated = expected_frequencies(law)
+    if stated is not None and len(stated) == len(counts):
+        groups.append(BarGroup(label="stationary law", values=stated.tolist(), colour=7, hollow=True))
+    return Bars(
+        title=title,
+        categories=[str(i) for i in range(len(counts))],
+        groups=tuple(groups),
+        x_label=what,
+        y_label="share of slots",
+        note=f"{text_of(int(counts.sum()))} slots.",
+    )
+
+
+def _transitions(found: Mapping[str, Any], law: NetworkLaw | None, title: str, symbol: str) -> Matrix:
+    counts = np.asarray(found["transition_counts"], dtype=np.float64)
+    totals = counts.sum(axis=1, keepdims=True)
+    shares = np.divide(counts, totals, out=np.full_like(counts, np.nan), where=totals > 0)
+    stated = expected_transitions(law)
+    fits = stated is not None and stated.shape == counts.shape
+    names = [str(i) for i in range(len(counts))]
+    return Matrix(
+        title=title,
+        rows=[f"{name}  ({text_of(int(n))}×)" for name, n in zip(names, totals[:, 0])],
+        columns=names,
+        values=shares.tolist(),
+        expected=stated.tolist() if fits and stated is not None else None,
+        row_label=f"{symbol} in slot k",
+        column_label="k + 1",
+        note="Counted share of each row" + (", beneath it what the law states." if fits else "."),
+    )
+
+
+def _sojourns(path: NetworkPath, way: str, symbol: str) -> list[Block]:
+    """How long every mode of a semi-Markov law lasted, beside its sojourn law; modes met too rarely are left out."""
+    law = path.law
+    if not isinstance(law, SemiMarkovLaw) or path.draws is None:
+        return []
+    modes = mode_sequence(path.draws)
+    starts = np.flatnonzero(np.diff(modes)) + 1
+    # The first sojourn has no known begin, the last no known end.
+    lengths, owners = np.diff(starts), modes[starts[:-1]]
+    blocks: list[Block] = []
+    for mode, sojourn in enumerate(law.sojourn):
+        mine = lengths[owners == mode]
+        if mine.size < FEWEST_SOJOURNS:
+            continue
+        longest = min(int(mine.max()), LONGEST)
+        counted = np.bincount(np.minimum(mine, longest + 1), minlength=longest + 2)[1:] / mine.size
+        hazard = hazards(sojourn, longest)
+        stays = np.concatenate(([1.0], np.cumprod(1.0 - hazard)))
+        stated = np.append(hazard * stays[:-1], stays[-1])
+        blocks.append(
+            Bars(
+                title=f"{_capital(way)}: how long mode {mode} lasted",
+                categories=[*(str(n) for n in range(1, longest + 1)), f"> {longest}"],
+                groups=(
+                    BarGroup(label="counted", values=counted.tolist(), colour=0),
+                    BarGroup(label="sojourn law", values=stated.tolist(), colour=7, hollow=True),
+                ),
+                x_label=f"slots with {symbol} in mode {mode}",
+                y_label="share of sojourns",
+                note=f"{text_of(int(mine.size))} whole sojourns.",
+            )
+        )
+    return blocks
+
+
+def _measured_ages(run: Run, network: Mapping[str, Any], side: str) -> Bars | None:
+    """Ages as their receiver saw them, for laws whose modes are no ages."""
+    if "sent" not in network[side]["fates"]:
+        return None
+    array, field = (run.arrays.get(ROWS.name), "tau") if side == "sc" else (run.arrays.get(APPLIED.name), "d")
+    if array is None or not len(array):
+        return None
+    heard = "sample_ns" if side == "sc" else "d"
+    counts = np.zeros(0, dtype=np.int64)
+    for piece in pieces(array):
+        more = np.bincount(piece[field][piece[heard] >= 0], minlength=len(counts))
+        more[: len(counts)] += counts
+        counts = more
+    way, symbol = DIRECTIONS[side]
+    return Bars(
+        title=f"{_capital(way)}: age of what was used",
+        categories=[str(i) for i in range(len(counts))],
+        groups=(BarGroup(label="measured", values=(counts / max(counts.sum(), 1)).tolist(), colour=0),),
+        x_label=f"{symbol} (samples)",
+        y_label="share of slots",
+    )
+
+
+def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:
+    """Return the histograms of lateness and round trip and their percentiles; nothing for a run in virtual time."""
+    ticks = run.arrays.get(TIMING.name)
+    if ticks is None or not len(ticks):
+        return []
+    blocks: list[Block] = []
+    for field, title, colour in (("lateness_us", "Lateness", 0), ("round_trip_us", "Round trip", 2)):
+        histogram = _histogram(whole(ticks, field), timing[field], title, colour)
+        if histogram is not None:
+            blocks.append(histogram)
+    columns = ["quantity", "p50", "p99", "p99.9", "max"]
+    rows = [
+        [name, *(None if (v := timing[field][q]) is None else round(v, 1) for q in ("p50", "p99", "p99_9", "max"))]
+        for name, field in (("lateness (µs)", "lateness_us"), ("round trip (µs)", "round_trip_us"))
+    ]
+    blocks.append(Table(title="Percentiles", columns=columns, rows=rows))
+    counts: list[list[Any]] = [
+        ["verdict", "valid" if timing["valid"] else "not valid: " + "; ".join(timing["why"])],
+        ["scheduler", timing["scheduler"]],
+        ["slots without an answer in time", text_of(timing["late"])],
+        ["first of them", "none" if timing["first_late_tick"] is None else f"slot {timing['first_late_tick']}"],
+        ["overruns", text_of(timing["overruns"])],
+    ]
+    blocks.append(Table(title="Slots", columns=["what", "value"], rows=counts))
+    return blocks
+
+
+def _histogram(values: npt.NDArray[np.float64], marks: Mapping[str, float | None], title: str, colour: int) -> Histogram | None:
+    finite = values[np.isfinite(values)]
+    finite = finite[finite > 0.0]
+    if finite.size < 2:
+        return None
+    low, high = float(finite.min()), float(finite.max())
+    wide = high > 20.0 * low
+    edges = np.geomspace(low, high * 1.001, BINS + 1) if wide else np.linspace(low, high * 1.001 + 1e-9, BINS + 1)
+    names = {"p50": "p50", "p99": "p99", "p99_9": "p99.9"}
+    lines = [Marker(x=v, label=f"{names[q]} {text_of(v, 3)}") for q, v in marks.items() if q in names and v is not None]
+    return Histogram(
+        title=title,
+        edges=edges,
+        counts=np.histogram(finite, edges)[0],
+        markers=tuple(lines),
+        x_label=title.lower(),
+        x_unit="µs",
+        y_label="slots",
+        x_log=wide,
+        y_log=True,
+        colour=colour,
+    )
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,229 @@
+"""The time panels of a run: outputs against their reference, states, input, delays, lateness; events marked on all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.log import topics
+from hil.log.growing import pieces
+from hil.log.run import Run
+from hil.log.topics import ROWS, STATE
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, signal_names
+from hil.pages.html.figures import Band, Figure, LineStyle, Marker, Series, State
+from hil.pages.run.curve import Records, curve
+
+MOST_MARKERS = 500
+DENSE = 1500
+STATES: Mapping[Severity, State] = {"neutral": "neutral", "warning": "warning", "error": "bad"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """What a theory says of one output over time, drawn behind the run.
+
+    Args:
+        series: over session time, for instance the mean.
+        bands: over session time, for instance two standard deviations.
+    """
+
+    series: tuple[Series, ...] = ()
+    bands: tuple[Band, ...] = ()
+
+
+def markers(view: RunView) -> tuple[Marker, ...]:
+    """Return the marks of a run as lines on a time axis, labelled ones first."""
+    found = [Marker(x=mark.t_s, label=mark.label, state=STATES[mark.severity]) for mark in view.marks]
+    return tuple(sorted(found, key=lambda m: (m.label == "", m.x))[:MOST_MARKERS])
+
+
+def output_panels(view: RunView, marks: tuple[Marker, ...], predicted: Mapping[str, Prediction]) -> list[Figure]:
+    """Return one panel per output: what was measured, the true state where it differs, and what was asked for.
+
+    An output that does not follow the reference (a measured mode) has none, and holds its value between samples.
+    """
+    arrays, tracked = view.run.arrays, view.signals.tracked
+    measurement, reference, state = arrays[MEASUREMENT], arrays[REFERENCE], arrays.get(STATE.name)
+    panels: list[Figure] = []
+    for name, unit in view.signals.outputs.items():
+        theory = predicted.get(name, Prediction())
+        style: LineStyle = "line" if name in tracked else "step"
+        series = [curve(measurement, name, label=_words(name), style=style, colour=0)]
+        if state is not None and name in (state.dtype.names or ()) and not _equal(state, measurement, name):
+            series = [
+                replace(series[0], label=f"{_words(name)}, measured", halo=True),
+                curve(state, name, label=f"{_words(name)}, true", style=style, colour=0),
+            ]
+        asked = curve(reference, name, label="reference", style="dashed-step", colour=7)
+        panels.append(
+            Figure(
+                title=_title(name),
+                y_label=_words(name),
+                y_unit=unit,
+                series=(*([asked] if name in tracked else []), *theory.series, *series),
+                bands=theory.bands,
+                markers=marks,
+                height_px=300 if len(panels) == 0 else 220,
+            )
+        )
+    return panels
+
+
+def state_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+    """Return one panel per state that is no output."""
+    state = view.run.arrays.get(STATE.name)
+    if state is None or not len(state):
+        return []
+    return [
+        Figure(
+            title=_title(name),
+            y_label=_words(name),
+            y_unit=view.unit(STATE.name, name),
+            series=(curve(state, name, label=_words(name), colour=2),),
+            markers=marks,
+            height_px=190,
+        )
+        for name in signal_names(view.run, STATE.name)
+        if name not in view.signals.outputs
+    ]
+
+
+def topic_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+    """Return the panels of topics that no section of the page draws, as the topics say that they are plotted."""
+    own = [name for name, topic in topics.TOPICS.items() if not topic.paged and name in view.run.arrays]
+    return [
+        Figure(
+            title=_title(title),
+            y_label=_words(title),
+            y_unit=view.unit(curves[0][0], curves[0][1].field),
+            series=tuple(
+                curve(view.run.arrays[name], each.field, label=_words(each.field), style="step", colour=number)
+                for number, (name, each) in enumerate(curves)
+            ),
+            markers=marks,
+            height_px=190,
+        )
+        for title, curves in topics.panels(view.run.schemas, own).items()
+        if all(len(view.run.arrays[name]) for name, _ in curves)
+    ]
+
+
+def input_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+    """Return one panel per input: what was applied, and the disturbance that was added where there is one."""
+    applied = view.run.arrays[APPLIED]
+    panels = []
+    for name, unit in view.signals.inputs.items():
+        series = [curve(applied, name, label=f"{_words(name)}, commanded", style="step", colour=3)]
+        w = f"w_{name}"
+        if w in (applied.dtype.names or ()) and any((piece[w] != 0.0).any() for piece in pieces(applied)):
+            series.insert(0, curve(applied, w, label="disturbance", style="step", colour=4))
+        panels.append(
+            Figure(
+                title=f"Input: {_words(name)}",
+                y_label=_words(name),
+                y_unit=unit,
+                series=tuple(series),
+                markers=marks,
+                height_px=200,
+            )
+        )
+    return panels
+
+
+def delay_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+    """Return two panels: the age that each direction's law drew, and the age that the receiver measured."""
+    run = view.run
+    rows, applied = run.arrays.get(ROWS.name), run.arrays[APPLIED]
+    measured = {"sc": (rows, "tau", "τ"), "ca": (applied, "d", "d")}
+    names = {"sc": "Sensor to controller", "ca": "Controller to actuator"}
+    panels = []
+    for side, (array, field, symbol) in measured.items():
+        series = []
+        draws = run.arrays.get(f"/network/{side}")
+        if draws is not None and len(draws) and "node" not in (draws.dtype.names or ()):
+            if not any((piece["age"][piece["mode"] >= 0] >= 0).any() for piece in pieces(draws)):
+                pass
+            elif _is_age_law(run, side):
+                label = "drawn by the law"
+                series.append(curve(draws, _drawn_age, label=label, where=_own, style="step", colour=1, halo=True))
+            else:
+                series.append(
+                    curve(draws, _drawn_age, label="age at arrival, by packet", where=_own, style="points", colour=1)
+                )
+        if array is not None and len(array):
+            heard = "sample_ns" if field == "tau" else "d"
+            where = "measured by the controller" if field == "tau" else "measured at the actuator"
+            series.append(curve(array, partial(_age, field, heard), label=where, style="step", colour=0))
+        if series:
+            panels.append(
+                Figure(
+                    title=f"{names[side]} delay {symbol}",
+                    y_label=symbol,
+                    y_unit="samples",
+                    series=tuple(series),
+                    markers=marks,
+                    integer_y=True,
+                    height_px=165,
+                    note="Zoom in to see single slots." if len(applied) > DENSE else "",
+                )
+            )
+    return panels
+
+
+def lateness_panel(view: RunView, marks: tuple[Marker, ...]) -> Figure | None:
+    """Return lateness and round trip over time, None for a run without measured times."""
+    timing = view.run.arrays.get(TIMING)
+    if timing is None or not len(timing):
+        return None
+    return Figure(
+        title="Lateness and round trip",
+        y_label="time",
+        y_unit="µs",
+        y_log=True,
+        series=(
+            curve(timing, partial(_at_least, "lateness_us"), label="lateness", colour=0),
+            curve(timing, partial(_at_least, "round_trip_us"), label="round trip", colour=2),
+        ),
+        markers=marks,
+        height_px=220,
+    )
+
+
+def _own(draws: Records) -> npt.NDArray[np.bool_]:
+    chosen: npt.NDArray[np.bool_] = draws["mode"] >= 0
+    return chosen
+
+
+def _drawn_age(draws: Records) -> npt.NDArray[np.float64]:
+    return np.where(draws["age"] >= 0, draws["age"], np.nan).astype(np.float64)
+
+
+def _age(field: str, heard: str, records: Records) -> npt.NDArray[np.float64]:
+    return np.where(records[heard] >= 0, records[field], np.nan).astype(np.float64)
+
+
+def _at_least(field: str, timing: Records) -> npt.NDArray[np.float64]:
+    return np.asarray(np.maximum(timing[field], 0.1), dtype=np.float64)
+
+
+def _is_age_law(run: Run, side: str) -> bool:
+    codes = run.codes.get("reason", [])
+    if "sent" not in codes:
+        return True
+    return not any((piece["reason"] == codes.index("sent")).any() for piece in pieces(run.arrays[f"/network/{side}"]))
+
+
+def _equal(a: Records, b: Records, name: str) -> bool:
+    return all(np.array_equal(one[: len(other)][name], other[: len(one)][name]) for one, other in zip(pieces(a), pieces(b)))
+
+
+def _title(name: str) -> str:
+    return _words(name).capitalize()
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -1,0 +1,204 @@
+"""A haptic run at its wall: depth of device and avatar, force, energy, the way over the materials, the margin over delay.
+
+Reference: Chapter 6, Figures 6.8 to 6.10.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from design.controllers.rendered_wall import FollowsModel, RendersWall
+from design.controllers.wall import Wall
+from hil.compose.loop import Loop
+from hil.log.growing import whole
+from hil.log.topics import PASSIVITY, STATE
+from hil.measure.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
+from hil.measure.view import APPLIED, MEASUREMENT, RunView
+from hil.pages.html.figures import Block, Figure, Marker, Scene, Section, Series, Shape
+from hil.pages.run.curve import curve
+from hil.pages.run.time_panels import markers
+
+Array = npt.NDArray[np.float64]
+
+MOST_CELLS = 40
+"""So many cells of the pattern are drawn at most; a longer way is cut."""
+MOST_POINTS = 3000
+FURTHER = 4
+"""Delays beyond the loop's own for which the margin is shown, samples."""
+TILT = math.radians(35.0)
+DEEP = 0.55
+
+
+def wall_section(view: RunView) -> Section | None:
+    """Return the section of a run whose controller renders a wall, None for every other run.
+
+    Args:
+        view: the run.
+    """
+    loop = loop_of(view)
+    if loop is not None and isinstance(loop.controller, FollowsModel):
+        return Section(
+            title="At the wall", blocks=tuple(_over_time(view, None)), columns=2,
+            intro="The controller draws the device after a model of the wall: there is no coupler, and so no avatar behind it.",
+        )  # fmt: skip
+    if loop is None or not isinstance(loop.controller, RendersWall):
+        return None
+    path = avatar_path(view, loop)
+    blocks: list[Block] = [*_over_time(view, path)]
+    margin = _margin(loop, loop.controller)
+    if margin is not None:
+        blocks.append(margin)
+    if path is not None and np.ptp(path.y_m) + np.ptp(path.z_m) > 0.0:
+        shown = _shown(path, loop.controller.wall)
+        blocks += [_map(path, loop.controller.wall, shown), _space(path, shown)]
+    part = "" if path is None or len(path.t_s) < MOST_ANSWERS else f" It is followed over the first {path.t_s[-1]:.6g} s."
+    said = "computed again from the log" if path is None or path.same else (
+        "computed again from the log, but its forces are not those that were logged: another program answered"
+    )
+    return Section(
+        title="At the wall", blocks=tuple(blocks), columns=2,
+        intro=f"The avatar is the position of the device as the wall computes it, behind delay and coupler; it is {said}.{part}",
+    )  # fmt: skip
+
+
+def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
+    run, marks = view.run, markers(view)
+    measured, applied, state = run.arrays[MEASUREMENT], run.arrays[APPLIED], run.arrays.get(STATE.name)
+    tip, force = view.signals.tracked[0], next(iter(view.signals.inputs))
+    depth = [curve(measured, lambda some: 1e3 * some[tip], label="device", colour=0)]
+    if path is not None:
+        depth.append(Series(label="avatar", x=path.t_s, y=1e3 * path.depth_m, colour=1))
+    found = [
+        Figure(title="Penetration", series=tuple(depth), y_label="depth", y_unit="mm", markers=marks),
+        Figure(
+            title="Force of the wall at the device",
+            series=(curve(applied, lambda some: -some[force], label="force against the hand", style="step", colour=3),),
+            y_label="force", y_unit=view.signals.inputs[force], markers=marks,
+        ),
+    ]  # fmt: skip
+    if state is not None and "given" in (state.dtype.names or ()):
+        energy = curve(state, lambda some: 1e3 * some["given"], label="energy given", colour=4)
+        found.append(
+            Figure(
+                title="Passivity observer", series=(energy,), y_label="energy given", y_unit="mJ", markers=marks,
+                y_range=None if np.nanmax(whole(state, "given"), initial=0.0) > 0.0 else (0.0, 1.0),
+                note="Energy that the motor gave minus energy that the damping took: 0 behind a safe coupler.",
+            )
+        )  # fmt: skip
+    damper = run.arrays.get(PASSIVITY.name)
+    if damper is not None:
+        injected = curve(damper, "damping", label="injected damping", style="step", colour=5)
+        found.append(
+            Figure(
+                title="Passivity controller at the rig", series=(injected,), y_label="damping", y_unit="N s/m", markers=marks,
+                y_range=None if np.nanmax(damper["damping"], initial=0.0) > 0.0 else (0.0, 1.0),
+                note="The force that the rig added while the motor had given more energy than allowed.",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _margin(loop: Loop, controller: RendersWall) -> Figure | None:
+    port = loop.port
+    if port is None:
+        return None
+    from design.passivity.device import HeldDevice
+    from design.passivity.loop import HapticLoop
+
+    device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
+    own = loop.model.tau_max + loop.model.d_max
+    delays = list(range(own + FURTHER + 1))
+    felt = HapticLoop(
+        device=device, coupler=controller.coupler, period_s=loop.model.period_s, sc_max=delays[-1], ca_max=0
+    )
+    wall = controller.wall
+    curves = [
+        Series(
+            label=f"{m.stiffness_n_per_m:g} N/m, {m.damping_n_s_per_m:g} N s/m", x=delays,
+            y=[felt.radius(m, n, 0) for n in delays], colour=wall.materials.index(m),
+        )
+        for m in dict.fromkeys(wall.touched)
+    ]  # fmt: skip
+    limit = Series(label="limit of stability", x=[0, delays[-1]], y=[1.0, 1.0], style="dashed", colour=7)
+    return Figure(
+        title="Stability in contact, over delay", series=(*curves, limit), x_label="delay, both ways", x_unit="samples",
+        y_label="spectral radius", sync=None, markers=(Marker(x=own, label="this loop"),),
+        note="Device and hand of this run, in contact throughout, at a delay that stays; 1 less the radius is the margin.",
+    )  # fmt: skip
+
+
+def _shown(path: AvatarPath, wall: Wall) -> slice:
+    """Return the first part of the way that lies over few enough cells of the pattern."""
+    if wall.pattern is None:
+        return slice(0, len(path.t_s), max(1, len(path.t_s) // MOST_POINTS))
+    spans = [np.maximum.accumulate(v) - np.minimum.accumulate(v) for v in (path.y_m, path.z_m)]
+    cells = (spans[0] / wall.pattern.width_m + 1.0) * (spans[1] / wall.pattern.height_m + 1.0)
+    count = max(int(np.searchsorted(cells, MOST_CELLS)), 2)
+    return slice(0, count, max(1, count // MOST_POINTS))
+
+
+def _until(path: AvatarPath, shown: slice) -> str:
+    return "" if shown.stop >= len(path.t_s) else f" The first {path.t_s[shown.stop - 1]:.3g} s of the run."
+
+
+def _map(path: AvatarPath, wall: Wall, shown: slice) -> Scene:
+    y, z = 1e3 * path.y_m[shown], 1e3 * path.z_m[shown]
+    areas: list[Shape] = []
+    if wall.pattern is not None:
+        width, height = 1e3 * wall.pattern.width_m, 1e3 * wall.pattern.height_m
+        for i in range(math.floor(y.min() / width), math.floor(y.max() / width) + 1):
+            for j in range(math.floor(z.min() / height), math.floor(z.max() / height) + 1):
+                for p in wall.pattern.patches:
+                    left, low = i * width + 1e3 * p.y_m, j * height + 1e3 * p.z_m
+                    right, high = left + 1e3 * p.width_m, low + 1e3 * p.height_m
+                    corners = [(left, low), (right, low), (right, high), (left, high)]
+                    areas.append(Shape(points=corners, label=f"material {p.material + 1}", colour=p.material, filled=True))
+    way = Shape(points=np.column_stack([y, z]), label="avatar")
+    return Scene(
+        title="The way over the wall", shapes=(*areas, way), x_label="y (mm)", y_label="z (mm)",
+        note=f"As the wall saw it, the link's delay late (Figure 6.10).{_until(path, shown)}",
+    )  # fmt: skip
+
+
+def _space(path: AvatarPath, shown: slice) -> Scene:
+    """Return the way in space: y to the right, z up, depth away from the eye, each to its own scale."""
+    columns = [path.y_m[shown], path.z_m[shown], path.depth_m[shown]]
+    low = [float(c.min()) for c in columns[:2]] + [min(float(columns[2].min()), 0.0)]
+    high = [float(c.max()) for c in columns[:2]] + [max(float(columns[2].max()), 1e-6)]
+    y, z, depth = ((c - a) / max(b - a, 1e-9) for c, a, b in zip(columns, low, high))
+    surface = (0.0 - low[2]) / (high[2] - low[2])
+
+    def project(y: Array, z: Array, depth: Array) -> Array:
+        return np.column_stack([1.6 * y + DEEP * math.cos(TILT) * depth, z + DEEP * math.sin(TILT) * depth])
+
+    def line(*corners: tuple[float, float, float]) -> Array:
+        return project(*(np.array(c) for c in zip(*corners)))
+
+    plane = Shape(
+        points=line((0, 0, surface), (1, 0, surface), (1, 1, surface), (0, 1, surface)), label="surface of the wall", colour=7,
+        filled=True,
+    )  # fmt: skip
+    edges = [
+        line((0, 0, 0), (1, 0, 0)), line((0, 0, 0), (0, 1, 0)), line((0, 0, 0), (0, 0, 1)), line((1, 0, 0), (1, 0, 1)),
+        line((0, 1, 0), (0, 1, 1)), line((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1), (0, 0, 1)),
+    ]  # fmt: skip
+    changes = [0, *(np.flatnonzero(np.diff(path.material[shown])) + 1).tolist(), len(y) - 1]
+    ways = [
+        Shape(points=project(*(c[a : b + 1] for c in (y, z, depth))), label=f"over material {path.material[shown][a] + 1}",
+              colour=int(path.material[shown][a]))
+        for a, b in pairwise(changes)
+    ]  # fmt: skip
+    shadow = Shape(points=project(y, z, np.full(len(y), surface)), label="its shadow on the surface", faint=True)
+    names = [f"{n} {1e3 * a:.3g} to {1e3 * b:.3g} mm" for n, a, b in zip(("y", "z", "depth"), low, high)]
+    below = project(*(np.array([v]) for v in (0.0, -0.1, 0.0)))[0]
+    return Scene(
+        title="The way in space", axes=False,
+        shapes=(*(Shape(points=e, colour=7, faint=True) for e in edges), plane, shadow, *ways),
+        labels=((float(below[0]), float(below[1]), f"right: {names[0]}, up: {names[1]}"),
+                (float(below[0]), float(below[1]) - 0.08, f"away: {names[2]}")),
+        note=f"Where the avatar is (Figure 6.9); every axis has a scale of its own.{_until(path, shown)}",
+    )  # fmt: skip

@@ -1,0 +1,155 @@
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from hil.pages.html.figures import (
+    Badge,
+    Band,
+    BarGroup,
+    Bars,
+    Figure,
+    Histogram,
+    Marker,
+    Matrix,
+    Scene,
+    Section,
+    Series,
+    Shape,
+    Table,
+    Text,
+    Tile,
+)
+from hil.pages.html.page import render_page
+
+HOSTILE = '</script><script>alert("x")</script><img src=x onerror=alert(1)>&"\''
+
+
+class Elements(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+
+def elements(page: str) -> list[tuple[str, dict[str, str | None]]]:
+    parser = Elements()
+    parser.feed(page)
+    return parser.found
+
+
+def page_with_every_block(text: str) -> str:
+    x = np.linspace(0.0, 1.0, 11)
+    blocks = (
+        Figure(
+            title=text,
+            x_label=text,
+            x_unit=text,
+            y_label=text,
+            y_unit=text,
+            note=text,
+            series=(Series(label=text, x=x, y=x),),
+            bands=(Band(label=text, x=x, lower=x - 1, upper=x + 1),),
+            markers=(Marker(x=0.5, label=text, state="bad"),),
+        ),
+        Bars(title=text, categories=[text], x_label=text, y_label=text, y_unit=text, note=text,
+             groups=(BarGroup(label=text, values=[1.0], errors=[0.1]), BarGroup(label=text, values=[2.0]))),
+        Histogram(title=text, edges=[0, 1, 2], counts=[3, 4], x_label=text, x_unit=text, y_label=text, note=text,
+                  markers=(Marker(x=1.0, label=text),)),
+        Matrix(title=text, rows=[text], columns=[text], values=[[0.5]], row_label=text, column_label=text, note=text),
+        Table(title=text, columns=[text], rows=[[text], [Badge(label=text, detail=text)]], note=text),
+        Text(title=text, text=text),
+        Text(title=text, text=text, code=True, folded=True),
+        Badge(label=text, detail=text, state="good"),
+    )  # fmt: skip
+    return render_page(
+        text,
+        [Section(title=text, intro=text, blocks=blocks, columns=2)],
+        kicker=text,
+        subtitle=text,
+        badges=[Badge(label=text, detail=text)],
+        tiles=[Tile(label=text, value=text, unit=text, note=text)],
+        facts=[(text, text)],
+        footer=text,
+    )
+
+
+def test_hostile_text_adds_no_element_and_no_attribute() -> None:
+    harmless, hostile = elements(page_with_every_block("a")), elements(page_with_every_block(HOSTILE))
+    assert [tag for tag, _ in hostile] == [tag for tag, _ in harmless]
+    assert [sorted(a) for _, a in hostile] == [sorted(a) for _, a in harmless]
+
+
+def test_page_refers_to_nothing_outside_itself() -> None:
+    page = page_with_every_block("a")
+    for tag, attributes in elements(page):
+        assert tag not in {"iframe", "object", "embed", "base"}
+        for name in ("src", "href", "srcset", "action", "poster"):
+            value = attributes.get(name)
+            assert value is None or value.startswith(("#", "data:")), (tag, value)
+    styles = "".join(re.findall(r"<style>(.*?)</style>", page, re.S))
+    assert "url(" not in styles and "@import" not in styles
+
+
+def test_policy_allows_exactly_the_scripts_of_the_page() -> None:
+    page = page_with_every_block("a")
+    policy = next(a["content"] for t, a in elements(page) if a.get("http-equiv") == "Content-Security-Policy")
+    assert policy is not None and policy.startswith("default-src 'none'")
+    assert policy.count("'sha256-") == 2 and "unsafe-inline'; script" not in policy.split("script-src")[1]
+    assert page.count("</script") == 3
+
+
+def test_series_of_unequal_length_is_refused_by_its_label() -> None:
+    figure = Figure(title="f", series=(Series(label="angle", x=[0.0, 1.0], y=[0.0]),))
+    with pytest.raises(ValueError, match="series 'angle'"):
+        render_page("t", [Section(title="s", blocks=(figure,))])
+
+
+def test_equal_arrays_are_stored_once() -> None:
+    x = np.linspace(0, 1, 1001)
+    one = Figure(title="f", series=(Series(label="a", x=x, y=x**2),))
+    sizes = [len(render_page("t", [Section(title="s", blocks=(one,) * n)])) for n in (1, 2)]
+    assert sizes[1] - sizes[0] < 1000
+
+
+def test_not_finite_values_become_gaps() -> None:
+    figure = Figure(title="f", series=(Series(label="a", x=[0, 1, 2, 3], y=[1.0, np.inf, np.nan, 2.0]),))
+    assert "Infinity" not in render_page("t", [Section(title="s", blocks=(figure,))]).split('id="hil-data"')[1][:900]
+
+
+@pytest.mark.parametrize("y_log", [False, True])
+@pytest.mark.parametrize("x_log", [False, True])
+def test_histogram_draws_every_filled_bin(x_log: bool, y_log: bool) -> None:
+    histogram = Histogram(title="h", edges=[1.0, 2.0, 3.0, 40.0], counts=[3, 0, 400], x_log=x_log, y_log=y_log)
+    assert render_page("t", [Section(title="s", blocks=(histogram,))]).partition("<script")[0].count("<rect") == 2
+
+
+def test_empty_blocks_are_drawn_empty() -> None:
+    blocks = (
+        Figure(title="f", series=(Series(label="a", x=[], y=[]),)),
+        Bars(title="b", categories=[], groups=()),
+        Histogram(title="h", edges=[], counts=[]),
+        Table(columns=["a"], rows=[]),
+    )
+    assert "<table" in render_page("t", [Section(title="s", blocks=blocks)])
+
+
+def test_plots_without_a_script_hand_over_all_of_their_numbers() -> None:
+    blocks = (
+        Histogram(title="h", edges=np.array([0.0, 0.1, 0.3]), counts=np.array([1_234_567_891, 0]), x_label="late", x_unit="us"),
+        Bars(title="b", categories=["a", "b"], groups=(BarGroup(label="law", values=[0.25, np.nan], errors=[0.1, 0.2]),)),
+        Matrix(title="m", rows=["0"], columns=["0", "1"], values=[[0.1, None]], expected=[[0.2, 0.3]], row_label="from"),
+        Scene(title="s", shapes=(Shape(points=[(0.0, 1.0), (np.nan, 2.0)], label="way"),), x_label="y (mm)"),
+    )
+    page = render_page("t", [Section(title="s", blocks=blocks)])
+    tables = json.loads(page.split('id="hil-data">')[1].partition("</script")[0])["tables"]
+    assert [page.count(f'data-numbers="{i}"') for i in range(5)] == [1, 1, 1, 1, 0]
+    columns = [{column["name"]: column["values"] for column in table} for table in tables]
+    assert columns[0] == {"late (us), from": [0.0, 0.1], "late (us), to": [0.1, 0.3], "count": [1_234_567_891, 0]}
+    assert columns[1] == {"category": ["a", "b"], "law": [0.25, None], "law, +-": [0.1, 0.2]}
+    assert columns[2] == {"from": ["0"], "0": [0.1], "0, expected": [0.2], "1": [None], "1, expected": [0.3]}
+    assert columns[3] == {"shape": ["way", "way"], "y (mm)": [0.0, None], "y": [1.0, 2.0]}

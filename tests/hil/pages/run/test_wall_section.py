@@ -1,0 +1,90 @@
+"""The section of a haptic run: what it shows, and that its pictures say what the run was."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.measure.summary import summarise
+from hil.measure.view import view_of
+from hil.pages.html.figures import Figure, Scene, Shape
+from hil.pages.html.scene import draw_scene, scene_legend
+from hil.pages.run.run_page import render_report
+from hil.pages.run.wall_section import wall_section
+from hil.session import simulate
+from tests.hil.pages.runs import run_of
+
+
+def section(name, *changes):
+    experiment = load_experiment(name, list(changes))
+    run = simulate(compose(experiment, certify=False), 0)
+    return run, wall_section(view_of(run, experiment))
+
+
+def test_a_slide_shows_depth_force_energy_margin_and_both_ways():
+    run, found = section("omni-slide", "duration=6")
+    blocks = {block.title: block for block in found.blocks}
+    assert list(blocks) == [
+        "Penetration", "Force of the wall at the device", "Passivity observer", "Stability in contact, over delay",
+        "The way over the wall", "The way in space",
+    ]  # fmt: skip
+    assert blocks["Penetration"].series[0].y == pytest.approx(1e3 * run.arrays["/plant/measurement"]["position"])
+    assert blocks["Force of the wall at the device"].series[0].y.max() > 0.5
+    way = blocks["The way over the wall"]
+    areas = [shape for shape in way.shapes if shape.filled]
+    y, z = np.asarray(way.shapes[-1].points).T
+    assert {shape.colour for shape in areas} == {0, 1, 2}
+    corners = np.vstack([np.asarray(shape.points) for shape in areas])
+    assert corners[:, 0].min() <= y.min() and corners[:, 1].max() >= z.max()  # the way lies on the map
+    assert "first" in way.note and len(areas) < 200
+
+
+def test_the_certificate_is_read_as_sentences_and_numbers_with_units():
+    """Lists were shown as JSON, in one line that was cut."""
+    run = run_of("omni-push", "duration=2")
+    view = view_of(run)
+    page = render_report(view, summarise(view))
+    table = page[page.index("Certificate, from the gains that ran") :]
+    table = table[: table.index("</table>")]
+    for assumption in run.certificate["assumptions"]:
+        assert f"<p>{assumption}</p>" in table
+    assert "<td>delays</td><td>6</td>" in table and "[" not in table and "quot" not in table
+    assert "<td>ceiling (N/m)</td>" in table and "<td>static compliance (m/N)</td>" in table
+    assert run.certificate["digest"] in table and 'class="pairs"' in table
+
+
+def test_the_margin_of_the_printed_coupler_ends_where_it_must():
+    _, found = section("omni-theorem61", "duration=1", "allow_uncertified=true")
+    margin = next(b for b in found.blocks if isinstance(b, Figure) and b.title.startswith("Stability"))
+    radii = np.max([s.y for s in margin.series[:-1]], axis=0)
+    assert radii[0] < 1.0 and radii[1] == pytest.approx(1.083, abs=1e-3) and radii[6] == pytest.approx(1.153, abs=1e-3)
+    assert margin.markers[0].x == 6
+
+
+def test_a_push_has_no_way_and_a_motor_no_wall():
+    assert not [b for b in section("omni-push", "duration=2")[1].blocks if isinstance(b, Scene)]
+    assert section("dc-motor-hinf", "duration=2")[1] is None
+
+
+def test_a_wall_without_a_coupler_shows_depth_force_and_energy():
+    following = ('controller={kind="model-following"}', "allow_uncertified=true", "limits.input=[40.0]", "limits.state.given=1.0")
+    run, found = section("omni-push", "duration=20", *following)
+    depth, force, energy = found.blocks
+    assert [len(block.series) for block in found.blocks] == [1, 1, 1]  # no avatar beside the device
+    assert depth.series[0].y == pytest.approx(1e3 * run.arrays["/plant/measurement"]["position"])
+    assert depth.series[0].y[-1] == pytest.approx(1.0, abs=0.05) and force.series[0].y[-1] == pytest.approx(1.0, abs=0.05)
+    assert energy.series[0].y.max() > 500.0
+
+
+def test_a_scene_has_one_scale_and_escapes_its_words():
+    square = Shape(points=[(0, 0), (10, 0), (10, 10), (0, 10)], label="<b>", colour=1, filled=True)
+    scene = Scene(title="t<", shapes=(square, Shape(points=[(0.0, 0.0), (np.nan, np.nan), (10.0, 10.0)])), labels=((5, 5, "&"),))
+    svg = draw_scene(scene)
+    corners = [tuple(map(float, pair)) for pair in re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", svg.split("Z")[0])]
+    (left, bottom), (right, _), (_, top), _ = corners
+    assert right - left == pytest.approx(bottom - top, abs=0.2)
+    assert "<b>" not in svg + scene_legend(scene) and "&amp;" in svg and svg.count("nan") == 0

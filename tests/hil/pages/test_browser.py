@@ -1,0 +1,215 @@
+"""The page in a real browser: it draws, it zooms all panels together, it asks the network for nothing."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from hil.measure.summary import summarise
+from hil.measure.view import view_of
+from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series
+from hil.pages.html.page import render_page
+from hil.pages.run.run_page import render_report
+from tests.hil.pages import chromium
+from tests.hil.pages.runs import run_of
+
+pytestmark = pytest.mark.chromium
+
+
+def page_of_panels() -> str:
+    t = np.arange(0.0, 20.0, 1e-3)
+    y = np.sin(t)
+    angle = Figure(
+        title="Angle",
+        series=(Series(label="angle", x=t, y=y), Series(label="coarse", x=t[::100], y=y[::100], style="points")),
+        bands=(Band(label="spread", x=t[::50], lower=y[::50] - 0.2, upper=y[::50] + 0.2),),
+        markers=(Marker(x=3.0, label="</script><script>document.title='owned'</script>", state="bad"),),
+    )
+    modes = Figure(title="Mode", series=(Series(label="m", x=t, y=np.floor(t) % 3, style="step"),), integer_y=True)
+    norm = Series(label="n", x=[0.01, 0.1, 1.0], y=[1.0, 2.0, 3.0])
+    alone = Figure(title="Norm", series=(norm,), x_log=True, sync=None)
+    text = "<script>document.title='owned'</script>"
+    return render_page(text, [Section(title="Panels", blocks=(angle, modes, alone))], subtitle=text)
+
+
+INK = """[...document.querySelectorAll('.plot canvas')].map(c => {
+  const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+  let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n; })"""
+BOX = "(r => [r.left, r.top, r.width, r.height])(document.querySelector('.u-over').getBoundingClientRect())"
+LEGEND = """[...document.querySelectorAll('.plot')].slice(0, 2).flatMap(
+  p => [...p.querySelectorAll('.u-series:not(.quiet) .u-value')].map(v => v.textContent))"""
+RANGES = "hilPlots().map(p => [p.scales.x.min, p.scales.x.max])"
+
+LABELS = """(() => {
+  const seen = [], draw = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...at) { seen.push(text); draw.call(this, text, ...at); };
+  hilPlots()[0].redraw(false, false);
+  return new Promise(f => requestAnimationFrame(() => f(seen.filter(text => ["late", "safety", "step"].includes(text))))); })()"""
+
+
+def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path) -> None:
+    file = tmp_path / "page.html"
+    file.write_text(page_of_panels(), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert page.requests == [file.resolve().as_uri()]
+        ink = page.evaluate(INK)
+        assert len(ink) == 3 and all(n > 2000 for n in ink)
+        assert page.evaluate("document.title") != "owned"
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+
+        whole = page.evaluate(RANGES)
+        assert whole[0] == pytest.approx([0.0, 19.999], abs=1e-6) and whole[1] == whole[0]
+        box = page.evaluate(BOX)
+        y = box[1] + box[3] / 2
+        page.mouse("mouseMoved", box[0] + 0.25 * box[2], y, clicks=0)
+        page.mouse("mousePressed", box[0] + 0.25 * box[2], y)
+        page.mouse("mouseMoved", box[0] + 0.5 * box[2], y)
+        page.mouse("mouseReleased", box[0] + 0.5 * box[2], y)
+        zoomed = page.evaluate(RANGES)
+        assert zoomed[0] == pytest.approx([5.0, 10.0], abs=0.1)
+        assert zoomed[1] == zoomed[0], "panels of one group zoom together"
+        assert zoomed[2] == whole[2], "a panel of its own does not"
+        assert page.evaluate("!document.getElementById('reset').hidden")
+
+        page.mouse("mouseMoved", box[0] + 0.4 * box[2], y, clicks=0)
+        values = page.evaluate(LEGEND)
+        assert values and "–" not in values, "the cursor shows the values of every panel of its group"
+
+        for clicks in (1, 2):
+            page.mouse("mousePressed", box[0] + 0.6 * box[2], y, clicks)
+            page.mouse("mouseReleased", box[0] + 0.6 * box[2], y, clicks)
+        assert page.evaluate(RANGES) == whole, "a double click resets"
+
+        light = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        page.colour_scheme("dark")
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") != light
+        page.size(800, 900)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        page.pdf(tmp_path / "page.pdf")
+        assert (tmp_path / "page.pdf").stat().st_size > 10_000
+        assert page.problems == []
+        assert page.requests == [file.resolve().as_uri()]
+
+
+def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: Path) -> None:
+    run = run_of("dc-motor-1khz", 'duration="6 s"', timed=True)
+    file = tmp_path / "report.html"
+    file.write_text(render_report(view_of(run), summarise(view_of(run))), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        panels = page.evaluate("document.querySelectorAll('.plot').length")
+        ink = page.evaluate(INK)
+        assert len(ink) == panels >= 6 and all(n > 2000 for n in ink)
+        ranges = page.evaluate(RANGES)
+        assert all(r == ranges[0] for r in ranges)
+        assert page.problems == []
+        assert page.requests == [file.resolve().as_uri()]
+
+
+def test_report_of_one_tick_shows_its_samples_as_points(tmp_path: Path) -> None:
+    run = run_of("dc-motor-hinf", 'duration="50 ms"')
+    file = tmp_path / "report.html"
+    file.write_text(render_report(view_of(run), summarise(view_of(run))), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert all(low == -0.5 and high == 0.5 for low, high in page.evaluate(RANGES))
+        assert page.evaluate("hilPlots().every(p => p.series.slice(1).every(s => s.points.show === true || s.points.show()))")
+        assert page.problems == []
+
+
+def test_worst_marker_gets_its_label_where_there_is_no_room_for_all(tmp_path: Path) -> None:
+    marks = (
+        Marker(x=5.2, label="late", state="warning"),
+        Marker(x=5.22, label=""),
+        Marker(x=5.25, label="safety", state="bad"),
+        Marker(x=9.0, label="step"),
+    )
+    t = np.arange(0.0, 10.0, 0.1)
+    file = tmp_path / "page.html"
+    panel = Figure(title="Angle", series=(Series(label="angle", x=t, y=t),), markers=marks)
+    file.write_text(render_page("Marks", [Section(title="Panels", blocks=(panel,))]), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert page.evaluate(LABELS) == ["safety", "step"]
+
+
+def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_desk(tmp_path: Path) -> None:
+    run = run_of("vtol-fault", 'duration="1 s"')
+    message = "an input that stayed at its limit for several samples " * 3
+    run.events.append({"tick": 1, "t_s": 0.001, "kind": "saturated", "severity": "warning", "message": message, "data": {}})
+    file = tmp_path / "report.html"
+    file.write_text(render_report(view_of(run), summarise(view_of(run))), encoding="utf-8")
+    with chromium.Page(width=390, height=900) as page:
+        page.open(file)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert page.evaluate("Math.min(...[...document.querySelectorAll('svg')].map(s => 11 * s.clientWidth / 560))") > 9.0
+        assert page.evaluate("document.querySelector('.prose-last td:last-child').clientWidth") >= 200
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert page.evaluate("(s => s.scrollWidth <= s.clientWidth)(document.querySelector('.wide .scroll'))")
+
+
+STILLS = (  # boxes, numbers and words of each
+    (2, '"lateness (us), from","lateness (us), to",count\n0,1,3\n1,2,0\n2,3,400\n', {"Late", "lateness (us)", "p99"}),
+    (6, "age,counted,law\n0,0.25,0.2\n1,0.75,0.8\n", {"Ages", "counted", "law", "0", "1"}),  # two are of the legend
+    (4, 'from,to 0,"to 0, expected",to 1,"to 1, expected"\n0,0.1,0.15,0.9,0.85\n1,0.4,0.35,0.6,0.65\n', {"Chain", "0.900"}),
+)
+
+
+def page_of_stills() -> str:
+    late = Histogram(title="Late", edges=[0.0, 1.0, 2.0, 3.0], counts=[3, 0, 400], x_label="lateness", x_unit="us",
+                     markers=(Marker(x=2.5, label="p99"),))  # fmt: skip
+    groups = (BarGroup(label="counted", values=[0.25, 0.75]), BarGroup(label="law", values=[0.2, 0.8], hollow=True))
+    chain = Matrix(title="Chain", rows=["0", "1"], columns=["0", "1"], values=[[0.1, 0.9], [0.4, 0.6]],
+                   expected=[[0.15, 0.85], [0.35, 0.65]], row_label="from", column_label="to")  # fmt: skip
+    ages = Bars(title="Ages", categories=["0", "1"], groups=groups, x_label="age")
+    return render_page("Still", [Section(title="Plots", blocks=(late, ages, chain))])
+
+
+SAVE = """((place, kind) => new Promise(done => {
+  HTMLAnchorElement.prototype.click = function () { fetched(this.download, this.href); };
+  const make = URL.createObjectURL;
+  let blob;
+  URL.createObjectURL = made => { blob = made; return make(made); };
+  const fetched = name => blob.slice(0, 4).arrayBuffer().then(
+    head => blob.text().then(text => done([name, text, [...new Uint8Array(head)]])));
+  [...document.querySelectorAll('.save')][place].querySelectorAll('button').forEach(b => b.textContent === kind && b.click());
+}))(%d, '%s')"""
+
+
+def test_every_plot_can_be_saved_as_svg_png_and_csv(tmp_path: Path) -> None:
+    file = tmp_path / "page.html"
+    file.write_text(page_of_panels(), encoding="utf-8")
+    with chromium.Page(width=1400, height=900) as page:
+        page.open(file)
+        assert page.evaluate("document.querySelectorAll('.save').length") == 3
+        name, csv, _ = page.evaluate(SAVE % (0, "CSV"))
+        head, *rows = csv.splitlines()
+        assert name.endswith("-1.csv") and head == 'time (s),"spread, upper","spread, lower",angle,coarse'
+        numbers = np.genfromtxt(rows, delimiter=",")
+        known = ~np.isnan(numbers[:, 3])
+        assert known.sum() > 500 and np.allclose(numbers[known, 3], np.sin(numbers[known, 0]), atol=1e-3)
+        name, svg, _ = page.evaluate(SAVE % (0, "SVG"))
+        drawn = ElementTree.fromstring(svg)
+        tags = [element.tag.rpartition("}")[2] for element in drawn.iter()]
+        assert name.endswith("-1.svg") and tags.count("path") == 3 and tags.count("circle") > 50 and tags.count("line") == 1
+        texts = [element.text for element in drawn.iter() if element.tag.endswith("text")]
+        assert {"angle", "coarse", "spread", "time (s)", "10"} <= set(texts)
+        name, _, head_of_png = page.evaluate(SAVE % (0, "PNG"))
+        assert name.endswith("-1.png") and head_of_png == [0x89, *b"PNG"]
+        assert not page.problems and page.requests[0] == file.resolve().as_uri()
+        still = tmp_path / "still.html"
+        still.write_text(page_of_stills(), encoding="utf-8")
+        page.open(still)
+        for place, (boxes, csv, words) in enumerate(STILLS):
+            name, svg, _ = page.evaluate(SAVE % (place, "SVG"))
+            drawn = ElementTree.fromstring(svg)
+            fills = [element.get("fill") for element in drawn.iter() if element.tag.endswith("rect")]
+            assert len(fills) == 1 + boxes and all(fill.startswith("rgb(") for fill in fills), name  # the first is the ground
+            assert words <= {element.text for element in drawn.iter() if element.tag.endswith("text")}
+            assert page.evaluate(SAVE % (place, "CSV"))[1] == csv
+            assert page.evaluate(SAVE % (place, "PNG"))[2] == [0x89, *b"PNG"]
+        assert len(set(fills[1:])) == 4  # of the heat map: a colour for each value
+        assert not page.problems
