@@ -24,6 +24,7 @@ def main(key: str, most_numbers: int) -> str | None:
     from scipy.io import loadmat, whosmat
 
     warnings.simplefilter("ignore")
+    warnings.simplefilter("error", UserWarning)  # of a variable or byte order that scipy cannot read, and returns all the same
     data = sys.stdin.buffer.read()
     if data.startswith(b"MATLAB 7.3"):
         return "is a MATLAB 7.3 file; save it with -v7"

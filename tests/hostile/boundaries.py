@@ -153,8 +153,8 @@ def _can_log(suffix: str) -> Callable[[], list[bytes]]:
 def _frames() -> list[bytes]:
     rows = ((0.1,), (0.2,))
     return [
-        encode_sensor(SensorPacket(7, 0, 350_000_000, (0.5,), reference=(3.0,), nonce=99)),
-        encode_control(ControlPacket(7, 350_000_000, 0, 0, 1, rows, nonce=99)),
+        encode_sensor(SensorPacket(7, 0, 350_000_000, (0.5,), reference=(3.0,), nonce=99, counter=1)),
+        encode_control(ControlPacket(7, 350_000_000, 0, 0, 1, rows, echo=99, counter=1)),
     ]
 
 
