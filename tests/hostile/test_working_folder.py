@@ -83,7 +83,7 @@ def test_the_module_that_the_experiment_names_runs_in_both_processes_and_imports
 
 
 def test_every_python_of_ours_starts_without_its_working_folder() -> None:
-    """`-P` stands in one place; the guest's processes start with `-I`."""
+    """`-P` stands in one place of `hil` and in `plants`, which knows no `hil`; the guest's processes start with `-I`."""
     starts = {
         str(path.relative_to(ROOT)): line.strip()
         for package in ("hil", "design", "plants", "transport")
@@ -92,4 +92,5 @@ def test_every_python_of_ours_starts_without_its_working_folder() -> None:
         if "sys.executable" in line
     }
     assert starts.pop("hil/own_python.py") == 'PYTHON: Final = (sys.executable, "-P")'
+    assert '[sys.executable, "-P", ' in starts.pop("plants/fmu_run.py")
     assert all("-I" in line or line == "python=sys.executable," for line in starts.values()), starts
