@@ -6,8 +6,17 @@ from __future__ import annotations
 class HilError(Exception):
     """Something the user can mend; the message names the object, the value and what was expected.
 
-    Exit status 2 on the command line.
+    Attributes:
+        status: exit status on the command line.
     """
+
+    status = 2
+
+
+class DiskFull(HilError):
+    """A disk that took not one record of a run; the command and its files are correct."""
+
+    status = 1
 
 
 class ExperimentError(HilError):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hil.compose.loop import Loop, compose
 from hil.compose.time_line import beyond_the_end
-from hil.errors import HilError
+from hil.errors import DiskFull, HilError
 from hil.experiment import Experiment
 from hil.experiment.asked import told_of
 from hil.experiment.can_frames import link_uri, said_identifiers
@@ -169,6 +169,7 @@ def run_session(
 
     Raises:
         HilError: if the experiment cannot be composed, the log cannot be written, or the session could not start.
+        DiskFull: not one record of the run could be written.
     """
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
     loop = compose(experiment, external=external)
@@ -213,17 +214,20 @@ def run_session(
     # 4. Sum up what the log says, and what only this process knows.
     wall_s = (monotonic_ns() - begun) / 1e9
     if sink.error is not None:
-        outcome.setdefault("log_error", sink.error)
+        told = f"disk full at slot {sink.failed_ns // experiment.period_ns}: {sink.error}"
+        if not sink.messages:
+            os.close(log)
+            if gone is None:  # the name is still that of this log
+                sink.discard()
+            raise DiskFull(f"{told}; it took no record of the run; free some space, or write elsewhere (-o)")
+        outcome["log_error"] = f"{told}; what was written before is kept: hil recover {path}"
     if gone is not None:
         outcome["log_lost"] = f"{path} {gone}"
     try:
         if keep is not None:
             run = _kept(sink, provenance)
         else:
-            try:
-                run = _read_back(path, whole=sink.error is None, descriptor=log)
-            except HilError as error:
-                raise (error if sink.error is None else HilError(outcome["log_error"])) from error
+            run = _read_back(path, whole=sink.error is None, descriptor=log)
         summary = _summary(run, loop.experiment, sink, outcome, wall_s)
         summary |= {"who_commands": who_commands(uri)} | _gains(loop)
         summary["log"]["sha256"] = _sha256(log)
@@ -303,8 +307,6 @@ def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink) -> dict[str, Any
     if signals.seen is not None:
         out |= _interrupted(signals.seen, sink, end_ns)
     sink.event(end_ns, "outcome", "rig ended", **rig.outcome())
-    if log.error is not None:
-        out["log_error"] = f"disk full at slot {rig.k}: {log.error}; what was written before is kept: hil recover {log.path}"
     return out
 
 

@@ -33,6 +33,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "disk full: a run": ("test_full_disk_costs_the_log_and_not_the_run",
                     "test_a_virtual_run_beyond_the_limit_of_a_file_ends_in_order_and_recovers",
                     "test_a_virtual_run_on_a_full_disk_ends_in_order"),
+    "a disk that takes no record": ("test_a_disk_too_small_for_one_record_is_named_and_leaves_no_file",),
     "disk full while `hil export`": ("test_an_export_on_a_full_disk_leaves_all_tables_or_none",),
     "rig stopped": ("test_a_stopped_rig_is_said_and_ends_the_session",
                     "test_a_stopped_rig_is_given_up_within_a_second_or_fifty_periods"),

@@ -137,7 +137,7 @@ def main(args: list[str] | None = None) -> Any:
 
         for line in message_lines(str(e)):
             print(f"hil: {line}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(e.status if isinstance(e, HilError) else HilError.status)
 
 
 if __name__ == "__main__":

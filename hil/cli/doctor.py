@@ -169,10 +169,23 @@ def command(link: str | None, as_json: bool) -> None:
         print(json.dumps([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks], indent=2))
         return
     columns = get_terminal_size().columns
-    for what, fine, finding, remedy in checks:
-        print(_wrapped(f"{'ok     ' if fine else 'missing'}  ", f"{what}: {finding}", columns))
-        if remedy:
-            print(_wrapped(BELOW, f"remedy: {remedy}", columns))
+    for check in checks:
+        print(lines_of(check, columns))
+
+
+def lines_of(check: Check, columns: int) -> str:
+    r"""Return what stands on a terminal of so many columns for a check.
+
+    >>> print(lines_of(("cc", False, "absent", "apt-get install gcc (hil bench links has its floor in C)"), 40))
+    missing  cc: absent
+             remedy: apt-get install gcc
+             (hil bench links has its floor
+             in C)
+    """
+    what, fine, finding, remedy = check
+    lines = [_wrapped(f"{'ok     ' if fine else 'missing'}  ", f"{what}: {finding}", columns)]
+    lines += [_wrapped(BELOW, f"remedy: {remedy}", columns)] if remedy else []
+    return "\n".join(lines)
 
 
 def _wrapped(begin: str, text: str, columns: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -28,16 +29,38 @@ def ended_in_order(done: subprocess.CompletedProcess[str]) -> int:
 
 
 def test_a_virtual_run_beyond_the_limit_of_a_file_ends_in_order_and_recovers(tmp_path: Path) -> None:
-    slot = ended_in_order(hil(tmp_path, *RUN, "-o", "l.mcap", kilobytes=100))
-    assert 0 < slot < 1999
+    done = hil(tmp_path, *RUN, "--json", "-o", "l.mcap", kilobytes=100)
+    assert 0 < ended_in_order(done) < 1999
+    kept = json.loads(done.stdout)["log"]
+    assert 0 < kept["dropped"] < kept["messages"], kept  # it ended there: nothing more was computed
     recovered = hil(tmp_path, "recover", "l.mcap", "-o", "r.mcap")
     assert recovered.returncode == 0, recovered.stderr
     again = hil(tmp_path, "replay", "r.mcap")
     assert again.returncode == 0, again.stdout + again.stderr
 
 
-def test_a_disk_too_small_for_one_chunk_is_named_too(tmp_path: Path) -> None:
-    assert ended_in_order(hil(tmp_path, *RUN, "-o", "l.mcap", kilobytes=8)) > 0
+MEASURE = """
+class Frames:
+    title, note, topics = "Frames", "", ("/link/sensor",)
+
+    def quantities(self, signals):
+        return ()
+
+    def of(self, view):
+        return {}
+"""
+"""It reads raw frames, so that a summary is read back from the log."""
+
+
+@pytest.mark.parametrize("raw", [False, True], ids=["numbers", "raw frames"])
+def test_a_disk_too_small_for_one_record_is_named_and_leaves_no_file(tmp_path: Path, raw: bool) -> None:
+    (tmp_path / "frames.py").write_text(MEASURE)
+    changes = ["--set", 'report.measures=["tracking", "frames:Frames"]'] if raw else []
+    done = hil(tmp_path, *RUN, *changes, "-o", "l.mcap", kilobytes=8)
+    assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
+    said = re.search(r"disk full at slot (\d+): l\.mcap: File too large; it took no record", " ".join(done.stderr.split()))
+    assert said is not None and int(said[1]) > 0, done.stderr
+    assert not (tmp_path / "l.mcap").exists()
 
 
 @pytest.mark.skipif(shutil.which("unshare") is None, reason="a small disk needs unshare (util-linux)")
@@ -52,8 +75,11 @@ def test_a_virtual_run_on_a_full_disk_ends_in_order(tmp_path: Path) -> None:
 
 def test_an_export_on_a_full_disk_leaves_all_tables_or_none(tmp_path: Path) -> None:
     assert hil(tmp_path, *RUN, "-o", "l.mcap").returncode == 0
+    (tmp_path / "whole").mkdir()
     (tmp_path / "out").mkdir()
-    done = hil(tmp_path, "export", "l.mcap", "-o", "out/x.csv", kilobytes=60)
+    assert hil(tmp_path, "export", "l.mcap", "-o", "whole/x.csv").returncode == 0
+    largest = max(table.stat().st_size for table in (tmp_path / "whole").iterdir())
+    done = hil(tmp_path, "export", "l.mcap", "-o", "out/x.csv", kilobytes=(largest - 1) >> 10)  # all the others fit
     assert done.returncode == 2 and "cannot be written: File too large" in done.stderr
     assert [*(tmp_path / "out").iterdir()] == []
     assert hil(tmp_path, "export", "l.mcap", "-o", "out/x.csv").returncode == 0 and len([*(tmp_path / "out").iterdir()]) > 9

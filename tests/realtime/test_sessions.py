@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -212,7 +213,8 @@ def test_full_disk_costs_the_log_and_not_the_run(tmp_path: Path) -> None:
         pytest.skip("no permission to mount a small disk here")
     summary = json.loads(done.stdout[: done.stdout.rindex("}") + 1])
     assert "1" in done.stderr.splitlines()
-    assert "No space left" in summary["problems"]["log_error"]
+    slot = re.match(r"disk full at slot (\d+): .*No space left", summary["problems"]["log_error"])
+    assert slot is not None and 0 < int(slot[1]) < 2000, summary["problems"]
     assert summary["log"]["dropped"] > 0
     assert len(read_run(tmp_path / "saved.mcap").arrays["/plant/state"]) > 10
 

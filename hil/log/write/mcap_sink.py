@@ -46,6 +46,7 @@ class McapSink:
     Attributes:
         kept: what was kept of the chunks that were written.
         error: why the log ends early: the file and what the disk said; None while all is written.
+        failed_ns: session time of the newest record when the disk refused.
         failed: called once, when the disk takes no more.
 
     Raises:
@@ -66,6 +67,7 @@ class McapSink:
         self.messages = 0
         self._dropped = 0
         self.error: str | None = None
+        self.failed_ns = 0
         self.failed: Callable[[], None] = lambda: None
         self._now = now
         self._flush_bytes = FLUSH_BYTES if now is None else REAL_FLUSH_BYTES
@@ -234,6 +236,7 @@ class McapSink:
     def _fail(self, error: OSError, messages: int = 0) -> None:
         self._dropped += messages
         self._writer.refuse()
+        self.failed_ns = self._writer.end_ns
         self.error = f"{self.path}: {error.strerror or error}"
         self.failed()
 

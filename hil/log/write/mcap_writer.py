@@ -198,6 +198,11 @@ class McapWriter:
         return len(self._open)
 
     @property
+    def end_ns(self) -> int:
+        """Time of the newest message in a chunk that has ended, counted from `start_ns`; 0 if there is none."""
+        return max(self._end - self.start_ns, 0)
+
+    @property
     def refused(self) -> int:
         """Messages that came after `refuse`."""
         return self._open.refused
