@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,9 @@ PLACES = {
     "zsh": ("XDG_DATA_HOME", ".local/share", "zsh/site-functions/_hil"),
     "fish": ("XDG_CONFIG_HOME", ".config", "fish/completions/hil.fish"),
 }
+PLAIN = re.compile(r"[\w.-]+", re.ASCII)
+"""What a shell may take into its line as it is: a key of a stranger's file could be `$(command)`."""
+
 NEXT = {
     "bash": "a new bash completes hil, where the package bash-completion is installed; else add to ~/.bashrc: source {path}",
     "zsh": "add to ~/.zshrc, before compinit: fpath+=({folder})",
@@ -55,7 +59,7 @@ class FieldChange(click.ParamType[str]):
             paths = keys_of(_static(shipped().get(source, Path(source))))
         except (HilError, ValueError, RecursionError):  # what is wrong is told when the command runs
             return []
-        return [CompletionItem(f"{path}=") for path in paths if path.startswith(incomplete)]
+        return [CompletionItem(f"{path}=") for path in paths if path.startswith(incomplete) and PLAIN.fullmatch(path)]
 
 
 EXPERIMENT = ExperimentName()

@@ -86,3 +86,13 @@ def test_completion_runs_nothing_that_an_experiment_names(tmp_path: Path) -> Non
         keys, limits = offered(f"hil run {experiment} --set plant.", f"hil run {experiment} --set limits.after")
         assert "plant.kind=" in keys and limits == ["limits.after_trip="] and not ran.exists()
     assert {"plant.file=", "plant.measured="} <= set(keys)
+
+
+def test_completion_offers_no_key_that_a_shell_would_run(tmp_path: Path) -> None:
+    keys = ("$(touch ran)", "`touch ran`", "a;touch ran", "x\\nplain,$(touch ran)", "\\u001b[2J", "a b", "*")
+    lines = "".join(f'"{key}" = 1\n' for key in keys)
+    experiment = tmp_path / "e.toml"
+    experiment.write_text(f"{lines}seed = 3\n[plant]\n{lines}good-key_1 = 2\n")
+    everything, plant = offered(f"hil run {experiment} --set ", f"hil run {experiment} --set plant.")
+    assert plant == ["plant.good-key_1="] and "seed=" in everything
+    assert [key for key in everything if set(key) & set("$`;*, \x1b") or "touch" in key] == []
