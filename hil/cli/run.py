@@ -135,6 +135,8 @@ def command(
     if external and sys.stderr is not None:
         print(f"waiting up to 120 s for your controller on {visible(uri)}", file=sys.stderr)
     signer = Signer(sign) if sign is not None else None
+    if signer is not None and output is not None and output.exists() and not output.is_file():
+        raise HilError(f"--sign: {visible(output)} is no regular file: nothing can be signed there; name another file with -o")
     folder = output.parent if output else Path("runs")
     made = [each for each in (folder, *folder.parents) if not each.exists()]  # the innermost first
     path = None

@@ -97,7 +97,9 @@ def check_signature(log: Path, key: Path, file: BinaryIO) -> str:
     try:
         said = json.loads(data)
         signature = base64.b64decode(said["signature"], validate=True)
-        sha256, size, named = str(said["sha256"]), int(said["bytes"]), str(said["key"])
+        sha256, size, named = said["sha256"], said["bytes"], said["key"]
+        if not (isinstance(sha256, str) and type(size) is int and isinstance(named, str)):
+            raise TypeError("sha256 and key are text, bytes is a whole number")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadSignature(f"{path}: is no signature of a log") from error
     if named != fingerprint(public):

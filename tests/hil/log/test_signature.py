@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import stat
 from pathlib import Path
@@ -92,3 +93,16 @@ def test_what_is_no_key_is_refused_before_anything_runs(cli: Hil, signed: Path) 
     assert check(cli, key="frames.key")[0] == 2 and check(cli, key="k/signing.key")[0] == 2
     status, _, err = cli("keys", "signing", "k")
     assert status == 2 and "has a signing key already" in err
+
+
+@pytest.mark.parametrize("size", ["1e400", "NaN", "true", "null", "15334.5", '"1"', "[1]"])
+def test_a_length_that_is_no_whole_number_is_no_signature(cli: Hil, signed: Path, size: str) -> None:
+    signature = signed.with_name("l.mcap.sig")
+    signature.write_text(re.sub('"bytes": [0-9]+', f'"bytes": {size}', signature.read_text()))
+    status, told = check(cli)
+    assert status == 1 and "l.mcap.sig: is no signature of a log" in told
+
+
+def test_what_cannot_be_signed_is_refused_before_the_run(cli: Hil, signed: Path) -> None:
+    status, out, err = cli("run", "dc-motor-hinf", "--duration", "1", "-o", "/dev/null", "--force", "--sign", "k/signing.key")
+    assert status == 2 and "--sign: /dev/null is no regular file" in err and not out
