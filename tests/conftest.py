@@ -41,10 +41,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def signals_of_a_terminal() -> None:
     """Take signals as a process started in a terminal does: what tests start inherits what is ignored or blocked here.
 
-    A script's ``make test &`` ignores SIGINT, ``nohup`` SIGHUP.
+    A script's ``make test &`` ignores SIGINT and SIGQUIT, ``nohup`` SIGHUP.
     """
     signal.pthread_sigmask(signal.SIG_UNBLOCK, signal.valid_signals())
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         if signal.getsignal(number) == signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 
