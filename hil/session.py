@@ -7,10 +7,12 @@ import json
 import os
 import signal
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
 
 from hil.compose.loop import Loop, compose
 from hil.compose.time_line import beyond_the_end
@@ -26,10 +28,11 @@ from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, Put, Sink, Taps, TeeSink
+from hil.measure.check import check_own_measures
 from hil.measure.measure import measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
-from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, view_of
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
 from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
@@ -119,6 +122,33 @@ def simulate(loop: Loop, seed: int, topics: Collection[str] | None = None) -> Ru
     return Run.from_memory(sink, summary=dict(rig.outcome()))
 
 
+def refuse_unsound_measures(loop: Loop) -> None:
+    """Hold measures of the user's own to `check_measure`, over a short run; see `hil.measure.check.check_own_measures`."""
+    check_own_measures(loop.experiment, lambda: rehearsal(loop))
+
+
+def rehearsal(loop: Loop, slots: int = 20) -> RunView:
+    """Return the view of the first slots of a run, which ends in order where a plug-in fails."""
+    experiment = loop.experiment
+    short = msgspec.structs.replace(experiment, duration=min(slots, experiment.ticks) * experiment.period)
+    sink = MemorySink(loop.channels())
+    run_virtual(replace(loop, experiment=short), 0, sink, failed=lambda error: not isinstance(error, KeyboardInterrupt))
+    return view_of(_run_of(sink, loop, 0), experiment)
+
+
+def _run_of(sink: MemorySink, loop: Loop, seed: int, **about: Any) -> Run:
+    experiment = loop.experiment
+    return Run.from_memory(
+        sink,
+        metadata={"experiment": experiment.name, "seed": str(seed), "clock": "virtual", "link": "memory:"} | experiment.origins(),
+        codes={"reason": list(REASONS), "selection": list(SELECTIONS)},
+        experiment_text=experiment.text,
+        resolved=experiment.resolved(),
+        certificate=loop.certificate or {},
+        **about,
+    )
+
+
 def simulated_session(loop: Loop, seed: int) -> Session:
     """Run a loop in virtual time without a file and sum it up: the session of `run_session`, without a log.
 
@@ -130,15 +160,7 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     experiment = loop.experiment
     sink = MemorySink(loop.channels())
     rig = run_virtual(loop, seed, sink)
-    run = Run.from_memory(
-        sink,
-        summary=dict(rig.outcome()),
-        metadata={"experiment": experiment.name, "seed": str(seed), "clock": "virtual", "link": "memory:"} | experiment.origins(),
-        codes={"reason": list(REASONS), "selection": list(SELECTIONS)},
-        experiment_text=experiment.text,
-        resolved=experiment.resolved(),
-        certificate=loop.certificate or {},
-    )
+    run = _run_of(sink, loop, seed, summary=dict(rig.outcome()))
     summary = summarise(view_of(run, experiment)) | _gains(loop)
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, sink.payloads.values())), "dropped": 0}
@@ -173,6 +195,7 @@ def run_session(
     """
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
     loop = compose(experiment, external=external)
+    refuse_unsound_measures(loop)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are told now
     uri = "memory:" if clock == "virtual" else link_uri(experiment, link)
 
@@ -353,7 +376,10 @@ def _run_real(
 
 
 def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
-    summary: dict[str, Any] = summarise(view_of(run, experiment))
+    failed: dict[str, str] = {}
+    summary: dict[str, Any] = summarise(view_of(run, experiment), failed)
+    if failed:
+        outcome["measure_failed"] = "; ".join(failed.values())
     summary["wall_s"] = round(wall_s, 3)
     summary["log"] = {
         "path": str(sink.path),
@@ -387,7 +413,7 @@ def controller_counters(run: Run) -> dict[str, int] | None:
 def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
     if "interrupted" in outcome:
         return 128 + int(signal.Signals[outcome["interrupted"]])
-    if outcome.keys() & {"rig_lost", "log_lost", "plant_failed", "plug_in_failed"} or sink.error is not None:
+    if outcome.keys() & {"rig_lost", "log_lost", "plant_failed", "plug_in_failed", "measure_failed"} or sink.error is not None:
         return 1
     kinds = {event["kind"] for event in run.events}
     if "second controller" in kinds:

@@ -17,6 +17,7 @@ from hil.own_packages import require_own_packages
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",
     "list": "List experiments and plug-ins.",
+    "check": "Check a plug-in, and say what it has earned.",
     "laws": "Show the network laws of an experiment: stationary law, burst lengths.",
     "report": "Make a self-contained page from a log.",
     "replay": "Verify a log, ask another controller, or put its frames on a bus.",

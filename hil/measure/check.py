@@ -1,39 +1,123 @@
-"""What every measure must keep, as a function that its author can run."""
+"""What every measure must keep, as a function that its author can run; those of the user's own are held to it before a run."""
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from numbers import Real
+from types import FunctionType
+from typing import Any, Final
 
-from hil.measure.measure import Measure, quantities_of
+from hil.errors import ExperimentError
+from hil.experiment import Experiment
+from hil.experiment import plugins as registry
+from hil.experiment.asked import asked, needs
+from hil.experiment.own_plugins import in_own_words
+from hil.log.records import EVENTS_TOPIC
+from hil.log.topics import TOPICS
+from hil.measure.many import MeasureOfMany
+from hil.measure.measure import Measure, Quantity, made_of, quantities_of
 from hil.measure.view import RunView
 
+MEASURE: Final = {
+    "title": "heading of its table",
+    "note": "how its numbers are judged, may be empty",
+    "topics": "what it reads of the log, a tuple such as ('/actuator/applied',)",
+    "quantities": "quantities(signals) gives a Quantity for each number",
+    "of": "of(view) gives the numbers of one run, by name",
+}
 
-def check_measure(measure: object, view: RunView) -> None:
+
+def check_measure(measure: object, view: RunView) -> list[str]:
     """Check a measure: names of its own, a finite number or None for each, also of a run that ended at once.
 
     Args:
         measure: an instance.
         view: a run that it shall measure.
 
+    Returns:
+        What the measure fulfils and what that earns, a sentence each.
+
     Raises:
-        AssertionError: what it does not keep, in a sentence.
+        AssertionError: what it does not keep, in the words of its author.
     """
+    name = type(measure).__name__
+    needs(measure, f"{name}, a measure,", MEASURE)
     if not isinstance(measure, Measure):
         raise AssertionError("a measure has title, note, topics, quantities(signals) and of(view)")
+    _check_topics(measure.topics)
+    given = asked("quantities(signals)", lambda: tuple(measure.quantities(view.signals)))
+    for quantity in given:
+        if not isinstance(quantity, Quantity):
+            raise AssertionError(f"quantities(signals) gave {quantity!r:.80}, expected hil.measure.measure.Quantity objects")
     names = [quantity.name for quantity in quantities_of([measure], view.signals)]
     if not names:
         raise AssertionError("a measure has at least one quantity")
     empty = replace(view, run=replace(view.run, arrays={topic: a[:0] for topic, a in view.run.arrays.items()}, events=[]))
-    for what, one in (("the run", view), ("a run without records", empty)):
-        found = measure.of(one)
+    for what, one in (("a run", view), ("a run without records", empty)):
+        found = _numbers(measure, one, what)
         if set(found) != set(names):
             raise AssertionError(f"{what}: of(view) gives {sorted(found)}, quantities(signals) name {sorted(names)}")
-        for name, value in found.items():
+        for key, value in found.items():
+            if value is not None and not isinstance(value, Real):
+                raise AssertionError(f"{what}: {key} is {value!r:.80}, expected a number, or None where it is not defined")
             if value is not None and not math.isfinite(value):
-                raise AssertionError(f"{what}: {name} is {value}; a number that is not defined is None")
+                raise AssertionError(f"{what}: {key} is {value}; a number that is not defined is None")
     kept = {topic: array for topic, array in view.run.arrays.items() if topic in measure.topics}
-    if measure.of(replace(view, run=replace(view.run, arrays=kept))) != measure.of(view):
-        raise AssertionError("with its topics alone it gives other numbers: a sweep keeps no others")
-    if measure.of(view) != measure.of(view):
+    alone = _numbers(measure, replace(view, run=replace(view.run, arrays=kept)), f"with {measure.topics} alone, its topics")
+    if alone != _numbers(measure, view, "a run"):
+        raise AssertionError(f"with {measure.topics} alone, its topics, it gives other numbers: a sweep keeps no others")
+    if _numbers(measure, view, "a run") != _numbers(measure, view, "a run"):
         raise AssertionError("the same run must give the same numbers")
+    said = [f"{name} is a Measure: its numbers stand in summary, page, sweep and comparison"]
+    if isinstance(measure, MeasureOfMany):
+        said.append(f"{name} is a MeasureOfMany: a sweep asks it for all runs at once")
+    else:
+        said.append(f"{name} is no MeasureOfMany (no of_many): a sweep runs seed by seed")
+    return said
+
+
+def check_own_measures(experiment: Experiment, view: Callable[[], RunView]) -> None:
+    """Refuse a measure of the user's own that does not keep what `check_measure` asks: now, and not when the run is over.
+
+    A function is not asked: a number that needs a long run is none for a rehearsal.
+
+    Args:
+        experiment: names the measures.
+        view: gives a short run of it, where one is needed.
+
+    Raises:
+        ExperimentError: with what each one does not keep.
+    """
+    faults, short = [], None
+    for i, name in enumerate(experiment.report.measures):
+        cls = registry.load("hil.measures", name, experiment.folder)
+        if isinstance(cls, FunctionType) or cls.__module__.partition(".")[0] == "hil":
+            continue
+        short = view() if short is None else short
+        try:
+            with in_own_words():
+                check_measure(made_of(cls), short)
+        except AssertionError as fault:
+            faults.append(f"report.measures[{i}]: {name!r}: check_measure: {str(fault).partition(chr(10))[0]}")
+    if faults:
+        raise ExperimentError(experiment.name, faults)
+
+
+def _check_topics(topics: object) -> None:
+    known = [*TOPICS, EVENTS_TOPIC]
+    if not isinstance(topics, tuple) or not all(isinstance(topic, str) for topic in topics):
+        raise AssertionError(f"topics is {topics!r:.80}, expected a tuple of names, such as ('/actuator/applied',)")
+    for topic in topics:
+        if topic not in known:
+            near = difflib.get_close_matches(topic, known, n=1)
+            raise AssertionError(f"topics: no topic is called {topic!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+
+
+def _numbers(measure: Measure, view: RunView, what: str) -> dict[str, Any]:
+    found = asked(f"{what}: of(view)", measure.of, view)
+    if not isinstance(found, Mapping):
+        raise AssertionError(f"{what}: of(view) returned {found!r:.80}, expected numbers by name, such as {{'effort': 1.0}}")
+    return dict(found)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment import plugins as registry
-from hil.experiment.own_plugins import words
+from hil.experiment.own_plugins import in_own_words, words
 from hil.experiment.tables import Report
 from hil.log.records import EVENTS_TOPIC
 from hil.log.topics import NUMBER_TOPICS
@@ -87,12 +87,27 @@ def measures_of(experiment: Experiment | None) -> tuple[Measure, ...]:
     found = []
     for name in report.measures:
         made = registry.load("hil.measures", name, experiment.folder if experiment is not None else ".")
-        measure = MeasureOfFunction(made) if isinstance(made, FunctionType) else made()
+        try:
+            with in_own_words():
+                measure = made_of(made)
+        except AssertionError as error:
+            raise HilError(f"report.measures: {name!r}: {error}") from error
         if not isinstance(measure, Measure):
             lacks = "title, note, topics, quantities(signals) or of(view)"
             raise HilError(f"report.measures: {name!r} is no measure: it lacks {lacks}")
         found.append(measure)
     return tuple(found)
+
+
+def made_of(plugin: object) -> object:
+    """Return the measure that a plug-in stands for: an instance of a class, the one number of a function, else the object.
+
+    Args:
+        plugin: what a name of `[report] measures` loads.
+    """
+    if isinstance(plugin, FunctionType):
+        return MeasureOfFunction(plugin)
+    return plugin() if isinstance(plugin, type) else plugin
 
 
 class MeasureOfFunction:
@@ -127,7 +142,9 @@ class MeasureOfFunction:
         try:
             value = self._function(view)
             found = None if value is None else float(value)
-        except Exception as error:  # whatever a stranger's function does
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # whatever a stranger's function does
             raise HilError(f"metric {self._name}: {words(error)}") from error
         return {self._name: found if found is None or math.isfinite(found) else None}
 
@@ -146,11 +163,20 @@ def quantities_of(measures: Sequence[Measure], signals: Signals) -> tuple[Quanti
     return found
 
 
-def measured(view: RunView, measures: Sequence[Measure]) -> dict[str, Any]:
-    """Return the numbers of a run by name; `outputs` has those of single outputs, where more than one is tracked."""
+def measured(view: RunView, measures: Sequence[Measure], failed: dict[str, str] | None = None) -> dict[str, Any]:
+    """Return the numbers of a run by name; `outputs` has those of single outputs, where more than one is tracked.
+
+    Args:
+        view: the run.
+        measures: what measures it.
+        failed: takes what a measure raised, by its title, whose numbers are None then; without it that is an error.
+
+    Raises:
+        HilError: a measure failed, in its author's words.
+    """
     found: dict[str, Any] = {}
     for measure in measures:
-        found |= measure.of(view)
+        found |= _numbers(measure, view, failed)
     names = view.signals.tracked
     single = [measure for measure in measures if any(q.per_output for q in measure.quantities(view.signals))]
     if len(names) > 1 and single:
@@ -159,5 +185,18 @@ def measured(view: RunView, measures: Sequence[Measure]) -> dict[str, Any]:
             alone = view.only(name)
             for measure in single:
                 keep = {q.name for q in measure.quantities(alone.signals) if q.per_output}
-                found["outputs"][name] |= {key: value for key, value in measure.of(alone).items() if key in keep}
+                found["outputs"][name] |= {key: value for key, value in _numbers(measure, alone, failed).items() if key in keep}
     return found
+
+
+def _numbers(measure: Measure, view: RunView, failed: dict[str, str] | None) -> Mapping[str, float | None]:
+    try:
+        return dict(measure.of(view))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a stranger's measure does
+        told = str(error) if isinstance(error, HilError) else f"measure {type(measure).__name__}: {words(error)}"
+        if failed is None:
+            raise HilError(told) from error
+        failed[measure.title] = told
+        return {quantity.name: None for quantity in measure.quantities(view.signals)}

@@ -19,7 +19,7 @@ from hil.measure.view import APPLIED, TIMING, RunView, view_of
 from transport.medium.draws import REASONS
 
 
-def summarise(view: RunView) -> dict[str, Any]:
+def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, Any]:
     """Return the summary of a run as plain JSON values.
 
     Keys: experiment, seed, clock, link, controller (see `controller_of`), ticks, duration_s;
@@ -31,6 +31,7 @@ def summarise(view: RunView) -> dict[str, Any]:
 
     Args:
         view: a log that was read, or a run kept in memory with `metadata` and `resolved`.
+        failed: takes what a measure raised; see `hil.measure.measure.measured`.
     """
     run, experiment = view.run, view.experiment
     ticks = _ticks(run)
@@ -44,7 +45,7 @@ def summarise(view: RunView) -> dict[str, Any]:
         "controller": controller_of(run),
         "ticks": ticks,
         "duration_s": round(ticks * view.period_s, 9),
-        "metrics": measured(view, measures),
+        "metrics": measured(view, measures, failed),
         "units": {q.name: q.unit for q in quantities_of(measures, view.signals)},
         "network": network_summary(view, timing["late"]),
         "timing": timing,

@@ -20,7 +20,7 @@ from hil.measure.many import ManyView, MeasureOfMany
 from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics
-from hil.session import simulate
+from hil.session import refuse_unsound_measures, simulate
 from hil.sweeps.lockstep import chunk_runs, in_lockstep, measures_in_lockstep, run_together, view_of_many
 from hil.sweeps.store import SweepStore
 
@@ -164,6 +164,7 @@ def run_sweep(
     look, interval, reached, interrupted = 0, None, False, 0
     wanted: Sequence[int] = seeds
     loop = compose(experiment)
+    refuse_unsound_measures(loop)
     together = in_lockstep(loop) and measures_in_lockstep(loop)
     if together and workers.backend == "loky" and len(seeds) * experiment.ticks <= WORTH_WORKERS:
         workers = Workers(backend="serial")

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import monotonic
+from traceback import extract_tb
 from typing import Final
 
-from transport.links.link import Link
+from transport.links.link import Link, Tells
+from transport.links.opening import check_is_link
 from transport.packets import ControlPacket, SensorPacket, encode_control, encode_sensor
 
 Pair = tuple[Link, Link]
@@ -153,29 +155,46 @@ CHECKS: Final[tuple[Callable[[Link, Link], None], ...]] = (
 """The contract, one function of (rig, controller) for each clause."""
 
 
-def check_link(open_pair: Callable[[], Pair]) -> None:
+def check_link(open_pair: Callable[[], Pair]) -> list[str]:
     """Run every check of the contract, each on a fresh pair.
 
     Args:
         open_pair: opens the rig's and the controller's end, as ``lambda: (open_link(uri, "rig"), open_link(uri,
             "controller"))`` does.
 
+    Returns:
+        What the link fulfils and what that earns, a sentence each.
+
     Raises:
         AssertionError: names the link and the clause that it breaks.
 
     >>> from transport import memory_pair
-    >>> check_link(memory_pair)
+    >>> check_link(memory_pair)[0]
+    'MemoryLink is a Link: sessions in real time can run over it'
     """
     for check in CHECKS:
         check_clause(check, open_pair)
+    rig, controller = open_pair()
+    with rig, controller:
+        name = type(rig).__name__
+        said = [f"{name} is a Link: sessions in real time can run over it"]
+        if isinstance(rig, Tells):
+            said.append(f"{name} Tells: others on the link can ask what runs, as hil discover does")
+    return said
 
 
 def check_clause(check: Callable[[Link, Link], None], open_pair: Callable[[], Pair]) -> None:
     """Run one check on a fresh pair, once its ends hear each other."""
     rig, controller = open_pair()
+    for end in (rig, controller):
+        check_is_link(end)
     with rig, controller:
         meet(rig, controller)
         try:
             check(rig, controller)
         except AssertionError as error:
             raise AssertionError(f"{check.__name__.replace('_', ' ')}: {error}") from error
+        except Exception as error:  # a link never raises
+            last = extract_tb(error.__traceback__)[-1]
+            told = f"{type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
+            raise AssertionError(f"{check.__name__.replace('_', ' ')}: {told}") from error

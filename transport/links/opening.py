@@ -6,6 +6,7 @@ A link of any scheme carries packets with a code or without; the plug-in knows n
 from __future__ import annotations
 
 from collections.abc import Callable
+from traceback import extract_tb
 from typing import TYPE_CHECKING, Final, get_args
 
 from transport.links.link import FORMS, Link, Role, TransportError, key_file
@@ -88,8 +89,41 @@ def open_link(uri: str, role: Role) -> Link:
         opener = plugin.load()
     except (ImportError, AttributeError) as error:
         raise TransportError(f"link {uri!r}: plug-in {plugin.value} cannot be loaded: {error}") from error
-    link: Link = opener(uri, role)
+    try:
+        link: Link = opener(uri, role)
+    except (TransportError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # whatever a plug-in raises
+        last = extract_tb(error.__traceback__)[-1]
+        where = f"({last.filename}, line {last.lineno})"
+        raise TransportError(f"link {uri!r}: plug-in {plugin.value}: {type(error).__name__}: {error} {where}") from error
+    try:
+        check_is_link(link)
+    except AssertionError as error:
+        raise TransportError(f"link {uri!r}: plug-in {plugin.value}: check_link: {error}") from None
     return link if around is None else around(link)
+
+
+LINK: Final = {
+    "uri": "the URI it was opened with",
+    "counters": "a transport.LinkCounters",
+    "send": "send(packet) never raises, and waits 2 ms at most",
+    "receive": "receive(timeout_s) gives bytes, or None",
+    "close": "close() may be called twice",
+    "__enter__": "for `with`",
+    "__exit__": "for `with`",
+}
+
+
+def check_is_link(made: object) -> None:
+    """Check that an object has what a link has; `transport.check_link` holds it to what that does.
+
+    Raises:
+        AssertionError: with each attribute that is missing.
+    """
+    missing = [f"`{name}` ({meaning})" for name, meaning in LINK.items() if not hasattr(made, name)]
+    if missing:
+        raise AssertionError(f"{type(made).__name__}, what the plug-in returned, needs {', '.join(missing)}")
 
 
 def _codes(key: str, role: Role, uri: str) -> Callable[[Link], Link]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from design.monte_carlo.parallel import Workers
 from hil.errors import HilError
 from hil.experiment import load as loading
 from hil.experiment import load_experiment, plugins
+from hil.experiment.tables import Report
 from hil.log.read.run import read_run
 from hil.measure import view as viewing
 from hil.measure.check import check_measure
@@ -141,3 +143,89 @@ def test_a_page_parses_its_experiment_once(tmp_path: Path, monkeypatch: pytest.M
     section = theory_section(view)
     render_report(view, summary, sections=[section] if section is not None else [])
     assert len(parsed) == 1
+
+
+OWN = """
+from hil.measure.measure import Quantity
+
+class Whole:
+    title, note, topics = "Mine", "", ("/actuator/applied",)
+    def quantities(self, signals):
+        return (Quantity(name="mine", title="mine", per_output=False),)
+    def of(self, view):
+        return {"mine": float(len(view.applied()))}
+
+class Late(Whole):
+    def of(self, view):
+        if len(view.applied()) > 20:
+            raise Base("in the end")
+        return {"mine": 1.0}
+
+class Base(BaseException): pass
+class NoUnits(Whole):
+    quantities = None
+    def __getattribute__(self, name):
+        if name == "quantities": raise AttributeError(name)
+        return super().__getattribute__(name)
+class Asks(Whole):
+    def __init__(self, gain): pass
+class Pairs(Whole):
+    def quantities(self, signals): return (("mine", "V"),)
+class Number(Whole):
+    def of(self, view): return 3.0
+class Text(Whole):
+    def of(self, view): return {"mine": "many"}
+class Fails(Whole):
+    def of(self, view): return {"mine": view.applied()[17]["nothing"]}
+class Leaves(Whole):
+    def of(self, view): raise SystemExit(0)
+class Typo(Whole):
+    topics = ("/actuator/aplied",)
+class Word(Whole):
+    topics = "/actuator/applied"
+class Other(Whole):
+    topics = ("/plant/state",)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("NoUnits", r"NoUnits, a measure, needs `quantities` \(quantities\(signals\) gives a Quantity"),
+        ("Asks", r"TypeError: .*missing 1 required positional argument: 'gain'"),
+        ("Pairs", r"quantities\(signals\) gave \('mine', 'V'\), expected .*Quantity objects"),
+        ("Number", r"a run: of\(view\) returned 3\.0, expected numbers by name"),
+        ("Text", r"a run: mine is 'many', expected a number, or None"),
+        ("Fails", r"a run: of\(view\): IndexError: .* \(.*mine\.py, line \d+\)"),
+        ("Leaves", r"a run: of\(view\): SystemExit: 0 \(.*mine\.py, line \d+\)"),
+        ("Typo", r"topics: no topic is called '/actuator/aplied'; did you mean '/actuator/applied'\?"),
+        ("Word", r"topics is '/actuator/applied', expected a tuple of names"),
+        ("Other", r"with \('/plant/state',\) alone, its topics: of\(view\): KeyError: '/actuator/applied'"),
+    ],
+)
+def test_a_measure_of_a_file_is_checked_before_the_run(tmp_path: Path, name: str, told: str) -> None:
+    (tmp_path / "mine.py").write_text(OWN)
+    experiment = load_experiment("dc-motor-hinf", ["duration=2"])
+    experiment = msgspec.structs.replace(experiment, folder=str(tmp_path), report=Report(measures=("tracking", f"mine:{name}")))
+    with pytest.raises(HilError, match=r"report\.measures.*mine:" + name + ".*" + told):
+        run_session(experiment, path=tmp_path / "a.mcap")
+    assert not (tmp_path / "a.mcap").exists()
+    with pytest.raises(HilError, match=told):
+        run_sweep(experiment, [0], workers=Workers())
+
+
+def test_a_measure_that_fails_behind_its_check_leaves_the_log_and_the_other_numbers(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(OWN)
+    experiment = load_experiment("dc-motor-hinf", ["duration=2"])
+    experiment = msgspec.structs.replace(experiment, folder=str(tmp_path), report=Report(measures=("tracking", "mine:Late")))
+    session = run_session(experiment, path=tmp_path / "a.mcap")
+    told = session.summary["problems"]["measure_failed"]
+    assert session.status == 1 and told.startswith("measure Late: Base: in the end (") and "mine.py, line 14" in told
+    assert session.metrics["mine"] is None and session.metrics["sse"] > 0
+    assert len(read_run(tmp_path / "a.mcap").arrays["/actuator/applied"]) == 40
+
+
+def test_a_check_says_what_the_measure_has_earned() -> None:
+    view = view_of(run_of("dc-motor-hinf", "duration=1"))
+    assert check_measure(Tracking(), view)[1] == "Tracking is a MeasureOfMany: a sweep asks it for all runs at once"
+    assert check_measure(Effort(), view)[1] == "Effort is no MeasureOfMany (no of_many): a sweep runs seed by seed"

@@ -11,7 +11,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 import pytest
 
 import transport
-from transport import Link, TransportError, memory_pair, open_link
+from transport import Link, LinkCounters, TransportError, memory_pair, open_link
 from transport.links.memory import QUEUE_LIMIT
 
 
@@ -61,7 +61,11 @@ def test_a_users_link_comes_in_by_the_same_door(monkeypatch: pytest.MonkeyPatch)
     mine = EntryPoint("mine", "transport.links.memory:MemoryLink", "hil.links")
     broken = EntryPoint("broken", "nowhere:Link", "hil.links")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: EntryPoints([mine, broken]))
-    monkeypatch.setattr("transport.links.memory.MemoryLink.__init__", lambda self, uri, role: setattr(self, "uri", uri + role))
+
+    def begin(self: object, uri: str, role: str) -> None:
+        self.uri, self.counters = uri + role, LinkCounters()  # type: ignore[attr-defined]
+
+    monkeypatch.setattr("transport.links.memory.MemoryLink.__init__", begin)
     assert open_link("mine:x", "rig").uri == "mine:xrig"
     with pytest.raises(TransportError, match="plug-in nowhere:Link cannot be loaded"):
         open_link("broken:x", "rig")

@@ -1,0 +1,98 @@
+"""``hil check``: hold a plug-in to what every one of its kind must keep, and say what it has earned."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.errors import HilError
+
+GROUPS = ("plants", "controllers", "laws", "links", "measures")
+
+
+@click.command()
+@click.argument("group", type=click.Choice(GROUPS))
+@click.argument("kind")
+@click.option("--set", "sets", multiple=True, type=CHANGE, metavar="KEY=VALUE", help="A key of the plug-in's table; repeatable.")
+@click.option("--in", "experiment", default="dc-motor-hinf", show_default=True, type=EXPERIMENT, metavar="EXPERIMENT",
+              help="The experiment whose model a controller, and whose run a measure is checked with.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_json: bool) -> None:
+    """Check a plug-in and say what it has earned: hil check laws my_module:Mine --set p=0.3
+
+    KIND is the name of an installed plug-in or module:Class of a file in this folder; of a link it is a URI. What is not kept is
+    one message and exit status 2.
+    """
+    checks = {"plants": _plant, "controllers": _controller, "laws": _law, "links": _link, "measures": _measure}
+    from hil.experiment.asked import words
+    from plants.errors import PlantError
+    from transport import TransportError
+
+    try:
+        said = checks[group](kind, sets, experiment)
+    except (HilError, TransportError, KeyboardInterrupt):
+        raise
+    except BaseException as fault:  # whatever a plug-in raises
+        told = str(fault).partition("\n")[0] if isinstance(fault, AssertionError | PlantError) else words(fault)
+        raise HilError(f"check_{group[:-1]}: {kind}: {told}") from fault
+    if as_json:
+        print(json.dumps({"group": group, "kind": kind, "earned": said}, indent=2))
+        return
+    from hil.cli.terminal import visible
+
+    print("\n".join(map(visible, said)))
+
+
+def _made(group: Any, kind: str, sets: tuple[str, ...]) -> Any:
+    from hil.experiment.load import parse_plugin
+
+    return parse_plugin(group, kind, sets)
+
+
+def _plant(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
+    from plants import check_plant
+
+    return check_plant(_made("hil.plants", kind, sets))
+
+
+def _law(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
+    from hil.experiment.law_checks import check_law
+
+    return check_law(_made("hil.laws", kind, sets))
+
+
+def _controller(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
+    from hil.compose.loop import compose
+    from hil.experiment import load_experiment
+    from hil.experiment.plugin_checks import check_controller
+    from hil.experiment.protocols import Designer
+
+    made = _made("hil.controllers", kind, sets)
+    if isinstance(made, Designer):
+        return [f"{type(made).__name__} is a Designer: an experiment that names it solves its gains, and judges their loop"]
+    return check_controller(made, compose(load_experiment(experiment), certify=False).model)
+
+
+def _measure(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
+    from hil.compose.loop import compose
+    from hil.experiment import load_experiment
+    from hil.experiment import plugins as registry
+    from hil.measure.check import check_measure
+    from hil.measure.measure import made_of
+    from hil.session import rehearsal
+
+    if sets:
+        raise HilError("--set: a measure has no keys")
+    made = made_of(registry.load("hil.measures", kind))
+    return check_measure(made, rehearsal(compose(load_experiment(experiment), certify=False)))
+
+
+def _link(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
+    from transport import check_link, open_link
+
+    if sets:
+        raise HilError("--set: a link's options stand in its URI")
+    return check_link(lambda: (open_link(kind, "rig"), open_link(kind, "controller")))

@@ -1,0 +1,98 @@
+"""`hil check`: what a plug-in has earned, or what it does not keep, in its author's words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.hil.cli.conftest import Hil
+from tests.hil.measure.test_measures import OWN
+from tests.strangers_package import test_strangers_package as strangers
+
+LAW = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+@dataclass(frozen=True)
+class Coin:
+    p: float = 0.3
+    family: ClassVar = "age"
+    max_age: ClassVar = 1
+    mode_ages: ClassVar = (0, 1)
+
+    def transition_matrix(self):
+        return [[1 - self.p, self.p]] * 2
+
+    def start(self, rng):
+        return Process(rng, self.p)
+
+class Process:
+    def __init__(self, rng, p):
+        self.rng, self.p = rng, p
+
+    def draw(self):
+        age = int(self.rng.random() < self.p)
+        return age, age
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "earned"),
+    [
+        (("laws", "mine:Coin", "--set", "p=0.5"), "Coin is a ChainLaw: loops over it can be certified"),
+        (("measures", "measures:Whole"), "Whole is a Measure: its numbers stand in summary"),
+        (("plants", "dc-motor"), "DCMotor is a Plant: a rig can run it"),
+        (("controllers", "hinf"), "PublishedHinf is a GainTable: its loop over delay chains is certified exactly"),
+        (("controllers", "designed"), "Designed is a Designer: "),
+        (("measures", "tracking"), "Tracking is a MeasureOfMany"),
+        (("links", "can:hil:checked"), "CanLink is a Link: sessions in real time can run over it"),
+    ],
+)
+def test_a_plug_in_says_what_it_has_earned(cli: Hil, words: tuple[str, ...], earned: str) -> None:
+    Path("mine.py").write_text(LAW)
+    Path("measures.py").write_text(OWN)
+    status, out, err = cli("check", *words)
+    assert (status, err) == (0, "") and earned in out
+    if words[0] == "laws":
+        assert earned in json.loads(cli("check", *words, "--json")[1])["earned"][1]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("laws", "mine:Coin", "--set", "q=0.5"), "hil: law.q: unknown field; there are p"),
+        (("laws", "mine:Coyn"), "has no 'Coyn'; it has Coin, Process"),
+        (("laws", "nowhere:Coin"), "there is no nowhere.py in "),
+        (("measures", "measures:Number"), "hil: check_measure: measures:Number: a run: of(view) returned 3.0, expected numbers"),
+        (("measures", "measures:Leaves"), "of(view): SystemExit: 0 ("),
+        (("measures", "measures:Whole", "--set", "a=1"), "--set: a measure has no keys"),
+        (("links", "nope:x"), "no link is called 'nope'"),
+        (("controllers", "mine:Coin"), "check_controller: "),
+    ],
+)
+def test_what_a_plug_in_does_not_keep_is_one_message(cli: Hil, words: tuple[str, ...], told: str) -> None:
+    Path("mine.py").write_text(LAW)
+    Path("measures.py").write_text(OWN)
+    status, out, err = cli("check", *words)
+    assert status == 2 and out == "" and told in err and len(err.splitlines()) == 1 and "Traceback" not in err
+
+
+site = strangers.site  # the fixture
+
+
+def test_a_link_of_a_package_is_held_to_the_contract(site: Path) -> None:
+    done = strangers.python(site, "-m", "hil", "check", "links", f"datagrams:{site}")
+    assert done.returncode == 0 and "is a Link: sessions in real time can run over it" in done.stdout, done.stderr
+
+
+def test_what_a_link_plug_in_opens_that_is_none_is_said_before_anything_starts(site: Path) -> None:
+    (site / "no_link.py").write_text("def nothing(uri, role): return object()\ndef fails(uri, role): return {}[role]\n")
+    info = site / "rising_tank-1.0.dist-info" / "entry_points.txt"
+    info.write_text(strangers.ENTRY_POINTS + "nothing = no_link:nothing\nfails = no_link:fails\n")
+    for scheme, told in (("nothing", "check_link: object, what the plug-in returned, needs `uri` (the URI it was opened with)"),
+                         ("fails", f"KeyError: 'rig' ({site}/no_link.py, line 2)")):  # fmt: skip
+        done = strangers.python(site, "-m", "hil", "run", "two-samples.toml", "--clock", "real", "--link", f"{scheme}:x")
+        assert done.returncode == 2 and told in done.stderr and "Traceback" not in done.stderr, done.stderr
+        assert not (site / "runs").exists()
