@@ -12,6 +12,7 @@
 `run`                     run it, in virtual or real time, with or without a log: a `Session`
 `simulate`                run it in virtual time, in memory only: a `Run`
 `read_run`                a log, read back: a `Run`
+`report`                  one self-contained page of a session or a log
 `verify`                  run a log again, bit for bit, with the objects that no file holds
 `sweep`, `compare`        many seeds of one experiment; several experiments on the same delays
 `design`                  gains for a plant over a network, with their norms and bounds
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from hil.errors import ExperimentError, HilError
     from hil.experiment import Experiment
     from hil.experiment_source import load_experiment
-    from hil.face import compare, design, run, simulate, sweep, verify
+    from hil.face import compare, design, report, run, simulate, sweep, verify
     from hil.log.read.run import read_run
     from hil.log.run import Run
     from hil.session import Session
@@ -58,6 +59,7 @@ _HOMES: Final = {
     "design": "hil.face",
     "load_experiment": "hil.experiment_source",
     "read_run": "hil.log.read.run",
+    "report": "hil.face",
     "run": "hil.face",
     "simulate": "hil.face",
     "sweep": "hil.face",
@@ -78,6 +80,7 @@ __all__ = [
     "design",
     "load_experiment",
     "read_run",
+    "report",
     "run",
     "simulate",
     "sweep",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,10 @@ from hil.compose.design_problem import problem_for, tracking_target
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment_source import Source, checked_experiment, object_of
+from hil.files.outputs import check_output, write_output
 from hil.log.read.run import read_run
 from hil.log.run import Run
+from hil.measure.view import view_of
 from hil.replay import Verdict as LogVerdict
 from hil.replay import experiment_of
 from hil.replay import verify as verify_run
@@ -91,7 +94,50 @@ def run(
         session = run_session(checked, clock=clock, link=link, path=Path(folder) / "run.mcap", external=external)
         run = session.run  # before its file is gone
     summary = session.summary | {"log": session.summary["log"] | {"path": None}}
-    return Session(log=lambda: run, summary=summary, status=session.status)
+    return replace(session, log=lambda: run, summary=summary)
+
+
+def report(
+    source: Session | str | Path,
+    *,
+    output: str | Path | None = None,
+    force: bool = False,
+    figures: str | Path | None = None,
+    folder: str | Path | None = None,
+) -> tuple[Path, ...]:
+    """Make one self-contained HTML page of a run: its sections, and those that the experiment's plug-ins draw.
+
+    Args:
+        source: a session, or the file of a log.
+        output: the page, a file; beside the log by default, with the ending ``.html``.
+        force: replace a page that is there already.
+        figures: a folder in which every plot is written as SVG and PDF too.
+        folder: where the files of own modules stand that the log names; without it none of them is run, and they draw nothing.
+
+    Returns:
+        the files that were written, the page first.
+
+    Raises:
+        HilError: the log cannot be read, or the page or the figures cannot be written.
+    """
+    from hil.pages.paper import write_figures
+    from hil.pages.run.run_page import render_report
+    from hil.pages.run.sections import sections_of
+
+    log = source.summary["log"]["path"] if isinstance(source, Session) else source
+    if log is None and output is None:
+        raise HilError("report: this session kept no log to write the page beside; expected output='page.html'")
+    target = Path(output) if output is not None else Path(log).with_suffix(".html")
+    if log is not None and target.resolve() == Path(log).resolve():
+        raise HilError(f"{target} is the log itself; choose another -o (in Python output=...)")
+    if isinstance(source, Session):
+        view = view_of(source.run, source.experiment)
+    else:
+        run = read_run(Path(source))
+        view = view_of(run, None if folder is None else experiment_of(run, str(source), folder=str(folder)))
+    check_output(target, page=True, fresh=not force, remedy="choose another -o (in Python output=..., or force=True)")
+    write_output(target, render_report(view))
+    return (target, *([] if figures is None else write_figures(view.once(sections_of), Path(figures))))
 
 
 def simulate(

@@ -62,11 +62,13 @@ class Session:
         summary: what ``hil run --json`` prints.
         status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety,
             5 a second controller answered too, 6 the link was flooded, 130 or 143 interrupted.
+        experiment: what ran.
     """
 
     log: Callable[[], Run]
     summary: dict[str, Any]
     status: int
+    experiment: Experiment | None = None
 
     @property
     def run(self) -> Run:
@@ -165,7 +167,7 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, sink.payloads.values())), "dropped": 0}
     summary["problems"] = beyond_the_end(experiment)
-    return Session(log=lambda: run, summary=summary, status=3 if summary["safety"] else 0)
+    return Session(log=lambda: run, summary=summary, status=3 if summary["safety"] else 0, experiment=experiment)
 
 
 def run_session(
@@ -257,7 +259,8 @@ def run_session(
     finally:
         os.close(log)
     status = _status(run, sink, outcome)
-    return Session(log=cache(partial(_read_back, path)) if keep is not None else lambda: run, summary=summary, status=status)
+    read = cache(partial(_read_back, path)) if keep is not None else lambda: run
+    return Session(log=read, summary=summary, status=status, experiment=loop.experiment)
 
 
 def _gains(loop: Loop) -> dict[str, Any]:

@@ -41,10 +41,10 @@ def command(
     from rich.progress import Progress
     from rich.table import Table
 
-    from hil.cli.outputs import check_output, write_output
     from hil.cli.sweep import check_jobs
     from hil.cli.terminal import cell, visible
     from hil.experiment import load_experiment
+    from hil.files.outputs import check_output, write_output
     from hil.measure.signals import with_unit
     from hil.pages.compare import compare_page
     from hil.sweeps.comparison import compare

@@ -59,8 +59,8 @@ def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> st
 def _write_codec(database: Any, folder: Path, force: bool) -> None:
     from cantools.database.can.c_source import generate
 
-    from hil.cli.outputs import check_output, write_output
     from hil.cli.terminal import visible
+    from hil.files.outputs import check_output, write_output
 
     header, source = (folder / f"{NAME}.{ending}" for ending in ("h", "c"))
     try:

@@ -91,9 +91,9 @@ def command(
     from design.tracking.design_file import design_text, to_document
     from hil.cli.design_historical import command as historical
     from hil.cli.design_historical import experiment_over_history
-    from hil.cli.outputs import check_output, write_output
     from hil.compose.design_problem import problem_for, tracking_target, verdict_on
     from hil.compose.plant_uncertainty import interval, judge_uncertain
+    from hil.files.outputs import check_output, write_output
     from hil.log.write.provenance import package_versions
 
     experiment = experiment_over_history(subject)

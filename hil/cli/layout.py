@@ -17,10 +17,10 @@ def command(viewer: str, source: str, output: Path | None, force: bool) -> None:
 
     Foxglove and Lichtblick import the JSON under "Import from file", PlotJuggler loads the XML by "Layout".
     """
-    from hil.cli.outputs import check_output, write_output
     from hil.cli.terminal import visible
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
+    from hil.files.outputs import check_output, write_output
     from hil.log.read.run import read_run
     from hil.pages.layouts import foxglove, plotjuggler
 

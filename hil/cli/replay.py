@@ -52,7 +52,7 @@ def command(
 
     Exit status: 0; 1 if --verify finds it different, or the log is not what the holder of --key signed; 2 bad input.
     """
-    from hil.cli.outputs import check_output
+    from hil.files.outputs import check_output
     from hil.log.read.run import read_run
 
     ways = {"--verify": do_verify, "--controller": controller is not None, "--onto": onto is not None}

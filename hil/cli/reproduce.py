@@ -39,7 +39,7 @@ def command(chapter: str, as_json: bool, output: Path | None, with_power: bool) 
     beside the page (reproduce.state in the folder of all, PAGE.state for one) until everything is: after Ctrl-C the same
     command goes on from there.
     """
-    from hil.cli.outputs import write_output
+    from hil.files.outputs import write_output
     from hil.reproduce import chapters, power, power_in_words, reproduce
     from hil.reproduce.kept import KeptStages
     from hil.reproduce.pages import chapter_page, index_page
@@ -90,8 +90,8 @@ def _interrupted(kept: KeptStages | None, kind: type[BaseException] | None, *_: 
 
 def _pages(chapter: str, names: tuple[str, ...], output: Path | None) -> dict[str, Path]:
     """Where each page goes, checked. The folder of ``all`` is made; an ``index.html`` of another kind is refused."""
-    from hil.cli.outputs import check_output
     from hil.errors import HilError
+    from hil.files.outputs import check_output
 
     if output is None:
         return {}

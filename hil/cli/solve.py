@@ -18,10 +18,10 @@ def command(experiments: tuple[str, ...]) -> None:
 
     Exit status 2 where an experiment asks for no design, or no gains meet its request.
     """
-    from hil.cli.outputs import write_output
     from hil.compose.loop import solved_gains
     from hil.compose.stored_gains import gains_file, gains_text
     from hil.experiment import load_experiment
+    from hil.files.outputs import write_output
 
     for name in experiments:
         experiment = load_experiment(name)

@@ -32,7 +32,7 @@ def command(
     The device is the Omni of Chapter 6. A cell's coupler is safe at every delay from 0 up to its own.
     """
     from design.passivity.stiffness_map import stiffness_map
-    from hil.cli.outputs import check_output, write_output
+    from hil.files.outputs import check_output, write_output
     from hil.pages.stiffness_page import stiffness_page
     from plants.omni import Omni
     from plants.parts.hand import Hand

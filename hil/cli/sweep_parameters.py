@@ -51,7 +51,7 @@ def run_points(
     from rich.console import Console
     from rich.progress import Progress, TimeRemainingColumn
 
-    from hil.cli.outputs import check_output, write_output
+    from hil.files.outputs import check_output, write_output
     from hil.pages.parameters import interval_of, parameter_page
     from hil.sweeps.parameters import sweep_parameters
 

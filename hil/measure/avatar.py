@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from design.controllers import FromSamples
 from design.controllers.rendered_wall import RendersWall
-from hil.compose.loop import Loop, compose
-from hil.errors import HilError
+from hil.compose.loop import Loop
 from hil.log.topics import ROWS
+from hil.measure.composed import composed
 from hil.measure.view import MEASUREMENT, RunView, matrix
 
 MOST_ANSWERS = 200_000
@@ -61,12 +61,7 @@ class AvatarPath:
 
 def loop_of(view: RunView) -> Loop | None:
     """Return the composed loop of a run, None where it cannot be composed any more or its answers were not logged."""
-    if view.experiment is None or ROWS.name not in view.run.arrays:
-        return None
-    try:
-        return compose(view.experiment, certify=False)
-    except HilError:
-        return None
+    return view.once(composed) if ROWS.name in view.run.arrays else None
 
 
 def wall_loop_of(view: RunView) -> Loop | None:

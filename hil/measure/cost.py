@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.experiment.protocols import HasCost
+from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import pieces
 from hil.log.topics import SC, SENSOR, STATE
 from hil.measure.many import Many, ManyView
@@ -43,7 +44,7 @@ class Cost:
         plant = view.experiment.plant if view.experiment is not None else None
         weights = _weights(plant, len(names), len(view.signals.inputs))
         states = (matrix(piece, names) for piece in pieces(view.run.arrays[STATE.name]))
-        found = loads(view)
+        found = view.once(loads)
         return {
             **_of_one(states, view.inputs(), weights),
             "packets_per_s": sum(load.packets_per_s for load in found) if found else None,
@@ -59,7 +60,8 @@ class Cost:
             rows.append(_of_one(pieces(x), pieces(u), weights))
         found = {name: np.array([np.nan if row[name] is None else row[name] for row in rows]) for name in ("cost", "peak_input")}
         sent = np.zeros((0, len(rows)), dtype=np.int64) if view.packets is None else view.packets
-        per_node = [node_loads(view.experiment, column, len(view.t_s) * view.period_s) for column in sent.T.tolist()]
+        sensors, outputs = sensors_of(view.experiment), len(view.experiment.plant.outputs)
+        per_node = [node_loads(sensors, outputs, column, len(view.t_s) * view.period_s) for column in sent.T.tolist()]
         found["packets_per_s"] = np.array([sum(load.packets_per_s for load in own) for own in per_node])
         found["bits_per_s"] = np.array([sum(load.bits_per_s for load in own) for own in per_node])
         return found

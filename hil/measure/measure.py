@@ -110,6 +110,11 @@ def made_of(plugin: object) -> object:
     return plugin() if isinstance(plugin, type) else plugin
 
 
+def run_measures(view: RunView) -> tuple[Measure, ...]:
+    """Return the measures that a run is judged by: `view.once(run_measures)`."""
+    return measures_of(view.experiment)
+
+
 class MeasureOfFunction:
     """What a function of the user's own returns, under the function's name: ``hil sweep --metric module:function``.
 

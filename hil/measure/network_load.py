@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hil.experiment import Experiment
-from hil.experiment.sensor_list import sensors_of
+from hil.experiment.sensor_list import Sensor
 from hil.log.growing import pieces
 from hil.log.topics import SC
-from hil.measure.network_paths import draws_of
+from hil.measure.network_paths import network_paths, run_sensors
 from hil.measure.view import MEASUREMENT, RunView
 from transport.medium.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
 from transport.wire.layout import sensor_length
@@ -43,20 +42,24 @@ def loads(view: RunView) -> tuple[Load, ...]:
     if draws is None or e is None or not len(draws):
         return ()
     slots = len(view.run.arrays.get(MEASUREMENT, ())) or max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
-    fates = [sent_packets(draws_of(draws, number)) for number in range(len(sensors_of(e)))]
-    return node_loads(e, [sent for sent, _ in fates], slots * view.period_s, [lost for _, lost in fates])
+    fates = [sent_packets(path.draws) for path in view.once(network_paths) if path.side == "sc" and path.draws is not None]
+    sensors, outputs = view.once(run_sensors), len(e.plant.outputs)
+    return node_loads(sensors, outputs, [sent for sent, _ in fates], slots * view.period_s, [lost for _, lost in fates])
 
 
-def node_loads(e: Experiment, packets: Sequence[int], seconds: float, lost: Sequence[int] = ()) -> tuple[Load, ...]:
+def node_loads(
+    sensors: Sequence[Sensor], outputs: int, packets: Sequence[int], seconds: float, lost: Sequence[int] = ()
+) -> tuple[Load, ...]:
     """Return the load of every sensor node from what it sent.
 
     Args:
-        e: whose nodes they are.
+        sensors: the nodes.
+        outputs: how many the plant has.
         packets, lost: how many each node sent, and how many of them were lost.
         seconds: length of the run.
     """
-    outputs, found = len(e.plant.outputs), []
-    for sensor, sent, gone in zip(sensors_of(e), packets, lost or [0] * len(packets)):
+    found = []
+    for sensor, sent, gone in zip(sensors, packets, lost or [0] * len(packets)):
         bits = 8 * sensor_length(len(sensor.outputs) * sensor.buffer + outputs)
         found.append(
             Load(node=sensor.name, packets=sent, lost=gone, packets_per_s=sent / seconds, bits_per_s=sent * bits / seconds)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hil.experiment.sensor_list import sensors_of
+from hil.experiment.sensor_list import Sensor, sensors_of
 from hil.log.growing import Growing, pieces
 from hil.log.topics import CA, SC
 from hil.measure.view import RunView
@@ -36,6 +36,11 @@ class NetworkPath:
     draws: Draws | None
 
 
+def run_sensors(view: RunView) -> tuple[Sensor, ...]:
+    """Return the sensor nodes of a run: `view.once(run_sensors)`; none where its experiment cannot be made again here."""
+    return () if view.experiment is None else sensors_of(view.experiment)
+
+
 def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
     """Return the networks from the sensor nodes, by number, then the one to the actuator."""
     e, arrays, links = view.experiment, view.run.arrays, view.run.resolved.get("links", {})
@@ -52,7 +57,7 @@ def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
                 side="sc", node=sensor.name, law=sensor.law, kind=sensor.law_kind,
                 draws=None if sc is None else draws_of(sc, number),
             )
-            for number, sensor in enumerate(sensors_of(e))
+            for number, sensor in enumerate(view.once(run_sensors))
         ),
         NetworkPath(side="ca", node="", law=e.links.ca.law, kind=e.kinds.get("links.ca.law", kinds["ca"]), draws=ca),
     )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 from hil.experiment import Experiment
 from hil.log.run import Run
 from hil.log.topics import SC
-from hil.measure.measure import measured, measures_of, quantities_of
+from hil.measure.measure import measured, quantities_of, run_measures
 from hil.measure.network import network_metrics
 from hil.measure.network_load import loads
 from hil.measure.network_paths import network_paths
@@ -33,10 +33,10 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
         view: a log that was read, or a run kept in memory with `metadata` and `resolved`.
         failed: takes what a measure raised; see `hil.measure.measure.measured`.
     """
-    run, experiment = view.run, view.experiment
+    run = view.run
     ticks = _ticks(run)
     timing = run_timing(view)
-    measures = measures_of(experiment)
+    measures = view.once(run_measures)
     return {
         "experiment": run.metadata.get("experiment", ""),
         "seed": int(run.metadata.get("seed", 0)),
@@ -72,7 +72,7 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
     """
     run = view.run
     reasons = run.codes.get("reason") or REASONS
-    *sensors, actuator = network_paths(view)
+    *sensors, actuator = view.once(network_paths)
     nodes = {path.node: network_metrics(path.draws, path.law, path.kind, reasons=reasons) for path in sensors}
     if len(sensors) == 1:
         together = nodes[sensors[0].node]
@@ -80,7 +80,7 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
         kind = str(run.resolved.get("links", {}).get("sc", {}).get("law", {}).get("kind", "?"))
         counted = network_metrics(run.arrays.get(SC.name), None, kind, reasons=reasons)
         together = {**counted, "mode_counts": [], "transition_counts": [], "p_value": None}
-    load = {each.node: asdict(each) for each in loads(view)}
+    load = {each.node: asdict(each) for each in view.once(loads)}
     keys = ("packets", "packets_per_s", "bits_per_s")
     return {
         "sc": together,
@@ -97,7 +97,7 @@ def run_metrics(run: Run, experiment: Experiment | None = None) -> dict[str, Any
         experiment: what ran, where it is known.
     """
     view = view_of(run, experiment)
-    return measured(view, measures_of(view.experiment))
+    return measured(view, view.once(run_measures))
 
 
 def run_timing(view: RunView) -> dict[str, Any]:

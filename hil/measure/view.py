@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ REFERENCE_STEP, DISTURBANCE = "reference step", "disturbance"
 _BOOKKEEPING = ("started", "outcome", "stop", "stopped")
 
 Severity = Literal["neutral", "warning", "error"]
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +60,18 @@ class RunView:
     period_s: float
     signals: Signals
     marks: tuple[Mark, ...]
+    _made: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def once(self, make: Callable[[RunView], Made]) -> Made:
+        """Return what a function makes of this run; it is called once for this view and its single outputs.
+
+        Args:
+            make: reads the run and the experiment, not which outputs are tracked.
+        """
+        if make not in self._made:
+            self._made[make] = make(self)
+        found: Made = self._made[make]
+        return found
 
     def unit(self, topic: str, name: str) -> str:
         """Return the unit that the schema states for a field, nothing for a pure number."""
@@ -67,7 +80,9 @@ class RunView:
 
     def only(self, name: str) -> RunView:
         """Return the same run with one tracked output."""
-        return replace(self, signals=self.signals.only(name))
+        alone = replace(self, signals=self.signals.only(name))
+        object.__setattr__(alone, "_made", self._made)
+        return alone
 
     def disturbed_at_s(self) -> float | None:
         """Return when the first input disturbance began as the experiment states it, s; None without one."""

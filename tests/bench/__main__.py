@@ -11,8 +11,8 @@ import click
 
 from hil.cli.bench import show_table, status_line
 from hil.cli.interrupts import signals_as_exceptions
-from hil.cli.outputs import check_output, write_output
 from hil.errors import HilError
+from hil.files.outputs import check_output, write_output
 
 
 @click.group()

@@ -20,7 +20,6 @@ from hil.log.read.export import export
 from hil.log.read.recover import recover
 from hil.log.read.run import read_run
 from hil.log.write.mcap_sink import McapSink
-from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.run.run_page import render_report
 from hil.replay import verify
@@ -55,7 +54,7 @@ def use_log(path: Path) -> None:
     """Do with a log what the commands do."""
     run = read_run(path)
     view = view_of(run)
-    render_report(view, {**summarise(view), **{k: v for k, v in run.summary.items() if k in ("problems", "log")}})
+    render_report(view)
     export(run, path.with_suffix(".csv"), replace=True)
     verify(run)
 

@@ -271,9 +271,19 @@ Block: TypeAlias = Figure | Bars | Histogram | Matrix | Scene | Table | Text | B
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """A titled part of the page; `columns` (1 to 3) blocks stand side by side where the window is wide enough."""
+    """A titled part of a page.
+
+    Args:
+        title: its heading, and its entry in the navigation line.
+        blocks: what it shows, in order.
+        intro: a paragraph above them.
+        columns: 1 to 3 blocks stand side by side where the window is wide enough.
+        place: among the sections of a run's page, the smaller the earlier. Ours are tracking 10, states and inputs 20, delays 30,
+            sensor nodes 40, network 50, timing 60 and 70, summary 80, events 90, wall 110, theory 120, experiment 900.
+    """
 
     title: str
     blocks: tuple[Block, ...]
     intro: str = ""
     columns: int = 1
+    place: int = 100

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,25 +14,12 @@ from hil.log.growing import pieces
 from hil.log.run import Run
 from hil.log.topics import ROWS, STATE
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, signal_names
-from hil.pages.html.figures import Band, Figure, LineStyle, Marker, Series, State
+from hil.pages.html.figures import Figure, LineStyle, Marker, State
 from hil.pages.run.curve import Records, curve
 
 MOST_MARKERS = 500
 DENSE = 1500
 STATES: Mapping[Severity, State] = {"neutral": "neutral", "warning": "warning", "error": "bad"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prediction:
-    """What a theory says of one output over time, drawn behind the run.
-
-    Args:
-        series: over session time, for instance the mean.
-        bands: over session time, for instance two standard deviations.
-    """
-
-    series: tuple[Series, ...] = ()
-    bands: tuple[Band, ...] = ()
 
 
 def markers(view: RunView) -> tuple[Marker, ...]:
@@ -41,7 +28,7 @@ def markers(view: RunView) -> tuple[Marker, ...]:
     return tuple(sorted(found, key=lambda m: (m.label == "", m.x))[:MOST_MARKERS])
 
 
-def output_panels(view: RunView, marks: tuple[Marker, ...], predicted: Mapping[str, Prediction]) -> list[Figure]:
+def output_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     """Return one panel per output: what was measured, the true state where it differs, and what was asked for.
 
     An output that does not follow the reference (a measured mode) has none, and holds its value between samples.
@@ -50,7 +37,6 @@ def output_panels(view: RunView, marks: tuple[Marker, ...], predicted: Mapping[s
     measurement, reference, state = arrays[MEASUREMENT], arrays[REFERENCE], arrays.get(STATE.name)
     panels: list[Figure] = []
     for name, unit in view.signals.outputs.items():
-        theory = predicted.get(name, Prediction())
         style: LineStyle = "line" if name in tracked else "step"
         series = [curve(measurement, name, label=_words(name), style=style, colour=0)]
         if state is not None and name in (state.dtype.names or ()) and not _equal(state, measurement, name):
@@ -64,8 +50,7 @@ def output_panels(view: RunView, marks: tuple[Marker, ...], predicted: Mapping[s
                 title=_title(name),
                 y_label=_words(name),
                 y_unit=unit,
-                series=(*([asked] if name in tracked else []), *theory.series, *series),
-                bands=theory.bands,
+                series=(*([asked] if name in tracked else []), *series),
                 markers=marks,
                 height_px=300 if len(panels) == 0 else 220,
             )

@@ -16,7 +16,7 @@ from hil.measure.cost import Cost
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure
-from hil.pages.run.sensor_blocks import sensor_blocks
+from hil.pages.run.sections.nodes import sensor_blocks
 from hil.replay import verify
 from hil.session import run_session, simulate
 from tests.transport.medium.test_arbitration import bus, heard

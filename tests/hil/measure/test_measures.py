@@ -20,10 +20,8 @@ from hil.measure import view as viewing
 from hil.measure.check import check_measure
 from hil.measure.measure import Measure, Quantity, measured, measures_of, quantities_of
 from hil.measure.signals import Signals, signals_of
-from hil.measure.summary import summarise
 from hil.measure.tracking import Tracking
 from hil.measure.view import RunView, view_of
-from hil.pages.run.prediction import theory_section
 from hil.pages.run.run_page import render_report
 from hil.session import run_session
 from hil.sweeps.seeds import columns_of, run_sweep
@@ -65,7 +63,7 @@ def test_a_measure_of_ones_own_stands_in_summary_sweep_and_page(tmp_path: Path) 
     assert columns_of(experiment)[-1] == "effort"
     swept = run_sweep(experiment, [0], workers=Workers()).values
     assert swept["effort"][0] == session.metrics["effort"]
-    page = render_report(view_of(session.run, experiment), session.summary)
+    page = render_report(view_of(session.run, experiment))
     assert "Input energy" in page and "input energy (V² s)" in page
 
 
@@ -139,9 +137,7 @@ def test_a_page_parses_its_experiment_once(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(viewing, "experiment_from_resolved", counting)
     view = view_of(read_run(tmp_path / "a.mcap"))
-    summary = summarise(view)
-    section = theory_section(view)
-    render_report(view, summary, sections=[section] if section is not None else [])
+    render_report(view)
     assert len(parsed) == 1
 
 

@@ -6,7 +6,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series
 from hil.pages.html.page import render_page
@@ -96,7 +95,7 @@ def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path) -> 
 def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: Path) -> None:
     run = run_of("dc-motor-1khz", 'duration="6 s"', timed=True)
     file = tmp_path / "report.html"
-    file.write_text(render_report(view_of(run), summarise(view_of(run))), encoding="utf-8")
+    file.write_text(render_report(view_of(run)), encoding="utf-8")
     with chromium.Page(width=1400, height=900) as page:
         page.open(file)
         panels = page.evaluate("document.querySelectorAll('.plot').length")
@@ -111,7 +110,7 @@ def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: P
 def test_report_of_one_tick_shows_its_samples_as_points(tmp_path: Path) -> None:
     run = run_of("dc-motor-hinf", 'duration="50 ms"')
     file = tmp_path / "report.html"
-    file.write_text(render_report(view_of(run), summarise(view_of(run))), encoding="utf-8")
+    file.write_text(render_report(view_of(run)), encoding="utf-8")
     with chromium.Page(width=1400, height=900) as page:
         page.open(file)
         assert all(low == -0.5 and high == 0.5 for low, high in page.evaluate(RANGES))
@@ -140,7 +139,7 @@ def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_des
     message = "an input that stayed at its limit for several samples " * 3
     run.events.append({"tick": 1, "t_s": 0.001, "kind": "saturated", "severity": "warning", "message": message, "data": {}})
     file = tmp_path / "report.html"
-    file.write_text(render_report(view_of(run), summarise(view_of(run))), encoding="utf-8")
+    file.write_text(render_report(view_of(run)), encoding="utf-8")
     with chromium.Page(width=390, height=900) as page:
         page.open(file)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

@@ -15,7 +15,7 @@ from hil.errors import HilError
 from hil.measure.view import view_of
 from hil.pages.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 from hil.pages.paper import draw, write_figures
-from hil.pages.run.run_page import run_sections
+from hil.pages.run.sections import sections_of
 from tests.hil.cli.conftest import run_main
 
 
@@ -31,8 +31,7 @@ def test_every_plot_of_a_report_is_written_as_svg_and_pdf(log: Path, tmp_path: P
     assert run_main("report", str(log), "-o", str(tmp_path / "page.html"), "--figures", str(tmp_path / "figures")) == 0
     names = sorted(path.name for path in (tmp_path / "figures").iterdir())
     run = hil.read_run(log)
-    session = hil.run("dc-motor-hinf", seed=3, duration=4)
-    sections = run_sections(view_of(run), session.summary, {})
+    sections = sections_of(view_of(run))
     plots = [b for s in sections for b in s.blocks if isinstance(b, Figure | Bars | Histogram)]
     assert len(names) >= 2 * len(plots) > 8 and names[0].startswith("01-angle")
     assert f"written: {len(names)} figures" in capsys.readouterr().out
@@ -46,8 +45,7 @@ def test_every_plot_of_a_report_is_written_as_svg_and_pdf(log: Path, tmp_path: P
 
 
 def test_the_curves_are_those_of_the_page(log: Path) -> None:
-    session = hil.run("dc-motor-hinf", seed=3, duration=4)
-    for section in run_sections(view_of(hil.read_run(log)), session.summary, {}):
+    for section in sections_of(view_of(hil.read_run(log))):
         for plot in section.blocks:
             if isinstance(plot, Figure):
                 axis = Sheet().subplots()

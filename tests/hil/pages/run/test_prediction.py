@@ -10,7 +10,7 @@ import pytest
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Table
-from hil.pages.run.prediction import theory_section
+from hil.pages.run.sections.theory import section as theory_section
 from hil.session import run_session
 
 

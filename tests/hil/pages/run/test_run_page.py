@@ -9,16 +9,15 @@ from hil.log.read.run import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.compare import compare_page
-from hil.pages.html.figures import Band, Section, Series, Text
 from hil.pages.run.run_page import render_report
-from hil.pages.run.time_panels import Prediction, markers, output_panels
+from hil.pages.run.time_panels import markers, output_panels
 from hil.sweeps.comparison import Comparison, common_quantities
 from hil.sweeps.seeds import columns_of, quantities_in
 from tests.hil.pages.runs import run_of
 
 
 def report(run: Run) -> str:
-    return render_report(view_of(run), summarise(view_of(run)))
+    return render_report(view_of(run))
 
 
 def test_report_shows_verdicts_numbers_law_test_and_experiment_text() -> None:
@@ -68,17 +67,6 @@ def test_page_of_twenty_seconds_at_one_kilohertz_stays_below_three_megabytes() -
     assert len(report(run_of("dc-motor-1khz", timed=True)).encode()) < 3_000_000
 
 
-def test_predictions_and_further_sections_are_drawn_with_the_run() -> None:
-    run = run_of("dc-motor-hinf", 'duration="5 s"')
-    t = np.arange(0.0, 5.0, 0.05)
-    theory = Prediction(
-        series=(Series(label="predicted mean", x=t, y=t),), bands=(Band(label="two sigma", x=t, lower=t - 1, upper=t + 1),)
-    )
-    more = Section(title="Theory", blocks=(Text(text="from the second moment"),))
-    page = render_report(view_of(run), summarise(view_of(run)), predicted={"angle": theory}, sections=[more])
-    assert "predicted mean" in page and "two sigma" in page and "from the second moment" in page
-
-
 def test_law_test_of_a_few_slots_gives_no_verdict() -> None:
     run = run_of("dc-motor-hinf", 'duration="0.3 s"')
     assert summarise(view_of(run))["network"]["sc"]["p_value"] is None
@@ -93,7 +81,7 @@ def test_run_without_a_step_is_not_blamed_for_not_settling() -> None:
 
 
 def test_measured_mode_is_held_and_has_no_reference() -> None:
-    panels = {p.title: p for p in output_panels(view_of(run_of("vtol-fault", 'duration="1 s"')), (), {})}
+    panels = {p.title: p for p in output_panels(view_of(run_of("vtol-fault", 'duration="1 s"')), ())}
     assert [s.style for s in panels["Detected mode"].series] == ["step"]
     assert [s.label for s in panels["Pitch rate"].series] == ["reference", "pitch rate"]
 

@@ -11,9 +11,10 @@ from hil.measure.network_paths import network_paths
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Table
-from hil.pages.run.prediction import theory_section
 from hil.pages.run.run_page import render_report
-from hil.pages.run.sensor_blocks import newest_ages, sensor_blocks
+from hil.pages.run.sections.nodes import newest_ages
+from hil.pages.run.sections.nodes import section as nodes_section
+from hil.pages.run.sections.theory import section as theory_section
 from hil.pages.run.statistics import network_table
 from hil.session import simulate
 
@@ -21,13 +22,13 @@ from hil.session import simulate
 def test_who_spoke_and_how_old_each_newest_sample_is() -> None:
     loop = compose(load_experiment("multisensor-published", ["duration=1", "links.sc.max_age=1"]), certify=False)
     view = view_of(simulate(loop, 0), loop.experiment)
-    spoke, ages, table = sensor_blocks(view, ())
+    spoke, ages, table = nodes_section(view).blocks  # type: ignore[union-attr]
     assert isinstance(spoke, Figure) and isinstance(ages, Figure) and isinstance(table, Table)
     assert spoke.series[0].y.tolist() == [(k + 1) % 4 for k in range(20)]
     draws = view.run.arrays["/network/sc"]
     np.testing.assert_array_equal(newest_ages(draws, 0, 8), [np.nan, np.nan, np.nan, 0, 1, 2, 3, 0])
     assert [row[:4] for row in table.rows][2] == ["third", "x3", 5, 0]
-    page = render_report(view, summarise(view))
+    page = render_report(view)
     assert "Which node spoke" in page and "Network load" in page
 
 
@@ -35,7 +36,7 @@ def test_two_nodes_of_a_motor_are_drawn_with_what_theory_says_of_them() -> None:
     law = "controller={kind='local', gain=[[-0.05, -0.006]]}"
     loop = compose(load_experiment("dc-motor-two-nodes", ["duration=1", "reference.0.at=0.1", law]))
     view = view_of(simulate(loop, 0), loop.experiment)
-    spoke, ages, table = sensor_blocks(view, ())
+    spoke, ages, table = nodes_section(view).blocks  # type: ignore[union-attr]
     assert isinstance(spoke, Figure) and isinstance(ages, Figure) and isinstance(table, Table)
     assert set(spoke.series[0].y.tolist()) == {0.0, 1.0} and [series.label for series in ages.series] == ["angle", "speed"]
     for series in ages.series:
@@ -56,4 +57,4 @@ def test_two_nodes_of_a_motor_are_drawn_with_what_theory_says_of_them() -> None:
 
 def test_a_run_of_one_node_has_no_such_section() -> None:
     loop = compose(load_experiment("dc-motor-hinf", ["duration=1"]), certify=False)
-    assert sensor_blocks(view_of(simulate(loop, 0), loop.experiment), ()) == []
+    assert nodes_section(view_of(simulate(loop, 0), loop.experiment)) is None

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import re
+from html import escape
 
 import numpy as np
 import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Scene, Shape
 from hil.pages.html.scene import draw_scene, scene_legend
 from hil.pages.run.run_page import render_report
-from hil.pages.run.wall_section import wall_section
+from hil.pages.run.sections.wall import section as wall_section
 from hil.session import simulate
 from tests.hil.pages.runs import run_of
 
@@ -47,11 +47,11 @@ def test_the_certificate_is_read_as_sentences_and_numbers_with_units():
     """Lists were shown as JSON, in one line that was cut."""
     run = run_of("omni-push", "duration=2")
     view = view_of(run)
-    page = render_report(view, summarise(view))
+    page = render_report(view)
     table = page[page.index("Certificate, from the gains that ran") :]
     table = table[: table.index("</table>")]
     for assumption in run.certificate["assumptions"]:
-        assert f"<p>{assumption}</p>" in table
+        assert f"<p>{escape(assumption)}</p>" in table
     assert "<td>delays</td><td>6</td>" in table and "[" not in table and "quot" not in table
     assert "<td>ceiling (N/m)</td>" in table and "<td>static compliance (m/N)</td>" in table
     assert run.certificate["digest"] in table and 'class="pairs"' in table

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from hil.compose.fourth_moments import caution
-from hil.compose.loop import Loop, compose
-from hil.errors import HilError
+from hil.compose.loop import Loop
+from hil.measure.composed import composed
 from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import with_unit
 from hil.measure.step_response import target_of
@@ -25,16 +25,13 @@ MOST_SLOTS = 100_000
 """Slots that are predicted at most: the first ones of a longer run."""
 
 
-def theory_section(view: RunView) -> Section | None:
+def section(view: RunView) -> Section | None:
     """Return the panels of predicted mean and spread, with the run and a Monte Carlo band over them.
 
     None where there is no prediction, see `hil.measure.prediction.predict`, or where the log's experiment cannot be made again.
     """
-    if view.experiment is None or controller_of(view.run) == "external":
-        return None
-    try:
-        loop = compose(view.experiment, certify=False)
-    except HilError:
+    loop = None if controller_of(view.run) == "external" else view.once(composed)
+    if loop is None:
         return None
     slots = min(len(view.run.arrays[topic]) for topic in (MEASUREMENT, REFERENCE))
     ticks = min(slots, MOST_SLOTS)
@@ -48,6 +45,7 @@ def theory_section(view: RunView) -> Section | None:
     within = "A run lies in the band most of the time." if not left else "So a run may leave the band."
     return Section(
         title="Theory and emulation",
+        place=120,
         blocks=(*_errors(loop, view, predicted, y - r), _sums(loop, predicted, y - target_of(r), bool(left))),
         intro=(
             "The covariance recursion of the jump-linear loop predicts the error from the first slot on: from the plant's linear "
@@ -55,6 +53,9 @@ def theory_section(view: RunView) -> Section | None:
             f"stops a run.{left} {within}{part}"
         ),
     )
+
+
+SECTIONS = (section,)
 
 
 def _errors(loop: Loop, view: RunView, predicted: PredictedTracking, error: np.ndarray[Any, Any]) -> list[Block]:

@@ -33,7 +33,7 @@ TILT = math.radians(35.0)
 DEEP = 0.55
 
 
-def wall_section(view: RunView) -> Section | None:
+def section(view: RunView) -> Section | None:
     """Return the section of a run whose controller renders a wall, None for every other run.
 
     Args:
@@ -42,7 +42,7 @@ def wall_section(view: RunView) -> Section | None:
     loop = loop_of(view)
     if loop is not None and isinstance(loop.controller, FollowsModel):
         return Section(
-            title="At the wall", blocks=tuple(_over_time(view, None)), columns=2,
+            title="At the wall", place=110, blocks=tuple(_over_time(view, None)), columns=2,
             intro="The controller draws the device after a model of the wall: there is no coupler, and so no avatar behind it.",
         )  # fmt: skip
     if loop is None or not isinstance(loop.controller, RendersWall):
@@ -60,13 +60,16 @@ def wall_section(view: RunView) -> Section | None:
         "computed again from the log, but its forces are not those that were logged: another program answered"
     )
     return Section(
-        title="At the wall", blocks=tuple(blocks), columns=2,
+        title="At the wall", place=110, blocks=tuple(blocks), columns=2,
         intro=f"The avatar is the position of the device as the wall computes it, behind delay and coupler; it is {said}.{part}",
     )  # fmt: skip
 
 
+SECTIONS = (section,)
+
+
 def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
-    run, marks = view.run, markers(view)
+    run, marks = view.run, view.once(markers)
     measured, applied, state = run.arrays[MEASUREMENT], run.arrays[APPLIED], run.arrays.get(STATE.name)
     tip, force = view.signals.tracked[0], next(iter(view.signals.inputs))
     depth = [curve(measured, lambda some: 1e3 * some[tip], label="device", colour=0)]

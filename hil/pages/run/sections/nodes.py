@@ -7,13 +7,14 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import pieces
 from hil.log.topics import SC
 from hil.measure.network_load import loads
+from hil.measure.network_paths import run_sensors
 from hil.measure.view import RunView
-from hil.pages.html.figures import Block, Cell, Figure, Marker, Series, Table
+from hil.pages.html.figures import Block, Cell, Figure, Section, Series, Table
 from hil.pages.run.curve import Records, curve, curve_of
+from hil.pages.run.time_panels import markers
 from transport.medium.draws import DELIVERED, DISORDERED, LOST
 
 
@@ -33,15 +34,15 @@ def newest_ages(draws: npt.NDArray[np.void], node: int, slots: int) -> npt.NDArr
     return np.where(newest >= 0, np.arange(slots) - newest, np.nan)
 
 
-def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
+def section(view: RunView) -> Section | None:
     """Return the figures and the table of a run whose log numbers its sensor nodes.
 
     A log that does not has one node, which the figures of the delays show.
     """
     draws, e = view.run.arrays.get(SC.name), view.experiment
     if e is None or draws is None or not len(draws) or "node" not in (draws.dtype.names or ()):
-        return []
-    sensors, outputs = sensors_of(e), [signal.name for signal in e.plant.outputs]
+        return None
+    marks, sensors, outputs = view.once(markers), view.once(run_sensors), [signal.name for signal in e.plant.outputs]
     names, slots = [sensor.name for sensor in sensors], max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
     t = np.asarray(np.arange(slots) * view.period_s, dtype=np.float64)
     spoke: list[Series] = []
@@ -56,9 +57,9 @@ def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
     numbered = ", ".join(f"{i}: {name}" for i, name in enumerate(names))
     rows: list[list[Cell]] = [
         [load.node, ", ".join(outputs[i] for i in own.outputs), load.packets, load.lost, load.packets_per_s, load.bits_per_s]
-        for own, load in zip(sensors, loads(view))
+        for own, load in zip(sensors, view.once(loads))
     ]
-    return [
+    blocks: tuple[Block, ...] = (
         Figure(title="Which node spoke", y_label="node", series=tuple(spoke), markers=marks, integer_y=True, note=numbered),
         Figure(
             title="Age of each node's newest sample", y_label="age", y_unit="samples", series=ages, markers=marks, integer_y=True
@@ -67,7 +68,11 @@ def sensor_blocks(view: RunView, marks: tuple[Marker, ...]) -> list[Block]:
             title="Network load", columns=["node", "outputs", "packets", "lost", "packets/s", "bit/s"], rows=rows,
             note="Sensor packets as sent, lost ones included, with their headers in wire version 2.",
         ),
-    ]  # fmt: skip
+    )  # fmt: skip
+    return Section(title="Sensor nodes", place=40, blocks=blocks)
+
+
+SECTIONS = (section,)
 
 
 def _with_reason(reasons: tuple[int, ...], draws: Records) -> npt.NDArray[np.bool_]:

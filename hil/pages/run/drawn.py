@@ -1,0 +1,52 @@
+"""Sections that plug-ins of an experiment draw: measures, the plant, the controller, the network laws."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from hil.experiment.asked import words
+from hil.measure.measure import run_measures
+from hil.measure.network_paths import run_sensors
+from hil.measure.view import RunView
+from hil.pages.html.figures import Badge, Section
+from hil.pages.html.plain_section import plain_section
+
+MOST_WORDS = 2000
+"""Characters of an error's message on a page."""
+
+
+@runtime_checkable
+class DrawsSection(Protocol):
+    """A plug-in that draws: its section stands in the page of every run of an experiment that names it."""
+
+    def section(self, view: RunView) -> Section | None:
+        """Return what it shows of a run, a `hil.pages.Section`; None where it has nothing to show."""
+        ...
+
+
+def drawing_plug_ins(view: RunView) -> tuple[DrawsSection, ...]:
+    """Return the plug-ins of a run's experiment that draw, each once: measures, plant, controller, network laws."""
+    e = view.experiment
+    parts: tuple[object, ...] = view.once(run_measures)
+    if e is not None:
+        parts += (e.plant, e.controller, *(sensor.law for sensor in view.once(run_sensors)), e.links.ca.law)
+    found = {id(part): part for part in parts if isinstance(part, DrawsSection)}
+    return tuple(found.values())
+
+
+def drawn(plug_in: DrawsSection, view: RunView) -> Section | None:
+    """Return the section of a plug-in as plain data; a section that says what went wrong where that cannot be had.
+
+    Args:
+        plug_in: a class of the user's own; whatever it raises or returns, the page is made.
+        view: the run.
+    """
+    try:
+        found = plug_in.section(view)
+        return None if found is None else plain_section(found)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a user's code raises, SystemExit too
+        name = type(plug_in).__name__
+        failed = Badge(label=f"{name} draws no section", state="bad", detail=words(error)[:MOST_WORDS])
+        return Section(title=name, blocks=(failed,))

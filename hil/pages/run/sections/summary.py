@@ -1,0 +1,130 @@
+"""The numbers of the measures, the certificate and the events of a run, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hil.log.run import Run
+from hil.measure.measure import Quantity, run_measures
+from hil.measure.signals import with_unit
+from hil.measure.view import RunView
+from hil.pages.html.figures import Badge, Cell, Lines, Section, Table
+from hil.pages.html.numbers import text_of
+from hil.pages.run.page_summary import page_summary
+
+MOST_EVENTS = 300
+_UNITS: Mapping[str, str] = {"_n_s_per_m": "N s/m", "_n_per_m": "N/m", "_m_per_n": "m/N"}
+
+
+def numbers(view: RunView) -> Section | None:
+    """Return the tables of all measures, of the log and of the certificate."""
+    tables = _summary_tables(view, view.once(page_summary))
+    across = sum(not table.wide for table in tables)
+    return Section(title="Summary", place=80, columns=across, blocks=tuple(tables)) if tables else None
+
+
+def events(view: RunView) -> Section | None:
+    """Return what happened, in the order of time."""
+    rows = _rows(view.run)
+    more = len(view.run.events) - len(rows)
+    table = Table(
+        columns=["t (s)", "severity", "kind", "message"], rows=rows, note=f"{more} more are in the log." if more > 0 else ""
+    )
+    return Section(title="Events", place=90, blocks=(table,)) if rows else None
+
+
+SECTIONS = (numbers, events)
+
+
+def _summary_tables(view: RunView, summary: Mapping[str, Any]) -> list[Table]:
+    metrics, signals = summary["metrics"], view.signals
+    outputs: Mapping[str, Mapping[str, Any]] = metrics.get("outputs", {})
+    columns = [with_unit(_words(name), signals.outputs[name]) for name in outputs]
+    several = bool(outputs) and signals.tracked_unit() is None
+    measures = view.once(run_measures)
+    tables = []
+    for measure in measures:
+        quantities = measure.quantities(signals.in_unit("unit") if several else signals)
+        rows: list[list[Cell]] = [
+            [_row_label(q), metrics[q.name], *(o.get(q.name) for o in outputs.values())] for q in quantities
+        ]
+        tables.append(
+            Table(
+                title=measure.title,
+                columns=["metric", "all outputs" if outputs else "value", *columns],
+                rows=rows,
+                wide=bool(outputs),
+                note=measure.note + (" The unit is that of the column." if several else ""),
+            )
+        )
+    log = summary.get("log")
+    if log:
+        tables.append(Table(title="Log", columns=["what", "value"], rows=[[k, _cell(v)] for k, v in log.items()]))
+    certificate = summary.get("certificate")
+    if certificate:
+        tables.append(
+            Table(
+                title="Certificate" if summary.get("controller") == "external" else "Certificate, from the gains that ran",
+                columns=["quantity", "value"],
+                rows=[[_quantity(str(k)), _cell(v)] for k, v in certificate.items() if v is not None],
+                wide=True,
+            )
+        )
+    return tables
+
+
+def _row_label(quantity: Quantity) -> str:
+    label = f"{quantity.title}, {quantity.note}" if quantity.note else quantity.title
+    return with_unit(label, f"share of {quantity.share_of}" if quantity.share_of else quantity.unit)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _quantity(name: str) -> str:
+    """Return the name of a number as a person reads it, its unit behind it.
+
+    >>> _quantity("ceiling_n_per_m"), _quantity("worst_delay")
+    ('ceiling (N/m)', 'worst delay')
+    """
+    for ending, unit in _UNITS.items():
+        if name.endswith(ending):
+            return with_unit(_words(name.removesuffix(ending)), unit)
+    return _words(name)
+
+
+def _rows(run: Run) -> list[list[Cell]]:
+    rows: list[list[Cell]] = []
+    for event in sorted(run.events, key=_when)[:MOST_EVENTS]:
+        severity = str(event.get("severity", "info"))
+        state = {"warning": "warning", "error": "bad"}.get(severity, "neutral")
+        badge = Badge(label=severity, state=state)  # type: ignore[arg-type]
+        rows.append([_when(event), badge, str(event.get("kind", "")), str(event.get("message", ""))])
+    return rows
+
+
+def _when(event: Mapping[str, Any]) -> float:
+    return float(event.get("t_s", 0.0))
+
+
+def _cell(value: Any) -> Cell:
+    """Return a value of a summary as a person reads it: sentences one below the other, numbers in one line."""
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    if isinstance(value, Mapping):
+        return Lines(tuple(f"{_words(str(name))}: {_in_line(v)}" for name, v in value.items()))
+    items = list(value)
+    if any(isinstance(item, str) and " " in item for item in items):
+        return Lines(tuple(map(_in_line, items)))
+    return _in_line(items) or "none"
+
+
+def _in_line(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{_words(str(name))} {_in_line(v)}" for name, v in value.items())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        within = [f"({_in_line(v)})" if isinstance(v, Sequence) and not isinstance(v, str) else _in_line(v) for v in value]
+        return ", ".join(within)
+    return text_of(value)

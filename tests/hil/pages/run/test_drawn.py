@@ -1,0 +1,199 @@
+"""Sections that a plug-in draws: a figure from one class, data and never markup, and a page that is whole whatever it does."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from textwrap import dedent
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+import hil
+from hil.cli import main
+from hil.compose import loop as composing
+from hil.compose.loop import Loop
+from hil.errors import HilError
+from hil.experiment import sensor_list
+from hil.measure import composed, measure, network_paths
+from hil.measure.view import RunView, view_of
+from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Table, Text
+from hil.pages.html.plain_section import plain_section
+from hil.pages.run.run_page import render_report
+from hil.pages.run.sections import sections_of
+from plants.dc_motor import DCMotor
+
+MINE = """
+    import numpy as np
+    from hil.measure.measure import Quantity
+    from hil.pages import Figure, Section, Series, Table
+
+    class Effort:
+        title, note, topics = "Effort", "", ("/actuator/applied",)
+
+        def quantities(self, signals):
+            return (Quantity(name="effort", title="input energy", unit="V² s", per_output=False),)
+
+        def of(self, view):
+            return {"effort": float(np.sum(view.applied() ** 2) * view.period_s)}
+
+        def section(self, view):
+            u = view.applied()[:, 0]
+            t = view.period_s * np.arange(len(u))
+            growth = Series(label="growth", x=t, y=np.cumsum(u**2) * view.period_s)
+            figure = Figure(title="Growth of the effort", series=(growth,), y_unit="V² s")
+            return Section(title="Where it went", place=15, blocks=(figure, Table(columns=["what"], rows=[["<b>all</b>"]])))
+"""
+
+
+class Drawing(DCMotor):
+    """A motor that draws what a test gives it."""
+
+    shows: ClassVar[Any] = None
+
+    def section(self, view: RunView) -> Any:
+        return type(self).shows(view)
+
+
+@pytest.fixture
+def page(monkeypatch: pytest.MonkeyPatch) -> Any:
+    session = hil.run("dc-motor-hinf", seed=0, duration=1, plant=Drawing())
+
+    def page(shows: Any) -> str:
+        monkeypatch.setattr(Drawing, "shows", staticmethod(shows))
+        return render_report(view_of(session.run, session.experiment))
+
+    return page
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(dedent(MINE))
+    hil.run("dc-motor-hinf", seed=0, duration=2, log="run.mcap", **{"report.measures": ["tracking", "mine:Effort"]})
+    return tmp_path
+
+
+def test_number_figure_and_table_of_a_measure_come_from_one_class(mine: Path) -> None:
+    assert hil.report("run.mcap", folder=mine) == (Path("run.html"),)
+    page = (mine / "run.html").read_text()
+    assert "Input energy" in page and "Growth of the effort" in page and "&lt;b&gt;all&lt;/b&gt;" in page and "<b>all" not in page
+    titles = [page.index(f"<h2>{title}</h2>") for title in ("Tracking", "Where it went", "Delays")]
+    assert titles == sorted(titles), "place=15 stands between 10 and 30"
+
+
+def test_a_log_alone_runs_no_module_for_its_page(mine: Path) -> None:
+    hil.report("run.mcap", output="page.html")
+    assert "Growth of the effort" not in (mine / "page.html").read_text()
+
+
+def test_python_and_the_command_write_the_same_page(mine: Path) -> None:
+    hil.report("run.mcap", output="a.html", folder=mine)
+    with pytest.raises(SystemExit) as end:
+        main(["report", "run.mcap", "-o", "b.html", "--folder", str(mine)])
+    assert not end.value.code and (mine / "a.html").read_bytes() == (mine / "b.html").read_bytes()
+
+
+def test_a_page_is_written_over_with_force_and_never_over_another_file(tmp_path: Path) -> None:
+    session = hil.run("dc-motor-hinf", seed=0, duration=1)
+    with pytest.raises(HilError, match="output="):
+        hil.report(session)
+    target = tmp_path / "page.html"
+    assert hil.report(session, output=target) == (target,)
+    with pytest.raises(HilError, match="exists already"):
+        hil.report(session, output=target)
+    hil.report(session, output=target, force=True)
+    target.write_text("my notes")
+    with pytest.raises(HilError, match="is no report"):
+        hil.report(session, output=target, force=True)
+    assert target.read_text() == "my notes"
+
+
+def test_a_page_composes_once_and_asks_for_sensors_and_measures_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    hil.run("omni-slide", duration=1, log=tmp_path / "run.mcap", **{"report.measures": ["tracking", "haptics", "cost"]})
+    asked: Counter[str] = Counter()
+
+    def counting(module: Any, name: str) -> None:
+        known = getattr(module, name)
+
+        def counted(*args: Any, **keywords: Any) -> Any:
+            asked[name] += 1
+            return known(*args, **keywords)
+
+        monkeypatch.setattr(module, name, counted)
+
+    counting(composed, "compose")
+    counting(measure, "measures_of")
+    counting(network_paths, "sensors_of")
+    counting(network_paths, "draws_of")
+    assert composing.compose is not composed.compose and sensor_list.sensors_of is not network_paths.sensors_of
+    hil.report(tmp_path / "run.mcap", figures=tmp_path / "figures")
+    assert asked == {"compose": 1, "measures_of": 1, "sensors_of": 1, "draws_of": 1}
+
+
+@pytest.mark.parametrize(
+    "shows",
+    [
+        lambda view: 1 / 0,
+        lambda view: exec("raise SystemExit(7)"),
+        lambda view: "<script>alert(1)</script>",
+        lambda view: Section(title="T", blocks=("<script>alert(1)</script>",)),  # type: ignore[arg-type]
+        lambda view: Section(title="T", blocks=(Figure(title="F", series=(Series(label="s", x=[0, 1], y=[0]),)),)),
+        lambda view: Section(title="T", blocks=(Figure(title="F", series=(), markers=(Marker(x=np.nan, label="m"),)),)),
+        lambda view: Section(title="T", blocks=(Figure(title="F", series=(), height_px="1\"><script>alert(1)</script>"),)),  # type: ignore[arg-type]
+        lambda view: Section(title="T", blocks=(Figure(title="F", series=(), height_px=10**9),)),
+        lambda view: Section(title="T", blocks=(Badge(label="b", state='x"><script>alert(1)</script>'),)),  # type: ignore[arg-type]
+        lambda view: Section(
+            title="T",
+            blocks=(
+                Bars(title="B", categories=["a"], groups=(BarGroup(label="g", values=[1.0], colour='%d"><script>alert(1)'),)),  # type: ignore[arg-type]
+            ),
+        ),
+        lambda view: Section(title="T", blocks=(Text(text="x" * 2_000_001),)),
+        lambda view: Section(title="T", blocks=(Table(columns=["a"], rows=[[1.0]] * 400_000),)),
+    ],
+)  # fmt: skip
+def test_a_section_that_cannot_be_drawn_is_one_message_in_its_place(page: Any, shows: Any) -> None:
+    found = page(shows)
+    assert found.count("Drawing draws no section") == 1
+    assert "<script>alert" not in found and found.count("<script") == found.count("</script>") == 3
+    assert "<h2>Tracking</h2>" in found and "<h2>Provenance</h2>" in found and found.endswith("</html>\n")
+    assert len(found) < 1_000_000
+
+
+class Markup(str):
+    """A text that escapes itself not."""
+
+    def replace(self, *args: Any) -> str:  # type: ignore[override]
+        return self
+
+    def __str__(self) -> str:
+        return "<script>alert(2)</script>"
+
+
+def test_a_text_with_methods_of_its_own_is_escaped(page: Any) -> None:
+    found = page(lambda view: Section(title=Markup("<i>"), blocks=(Text(text=Markup("<script>alert(1)</script>")),)))
+    assert "&lt;i&gt;" in found and "&lt;script&gt;alert(1)" in found and "<i>" not in found and "<script>alert" not in found
+
+
+def test_all_blocks_of_ours_pass_as_they_are() -> None:
+    """What a user may draw is what our own sections draw."""
+    for name in ("omni-slide", "multisensor-published", "dc-motor-bursty"):
+        session = hil.run(name, duration=1)
+        view = view_of(session.run, session.experiment)
+        for section in sections_of(view):
+            copy = plain_section(section)
+            assert (copy.title, copy.place, len(copy.blocks)) == (section.title, section.place, len(section.blocks))
+
+
+def test_one_that_shows_nothing_leaves_no_trace(page: Any) -> None:
+    found = page(lambda view: None)
+    assert "<h2>Drawing" not in found and "draws no section" not in found
+
+
+def test_a_view_of_one_output_shares_what_was_made() -> None:
+    session = hil.run("vtol-hinf", duration=1)
+    view = view_of(session.run, session.experiment)
+    loop = view.once(composed.composed)
+    assert isinstance(loop, Loop) and view.only(view.signals.tracked[0]).once(composed.composed) is loop
