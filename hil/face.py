@@ -127,14 +127,14 @@ def report(
     log = source.summary["log"]["path"] if isinstance(source, Session) else source
     if log is None and output is None:
         raise HilError("report: this session kept no log to write the page beside; expected output='page.html'")
-    target = Path(output) if output is not None else Path(log).with_suffix(".html")
-    if log is not None and target.resolve() == Path(log).resolve():
-        raise HilError(f"{target} is the log itself; choose another -o (in Python output=...)")
     if isinstance(source, Session):
         view = view_of(source.run, source.experiment)
     else:
         run = read_run(Path(source))
         view = view_of(run, None if folder is None else experiment_of(run, str(source), folder=str(folder)))
+    target = Path(output) if output is not None else Path(log).with_suffix(".html")
+    if log is not None and target.resolve() == Path(log).resolve():
+        raise HilError(f"{target} is the log itself; choose another -o (in Python output=...)")
     check_output(target, page=True, fresh=not force, remedy="choose another -o (in Python output=..., or force=True)")
     write_output(target, render_report(view))
     return (target, *([] if figures is None else write_figures(view.once(sections_of), Path(figures))))
