@@ -14,6 +14,8 @@ WORK = "/run/hil-vcan"  # where the guest sees the runner's work directory
 
 # Wrong inside: the guest has its own home, temporary directory and terminal.
 DROPPED = {"HOME", "TMPDIR", "XDG_RUNTIME_DIR", "DISPLAY", "OLDPWD", "_"}
+# A shell ends where one of these is set, or set to no number.
+DROPPED |= {"OPTIND", "PPID", "UID", "EUID", "SHELLOPTS", "BASHOPTS"}
 
 # Carries stdin through a terminal line, which knows no end of file: every chunk comes with its length, the last is 0.
 # Each chunk is asked for: a user-mode kernel never again listens to a line that was full once (line_throttle).
@@ -112,7 +114,7 @@ def command(argv: Sequence[str], environ: Mapping[str, str], backend: str, virtu
         # A page fault costs some 30 us here: keep malloc from giving large arrays back each time.
         "MALLOC_MMAP_THRESHOLD_": "33554432",
         "MALLOC_TRIM_THRESHOLD_": "1073741824",
-        **{k: v for k, v in environ.items() if k.isidentifier() and k not in DROPPED},
+        **{k: v for k, v in environ.items() if k.isascii() and k.isidentifier() and k not in DROPPED},
         "HOME": "/tmp/home",
         "PYTHONDONTWRITEBYTECODE": "1",
         "PYTHONUSERBASE": environ.get("PYTHONUSERBASE") or site.getuserbase(),  # which follows HOME otherwise

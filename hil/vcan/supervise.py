@@ -64,12 +64,11 @@ def die_with_parent(with_signal: int = signal.SIGKILL) -> None:
 def started(argv: Sequence[str], **popen: Any) -> Iterator[subprocess.Popen[bytes]]:
     """A running child; when the block is left, it and all its descendants have ended."""
     # What is ignored stays so: nohup ignores SIGHUP, and & in a script SIGINT.
-    heeded = [n for n in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT) if signal.getsignal(n) != signal.SIG_IGN]
+    heeded = [n for n in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGQUIT) if signal.getsignal(n) != signal.SIG_IGN]
     before = [(number, signal.signal(number, _leave)) for number in heeded]
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
-    child = subprocess.Popen(argv, start_new_session=True, preexec_fn=die_with_parent, **popen)  # noqa: PLW1509 (no threads)
-    try:
-        yield child
+    try:  # a signal may come before the child is known here
+        yield subprocess.Popen(argv, start_new_session=True, preexec_fn=die_with_parent, **popen)  # noqa: PLW1509 (no threads)
     finally:
         for number, _ in before:
             signal.signal(number, signal.SIG_IGN)  # the sweep is short and must be whole

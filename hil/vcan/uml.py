@@ -9,18 +9,21 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from hil.errors import HilError
+from hil.regular_file import read_regular
 from hil.vcan import guest
 from hil.vcan.kernel import Kernel
 from hil.vcan.supervise import RUNNER_FAILED, RunnerError, die_with_parent, say, unshare
@@ -30,7 +33,9 @@ ROOT: Final = Path(__file__).resolve().parents[2]  # of the package hil
 # The inner process: isolated and without site-packages, as it needs neither and shall start at once.
 BOOT: Final = "import sys; sys.path.append(sys.argv[1]); from hil.vcan.uml import boot; sys.exit(boot(sys.argv[2]))"
 MEMORY: Final = "2048M"  # sparse: costs what is touched
+ROOM: Final = "2112M"  # for it and the work directory, which the guest can fill
 START_NS: Final = 1_735_689_600_000_000_000  # the guest's wall clock at boot in virtual time: 2025-01-01
+MOST_BYTES: Final = 128 << 10  # of one argument of a process in Linux, its end included
 COVERED: Final = "/sys"  # the private tmpfs lies here: always there, and the guest has its own anyway
 
 
@@ -52,6 +57,7 @@ def argv(wanted: Wanted, find: Callable[[Wanted], Kernel]) -> list[str]:
         "writable": wanted.writable,
         "command": wanted.command,
     }
+    _check_order(order)
     try:
         # Not in a user namespace: there setuid programs (mount) would run as nobody in the guest, too.
         private = unshare("pid", "mount", allow_user=False)
@@ -61,6 +67,20 @@ def argv(wanted: Wanted, find: Callable[[Wanted], Kernel]) -> list[str]:
         order["work"], order["memory"] = tempfile.mkdtemp(prefix="hil-vcan."), _roomy_directory()
         atexit.register(shutil.rmtree, order["work"], ignore_errors=True)
     return [*private, sys.executable, "-ISc", BOOT, str(ROOT), json.dumps(order)]
+
+
+def _check_order(order: Mapping[str, Any]) -> None:
+    """Refuse what would not come to the guest as it is.
+
+    Raises:
+        RunnerError: a directory whose name ends at its comma in a mount's options, or a command that is too long.
+    """
+    for place in (os.getcwd(), *order["writable"], *order["readable"]):
+        if "," in place or "\\" in place:
+            raise RunnerError(f"{place!r}: a comma or backslash in a directory's name: it cannot be mounted; rename it")
+    length = len(json.dumps(order))
+    if length >= MOST_BYTES:
+        raise RunnerError(f"command and directories take {length} bytes, {MOST_BYTES} at most; put the command into a script")
 
 
 def readable(writable: Sequence[str], needed: Sequence[str]) -> list[str]:
@@ -86,10 +106,10 @@ def boot(order_text: str) -> int:
     work = Path(order["work"])
     if order["work"] == COVERED:
         # Nobody else sees it and it ends with us, however we end; /dev/shm may be small or noexec.
-        subprocess.run(["mount", "-t", "tmpfs", "-o", "exec,size=90%", "hil-vcan", COVERED], check=True)
+        subprocess.run(["mount", "-t", "tmpfs", "-o", f"exec,size={ROOM}", "hil-vcan", COVERED], check=True)
     stdin = not order["virtual_time"] and _has_stdin()  # when bytes arrive is no part of virtual time
     command = guest.command(order["command"], os.environ, order["backend"], order["virtual_time"])
-    (work / "command").write_text(command)
+    (work / "command").write_bytes(os.fsencode(command))  # arguments need not be text
     modules = [Path(m) for m in order["modules"]]
     init = guest.first_process(
         work=work,
@@ -99,7 +119,7 @@ def boot(order_text: str) -> int:
         python=sys.executable,
         stdin=stdin,
     )
-    (work / "init").write_text(init)
+    (work / "init").write_bytes(os.fsencode(init))
     (work / "init").chmod(0o755)
     if not _run_kernel(work, stdin, order):
         return 128 + signal.SIGPIPE
@@ -143,13 +163,19 @@ def _run_kernel(work: Path, stdin: bool, order: dict[str, Any]) -> bool:
 
 
 def _status(work: Path) -> int:
-    """The command's status as the guest left it; else its kernel's last words."""
+    """The command's status as the guest left it; else its kernel's last words. The guest can write anything there."""
     try:
-        return int((work / "status").read_text())
-    except FileNotFoundError:
+        said = read_regular(work / "status", 8, "the status of a command")
+    except HilError:
         say("the guest died; its last words:")
-        sys.stderr.write((work / "kernel.log").read_text(errors="replace")[-4000:])
+        with open(work / "kernel.log", "rb") as log:
+            log.seek(max(log.seek(0, os.SEEK_END) - 4000, 0))
+            sys.stderr.write(log.read(4000).decode(errors="replace"))
         return RUNNER_FAILED
+    if not re.fullmatch(rb"[0-9]{1,3}\n", said) or int(said) > 255:
+        say(f"the guest left {said!r} where the status of its command stands")
+        return RUNNER_FAILED
+    return int(said)
 
 
 def _roomy_directory() -> str:
