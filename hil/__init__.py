@@ -93,7 +93,7 @@ if not TYPE_CHECKING:  # a type checker shall tell a name that is not there
     def __getattr__(name: str) -> object:
         if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        import_module("hil.own_packages").require_own_packages()
+        import_module("hil.plugins.own_packages").require_own_packages()
         return getattr(import_module(_HOMES[name]), name)
 
 

@@ -127,7 +127,7 @@ class Runner:
         Raises:
             hil.HilError: if the experiment cannot be run.
         """
-        from hil.own_packages import require_own_packages
+        from hil.plugins.own_packages import require_own_packages
 
         require_own_packages()
         from hil.experiment_source import load_experiment

@@ -21,12 +21,12 @@ from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.experiment.absent import Absent
 from hil.experiment.can_frames import link_uri
-from hil.experiment.plugins import OBJECT
-from hil.experiment.protocols import Designer
 from hil.log.growing import Growing, pieces, whole
 from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
 from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING
+from hil.plugins.protocols import Designer
+from hil.plugins.registry import OBJECT
 from hil.replay_compare import BATCH, Comparison, near_frames
 from hil.replay_recorded import Heard, Woken, frames, recorded_wire
 from hil.runtime.nodes.actuator_node import OK, row_index

@@ -18,7 +18,6 @@ from hil.compose.loop import Loop, compose
 from hil.compose.time_line import beyond_the_end
 from hil.errors import DiskFull, HilError
 from hil.experiment import Experiment
-from hil.experiment.asked import told_of
 from hil.experiment.can_frames import link_uri, said_identifiers
 from hil.log.events import decode_event, to_json
 from hil.log.read.arrays import StructuredArray
@@ -33,6 +32,7 @@ from hil.measure.measure import measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
+from hil.plugins.asked import told_of
 from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual

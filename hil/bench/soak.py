@@ -21,7 +21,7 @@ from hil.bench.timing import EXPERIMENT, read_cyclictest, start_cyclictest
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.timing import percentiles
-from hil.own_python import python_module
+from hil.runtime.real.own_python import python_module
 from hil.runtime.time.clock import monotonic_ns, pause
 
 WARM = 0.5

@@ -12,7 +12,7 @@ import click
 
 from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
-from hil.own_packages import require_own_packages
+from hil.plugins.own_packages import require_own_packages
 
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",

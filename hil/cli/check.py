@@ -27,7 +27,7 @@ def command(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_js
     one message and exit status 2.
     """
     checks = {"plants": _plant, "controllers": _controller, "laws": _law, "links": _link, "measures": _measure}
-    from hil.experiment.asked import words
+    from hil.plugins.asked import words
     from plants.errors import PlantError
     from transport import TransportError
 
@@ -59,7 +59,7 @@ def _plant(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
 
 
 def _law(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
-    from hil.experiment.law_checks import check_law
+    from hil.plugins.law_checks import check_law
 
     return check_law(_made("hil.laws", kind, sets))
 
@@ -67,8 +67,8 @@ def _law(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
 def _controller(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
-    from hil.experiment.plugin_checks import check_controller
-    from hil.experiment.protocols import Designer
+    from hil.plugins.checks import check_controller
+    from hil.plugins.protocols import Designer
 
     made = _made("hil.controllers", kind, sets)
     if isinstance(made, Designer):
@@ -79,9 +79,9 @@ def _controller(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
 def _measure(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
-    from hil.experiment import plugins as registry
     from hil.measure.check import check_measure
     from hil.measure.measure import made_of
+    from hil.plugins import registry
     from hil.session import rehearsal
 
     if sets:

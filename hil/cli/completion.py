@@ -71,13 +71,13 @@ def _static(path: Path) -> dict[str, Any]:
 
     Nothing that the file names is run: no module of one's own, no FMU.
     """
-    from hil.experiment import plugins as registry
     from hil.experiment.limits import Limits
     from hil.experiment.load import MAX_BYTES
-    from hil.experiment.plugin_fields import fields_of
     from hil.experiment.tables import Experiment, Report, Timing
-    from hil.experiment.toml_text import parse_toml
-    from hil.regular_file import read_regular
+    from hil.files.regular import read_regular
+    from hil.files.toml_text import parse_toml
+    from hil.plugins import registry
+    from hil.plugins.fields import fields_of
 
     raw = parse_toml(read_regular(path, MAX_BYTES, "an experiment file").decode())
 

@@ -22,8 +22,8 @@ class OverHistory(Protocol):
 def experiment_over_history(subject: str) -> Experiment | None:
     """Return the experiment of a name with several sensor nodes, or with gains over historical data; None for any other name."""
     from hil.experiment import load_experiment
-    from hil.experiment.plugins import names
     from hil.experiment.sensor_list import sensors_of
+    from hil.plugins.registry import names
 
     if subject in names("hil.plants"):
         return None

@@ -19,7 +19,7 @@ from typing import Final
 import click
 
 from hil.cli.terminal import visible
-from hil.own_packages import REMEDY, shadows
+from hil.plugins.own_packages import REMEDY, shadows
 from hil.vcan import what_would_run
 
 Check = tuple[str, bool, str, str]  # what, fine, finding, remedy

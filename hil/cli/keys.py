@@ -19,7 +19,7 @@ def command() -> None:
 def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
     """Make a test authority, certificates of rig and controller, and the key of the frames, in the new FOLDER."""
     from hil.cli.terminal import visible
-    from hil.key_files import make_keys
+    from hil.files.keys import make_keys
 
     for path in make_keys(folder, hosts, days):
         print(visible(str(path)))
@@ -32,7 +32,7 @@ def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
 def signing(folder: Path) -> None:
     """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub is for who checks them."""
     from hil.cli.terminal import visible
-    from hil.log.signature import make_signing_key
+    from hil.files.signature import make_signing_key
 
     key, public = (visible(str(path)) for path in make_signing_key(folder))
     print(f"hil run EXPERIMENT --sign {key}      signs the log: keep this file")

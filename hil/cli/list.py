@@ -14,7 +14,7 @@ GROUPS = ("plants", "controllers", "laws", "links", "measures")
 
 def _kinds(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
     """Return for the shell the plug-ins of the group that stands before."""
-    from hil.experiment import plugins as registry
+    from hil.plugins import registry
 
     group = ctx.params.get("group")
     return [name for name in registry.names(f"hil.{group}") if name.startswith(incomplete)] if group in GROUPS else []  # type: ignore[arg-type]
@@ -42,8 +42,8 @@ def _all(as_json: bool) -> None:
     import tomllib
 
     from hil.cli.terminal import visible
-    from hil.experiment import plugins as registry
     from hil.experiment import shipped
+    from hil.plugins import registry
 
     experiments = {
         name: tomllib.loads(path.read_text()).get("description", "") for name, path in shipped().items()
@@ -66,8 +66,8 @@ def _all(as_json: bool) -> None:
 
 def _group(group: str, as_json: bool) -> None:
     from hil.cli.terminal import visible
-    from hil.experiment import plugins as registry
-    from hil.experiment.plugin_fields import about
+    from hil.plugins import registry
+    from hil.plugins.fields import about
 
     found = {}
     for name in registry.names(f"hil.{group}"):  # type: ignore[arg-type]
@@ -86,8 +86,8 @@ def _kind(group: str, kind: str, as_json: bool) -> None:
     import textwrap
 
     from hil.cli.terminal import visible
-    from hil.experiment import plugins as registry
-    from hil.experiment.plugin_fields import about, fields_of
+    from hil.plugins import registry
+    from hil.plugins.fields import about, fields_of
 
     cls = registry.load(f"hil.{group}", kind)  # type: ignore[arg-type]
     said, fields = about(f"hil.{group}", kind), fields_of(cls)  # type: ignore[arg-type]

@@ -81,9 +81,9 @@ def command(
 def _signed(file: Path, key: Path) -> Run:
     """Return the log, read from the very file whose signature was checked."""
     from hil.cli.terminal import visible
+    from hil.files.regular import open_regular
+    from hil.files.signature import BadSignature, check_signature
     from hil.log.read.run import read_run
-    from hil.log.signature import BadSignature, check_signature
-    from hil.regular_file import open_regular
 
     with open_regular(file, "a log") as log:
         try:
@@ -155,7 +155,7 @@ def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> N
     """Write columns as CSV, a piece at a time."""
     import numpy as np
 
-    from hil.exclusive_file import written_whole
+    from hil.files.exclusive import written_whole
 
     with written_whole(output, replace=False) as part, open(part, "w", encoding="utf-8") as file:
         file.write(",".join(series) + "\n")

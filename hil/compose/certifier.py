@@ -11,7 +11,7 @@ import numpy as np
 from design.controllers import Controller, LoopModel
 from design.verdict import Kind, Verdict
 from hil.compose.said import Said
-from hil.experiment.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
+from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

@@ -14,7 +14,7 @@ from design.verdict import Verdict, digest
 from hil.compose.certifier import limited_to_model
 from hil.compose.send_all_loop import judge_gains
 from hil.errors import HilError
-from hil.experiment.protocols import Plant
+from hil.plugins.protocols import Plant
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
@@ -56,7 +56,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
     Raises:
         HilError: no such plant or experiment, or a network that is no chain of delays.
     """
-    from hil.experiment.plugins import load, names
+    from hil.plugins.registry import load, names
 
     of_experiment = name not in names("hil.plants")
     if not of_experiment:

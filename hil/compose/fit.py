@@ -10,9 +10,9 @@ from hil.compose.time_line import time_line_faults
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.can_frames import can_faults
-from hil.experiment.own_plugins import words
-from hil.experiment.plugin_checks import check_answers
-from hil.experiment.protocols import NamesField
+from hil.plugins.checks import check_answers
+from hil.plugins.own_plugins import words
+from hil.plugins.protocols import NamesField
 
 
 def size_faults(e: Experiment) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from design.controllers import GainTable, integrates
 from hil.compose.delay_chains import delay_chains, gains_over
 from hil.compose.loop import Loop
-from hil.experiment.protocols import JumpPlant
+from hil.plugins.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.jump_linear.fourth_moment import FourthMoments

@@ -12,7 +12,7 @@ from design.controllers import HistoryGains, LoopModel, SensorNodes
 from design.controllers.packet_window import window_of
 from design.verdict import Kind, Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
-from hil.experiment.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
+from hil.plugins.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.historical_data.lifted_loop import DelayedPlant

@@ -11,7 +11,7 @@ from design.errors import DesignError
 from design.verdict import Kind, Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
 from hil.compose.jump_plant import process_of, system_of
-from hil.experiment.protocols import JumpPlant
+from hil.plugins.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.controllers.scheduled_gain import ScheduledGain

@@ -16,7 +16,7 @@ import numpy as np
 from design.verdict import State
 from hil.compose.certifier import LoopToCertify
 from hil.compose.motion_test import SEED, Array, random_inputs
-from hil.experiment.protocols import JumpPlant
+from hil.plugins.protocols import JumpPlant
 from plants.parts.jump import JumpModel, JumpRates
 
 SIZES = (1e-3, 1e3)

@@ -8,7 +8,7 @@ from design.controllers import LinearFeedback, LinearLaw, LoopModel
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
 from hil.compose.send_all_loop import second_moment_verdict
-from hil.experiment.protocols import JumpPlant
+from hil.plugins.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

@@ -38,13 +38,13 @@ from hil.compose.stored_gains import Gains, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.absent import Absent
-from hil.experiment.own_modules import is_own
-from hil.experiment.plugins import OBJECT
-from hil.experiment.protocols import Designer, GivesGains, JumpPlant, NamedController
 from hil.experiment.sensor_list import Sensor, sensors_of
 from hil.experiment.table_check import fault_at
 from hil.log.records import Channel
 from hil.log.topics import Logged, channels
+from hil.plugins.own_modules import is_own
+from hil.plugins.protocols import Designer, GivesGains, JumpPlant, NamedController
+from hil.plugins.registry import OBJECT
 from plants.errors import PlantError
 from transport.laws.protocols import NetworkLaw, prepare
 from transport.packets import MAX_OUTPUTS

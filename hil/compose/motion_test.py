@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel
-from hil.experiment.protocols import Plant
+from hil.plugins.protocols import Plant
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from design.verdict import State, Verdict, digest
 from hil.compose.certifier import limited_to_model
 from hil.compose.design_problem import TrackingTarget, digest_of_design
 from hil.errors import HilError
-from hil.experiment.protocols import Plant
+from hil.plugins.protocols import Plant
 from plants.errors import PlantError
 
 Array = NDArray[np.float64]

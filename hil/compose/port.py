@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from hil.experiment.protocols import JumpPlant, Plant
+from hil.plugins.protocols import JumpPlant, Plant
 
 CONJUGATE: Final = (("N", "m"), ("N m", "rad"))
 """Units of an input and an output whose product is energy."""

@@ -11,7 +11,7 @@ from design.controllers import GainTable, LoopModel, integrates, packet_samples
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
 from hil.compose.delay_chains import gains_within
-from hil.experiment.protocols import JumpPlant
+from hil.plugins.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.jump_linear.certificate import Certificate

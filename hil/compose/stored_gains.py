@@ -24,8 +24,8 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.load import parse_table
 from hil.experiment.plain_form import plain
-from hil.experiment.protocols import Designer, GivesGains, NamedController
-from hil.regular_file import read_regular
+from hil.files.regular import read_regular
+from hil.plugins.protocols import Designer, GivesGains, NamedController
 
 FORMAT: Final = "hilrig-gains/1"
 LARGEST: Final = 16_000_000

@@ -17,7 +17,7 @@ from hil.compose.certifier import LoopToCertify
 from hil.compose.free_motion import FreeMotion, free_motion
 from hil.compose.motion_test import ALIKE, EQUAL, SEED, SLOTS, Array, Departure, departure, drive, foretold, random_inputs
 from hil.compose.stated_controller import answers_of
-from hil.experiment.protocols import BeyondModel, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
+from hil.plugins.protocols import BeyondModel, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
 """Share of a limit that counts as small; without limits, the sizes of the inputs, in their units."""

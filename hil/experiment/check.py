@@ -10,15 +10,15 @@ from typing import Any
 import msgspec
 
 from hil.errors import HilError
-from hil.experiment import plugins as registry
 from hil.experiment.absent import Absent
 from hil.experiment.nodes import Medium, Node
-from hil.experiment.own_modules import is_own
-from hil.experiment.own_plugins import in_own_words, own_fault
-from hil.experiment.plugins import OBJECT
-from hil.experiment.protocols import NamesFiles
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Links
+from hil.plugins import registry
+from hil.plugins.own_modules import is_own
+from hil.plugins.own_plugins import in_own_words, own_fault
+from hil.plugins.protocols import NamesFiles
+from hil.plugins.registry import OBJECT
 from plants.errors import PlantError
 from transport.laws.protocols import BoundedAge, load_files
 

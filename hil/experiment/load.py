@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import ExperimentError, HilError
-from hil.experiment import plugins as registry
 from hil.experiment.check import Checker
 from hil.experiment.table_check import infinite_faults
 from hil.experiment.tables import Experiment, Seconds
-from hil.experiment.toml_text import DEEPEST, parse_toml
-from hil.regular_file import read_regular
+from hil.files.regular import read_regular
+from hil.files.toml_text import DEEPEST, parse_toml
+from hil.plugins import registry
 
 __all__ = [
     "Experiment", "Seconds", "experiment_from_resolved", "load_experiment", "parse_experiment", "parse_plugin", "shipped",

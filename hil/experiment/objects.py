@@ -8,10 +8,10 @@ from typing import Any
 import msgspec
 
 from hil.errors import ExperimentError
-from hil.experiment import plugins as registry
-from hil.experiment.own_plugins import own_fault
-from hil.experiment.protocols import NamesFiles
 from hil.experiment.tables import Experiment
+from hil.plugins import registry
+from hil.plugins.own_plugins import own_fault
+from hil.plugins.protocols import NamesFiles
 from plants.errors import PlantError
 
 

@@ -10,10 +10,10 @@ import msgspec
 from docstring_parser import ParseError
 from docstring_parser.google import parse
 
-from hil.experiment import plugins as registry
 from hil.experiment.faults import Fault
 from hil.experiment.nodes import Node
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Seconds
+from hil.plugins import registry
 from transport.durations import PATTERN
 
 KEYS_OF_FAULT = dict(zip(Fault.__struct_fields__, Fault.__struct_encode_fields__))  # "for" is no name in Python

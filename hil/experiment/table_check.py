@@ -13,10 +13,10 @@ from typing import Any
 import msgspec
 
 from hil.errors import HilError
-from hil.experiment.array_files import numbers_from_file
 from hil.experiment.field_types import frame_of, holds_tables, table_for, tag_of
-from hil.experiment.protocols import NamesField
 from hil.experiment.tables import HIDDEN, Experiment, Seconds, Table
+from hil.files.arrays import numbers_from_file
+from hil.plugins.protocols import NamesField
 
 INFINITE = "is not a finite number"
 LARGEST, SMALLEST = 1e30, 1e-100

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from hil.errors import HilError
-from hil.exclusive_file import written_whole
+from hil.files.exclusive import written_whole
 
 PAGE = b"<!doctype html"  # as our pages begin
 

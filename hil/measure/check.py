@@ -12,14 +12,14 @@ from typing import Any, Final
 
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
-from hil.experiment import plugins as registry
-from hil.experiment.asked import asked, needs
-from hil.experiment.own_plugins import in_own_words
 from hil.log.records import EVENTS_TOPIC
 from hil.log.topics import TOPICS
 from hil.measure.many import MeasureOfMany
 from hil.measure.measure import Measure, Quantity, made_of, quantities_of
 from hil.measure.view import RunView
+from hil.plugins import registry
+from hil.plugins.asked import asked, needs
+from hil.plugins.own_plugins import in_own_words
 
 MEASURE: Final = {
     "title": "heading of its table",

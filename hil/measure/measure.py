@@ -10,13 +10,13 @@ from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.experiment import plugins as registry
-from hil.experiment.own_plugins import in_own_words, words
 from hil.experiment.tables import Report
 from hil.log.records import EVENTS_TOPIC
 from hil.log.topics import NUMBER_TOPICS
 from hil.measure.signals import Signals
 from hil.measure.view import RunView
+from hil.plugins import registry
+from hil.plugins.own_plugins import in_own_words, words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

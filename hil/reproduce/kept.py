@@ -17,7 +17,7 @@ import design
 import plants
 import transport
 from hil.errors import HilError
-from hil.regular_file import refuse_irregular
+from hil.files.regular import refuse_irregular
 from hil.reproduce.chapter import Part
 from hil.reproduce.parts_as_json import as_plain, from_plain
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.regular_file import read_regular
+from hil.files.regular import read_regular
 from hil.vcan import guest
 from hil.vcan.kernel import Kernel
 from hil.vcan.supervise import RUNNER_FAILED, RunnerError, die_with_parent, say, unshare

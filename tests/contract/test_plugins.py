@@ -9,8 +9,8 @@ import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment, parse_plugin, shipped
-from hil.experiment import plugins as registry
-from hil.experiment.plugin_checks import check_controller, check_law
+from hil.plugins import registry
+from hil.plugins.checks import check_controller, check_law
 from plants.parts.check import check_plant
 from transport.laws.protocols import prepare
 

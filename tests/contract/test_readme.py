@@ -22,9 +22,9 @@ from design.controllers import LoopModel
 from hil.cli import COMMANDS, cli
 from hil.cli.guide import pages
 from hil.experiment import parse_experiment, shipped
-from hil.experiment.plugin_checks import check_controller
 from hil.measure.check import check_measure
 from hil.measure.view import view_of
+from hil.plugins.checks import check_controller
 from hil.session import run_session
 from plants import check_plant
 from tests.hil.pages.runs import run_of

@@ -23,7 +23,7 @@ from hil.cli.number_lists import NumberList
 from hil.cli.terminal import message_lines
 from hil.errors import HilError
 from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
-from hil.experiment.array_files import numbers_from_file
+from hil.files.arrays import numbers_from_file
 from hil.log.events import decode_event, encode_event
 from hil.log.read.signal_table import read_signal_table
 from hil.sweeps.parameters import grid, latin_hypercube

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.key_files import make_keys
+from hil.files.keys import make_keys
 from hil.replay import verify
 from tests.hostile.test_who_commands import session
 

@@ -18,7 +18,7 @@ import pytest
 import zenoh
 
 from hil.experiment import shipped
-from hil.key_files import make_keys
+from hil.files.keys import make_keys
 from hil.log.read.run import Run, read_run
 from tests.links.test_zenoh_access import stranger, tls_entries
 from tests.ports import free_port

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from hil.key_files import make_keys
+from hil.files.keys import make_keys
 from tests.ports import free_port
 from tests.waiting import until
 from transport import Link, TransportError, open_link

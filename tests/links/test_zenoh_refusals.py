@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from hil.key_files import make_keys
+from hil.files.keys import make_keys
 from tests.links.test_zenoh_access import stranger, tls_entries
 from tests.ports import free_port
 from tests.waiting import until

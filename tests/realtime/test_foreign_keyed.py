@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from hil.key_files import make_keys
+from hil.files.keys import make_keys
 from tests.foreign_session import drive
 from transport.links.can_bus import HilBus
 

@@ -68,7 +68,7 @@ CHECKS = """
 import json, sys, tempfile
 import hil
 from hil.compose.loop import compose
-from hil.experiment.plugin_checks import check_controller, check_law
+from hil.plugins.checks import check_controller, check_law
 from hil.measure.check import check_measure
 from hil.measure.view import view_of
 from plants import check_plant

@@ -30,10 +30,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from hil.errors import HilError
-from hil.exclusive_file import written_whole
 from hil.experiment import experiment_from_resolved
 from hil.experiment.can_frames import identifiers_of_link, identifiers_on
 from hil.experiment.sensor_order import framing
+from hil.files.exclusive import written_whole
 from hil.log.growing import pieces
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.measured_frames import measured_frames

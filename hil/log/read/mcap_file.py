@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from hil.errors import HilError
+from hil.files.regular import refuse_irregular
 from hil.log.read.mcap_walk import MAGIC
-from hil.regular_file import refuse_irregular
 
 
 @contextmanager

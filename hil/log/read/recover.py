@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, MessageIndex, Metadata, Schema
 
 from hil.errors import HilError
-from hil.exclusive_file import written_whole
+from hil.files.exclusive import written_whole
 from hil.log.read.mcap_content import start_said
 from hil.log.read.mcap_file import open_mcap
 from hil.log.read.mcap_walk import (

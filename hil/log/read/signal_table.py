@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
-from hil.regular_file import open_regular
+from hil.files.regular import open_regular
 
 MOST_BYTES = 256 << 20
 TIME_COLUMNS = {"t_s": 1.0, "t_ns": 1e-9, "time": 1.0, "t": 1.0}

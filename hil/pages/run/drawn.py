@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from hil.experiment.asked import words
 from hil.measure.measure import run_measures
 from hil.measure.network_paths import run_sensors
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Section
 from hil.pages.html.plain_section import plain_section
+from hil.plugins.asked import words
 
 MOST_WORDS = 2000
 """Characters of an error's message on a page."""

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import IO, Any, Protocol
 
-from hil.own_python import python_module
+from hil.runtime.real.own_python import python_module
 from hil.runtime.time.clock import monotonic_ns
 
 GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second

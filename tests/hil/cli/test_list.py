@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from hil.experiment import plugins as registry
+from hil.plugins import registry
 from tests.hil.cli.conftest import Hil
 
 GROUPS: tuple[registry.Group, ...] = ("hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures")

@@ -19,8 +19,8 @@ from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.experiment.limits import Limits
-from hil.experiment.plugin_checks import check_controller
 from hil.experiment.tables import Seconds
+from hil.plugins.checks import check_controller
 from hil.session import simulate
 from plants import DCMotor, DelayedVTOL, FaultyVTOL, PlantError, SwitchedExample, check_plant
 

@@ -13,8 +13,8 @@ from hil.compose.delay_chains import delay_chains
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.experiment.plugin_checks import check_law
 from hil.measure.network import expected_frequencies, expected_transitions
+from hil.plugins.checks import check_law
 from hil.session import simulate
 from tests.hil.test_prediction import predicted_of
 from transport.laws.age import ConstantAge, IidAge, MarkovAge

@@ -13,7 +13,7 @@ import pytest
 from design.monte_carlo.parallel import Workers
 from hil.errors import HilError
 from hil.experiment import load as loading
-from hil.experiment import load_experiment, plugins
+from hil.experiment import load_experiment
 from hil.experiment.tables import Report
 from hil.log.read.run import read_run
 from hil.measure import view as viewing
@@ -23,6 +23,7 @@ from hil.measure.signals import Signals, signals_of
 from hil.measure.tracking import Tracking
 from hil.measure.view import RunView, view_of
 from hil.pages.run.run_page import render_report
+from hil.plugins import registry
 from hil.session import run_session
 from hil.sweeps.seeds import columns_of, run_sweep
 from tests.hil.pages.runs import run_of
@@ -45,12 +46,12 @@ class Effort:
 
 @pytest.fixture
 def effort(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = plugins.load
+    known = registry.load
 
-    def load(group: plugins.Group, name: str, folder: str = ".") -> type:
+    def load(group: registry.Group, name: str, folder: str = ".") -> type:
         return Effort if (group, name) == ("hil.measures", "effort") else known(group, name)
 
-    monkeypatch.setattr(plugins, "load", load)
+    monkeypatch.setattr(registry, "load", load)
 
 
 @pytest.mark.usefixtures("effort")

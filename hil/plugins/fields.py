@@ -12,7 +12,7 @@ import msgspec
 from docstring_parser import ParseError
 from docstring_parser.google import parse
 
-from hil.experiment import plugins as registry
+from hil.plugins import registry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

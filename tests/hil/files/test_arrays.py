@@ -16,8 +16,9 @@ from scipy.io import savemat
 
 import hil
 from hil.errors import HilError
-from hil.experiment import array_files, shipped
-from hil.experiment.array_files import numbers_from_file
+from hil.experiment import shipped
+from hil.files import arrays as array_files
+from hil.files.arrays import numbers_from_file
 
 A = np.array([[0.0, 1.0], [0.0, -2.0]])
 

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hil.experiment import shipped
-from hil.experiment.toml_text import DEEPEST, parse_toml
+from hil.files.toml_text import DEEPEST, parse_toml
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from types import FunctionType, ModuleType
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.regular_file import read_regular
+from hil.files.regular import read_regular
 
 MAX_BYTES: Final = 1_000_000
 _PREFIX: Final = "hil_own_"

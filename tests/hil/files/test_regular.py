@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hil.errors import HilError
-from hil.exclusive_file import written_whole
-from hil.regular_file import read_regular
+from hil.files.exclusive import written_whole
+from hil.files.regular import read_regular
 
 
 def test_a_regular_file_is_read_whole(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
-from hil.own_packages import OURS, ROOT
+from hil.plugins.own_packages import OURS, ROOT
 
 _OUR_FOLDERS: Final = tuple(str(ROOT / name) + "/" for name in ("hil", *OURS))
 

@@ -15,7 +15,7 @@ _CHILD: Final = Path(__file__).with_name("mat_child.py")
 
 
 def npy_of_mat(data: bytes, key: str, most_numbers: int) -> bytes:
-    """Return a matrix of a MATLAB file, version 4 to 7, in numpy's format `.npy`; see `hil.experiment.mat_child`.
+    """Return a matrix of a MATLAB file, version 4 to 7, in numpy's format `.npy`; see `hil.files.mat_child`.
 
     Args:
         data: the file.

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.experiment.asked import asked, needs
+from hil.plugins.asked import asked, needs
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import (
     AgeLaw,

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import HilError
-from hil.experiment.mat_file import npy_of_mat
-from hil.regular_file import read_regular
+from hil.files.mat_file import npy_of_mat
+from hil.files.regular import read_regular
 
 MAX_BYTES: Final = 16_000_000
 MOST_NUMBERS: Final = 1_000_000

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from hil.errors import HilError
-from hil.exclusive_file import written_whole
-from hil.regular_file import read_regular
+from hil.files.exclusive import written_whole
+from hil.files.regular import read_regular
 from transport.links.secret_file import read_secret
 
 if TYPE_CHECKING:

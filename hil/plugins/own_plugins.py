@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from design.controllers import Controller
-from hil.experiment.asked import needs, words
-from hil.experiment.plugins import Group
-from hil.experiment.protocols import Designer
+from hil.plugins.asked import needs, words
+from hil.plugins.protocols import Designer
+from hil.plugins.registry import Group
 from plants.errors import PlantError
 from plants.parts.check import check_plant
 
@@ -70,6 +70,6 @@ def _check_controller(made: Any) -> None:
 
 
 def _check_law(made: Any) -> None:
-    from hil.experiment.law_checks import check_law  # with the emulated network, which no other reading of a file needs
+    from hil.plugins.law_checks import check_law  # with the emulated network, which no other reading of a file needs
 
     check_law(made)

@@ -1,6 +1,6 @@
 """What every controller must keep, as functions that its author can run; each raises AssertionError with a sentence.
 
-Network laws have theirs in :mod:`hil.experiment.law_checks`, measures in :mod:`hil.measure.check`, plants in
+Network laws have theirs in :mod:`hil.plugins.law_checks`, measures in :mod:`hil.measure.check`, plants in
 :mod:`plants.parts.check`, links in :mod:`transport.links.contract`.
 """
 
@@ -25,8 +25,8 @@ from design.controllers import (
     packet_samples,
     row_count,
 )
-from hil.experiment.asked import asked, needs
-from hil.experiment.law_checks import check_law
+from hil.plugins.asked import asked, needs
+from hil.plugins.law_checks import check_law
 from transport.packets import SELECTIONS
 
 __all__ = ["check_answers", "check_controller", "check_law"]

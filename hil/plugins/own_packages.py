@@ -9,7 +9,7 @@ from typing import Final
 from hil.errors import HilError
 
 OURS: Final = ("design", "plants", "transport")
-ROOT: Final = Path(__file__).resolve().parents[1]
+ROOT: Final = Path(__file__).resolve().parents[2]
 """The folder that holds hil and its three packages: a checkout, or `site-packages`."""
 
 REMEDY: Final = "rename it, or start Python from another folder or with python -P (pytest: --import-mode=importlib)"
