@@ -150,7 +150,7 @@ def test_what_is_real_is_read_and_what_is_damaged_refused_with_one_message(
 ) -> None:  # fmt: skip
     for data in BOUNDARIES[name].real():
         assert BOUNDARIES[name].attack(tmp_path, data)
-    few = FEW // 5 if name == "mat" else FEW  # each of these files is read by a process of its own
+    few = FEW // 10 if name == "mat" else FEW  # each of these files is read by a process of its own
     damage(name, few, PARTS, record_property, batch=few // 3)
 
 

@@ -40,7 +40,7 @@ def read(data: bytes, key: str) -> Any:
 @pytest.mark.parametrize("packed", [False, True])
 def test_numbers_are_read_as_they_were_written_and_nothing_else_is(packed: bool) -> None:
     data = saved(NUMBERS | OTHERS, do_compression=packed)
-    for name, expected in [*NUMBERS.items()][: 3 if packed else None]:  # each is a process
+    for name, expected in [*NUMBERS.items()][packed::2]:  # each is a process
         array = read(data, name)
         np.testing.assert_array_equal(array, np.atleast_2d(expected), err_msg=name)
         assert array.dtype == expected.dtype or name == "flag", name
@@ -56,7 +56,7 @@ def test_version_4_is_read_in_both_byte_orders() -> None:
     np.testing.assert_array_equal(read(big, "A"), [[0.5, 4.0]])
 
 
-@pytest.mark.parametrize("cut", [1, 20, 127, 130, 150, 170, 190, -1])
+@pytest.mark.parametrize("cut", [20, 130, 190, -1])
 def test_what_is_cut_is_refused(cut: int) -> None:
     with pytest.raises(HilError, match=r"is no whole \.mat file|has no key 'A'"):
         read(saved({"A": NUMBERS["double"]})[:cut], "A")
@@ -70,7 +70,7 @@ def test_what_unpacks_to_too_much_is_refused_before_its_numbers_are_read() -> No
 def test_damaged_files_end_the_reader_and_never_this_process() -> None:
     """scipy alone ends its process (SIGSEGV) on some of a few hundred such files."""
     whole, draw = saved(NUMBERS | OTHERS), random.Random(3)
-    for _ in range(8):
+    for _ in range(3):  # each is a process; `make test-hostile` has thousands
         data = bytearray(whole)
         for _ in range(draw.randint(1, 6)):
             data[draw.randrange(len(data))] = draw.choice((0, 1, 127, 128, 255))
