@@ -22,7 +22,7 @@ from hil.log.read.run import read_run
 from plants import FMU
 from plants.fmu_host import PREFIX, remove_left_behind
 from tests.plants.test_fmu import CART, LINEAR, REAL, RUN, SOURCE, VERSION_2
-from tests.waiting import until
+from tests.waiting import ended, until
 
 pytest.importorskip("fmpy", reason="FMPy is not installed: pip install 'hilrig[fmu]'")
 pytestmark = pytest.mark.skipif(
@@ -117,7 +117,7 @@ def test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
 def test_a_unit_without_an_end_is_ended_by_a_signal(tmp_path: Path, temporary: Path, late: str, number: int) -> None:
     unit(tmp_path, late=f'fputs("loops\\n", stderr); {late}')
-    with subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with ended(subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
         assert process.stderr is not None and process.stderr.readline() == "loops\n"
         process.send_signal(number)
         out, err = process.communicate(timeout=60)
@@ -152,7 +152,7 @@ def test_what_a_unit_prints_stays_out_of_our_output(tmp_path: Path, temporary: P
 
 def test_the_folder_of_a_killed_session_goes_with_it(tmp_path: Path, temporary: Path) -> None:
     unit(tmp_path, late='fputs("loops\\n", stderr); for (;;);')
-    with subprocess.Popen(command(tmp_path), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    with ended(subprocess.Popen(command(tmp_path), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)) as process:
         assert process.stderr is not None and process.stderr.readline() == "loops\n"
         assert any(p.name.startswith(PREFIX) for p in temporary.iterdir())
         process.kill()
@@ -188,7 +188,7 @@ def test_the_same_seed_gives_the_same_log(tmp_path: Path, temporary: Path) -> No
 def test_in_real_time_a_unit_that_crashes_ends_the_session_in_order(tmp_path: Path, temporary: Path) -> None:
     unit(tmp_path, late=f'if (!access("{tmp_path}/go", 0)) {{ {SEGFAULT} }}')  # rehearsals are behind it then
     words = command(tmp_path, "--clock", "real", "--link", "local:", "--duration", "60s")
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with ended(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
         log = tmp_path / "a.mcap"
         until(lambda: log.exists() and log.stat().st_size > 0, "the log is begun")
         begun = log.stat().st_size

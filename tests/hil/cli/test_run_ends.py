@@ -17,7 +17,7 @@ from hil.cli.run import _let_go
 from hil.experiment import shipped
 from hil.log.read.run import read_run
 from tests.hil.cli.conftest import Hil
-from tests.waiting import until
+from tests.waiting import ended, until
 
 PLANT = '''
 import os
@@ -71,7 +71,7 @@ def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path: Path, number: int) -> None:
     late = "print('loops', file=sys.stderr, flush=True)\n            while True: pass"
-    with subprocess.Popen(started(tmp_path, late), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with ended(subprocess.Popen(started(tmp_path, late), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
         assert process.stderr is not None and process.stderr.readline() == "loops\n"
         process.send_signal(number)
         out, err = process.communicate(timeout=60)
@@ -86,7 +86,7 @@ def test_a_signal_before_the_first_record_leaves_no_empty_log(tmp_path: Path) ->
     text = (tmp_path / "cart.py").read_text()
     slow = "    def model(self):\n        import pathlib, time\n        if pathlib.Path({log!r}).exists(): time.sleep(60)\n"
     (tmp_path / "cart.py").write_text(text.replace("    def model(self):\n", slow.format(log=str(tmp_path / "a.mcap"))))
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with ended(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
         until((tmp_path / "a.mcap").exists, "the log's name is taken")
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
