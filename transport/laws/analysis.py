@@ -14,6 +14,7 @@ from transport.laws.delay_states import delay_states, measured_ages
 from transport.laws.latency import LatencyTrace, QuantileTable, latency
 from transport.laws.modes import mode_bursts, mode_shares
 from transport.laws.packet import SLOT_TOLERANCE
+from transport.laws.packet_chain import arrival_ages
 from transport.laws.protocols import ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
 from transport.laws.stochastic_matrix import stationary_row
 from transport.medium.draws import DELIVERED, NO_MODE, OVERFLOW
@@ -76,6 +77,9 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float) -> LawAnaly
     if isinstance(law, ChannelLaw):
         latencies = latency(law.latency)
         loss, mean_latency_s = law.loss_probability, latencies.mean_s
+        if law.discard_older is not None and not isinstance(latencies, LatencyTrace):
+            comes = arrival_ages(law, latencies, period_s, deadline_s, SLOT_TOLERANCE)
+            loss = 1.0 - (1.0 - loss) * float(comes.sum())
         if law.reordering and not isinstance(latencies, LatencyTrace) and not _may_overflow(law, latencies, period_s, deadline_s):
             shares, unused = packet_age_shares(law, period_s, deadline_s), math.nan
         else:
@@ -129,7 +133,8 @@ def packet_age_shares(law: ChannelLaw, period_s: float, deadline_s: float) -> ND
         older = stationary_row(chain)
         shares: list[float] = []
         while older.sum() > NEGLIGIBLE and len(shares) < LONGEST:
-            due = np.array([deadline_s + (len(shares) + SLOT_TOLERANCE) * period_s])
+            age = len(shares) if law.discard_older is None else min(len(shares), law.discard_older)
+            due = np.array([deadline_s + (age + SLOT_TOLERANCE) * period_s])
             late = 1.0 - float(latencies.cdf(due)[0])
             late = (1.0 - law.duplication) * late + law.duplication * late**2
             arrived = older * (1.0 - losses) * (1.0 - late)

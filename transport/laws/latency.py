@@ -11,7 +11,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import cycle
 from os import PathLike
 from pathlib import Path
@@ -53,10 +53,13 @@ class QuantileTable:
     Args:
         levels: (n,) rising from 0 to 1.
         values_s: (n,) not falling, seconds.
+        cut: probability of a latency beyond the last value, where the law that is tabulated has no bound. What is drawn is the
+            same with it or without, and so are two tables.
     """
 
     levels: tuple[float, ...]
     values_s: tuple[float, ...]
+    cut: float = field(default=0.0, compare=False)
 
     def sampler(self) -> Callable[[float], float]:
         """Return the quantile function, level of [0, 1) to seconds, 0.2 us per call."""
@@ -260,7 +263,10 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     early = float(np.interp(0.0, values, levels)) if values[0] < 0.0 else 0.0
     if early > EARLY:
         raise FieldError(path, f"by {described_as} a share of {early:.2g} arrives before it is sent; shift it by loc")
-    return QuantileTable(levels=tuple(levels.tolist()), values_s=tuple(np.maximum(values, 0.0).tolist()))
+    return QuantileTable(
+        levels=tuple(levels.tolist()), values_s=tuple(np.maximum(values, 0.0).tolist()),
+        cut=0.0 if math.isfinite(frozen.support()[1]) else SMALLEST_LEVEL,
+    )  # fmt: skip
 
 
 def _kept(values: NDArray[np.float64]) -> NDArray[np.float64]:

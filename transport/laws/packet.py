@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from transport.errors import FieldError
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
+from transport.laws.packet_chain import PacketChain, packet_chain
 from transport.laws.packet_paths import SlotTimes, channel_modes, fives_of_many, in_order, newest_received, quantiles
 from transport.laws.stochastic_matrix import BLOCK, cumulative, mean_holding, stationary_row
 from transport.medium.draws import COPIED, LOST, NO_MODE, SENT, Draw
@@ -64,6 +65,8 @@ class PacketLaw:
         duplication: probability that a packet that is not lost is followed by a copy with a latency of its own.
         reordering: whether a packet may overtake an earlier one; otherwise it waits (first in, first out).
         queue: packets in flight at most; what comes on top is dropped and booked as overflow.
+        discard_older: the receiver discards a packet that is more than so many slots old when it comes; it is booked as lost.
+            Then ages are a chain also where the latency has no bound. By default it takes every packet.
 
     Raises:
         FieldError: names the field.
@@ -82,6 +85,7 @@ class PacketLaw:
     duplication: float = 0.0
     reordering: bool = True
     queue: int = 1024
+    discard_older: int | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.latency, dict) or "file" not in self.latency:
@@ -91,6 +95,12 @@ class PacketLaw:
         _probability("duplication", self.duplication)
         if isinstance(self.queue, bool) or not 1 <= self.queue <= 1_000_000:
             raise FieldError("queue", f"got {self.queue!r}, expected 1 to 1000000 packets")
+        if self.discard_older is not None:
+            if isinstance(self.discard_older, bool) or not 0 <= self.discard_older <= 1000:
+                raise FieldError("discard_older", f"got {self.discard_older!r}, expected 0 to 1000 slots")
+            if not self.reordering:
+                said = "needs reordering = true: in order, a packet that is discarded still holds up those behind it"
+                raise FieldError("discard_older", said)
 
     def loaded(self, directory: str | PathLike[str] | None = None) -> PacketLaw:
         """Return the law with its file of latencies read.
@@ -155,7 +165,14 @@ class PacketLaw:
         sent = ~((loss < np.array(self.channel_losses()).take(modes)) | np.isinf(taken))
         copied = quantiles(latencies, copy_level)
         delays = [times.delays(np.where(np.isinf(s), 0.0, s)) for s in (taken, copied)]
-        return newest_received([sent, sent & (copy < self.duplication)], delays, reordering=self.reordering, queue=self.queue)
+        leaves = [sent, sent & (copy < self.duplication)]
+        if self.discard_older is not None:
+            leaves = [own & (delay <= self.discard_older) for own, delay in zip(leaves, delays)]
+        return newest_received(leaves, delays, reordering=self.reordering, queue=self.queue)
+
+    def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> PacketChain | str:
+        """Return the chain of the ages of the newest packet, or in words why there is none; see `packet_chain`."""
+        return packet_chain(self, latency(self.latency), period_s, deadline_s, SLOT_TOLERANCE, reach)
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain of the channel's modes: (1, 1), or (2, 2) good and bad."""
@@ -195,6 +212,7 @@ class PacketDraws:
         self._rows = [cumulative(row) for row in law.transition_matrix().tolist()]
         self._row = cumulative(law.stationary().tolist())
         self._duplication = law.duplication
+        self._latest = LATEST if law.discard_older is None else law.discard_older
         self._period_s = period_s
         self._deadline_s = deadline_s
         self._numbers: Callable[[], list[float]] = _fives(rng).__next__
@@ -207,10 +225,13 @@ class PacketDraws:
         latency_s = self._latency(u_latency)
         if u_loss < self._losses[mode] or latency_s == math.inf:
             return [Draw(k, k, mode, -1, math.nan, LOST)]
-        draws = [Draw(k, k, mode, self._slots(latency_s), latency_s, SENT)]
+        slots = self._slots(latency_s)
+        draws = [Draw(k, k, mode, slots, latency_s, SENT) if slots <= self._latest else Draw(k, k, mode, -1, math.nan, LOST)]
         if u_copy < self._duplication:
             latency_s = self._copy_latency(u_copy_latency)
-            draws.append(Draw(k, k, NO_MODE, self._slots(latency_s), latency_s, COPIED))
+            slots = self._slots(latency_s)
+            if slots <= self._latest:
+                draws.append(Draw(k, k, NO_MODE, slots, latency_s, COPIED))
         return draws
 
     def _slots(self, latency_s: float) -> int:

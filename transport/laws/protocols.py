@@ -107,6 +107,20 @@ class ChainLaw(MarkovModes, Protocol):
         ...
 
 
+@runtime_checkable
+class AgeChain(ChainLaw, Protocol):
+    """The chain of the age of the newest packet; of states of the largest age it says no more than that they are as old."""
+
+    @property
+    def neglected(self) -> float:
+        """Probability of a packet's latency that the chain leaves out; 0 where it is exact."""
+        ...
+
+    def initial_law(self) -> NDArray[np.float64]:
+        """Return the law of the state in slot 0, (N,)."""
+        ...
+
+
 class Sojourn(Protocol):
     """Law of the time in slots, at least one, that a mode lasts."""
 
@@ -166,10 +180,20 @@ class ChannelLaw(MarkovModes, Protocol):
     duplication: float
     queue: int
     reordering: bool
+    discard_older: int | None
     loss_probability: float
 
     def channel_losses(self) -> Sequence[float]:
         """Return the loss probability in every mode, (n,)."""
+        ...
+
+
+@runtime_checkable
+class PacketAges(Protocol):
+    """A packet law whose ages may be a Markov chain, once the slots are known."""
+
+    def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> AgeChain | str:
+        """Return the chain of the ages of the newest packet, all of them up to `reach` told apart; in words why there is none."""
         ...
 
 

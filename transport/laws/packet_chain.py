@@ -1,0 +1,230 @@
+"""The ages under a packet law as a Markov chain, in closed form, where latencies are bounded.
+
+A packet is of age i in slot k when it was sent in slot k - i. Given that the newest packet that has come is of age a, none of
+the a packets behind it has come. Latencies are independent: each of these comes in the next slot with a probability of its own,
+
+    h_i = Pr(it comes at age i | it has not come before),    i = 1 ... a,    and h_0 for the packet of that slot,
+
+whatever was before. The newest that comes decides: the next age is j with (1 - h_0) ... (1 - h_{j-1}) h_j, else a + 1. Beyond the
+longest latency J no h_i is left, and all larger ages follow one row: one state "older" stands for them, exactly.
+
+* Loss: a lost packet comes at no age. A Gilbert-Elliott channel: losses are independent given the modes of the channel, so that
+  the state holds these for the last min(a, J) packets too.
+* A copy: what counts is the earlier of the two, as long as packets may overtake.
+* First in, first out, without copies: the packets behind the first that is not lost wait for it, so that nothing is known of
+  their latencies. Which one is the first, the age (and the channel's modes) say as well as all history does.
+
+Before slot 0 a packet of slot -1 that says nothing stands for what has not come.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transport.laws.latency import Latency, LatencyTrace
+
+MOST_STATES = 512
+
+State = tuple[int, tuple[int, ...]]
+"""Age, and the modes of the channel for the last packets, newest first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PacketChain:
+    """The chain of the age of the newest packet under a packet law: a `ChainLaw` that says where it begins.
+
+    Args:
+        matrix: (N, N), Pr(state j in the next slot | state i).
+        mode_ages: age of every state, (N,), slots. The largest age means: as old, or older.
+        first: law of the state in slot 0, (N,); an age above 0 then means that nothing has come yet.
+        bound: longest latency J, slots.
+        neglected: probability that a packet's latency is beyond what the emulator draws, and so beyond `bound`; 0: exact.
+    """
+
+    matrix: NDArray[np.float64]
+    mode_ages: tuple[int, ...]
+    first: NDArray[np.float64]
+    bound: int
+    neglected: float = 0.0
+    initial: Literal["given"] = "given"
+    kind: str = "packet"
+
+    def transition_matrix(self) -> NDArray[np.float64]:
+        """Return the transition matrix, (N, N)."""
+        return self.matrix
+
+    def initial_law(self) -> NDArray[np.float64]:
+        """Return the law of the state in slot 0, (N,)."""
+        return self.first
+
+
+class Packets(Protocol):
+    """What of a packet law decides the ages, see `transport.laws.packet.PacketLaw`."""
+
+    @property
+    def duplication(self) -> float: ...
+    @property
+    def reordering(self) -> bool: ...
+    @property
+    def queue(self) -> int: ...
+    @property
+    def discard_older(self) -> int | None: ...
+    def channel_losses(self) -> Sequence[float]: ...
+    def transition_matrix(self) -> NDArray[np.float64]: ...
+    def stationary(self) -> NDArray[np.float64]: ...
+
+
+def arrival_ages(law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float) -> NDArray[np.float64]:
+    """Return Pr(a packet that the channel does not lose comes first at age i), (J + 1,); what misses to 1 never comes.
+
+    Args:
+        law: duplication and the receiver's `discard_older`.
+        latencies: of the packets, no trace.
+        period_s, deadline_s: length of a slot, and when it closes, s.
+        tolerance: of a latency that ends with a slot, in slots.
+    """
+    longest = 0 if isinstance(latencies, LatencyTrace) else _slots(latencies.values_s[-1], period_s, deadline_s, tolerance)
+    bound = longest if law.discard_older is None else min(longest, law.discard_older)
+    due = deadline_s + (np.arange(bound + 1) + tolerance) * period_s
+    by = latencies.cdf(due)
+    late = 1.0 - by
+    missed = (1.0 - law.duplication) * late + law.duplication * late**2
+    return np.maximum(-np.diff(missed, prepend=1.0), 0.0)
+
+
+def packet_chain(
+    law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float, reach: int = 0
+) -> PacketChain | str:
+    """Return the chain of the ages, or in words why there is none.
+
+    Args:
+        law: the packet law.
+        latencies: its latencies.
+        period_s, deadline_s: length of a slot, and when it closes, s.
+        tolerance: of a latency that ends with a slot, in slots.
+        reach: ages up to this one are told apart, whatever the longest latency.
+    """
+    if isinstance(latencies, LatencyTrace):
+        return "its latencies are a recorded trace"
+    longest = _slots(latencies.values_s[-1], period_s, deadline_s, tolerance)
+    bound = longest if law.discard_older is None else min(longest, law.discard_older)
+    if not law.reordering and law.duplication > 0.0:
+        return "packets wait for the copies of those before them (reordering = false, duplication > 0)"
+    modes = len(law.channel_losses())
+    windows = modes ** min(bound, 20)
+    states = max(bound, reach) + 2 if modes == 1 else (3 + max(0, reach - bound)) * windows
+    if states > MOST_STATES:
+        hint = "" if law.discard_older is not None and law.discard_older < longest else "; discard_older = J bounds it"
+        return f"latencies reach {bound} slots, so that its chain has {states} states, at most {MOST_STATES}{hint}"
+    if (bound + 1) * (1 + (law.duplication > 0.0)) > law.queue:
+        return f"its queue of {law.queue} may be full, as latencies reach {bound} slots"
+    arrives = arrival_ages(law, latencies, period_s, deadline_s, tolerance)
+    cut = latencies.cut if law.discard_older is None or law.discard_older >= longest else 0.0
+    return _explored(law, arrives, max(bound, reach) + 1, bound, cut)
+
+
+def _slots(latency_s: float, period_s: float, deadline_s: float, tolerance: float) -> int:
+    return max(0, math.ceil((latency_s - deadline_s) / period_s - tolerance))
+
+
+def _explored(law: Packets, arrives: NDArray[np.float64], oldest: int, bound: int, cut: float) -> PacketChain:
+    """Chain over the states that come up from slot 0 on."""
+    losses, channel = list(law.channel_losses()), law.transition_matrix()
+    ages = _waiting if not law.reordering else _overtaking
+    comes = arrives.tolist()
+    missed = np.maximum(1.0 - np.cumsum(arrives), 0.0)
+    missed[missed < 1e-15] = 0.0
+    late = missed.tolist()
+
+    def following(state: State) -> dict[State, float]:
+        age, known = state
+        found: dict[State, float] = {}
+        pending = min(age, bound)
+        for mode, share in enumerate(channel[known[0]].tolist()):
+            window = (mode, *known)
+            lost = [losses[c] for c in window[: pending + 1]]
+            for comes_at, probability in enumerate(ages(lost, comes, late)):
+                now = comes_at if comes_at <= pending else min(age + 1, oldest)
+                if share * probability > 0.0:
+                    to = now, window[: max(1, min(now, bound))]
+                    found[to] = found.get(to, 0.0) + share * probability
+        return found
+
+    first: dict[State, float] = {}
+    for mode, share in enumerate(law.stationary().tolist()):
+        for to, probability in following((0, (mode,))).items():
+            first[to] = first.get(to, 0.0) + share * probability
+    rows: dict[State, dict[State, float]] = {}
+    ahead = [to for to, probability in first.items() if probability > 0.0]
+    while ahead:
+        state = ahead.pop()
+        if state not in rows:
+            rows[state] = following(state)
+            ahead += rows[state]
+    order = sorted(rows)
+    index = {state: i for i, state in enumerate(order)}
+    matrix, begin = np.zeros((len(order), len(order))), np.zeros(len(order))
+    for state, row in rows.items():
+        for to, probability in row.items():
+            matrix[index[state], index[to]] = probability
+    for to, probability in first.items():
+        begin[index[to]] = probability
+    matrix /= matrix.sum(axis=1, keepdims=True)
+    return PacketChain(
+        matrix=matrix, mode_ages=tuple(age for age, _ in order), first=begin / begin.sum(), bound=bound, neglected=cut
+    )  # fmt: skip
+
+
+def _overtaking(lost: Sequence[float], comes: Sequence[float], late: Sequence[float]) -> list[float]:
+    """Pr(the newest that comes is of age 0, 1, ..., none comes), given that none has come; packets may overtake.
+
+    Args:
+        lost: loss probability of the packets of age 0, 1, ... in this slot.
+        comes, late: Pr(a packet that is not lost comes at age i), and that it has not come by age i.
+    """
+    found, none = [], 1.0
+    for i, loss in enumerate(lost):
+        before = 1.0 if i == 0 else loss + (1.0 - loss) * late[i - 1]
+        h = min(1.0, (1.0 - loss) * comes[i] / before) if before > 0.0 else 0.0
+        found.append(none * h)
+        none *= 1.0 - h
+    return [*found, none]
+
+
+def _waiting(lost: Sequence[float], comes: Sequence[float], late: Sequence[float]) -> list[float]:
+    """The same where packets wait for those before them, first in, first out."""
+    oldest = len(lost) - 1
+
+    def stays(ages: range) -> float:
+        """Pr(none of the packets of these ages, oldest first, has come by this slot), given that no older one holds them up."""
+        through, total = 1.0, 0.0
+        for i in ages:
+            total += through * (1.0 - lost[i]) * late[i]
+            through *= lost[i]
+        return total + through
+
+    before, gone = 0.0, 1.0  # none has come by the slot before
+    for i in range(oldest, 0, -1):
+        before += gone * (1.0 - lost[i]) * late[i - 1]
+        gone *= lost[i]
+    before += gone
+    if before <= 0.0:
+        return [0.0] * len(lost) + [1.0]
+    found = []
+    for j in range(oldest + 1):
+        comes_j = 0.0
+        for b in range(oldest, j - 1, -1):  # the first that is not lost
+            leads = prod(lost[b + 1 :]) * (1.0 - lost[b]) * comes[b]
+            if b > j:
+                leads *= (1.0 - lost[j]) * (1.0 - late[j])
+                leads *= prod(lost[i] + (1.0 - lost[i]) * (1.0 - late[i]) for i in range(j + 1, b))
+            comes_j += leads
+        found.append(comes_j * stays(range(j - 1, -1, -1)) / before)
+    return [*found, stays(range(oldest, -1, -1)) / before]
