@@ -16,8 +16,12 @@ is j ticks old. The information pattern is the row index:
 
 Where several nodes measure, every output l is known as c_l x(k - tau_l) with an age of its own, and t_k says all ages.
 
-State: x, then the stored samples, (the integral), then the packet rows under way, newest first; for `applied` and
-`both` one register per row, as long as the row's delay. The loop is affine in the gains: A_i(K) = A_i0 + sum L K R.
+A receiver may have nothing but what it had in the slot before (`DelayChain.held`): then the controller keeps its newest sample
+and the actuator the input that it applied, each in a register of its own.
+
+State: x, then the stored samples, (those used last), (the integral), then the packet rows under way, newest first; for
+`applied` and `both` one register per row, as long as the row's delay; (the input applied last).
+The loop is affine in the gains: A_i(K) = A_i0 + sum L K R.
 """
 
 from __future__ import annotations
@@ -190,20 +194,24 @@ def loop_structure(
     taken = C_ if store == "output" else np.eye(n)
     width = taken.shape[0]
     depth = sc_chain.max_delay + samples - 1
+    keeps_samples, keeps_input = bool(sc_chain.holds.any()), bool(ca_chain.holds.any())
+    if keeps_samples and store != "output":
+        raise FieldError("store", f"{store!r}, but a controller that keeps its sample stores outputs")
 
-    # where things lie in the state: x | samples k-1.. | xi | registers
-    xi = n + depth * width
+    # where things lie in the state: x | samples k-1.. | samples used in k-1 | xi | registers
+    used = n + depth * width
+    xi = used + (samples * p if keeps_samples else 0)
     start = xi + (p if integral > 0 else 0)
     registers = packet_registers(selection, ca_chain, start, m)
     weigh = weigh or ("applied" if selection in ("applied", "both") else "row")
     last_input = start + sum(length for _, length in registers) * m
-    order = last_input + (m if weigh == "applied" else 0)
+    order = last_input + (m if weigh == "applied" or keeps_input else 0)
 
     shift = np.zeros((order, order))
     shift[:n, :n] = A_
     if depth:
         shift[n : n + width, :n] = taken
-        shift[n + width : xi, n : xi - width] = np.eye((depth - 1) * width)
+        shift[n + width : used, n : used - width] = np.eye((depth - 1) * width)
     for first, length in registers:
         tail = (length - 1) * m
         shift[first + m : first + m + tail, first : first + tail] = np.eye(tail)
@@ -234,10 +242,14 @@ def loop_structure(
     for i, (s, c, before) in enumerate(modes):
         tau, d, label = output_ages[s], int(ca_chain.delay[c]), int(ca_chain.label[c])
         known = [sample(tau + lag) for lag in range(samples)]
+        if sc_chain.holds[s]:
+            known = list(np.eye(samples * p, order, used).reshape(samples, p, order))
+        if keeps_samples:
+            base[i, used:xi] += np.concatenate(known)
         if integral > 0:
             reader = np.zeros((p, order))
             reader[:, xi : xi + p] = np.eye(p)
-            base[i, xi : xi + p] += sample(tau) + reader
+            base[i, xi : xi + p] += known[0] + reader
             known.append(reader)
         Y = np.concatenate(known)
         generated = {"generated": label, "previous": int(ca_chain.label[before]), "both": label * labels}
@@ -249,7 +261,10 @@ def loop_structure(
             store_at[first : first + m] = np.eye(m)
             choice = registers.labels[slot] if per_row else 0
             entries.append((i, int(sc_chain.label[s]), offset + choice, store_at, Y))
-        if d == 0:
+        if ca_chain.holds[c]:
+            input_base[i, :, last_input : last_input + m] = np.eye(m)
+            base[i, :, last_input : last_input + m] += into_plant
+        elif d == 0:
             term = (i, int(sc_chain.label[s]), offset + (label if per_row else 0), into_plant, Y)
             entries.append(term)
             inputs.append(term)
@@ -280,7 +295,7 @@ def loop_structure(
         ca_mode=index[:, 1],
         ca_before=index[:, 2],
         plant_order=n,
-        stored_outputs=depth,
+        stored_outputs=depth + (samples if keeps_samples else 0),
         integral=integral > 0,
         selection=selection,
     )

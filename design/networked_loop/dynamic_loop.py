@@ -3,7 +3,8 @@
     xi(k+1) = Ac xi(k) + Bc e(k),    v(k) = Cc xi(k) + Dc e(k),    e(k) = C x(k - tau_k),    u(k) = v(k - d_k)
 
 In deviations from the ideal plant response. Every packet carries one row, which the actuator applies whatever its age. State:
-x, then the stored outputs, xi, then the rows under way, newest first.
+x, then the stored outputs, xi, then the rows under way, newest first; then, where a receiver may have nothing new
+(`DelayChain.held`), the sample that the controller used last, and the input that was applied last.
 
 Reference: (7.14), with xi in place of a table of gains.
 """
@@ -61,7 +62,9 @@ def dynamic_loop(
     stored, under_way = sc.max_delay, ca.max_delay
     xi = n + stored * p
     rows = xi + law.A.shape[0]
-    order = rows + under_way * m
+    sample = rows + under_way * m
+    last = sample + (p if sc.holds.any() else 0)
+    order = last + (m if ca.holds.any() else 0)
     modes, transition = joint_modes(sc, ca)
 
     base = np.zeros((order, order))
@@ -70,14 +73,16 @@ def dynamic_loop(
         base[n : n + p, :n] = C_
         base[n + p : xi, n : xi - p] = np.eye((stored - 1) * p)
     if under_way:
-        base[rows + m :, rows : order - m] = np.eye((under_way - 1) * m)
+        base[rows + m : sample, rows : sample - m] = np.eye((under_way - 1) * m)
     closed = np.repeat(base[None], len(modes), axis=0)
     output = np.zeros((len(modes), p + m, order))
     for i, (s, c, _) in enumerate(modes):
         tau, d = int(sc.delay[s]), int(ca.delay[c])
         e = np.zeros((p, order))
         e[:, : n if tau == 0 else 0] = C_[:, : n if tau == 0 else 0]
-        if tau:
+        if sc.holds[s]:
+            e = np.eye(p, order, sample)
+        elif tau:
             e[:, n + (tau - 1) * p : n + tau * p] = np.eye(p)
         v = law.D @ e
         v[:, xi:rows] += law.C
@@ -86,10 +91,14 @@ def dynamic_loop(
         if under_way:
             closed[i, rows : rows + m] += v
         u = v
-        if d:
+        if ca.holds[c]:
+            u = np.eye(m, order, last)
+        elif d:
             u = np.zeros((m, order))
             u[:, rows + (d - 1) * m : rows + d * m] = np.eye(m)
         closed[i, :n] += B_ @ u
+        closed[i, sample:last] = e[: last - sample]
+        closed[i, last:] = u[: order - last]
         output[i, :p, :n] = C_
         output[i, p:] = input_weight * u
     drive = np.zeros((order, m))

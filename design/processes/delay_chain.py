@@ -59,6 +59,9 @@ class DelayChain:
         labels: (N,) gain index of each mode; default: the delays. Modes of one label must have one delay.
         between: lower and upper bound, (N, N) each, of every transition probability, where a mode stands for many whose
             probabilities differ (a tail that is cut); default: the probabilities are exact.
+        held: (N,) whether the receiver has nothing but what it had in the slot before: on the way to the controller its sample,
+            on the way to the actuator the input that it applied. The delay of such a mode says how long ago at least. Default:
+            never. Over a chain that says so, one label may have several delays.
         ages: (N, p) age in samples of every output's newest sample in each mode, where several nodes measure, and the delay is
             the largest of them; default: all outputs are as old as the delay. See `design.processes.product_chain`.
 
@@ -74,6 +77,7 @@ class DelayChain:
     labels: npt.ArrayLike | None = None
     between: tuple[npt.ArrayLike, npt.ArrayLike] | None = None
     ages: npt.ArrayLike | None = None
+    held: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
         matrix = check_transition(self.transition, "transition")
@@ -84,7 +88,7 @@ class DelayChain:
             if values.shape != (modes,) or not np.issubdtype(values.dtype, np.integer) or (values < 0).any():
                 raise FieldError(name, f"expected {modes} integers >= 0, got {values.tolist()}")
         for label in sorted(set(labels.tolist())):  # np.unique would bring numpy.ma into every run
-            if len(set(delays[labels == label].tolist())) > 1:
+            if self.held is None and len(set(delays[labels == label].tolist())) > 1:
                 raise FieldError(f"labels[{label}]", "modes of one label must have one delay")
         if self.between is not None:
             low, high = (np.array(bound, dtype=np.float64) for bound in self.between)
@@ -100,6 +104,13 @@ class DelayChain:
             if (ages < 0).any() or not np.array_equal(ages.max(axis=1), delays):
                 raise FieldError("ages", "expected ages >= 0, the largest of every mode its delay")
             object.__setattr__(self, "ages", ages.astype(np.int64))
+        if self.held is not None:
+            held = np.asarray(self.held)
+            if held.shape != (modes,) or held.dtype != np.bool_:
+                raise FieldError("held", f"expected {modes} flags")
+            if self.ages is not None and held.any():
+                raise FieldError("held", "not over several nodes: of each output another node holds the sample")
+            object.__setattr__(self, "held", held)
         object.__setattr__(self, "transition", matrix)
         object.__setattr__(self, "delays", delays.astype(np.int64))
         object.__setattr__(self, "labels", labels.astype(np.int64))
@@ -125,6 +136,11 @@ class DelayChain:
         return int(self.matrix.shape[0])
 
     @property
+    def holds(self) -> npt.NDArray[np.bool_]:
+        """(N,) whether the receiver holds what it had before, see `held`."""
+        return np.zeros(self.modes, dtype=np.bool_) if self.held is None else np.asarray(self.held)
+
+    @property
     def max_delay(self) -> int:
         """Largest delay in samples."""
         return int(self.delay.max())
@@ -144,14 +160,17 @@ class DelayChain:
 
     @property
     def label_delay(self) -> Index:
-        """(L,) delay of each label, -1 for a label that no mode carries."""
+        """(L,) smallest delay of each label, -1 for a label that no mode carries."""
         delays = np.full(int(self.label.max()) + 1, -1, dtype=np.int64)
-        delays[self.label] = self.delay
+        order = np.argsort(-self.delay, kind="stable")
+        delays[self.label[order]] = self.delay[order]
         return delays
 
     @property
     def sojourns(self) -> tuple[int, ...]:
         """How many labels every delay 0, 1, ... has: one each, where the delays are the labels."""
+        if self.held is not None:
+            return (1,) * (int(self.label.max()) + 1)
         if np.array_equal(self.label, self.delay):
             return (1,) * (self.max_delay + 1)
         carried = self.label_delay
@@ -160,6 +179,8 @@ class DelayChain:
     @property
     def is_plain(self) -> bool:
         """Whether every mode has a delay of its own, or ages of its own."""
+        if self.held is not None:
+            return False
         if self.ages is not None:
             return len(set(map(tuple, np.asarray(self.ages).tolist()))) == self.modes
         return len(set(self.delay.tolist())) == self.modes

@@ -132,7 +132,7 @@ def _sojourns(path: Path, problem: Any) -> tuple[int, ...]:
         chain = DelayChain(**problem)
     except (TypeError, ValueError, OverflowError) as error:
         raise FieldError("design", f"{path}: problem.sc: expected delays and labels: {error!s:.200}") from None
-    if np.array_equal(chain.label, chain.delay):
+    if chain.held is not None or np.array_equal(chain.label, chain.delay):
         return ()
     if chain.label.max() >= len(chain.label) or (np.diff(chain.label_delay, prepend=0) < 0).any():
         raise FieldError("design", f"{path}: problem.sc: expected delays and labels, these 0, 1, ... in the order of the delays")

@@ -125,6 +125,7 @@ class TrackingProblem:
                 "transition": chain.matrix.tolist(), "delays": chain.delay.tolist(), "labels": chain.label.tolist(),
                 **({} if chain.between is None else {"between": [bound.tolist() for bound in chain.bounds]}),
                 **({} if chain.ages is None else {"ages": np.asarray(chain.ages).tolist()}),
+                **({} if chain.held is None else {"held": chain.holds.tolist()}),
             }  # fmt: skip
         for name in (
             "objective", "information", "output", "hinf_bound", "gain_bound", "samples", "integral", "seed", "starts",

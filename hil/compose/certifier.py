@@ -34,6 +34,7 @@ class LoopToCertify:
         selection: rule by which the controller that was started says that a row is picked; empty: nobody looked.
         said: what plant and controller said of themselves.
         unmet: what of the network never happens, as its laws begin; empty: every mode of theirs may come.
+        neglects: what the chains leave out; empty: nothing.
         chainless: what keeps the experiment from having a chain of ages on both links; empty: nobody looked, or nothing does.
     """
 
@@ -50,6 +51,7 @@ class LoopToCertify:
     selection: str = ""
     said: Said = field(default_factory=Said)
     unmet: str = ""
+    neglects: str = ""
     chainless: str = ""
 
     def no_chain(self) -> str:
@@ -116,6 +118,11 @@ def limited_to_sound(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     return _undecide(
         verdict, f"{verdict.state} without what happens on the time line ({faults}); undecided with it: {verdict.reason}"
     )
+
+
+def limited_to_whole(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on a loop without the packets that its chains leave out as one on the loop."""
+    return _undecide(verdict, f"{verdict.state} but for what is left out: {loop.neglects}") if loop.neglects else verdict
 
 
 def _undecide(verdict: Verdict, reason: str) -> Verdict:

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from design.controllers import Controller, LoopModel
 from design.verdict import Verdict, digest
-from hil.compose.certifier import Certifier, LoopToCertify, limited_to_sound, limited_to_undamped, undecided
+from hil.compose.certifier import Certifier, LoopToCertify, limited_to_sound, limited_to_undamped, limited_to_whole, undecided
 from hil.compose.following_loop import certify_model_following
 from hil.compose.historical_loop import certify_historical
 from hil.compose.jump_loop import certify_jump_loop
@@ -93,5 +93,5 @@ def judge(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> 
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
             if loop.unmet and verdict.state != "undecided":
                 verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
-            return limited_to_sound(loop, limited_to_undamped(loop, verdict))
+            return limited_to_sound(loop, limited_to_undamped(loop, limited_to_whole(loop, verdict)))
     return undecided(loop, "mean-square stability", "no certificate covers this kind of controller")

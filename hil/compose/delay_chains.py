@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, ages_told, sojourns_told
 from design.errors import FieldError
+from hil.compose.packet_ages import Receiver, actuator_of, controller_of, packet_delays, states_at, why_no_ages
 from hil.compose.sensors import shared_media
 from hil.experiment import Experiment
 from hil.experiment.sensor_list import sensors_of
 from transport.laws.delay_states import delay_states
-from transport.laws.protocols import NetworkLaw, SemiMarkovLaw
+from transport.laws.protocols import NetworkLaw, PacketAges, SemiMarkovLaw
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -27,7 +28,7 @@ def delay_chains(e: Experiment) -> tuple[DelayChain | None, DelayChain | None]:
     Raises:
         ValueError: the controller asks for more than it can measure over this law.
     """
-    chains, ca = node_chains(e), delay_chain(e.links.ca.law)
+    chains, ca = node_chains(e), delay_chain(e.links.ca.law, at=actuator_of(e))
     if chains is None:
         return None, ca
     from design.processes.product_chain import product_chain
@@ -55,8 +56,10 @@ def node_chains(e: Experiment, sojourns: int | Sequence[int] | None = None) -> t
         return None
     if sojourns is None:
         sojourns = sojourns_told(e.controller) if len(sensors) == 1 else ()
-    chains = [delay_chain(sensor.law, sojourns) for sensor in sensors]
+    chains = [delay_chain(sensor.law, sojourns, at=controller_of(e)) for sensor in sensors]
     known = tuple(chain for chain in chains if chain is not None)
+    if len(known) > 1 and any(chain.held is not None for chain in known):
+        return None
     if len(known) < len(chains) or (len(known) > 1 and prod(chain.modes for chain in known) > MOST_MODES):
         return None
     return known
@@ -79,15 +82,20 @@ def why_no_chain(e: Experiment) -> str:
             return f"{where}.trigger ({sensor.trigger.kind}) lets a node keep silent"
         if sensor.clock.every > 1:
             return f"{where}.clock: a node sends in one of {sensor.clock.every} slots"
-        if delay_chain(sensor.law) is None:
-            return f"the law of {where if e.nodes else 'links.sc'} states no chain: it is a packet law or a trace"
+        chain = delay_chain(sensor.law, at=controller_of(e))
+        if chain is None:
+            return f"the law of {where if e.nodes else 'links.sc'} {why_no_ages(sensor.law, controller_of(e))}"
+        if len(sensors) > 1 and chain.held is not None:
+            return f"{where}.law is a packet law, whose chain is known for one node alone"
     modes = prod(chain.modes for sensor in sensors if (chain := delay_chain(sensor.law)) is not None)
     if len(sensors) > 1 and modes > MOST_MODES:
         return f"the chains of {len(sensors)} nodes together have {modes} modes, at most {MOST_MODES}"
-    return "" if delay_chain(e.links.ca.law) is not None else "the law of links.ca states no chain: it is a packet law or a trace"
+    if delay_chain(e.links.ca.law, at=actuator_of(e)) is None:
+        return f"the law of links.ca {why_no_ages(e.links.ca.law, actuator_of(e))}"
+    return ""
 
 
-def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayChain | None:
+def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = (), *, at: Receiver | None = None) -> DelayChain | None:
     """Return the chain of the delay that the receiver measures under a network law, None where the law states no chain.
 
     A receiver keeps the newest packet: where the law's age may grow by more than one per slot it measures another delay.
@@ -95,6 +103,7 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayCha
     Args:
         law: the network law.
         sojourns: semi-Markov laws: so many lengths of stay get labels of their own, in all or per delay 0, 1, ...
+        at: who receives; a packet law has a chain at a receiver only.
 
     Raises:
         ValueError: lengths of stay that nobody can measure, or that say nothing over this law.
@@ -107,6 +116,8 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayCha
         raise FieldError(
             "sojourns", "only a semi-Markov law takes it; over any other law the sojourn time adds no information"
         )
+    if at is not None and isinstance(law, PacketAges):
+        return packet_delays(law, at)
     states = delay_states(law)
     if states is None:
         return None
@@ -131,8 +142,8 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = ()) -> DelayCha
 
 def initial_laws(e: Experiment) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return the distributions of the modes of both delay chains in slot 0, None where a law has no chain."""
-    ca, sensors = delay_states(e.links.ca.law), sensors_of(e)
-    known = [states.initial for states in (delay_states(sensor.law) for sensor in sensors) if states is not None]
+    ca, sensors, at = states_at(e.links.ca.law, actuator_of(e)), sensors_of(e), controller_of(e)
+    known = [states.initial for states in (states_at(sensor.law, at) for sensor in sensors) if states is not None]
     if ca is None or len(known) < len(sensors):
         return None
     from design.processes.product_chain import kron_of
@@ -163,7 +174,13 @@ def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
         transition=chain.matrix[inside], delays=chain.delay[kept], labels=chain.label[kept],
         between=None if chain.between is None else (chain.bounds[0][inside], chain.bounds[1][inside]),
         ages=None if chain.ages is None else np.asarray(chain.ages)[kept],
+        held=None if chain.held is None else chain.holds[kept],
     )  # fmt: skip
+
+
+def without_held(chain: DelayChain | None) -> DelayChain | None:
+    """Return a chain for a theory that has no receiver that holds what it had; None where there is such a receiver."""
+    return None if chain is None or chain.held is not None else chain
 
 
 def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
@@ -173,7 +190,10 @@ def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: Dela
 
 def gains_within(table: NDArray[np.float64], selection: str, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
     """Return the part of a table of gains that the delays of two chains reach."""
-    K, count = table[: int(sc.label.max()) + 1], ca.max_delay + 1
+    labels, count = int(sc.label.max()) + 1, ca.max_delay + 1
+    if sc.holds.any() and (table[labels:] != table[labels - 1]).any():
+        raise FieldError("gains", f"{len(table)} tables, but ages beyond {labels - 1} are not told apart; max_age bounds them")
+    K = table[:labels]
     if selection == "both":  # a row for every pair of delays
         side = isqrt(K.shape[1])
         return K.reshape(len(K), side, side, *K.shape[2:])[:, :count, :count].reshape(len(K), count * count, *K.shape[2:])

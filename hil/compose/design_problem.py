@@ -67,6 +67,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:
         from hil.compose.delay_chains import delay_chain, node_chains
+        from hil.compose.packet_ages import actuator_of
         from hil.experiment import load_experiment
         from hil.experiment.sensor_list import sensors_of
 
@@ -76,7 +77,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
         plant = experiment.plant
         period = period_s if period_s is not None else float(experiment.period)
         try:
-            chains, ca_found = node_chains(experiment, sojourns), delay_chain(experiment.links.ca.law)
+            chains, ca_found = node_chains(experiment, sojourns), delay_chain(experiment.links.ca.law, at=actuator_of(experiment))
         except ValueError as error:
             raise HilError(f"{name}: {error}") from None
         if chains is None or ca_found is None:
@@ -107,8 +108,9 @@ def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
 
 def model_at(target: TrackingTarget) -> LoopModel:
     """Return what a controller may know of the loop that is designed for."""
+    tau_max = target.sc.max_delay if target.sc.held is None else int(target.sc.label.max())
     return LoopModel(
-        A=target.A, B=target.B, C=target.C, period_s=target.period_s, tau_max=target.sc.max_delay, d_max=target.ca.max_delay
+        A=target.A, B=target.B, C=target.C, period_s=target.period_s, tau_max=tau_max, d_max=target.ca.max_delay
     )  # fmt: skip
 
 

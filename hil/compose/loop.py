@@ -16,7 +16,10 @@ from threadpoolctl import threadpool_limits
 from design.controllers import (
     Controller,
     FromSamples,
+    GainTable,
     HistoryGains,
+    IntegralAction,
+    LinearFeedback,
     LoopModel,
     RunningController,
     packet_samples,
@@ -27,11 +30,12 @@ from design.requests.task import DesignTask
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify
 from hil.compose.certify import certify, digest_of, of_external
-from hil.compose.delay_chains import delay_chains, initial_laws, node_chains, why_no_chain, within_reach
+from hil.compose.delay_chains import delay_chains, initial_laws, node_chains, why_no_chain, within_reach, without_held
 from hil.compose.fit import check_own, check_references, size_faults
 from hil.compose.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.compose.jump_plant import process_of, system_of
 from hil.compose.law_files import with_law_files
+from hil.compose.packet_ages import neglects
 from hil.compose.port import Port, port_of
 from hil.compose.sensors import Shared, sensor_nodes, shared_media
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
@@ -270,6 +274,10 @@ def _compose(experiment: Experiment, certify: bool, external: bool) -> Loop:
 def _task(e: Experiment, model: LoopModel) -> DesignTask:
     """Return what a design has to solve: the loop with the plant's own matrices and rates."""
     plant, (sc, ca) = e.plant, delay_chains(e)
+    chainless = why_no_chain(e)
+    if not isinstance(e.controller, IntegralAction):  # the designs of Chapter 7 state it; others have no packets in their theory
+        sc, ca = without_held(sc), without_held(ca)
+        chainless = chainless or "the theory of this design has no packet laws"
     jumps: dict[str, Any] = {}
     if isinstance(plant, JumpPlant):
         try:
@@ -280,7 +288,7 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
     initial = None if delayed is None else known_past(plant)[0]
     return DesignTask(
         model=model, sc=sc, sc_nodes=node_chains(e) or (), ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial,
-        chainless=why_no_chain(e), **jumps,
+        chainless=chainless, **jumps,
     )  # fmt: skip
 
 
@@ -288,11 +296,14 @@ def _verdict(
     e: Experiment, controller: Controller, model: LoopModel, sc: DelayChain | None, ca: DelayChain | None, selection: str
 ) -> Verdict:
     """Return the verdict on the loop of the controller that is named."""
-    own, unmet, chainless = digest_of(e, controller, model), "", ""
+    own, unmet, chainless, left = digest_of(e, controller, model), "", "", ""
     begun = initial_laws(e)
+    if not isinstance(controller, GainTable | LinearFeedback):
+        sc, ca = without_held(sc), without_held(ca)
     if sc is None or ca is None:
-        chainless = why_no_chain(e)
+        chainless = why_no_chain(e) or "the theory of this controller has no packet laws"
     elif begun is not None:
+        left = neglects(e)
         modes = sc.modes, ca.modes
         sc, ca = within_reach(sc, begun[0]), within_reach(ca, begun[1])
         if (sc.modes, ca.modes) != modes:
@@ -302,7 +313,7 @@ def _verdict(
         plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own,
         damped=e.limits.passivity is not None, faults=len(e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
-        unmet=unmet, chainless=chainless,
+        unmet=unmet, chainless=chainless, neglects=left,
     )  # fmt: skip
     return certify(loop)
 

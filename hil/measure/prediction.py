@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from design.controllers import GainTable, integrates
 from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
 from hil.compose.loop import Loop
+from hil.compose.packet_ages import neglects, unheard
 from hil.measure.signals import signals_of
 from hil.measure.step_response import AFTER_S, target_of
 from hil.measure.tracking import squared_unit
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 Matrix = NDArray[np.float64]
 SAME = 1e-9
 """Two drives that differ by less than this share of what they are computed from are one."""
+
+UNHEARD = 1e-6
+"""Probability that a prediction may leave out: the controller has heard nothing, answers zeros, and the plant moves."""
 
 LOOKED_AT = 100
 """Slots in which a plant is asked whether chance moves it."""
@@ -77,8 +81,9 @@ class PredictedTracking:
 def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     """Return what theory predicts of the first slots of a loop, None where it predicts nothing.
 
-    That is: a controller that is no table of gains, a network law without a chain, a plant that jumps or has delayed states,
-    faults on the time line, or a reference that no input holds.
+    That is: a controller that is no table of gains, a network law without a chain, a packet law under which the controller may
+    hear nothing for longer than its chain tells ages apart (then it answers zeros, not by its gains), a plant that jumps or has
+    delayed states, faults on the time line, or a reference that no input holds.
 
     Args:
         loop: the composed experiment.
@@ -91,12 +96,17 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
         not isinstance(loop.controller, GainTable)
         or None in chains
         or loop.experiment.fault
+        or neglects(loop.experiment)
         or isinstance(plant, JumpPlant)
         or (isinstance(plant, HasStateDelays) and np.any(plant.state_delays()))
     ):
         return None
-    at, signals, motion = loop.reference(), signals_of(plant), drive_of(loop, slots)
+    at, at_w, signals, motion = loop.reference(), loop.disturbance(), signals_of(plant), drive_of(loop, slots)
     r: Matrix = np.array([at(k) for k in range(slots)], dtype=np.float64)
+    moves = np.hstack([r, motion[1], [at_w(k) for k in range(slots)]]).any(axis=1)
+    rest = 0 if motion[0].any() else int(np.argmax(moves)) if moves.any() else slots
+    if unheard(loop.experiment, rest) > UNHEARD:
+        return None
     goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
     columns = [list(signals.outputs).index(name) for name in signals.tracked]
     starts = {"sse": 0, "sse_after_5s": _first_slot_after(loop, AFTER_S)}

@@ -78,7 +78,7 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float) -> LawAnaly
         latencies = latency(law.latency)
         loss, mean_latency_s = law.loss_probability, latencies.mean_s
         if law.discard_older is not None and not isinstance(latencies, LatencyTrace):
-            comes = arrival_ages(law, latencies, period_s, deadline_s, SLOT_TOLERANCE)
+            comes = arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s, SLOT_TOLERANCE)
             loss = 1.0 - (1.0 - loss) * float(comes.sum())
         if law.reordering and not isinstance(latencies, LatencyTrace) and not _may_overflow(law, latencies, period_s, deadline_s):
             shares, unused = packet_age_shares(law, period_s, deadline_s), math.nan

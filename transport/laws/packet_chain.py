@@ -81,21 +81,23 @@ class Packets(Protocol):
     def stationary(self) -> NDArray[np.float64]: ...
 
 
-def arrival_ages(law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float) -> NDArray[np.float64]:
+def arrival_ages(
+    latencies: Latency, duplication: float, discard_older: int | None, period_s: float, deadline_s: float, tolerance: float
+) -> NDArray[np.float64]:
     """Return Pr(a packet that the channel does not lose comes first at age i), (J + 1,); what misses to 1 never comes.
 
     Args:
-        law: duplication and the receiver's `discard_older`.
         latencies: of the packets, no trace.
+        duplication: probability of a copy.
+        discard_older: what the receiver discards, see `transport.laws.packet.PacketLaw`.
         period_s, deadline_s: length of a slot, and when it closes, s.
         tolerance: of a latency that ends with a slot, in slots.
     """
     longest = 0 if isinstance(latencies, LatencyTrace) else _slots(latencies.values_s[-1], period_s, deadline_s, tolerance)
-    bound = longest if law.discard_older is None else min(longest, law.discard_older)
-    due = deadline_s + (np.arange(bound + 1) + tolerance) * period_s
-    by = latencies.cdf(due)
-    late = 1.0 - by
-    missed = (1.0 - law.duplication) * late + law.duplication * late**2
+    bound = longest if discard_older is None else min(longest, discard_older)
+    due = deadline_s + (np.arange(bound + 1, dtype=np.float64) + tolerance) * period_s
+    late = 1.0 - latencies.cdf(np.asarray(due, dtype=np.float64))
+    missed = (1.0 - duplication) * late + duplication * late**2
     return np.maximum(-np.diff(missed, prepend=1.0), 0.0)
 
 
@@ -125,7 +127,7 @@ def packet_chain(
         return f"latencies reach {bound} slots, so that its chain has {states} states, at most {MOST_STATES}{hint}"
     if (bound + 1) * (1 + (law.duplication > 0.0)) > law.queue:
         return f"its queue of {law.queue} may be full, as latencies reach {bound} slots"
-    arrives = arrival_ages(law, latencies, period_s, deadline_s, tolerance)
+    arrives = arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s, tolerance)
     cut = latencies.cut if law.discard_older is None or law.discard_older >= longest else 0.0
     return _explored(law, arrives, max(bound, reach) + 1, bound, cut)
 

@@ -112,6 +112,11 @@ class AgeChain(ChainLaw, Protocol):
     """The chain of the age of the newest packet; of states of the largest age it says no more than that they are as old."""
 
     @property
+    def bound(self) -> int:
+        """Age in slots beyond which no packet comes any more."""
+        ...
+
+    @property
     def neglected(self) -> float:
         """Probability of a packet's latency that the chain leaves out; 0 where it is exact."""
         ...

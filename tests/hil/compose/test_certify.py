@@ -46,7 +46,7 @@ def test_the_number_that_decides_turns_the_verdict() -> None:
 @pytest.mark.parametrize(
     ("name", "sets", "why"),
     [
-        ("dc-motor-packets", (), "states no chain: it is a packet law or a trace"),
+        ("dc-motor-packets", ("links.ca.law={kind='packet',latency={trace=['10 ms']}}",), "its latencies are a recorded trace"),
         ("dc-motor-h2", ('links.sc.law={kind="trace", ages=[0, 1, 2, 0]}',), "states no chain: it is a packet law or a trace"),
         ("dc-motor-smith", (), "this kind of controller"),
         ("dc-motor-h2-friction", (), "not decided with a driver that saturates, rounds or has a dead zone, friction, an encoder"),
