@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--verify", "do_verify", is_flag=True, help="Re-run controller and plant; compare every record.")
 @click.option("--key", type=click.Path(path_type=Path), metavar="PUB", help="With --verify: who signed the log (signing.pub).")
+@click.option("--auth", type=click.Path(path_type=Path), metavar="KEY", help="With --verify: check all tags (frames.key).")
 @click.option("--controller", metavar="NAME", help="What would this controller have commanded?")
 @click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller.")
 @click.option("--onto", metavar="URI", help="Put the recorded frames on this link.")
@@ -36,6 +38,7 @@ def command(
     file: Path,
     do_verify: bool,
     key: Path | None,
+    auth: Path | None,
     controller: str | None,
     sets: tuple[str, ...],
     onto: str | None,
@@ -50,7 +53,8 @@ def command(
     the first sample that differs, and the SHA-256 of the records: of one experiment and seed in virtual time the same on
     every machine.
 
-    Exit status: 0; 1 if --verify finds it different, or the log is not what the holder of --key signed; 2 bad input.
+    Exit status: 0; 1 if --verify finds it different, an answer has not the tag of --auth, or the log is not what the holder of
+    --key signed; 2 bad input.
     """
     from hil.files.outputs import check_output
     from hil.log.read.run import read_run
@@ -67,15 +71,16 @@ def command(
             raise HilError(f"{name}: needs {needed}")
     if output is not None:
         check_output(output, fresh=True)
-    if key is not None and (controller is not None or onto is not None):
-        raise HilError("--key: needs --verify")
+    for name, given_key in (("--key", key), ("--auth", auth)):
+        if given_key is not None and (controller is not None or onto is not None):
+            raise HilError(f"{name}: needs --verify")
     run = read_run(file) if key is None else _signed(file, key)
     if controller is not None:
         _what_if(run, file, folder, controller, sets, output, as_json)
     elif onto is not None:
         _onto(run, onto, speed, as_json)
     else:
-        _verify(run, file, folder, as_json)
+        _verify(run, file, folder, auth, as_json)
 
 
 def _signed(file: Path, key: Path) -> Run:
@@ -95,27 +100,33 @@ def _signed(file: Path, key: Path) -> Run:
         return read_run(file, descriptor=log.fileno())
 
 
-def _verify(run: Run, file: Path, folder: str | None, as_json: bool) -> None:
+def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json: bool) -> None:
     from hil.cli.terminal import visible
     from hil.log.records_digest import records_sha256
     from hil.replay import changed_files, experiment_of, verify
+    from hil.replay_tags import verify_tags
 
     experiment = experiment_of(run, str(file), folder=folder)
     for sentence in changed_files(run, experiment):
         print(f"hil: {visible(sentence)}", file=sys.stderr)
+    tags = None if auth is None else verify_tags(run, auth, str(file))
     verdict = verify(run, str(file), experiment)
     sha256 = records_sha256(run)
     if as_json:
         found = {"likeness": verdict.likeness, "identical": verdict.difference is None, "difference": verdict.difference}
         counts = {"answers": verdict.answers, "states": verdict.states}
-        print(json.dumps({**found, **counts, "records_sha256": sha256}, indent=2))
+        told = {} if tags is None else {"tags": asdict(tags)}
+        print(json.dumps({**found, **counts, **told, "records_sha256": sha256}, indent=2))
     else:
         alike = f"{verdict.likeness}: {verdict.answers} control packets, {verdict.states} plant states"
         print(alike if verdict.likeness != "different" else f"different: {verdict.difference}")
         if verdict.likeness == "same within 1e-9":
             print(f"first other bits: {verdict.difference}")
+        if tags is not None:
+            wrong = f"; {tags.wrong} have not the key's, the first in slot {tags.first}" if tags.wrong else ""
+            print(f"tags: {tags.verified} verified{wrong}")
         print(f"records: SHA-256 {sha256}")
-    sys.exit(1 if verdict.likeness == "different" else 0)
+    sys.exit(1 if verdict.likeness == "different" or (tags is not None and tags.wrong) else 0)
 
 
 def _what_if(

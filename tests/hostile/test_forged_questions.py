@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -45,3 +46,10 @@ def test_a_log_of_a_session_with_a_key_is_verified(tmp_path: Path) -> None:
     assert verdict.difference is None and verdict.answers > 0
     done = subprocess.run([sys.executable, "-m", "hil", "replay", "run.mcap"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+    replay = [sys.executable, "-m", "hil", "replay", "run.mcap", "--json", "--auth"]
+    done = subprocess.run([*replay, "keys/frames.key"], cwd=tmp_path, capture_output=True, text=True)
+    tags = json.loads(done.stdout)["tags"]
+    assert done.returncode == 0 and tags["verified"] >= verdict.answers and tags["wrong"] == 0, done.stdout + done.stderr
+    make_keys(tmp_path / "others")
+    done = subprocess.run([*replay, "others/frames.key"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1 and json.loads(done.stdout)["tags"] == {"verified": 0, "wrong": tags["verified"], "first": 0}

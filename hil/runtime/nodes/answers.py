@@ -77,17 +77,25 @@ class Answers:
         """
         self._t_ns, self._k, self._packet = t_ns, k, None
         self._asked = asked
-        self._echo = self._echoes[k] = echo(asked) if asked else 0
+        self._answered.pop(k - REMEMBERED, None)
+        if asked:
+            self._remember(k, asked)
+        else:
+            self._echo = 0
+        self._logged = 0
+        if self._thrown:
+            self._thrown = max(self._thrown - self._forgotten, 0.0)
+
+    def _remember(self, k: int, asked: Sequence[bytes]) -> None:
+        """Keep what the answer is to echo, and which samples were sent."""
+        self._echo = self._echoes[k] = echo(asked)
+        self._echoes.pop(k - REMEMBERED, None)
         for frame in asked:
             if not frame[3] & 0x80:  # not EMPTY
                 self._samples[int.from_bytes(frame[16:24], "little", signed=True)] = None
                 if len(self._samples) > SAMPLES:
                     self._forgotten_ns = next(iter(self._samples))
                     del self._samples[self._forgotten_ns]
-        self._answered.pop(k - REMEMBERED, None)
-        self._echoes.pop(k - REMEMBERED, None)
-        self._logged = 0
-        self._thrown = max(self._thrown - self._forgotten, 0.0)
 
     def take(self, data: bytes, when: Arrival = "in time") -> bool:
         """Take one frame; return whether it answers the open slot.

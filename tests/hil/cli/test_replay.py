@@ -15,6 +15,19 @@ def test_without_an_option_it_verifies(cli: Hil, hil_log: Path) -> None:
     assert status == 0 and out.startswith("same bits: 80 control packets, 80 plant states\nrecords: SHA-256 ")
 
 
+def test_tags_are_asked_only_of_a_log_that_has_them(cli: Hil, hil_log: Path, tmp_path: Path) -> None:
+    key = tmp_path / "frames.key"
+    key.write_text("00" * 16)
+    key.chmod(0o600)
+    status, out, err = cli("replay", hil_log, "--auth", key)
+    assert status == 2 and not out and "no nonce of slot 0" in err
+    status, out, err = cli("replay", hil_log, "--auth", key, "--onto", "can:hil:x")
+    assert status == 2 and "--auth: needs --verify" in err
+    key.chmod(0o644)
+    status, out, err = cli("replay", hil_log, "--auth", key)
+    assert status == 2 and not out and "chmod 600" in err
+
+
 def test_another_controller_gives_a_series(cli: Hil, hil_log: Path, tmp_path: Path) -> None:
     status, out, _ = cli("replay", hil_log, "--controller", "h2", "-o", "h2.csv", "--json")
     assert status == 0 and json.loads(out)["inputs"]["voltage"]["rms"] > 0
