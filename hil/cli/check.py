@@ -81,13 +81,15 @@ def _measure(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
     from hil.experiment import load_experiment
     from hil.measure.check import check_measure
     from hil.measure.measure import made_of
+    from hil.pages.run.drawn import check_section
     from hil.plugins import registry
     from hil.session import rehearsal
 
     if sets:
         raise HilError("--set: a measure has no keys")
     made = made_of(registry.load("hil.measures", kind))
-    return check_measure(made, rehearsal(compose(load_experiment(experiment), certify=False)))
+    view = rehearsal(compose(load_experiment(experiment), certify=False))
+    return check_measure(made, view) + check_section(made, view)
 
 
 def _link(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:

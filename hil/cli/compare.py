@@ -64,6 +64,8 @@ def command(
     with Progress(console=err, disable=not err.is_terminal) as bar:
         tasks = {name: bar.add_task(escape(visible(name)), total=runs) for name in checked}
         comparison = compare(checked, runs, jobs=jobs, progress=lambda name, done: bar.update(tasks[name], completed=done))
+    if comparison.alone:
+        print(f"hil: {comparison.alone}", file=sys.stderr)
     if comparison.interrupted:
         print("hil: interrupted", file=sys.stderr)
         sys.exit(comparison.interrupted)

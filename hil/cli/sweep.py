@@ -94,7 +94,6 @@ def command(
         raise HilError("--scheduler: --backend dask needs the address of its scheduler; no other backend takes one")
     if own:
         sets = (*sets, measures_with(experiment, sets, own))
-        print("hil: --metric reads whole runs: they are computed one by one, not in lockstep", file=sys.stderr)
     if grids or ranges or points is not None:
         if until is not None:
             raise HilError("--until: not with --grid or --range, where every point has the same runs")
@@ -127,6 +126,8 @@ def command(
             until=rule,
         )
     values = found.values
+    if found.alone:
+        print(f"hil: {found.alone}", file=sys.stderr)
     out: dict[str, Any] = {
         "experiment": checked.name,
         "runs": int(values["seed"].size),

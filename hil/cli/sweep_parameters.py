@@ -67,6 +67,8 @@ def run_points(
             experiment, points, sets=sets, runs=runs, first_seed=first_seed, workers=workers, folder=resume,
             progress=lambda done: bar.update(task, completed=done),
         )  # fmt: skip
+    if found.alone:
+        print(f"hil: {found.alone}", file=sys.stderr)
     if table is not None:
         write_output(table, csv_of(found))
     if page is not None and found.columns:

@@ -24,6 +24,7 @@ class Comparison:
         quantities: what all experiments measure.
         interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; then some values are missing.
         cautions: experiment to what is to be said beside its mean of squared errors, where that does not converge well.
+        alone: which measures kept the runs from being computed at once, nothing where none did.
     """
 
     runs: int
@@ -31,6 +32,7 @@ class Comparison:
     quantities: tuple[Quantity, ...]
     interrupted: int = 0
     cautions: Mapping[str, str] = field(default_factory=dict)
+    alone: str = ""
 
     def difference(self, name: str, quantity: str) -> Interval:
         """Return the mean difference of an experiment against the first over the seeds that both have, and its 95 % interval."""
@@ -116,14 +118,15 @@ def compare(
     quantities = common_quantities([quantities_in(experiment) for experiment in experiments.values()])
     values: dict[str, Mapping[str, NDArray[np.float64]]] = {}
     cautions: dict[str, str] = {}
+    alone = ""
     for name, experiment in experiments.items():
         ran = run_sweep(experiment, range(runs), workers=here(jobs), progress=lambda done, name=name: progress(name, done))  # type: ignore[misc]
         if ran.interrupted:
             return Comparison(runs=runs, values=values, quantities=quantities, interrupted=ran.interrupted)
-        values[name] = ran.values
+        values[name], alone = ran.values, alone or ran.alone
         if ran.caution:
             cautions[name] = ran.caution
-    return Comparison(runs=runs, values=values, quantities=quantities, cautions=cautions)
+    return Comparison(runs=runs, values=values, quantities=quantities, cautions=cautions, alone=alone)
 
 
 def common_quantities(several: Sequence[Sequence[Quantity]]) -> tuple[Quantity, ...]:

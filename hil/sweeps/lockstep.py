@@ -7,7 +7,7 @@ safety would trip, or a number leaves the range in which nothing can overflow, i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,26 +106,43 @@ def measures_in_lockstep(loop: Loop) -> bool:
     return all(isinstance(measure, MeasureOfMany) for measure in measures_of(loop.experiment))
 
 
-def run_together(loop: Loop, seeds: Sequence[int]) -> Together:
+def measured_alone(loop: Loop) -> str:
+    """Return which measures keep the runs of a loop from being computed at once, in a sentence; nothing where none does."""
+    measures = dict(zip(loop.experiment.report.measures, measures_of(loop.experiment)))
+    alone = [name for name, measure in measures.items() if not isinstance(measure, MeasureOfMany)]
+    if not alone or not in_lockstep(loop):
+        return ""
+    runs = "runs" if len(alone) == 1 else "run"
+    return (
+        f"{len(measures) - len(alone)} of {len(measures)} measures run at once; {', '.join(alone)} {runs} alone: "
+        "without of_many(view) every run is simulated by itself"
+    )
+
+
+def run_together(loop: Loop, seeds: Sequence[int], topics: Collection[str] | None = None) -> Together:
     """Run a loop for some seeds at once.
 
     Args:
         loop: a loop of which `in_lockstep` says that it can.
         seeds: one run each; memory grows with their number.
+        topics: of which states and packets are kept; those of the experiment's measures by default.
     """
+    wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics} if topics is None else topics
     plants = loop.experiment.plant.start_many(len(seeds))  # type: ignore[attr-defined]
     with np.errstate(all="ignore"):  # what overflows is not known
-        return _Slots(loop, seeds, plants, loop.controller.start_many(loop.model, len(seeds))).run()  # type: ignore[attr-defined]
+        running = loop.controller.start_many(loop.model, len(seeds))  # type: ignore[attr-defined]
+        return _Slots(loop, seeds, plants, running, wanted).run()
 
 
 class _Slots:
     """The pass over the slots of some runs."""
 
-    def __init__(self, loop: Loop, seeds: Sequence[int], plants: RunningPlants, controllers: Running) -> None:
+    def __init__(
+        self, loop: Loop, seeds: Sequence[int], plants: RunningPlants, controllers: Running, topics: Collection[str]
+    ) -> None:
         e, d_max = loop.experiment, loop.model.d_max
         self._loop, self._plants, self._controllers = loop, plants, controllers
         self._slots, self._runs, self._period_ns = e.ticks, len(seeds), e.period_ns
-        topics = {topic for measure in measures_of(e) for topic in measure.topics}
         by_sample = controllers if isinstance(controllers, RunningControllersFromSamples) else None
         sc = heard(loop, seeds, every_packet=by_sample is not None or SC.name in topics)
         ca = received(loop.ca_law, seeds, "link.ca", e)

@@ -50,12 +50,14 @@ class ParameterSweep:
         columns: per point that was done, column to one entry per seed: ``seed``, ``stopped`` and every quantity.
         quantities: what every point measures.
         interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; then the last points are missing.
+        alone: which measures kept the runs from being computed at once, nothing where none did.
     """
 
     points: Points
     columns: tuple[Mapping[str, NDArray[np.float64]], ...]
     quantities: tuple[Quantity, ...]
     interrupted: int = 0
+    alone: str = ""
 
 
 def grid(asked: Sequence[str]) -> Points:
@@ -212,6 +214,7 @@ def sweep_parameters(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise HilError(f"--resume: {folder}: {error.strerror}") from error
+    alone = ""
     for number, experiment in enumerate(experiments):
         before = number * runs
         name = sha256("\n".join(points.changes(number)).encode()).hexdigest()[:16]
@@ -232,4 +235,5 @@ def sweep_parameters(
         if found.interrupted:
             return ParameterSweep(points=points, columns=tuple(done), quantities=quantities, interrupted=found.interrupted)
         done.append(found.values)
-    return ParameterSweep(points=points, columns=tuple(done), quantities=quantities)
+        alone = alone or found.alone
+    return ParameterSweep(points=points, columns=tuple(done), quantities=quantities, alone=alone)

@@ -21,7 +21,7 @@ from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics
 from hil.session import refuse_unsound_measures, simulate
-from hil.sweeps.lockstep import chunk_runs, in_lockstep, measures_in_lockstep, run_together, view_of_many
+from hil.sweeps.lockstep import chunk_runs, in_lockstep, measured_alone, measures_in_lockstep, run_together, view_of_many
 from hil.sweeps.store import SweepStore
 
 WORTH_WORKERS = 3_000_000
@@ -113,6 +113,7 @@ class Sweep(NamedTuple):
     interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; the values are those of the runs that were done.
     interval, reached: with a stopping rule, its interval (None before the first look) and whether it is narrow enough.
     caution: what is to be said beside a mean of squared errors, nothing where it converges; see `hil.compose.fourth_moments`.
+    alone: which measures kept the runs from being computed at once, nothing where none did.
     """
 
     values: dict[str, NDArray[np.float64]]
@@ -120,6 +121,7 @@ class Sweep(NamedTuple):
     interval: Interval | None = None
     reached: bool = False
     caution: str = ""
+    alone: str = ""
 
 
 def sweep(
@@ -192,7 +194,7 @@ def run_sweep(
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]
     values = {name: np.array([row[name] for row in rows]) for name in ("seed", *columns_of(experiment))}
-    return Sweep(values, interrupted, interval, reached, caution(loop))
+    return Sweep(values, interrupted, interval, reached, caution(loop), measured_alone(loop))
 
 
 def _parts(seeds: Sequence[int], workers: Workers, chunk: int | None) -> list[Sequence[int]]:

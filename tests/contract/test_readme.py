@@ -24,6 +24,7 @@ from hil.cli.guide import pages
 from hil.experiment import parse_experiment, shipped
 from hil.measure.check import check_measure
 from hil.measure.view import view_of
+from hil.pages.run.drawn import check_section
 from hil.plugins.checks import check_controller
 from hil.session import run_session
 from plants import check_plant
@@ -92,7 +93,10 @@ def test_plug_ins_of_the_guide_pass_their_checks(shown: dict[str, Any]) -> None:
     check_plant(shown["Damped"](rate=2.0))
     d = shown["Damped"]().model().discretise(0.05)
     check_controller(shown["Proportional"](), LoopModel(A=d.A, B=d.B, C=d.C, period_s=0.05, tau_max=2, d_max=1))
-    check_measure(shown["Effort"](), view_of(run_of("dc-motor-hinf", "duration=1")))
+    view = view_of(run_of("dc-motor-hinf", "duration=1"))
+    assert "Measure" in check_measure(shown["Effort"](), view)[0]
+    (said,) = check_section(shown["Effort"](), view)
+    assert said == "Effort is a DrawsSection: the page of a run has its section, here 'Effort'"
     (entries,) = blocks(TEXT[PLUGINS], "toml")
     for group in tomllib.loads(entries)["project"]["entry-points"].values():
         assert all(target.partition(":")[2] in shown for target in group.values())

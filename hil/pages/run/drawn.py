@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 from hil.measure.measure import run_measures
@@ -9,7 +10,7 @@ from hil.measure.network_paths import run_sensors
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Section
 from hil.pages.html.plain_section import plain_section
-from hil.plugins.asked import words
+from hil.plugins.asked import asked, words
 
 MOST_WORDS = 2000
 """Characters of an error's message on a page."""
@@ -32,6 +33,29 @@ def drawing_plug_ins(view: RunView) -> tuple[DrawsSection, ...]:
         parts += (e.plant, e.controller, *(sensor.law for sensor in view.once(run_sensors)), e.links.ca.law)
     found = {id(part): part for part in parts if isinstance(part, DrawsSection)}
     return tuple(found.values())
+
+
+def check_section(plug_in: object, view: RunView) -> list[str]:
+    """Check what a plug-in draws: a section of plain data, bounded in size, also of a run without records.
+
+    Args:
+        plug_in: a measure, plant, controller or network law.
+        view: a run that it shall draw.
+
+    Returns:
+        What it has earned, a sentence.
+
+    Raises:
+        AssertionError: what it does not keep, in the words of its author.
+    """
+    name = type(plug_in).__name__
+    if not isinstance(plug_in, DrawsSection):
+        return [f"{name} is no DrawsSection (no section(view)): it draws no figure"]
+    empty = replace(view, run=replace(view.run, arrays={topic: a[:0] for topic, a in view.run.arrays.items()}, events=[]))
+    for what, one in (("a run without records", empty), ("a run", view)):
+        found = asked(f"{what}: section(view)", plug_in.section, one)
+        shown = "nothing" if found is None else repr(asked(what, plain_section, found).title)
+    return [f"{name} is a DrawsSection: the page of a run has its section, here {shown}"]
 
 
 def drawn(plug_in: DrawsSection, view: RunView) -> Section | None:

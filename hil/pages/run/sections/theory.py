@@ -113,7 +113,7 @@ def _emulate(loop: Loop, names: list[str], ticks: int) -> np.ndarray[Any, Any] |
     columns = [[signal.name for signal in loop.experiment.plant.outputs].index(name) for name in names]
     found: dict[int, np.ndarray[Any, Any]] = {}
     if in_lockstep(loop):
-        together = run_together(loop, seeds)
+        together = run_together(loop, seeds, topics=())
         errors = np.moveaxis(together.outputs[columns], 0, -1) - together.reference[:, None, columns]  # (slots, runs, outputs)
         found = {seed: errors[:ticks, i] for i, seed in enumerate(seeds) if together.known[i]}
     for seed in seeds:

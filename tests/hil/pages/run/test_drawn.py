@@ -187,6 +187,20 @@ def test_all_blocks_of_ours_pass_as_they_are() -> None:
             assert (copy.title, copy.place, len(copy.blocks)) == (section.title, section.place, len(section.blocks))
 
 
+def test_the_check_says_whether_a_measure_draws(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert hil_check("mine:Effort") == 0 and "the page of a run has its section, here 'Where it went'" in capsys.readouterr().out
+    (mine / "plain.py").write_text((mine / "mine.py").read_text().replace("def section", "def draw"))
+    assert hil_check("plain:Effort") == 0 and "it draws no figure" in capsys.readouterr().out
+    (mine / "bad.py").write_text((mine / "mine.py").read_text().replace("blocks=(figure", "blocks=(figure, u"))
+    assert hil_check("bad:Effort") == 2 and "section.blocks[1]: ndarray" in capsys.readouterr().err
+
+
+def hil_check(measure: str) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(["check", "measures", measure])
+    return int(end.value.code or 0)
+
+
 def test_one_that_shows_nothing_leaves_no_trace(page: Any) -> None:
     found = page(lambda view: None)
     assert "<h2>Drawing" not in found and "draws no section" not in found
