@@ -27,6 +27,7 @@ SERVED = {
     "dc-motor-ours-h2", "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed", "dc-motor-ours-two-samples",
     "dc-motor-packets", "dc-motor-smith", "dc-motor-smith-fast", "dc-motor-two-nodes", "vtol-h2", "vtol-hinf", "vtol-ours-h2",
     "vtol-ours-hinf", "multisensor-lossy", "multisensor-newest", "multisensor-ours", "multisensor-published",
+    "dc-motor-5g", "dc-motor-wifi",
 }  # fmt: skip
 ALONE = {
     "multisensor-event", "omni-1khz", "omni-identify",

@@ -35,7 +35,7 @@ def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
         assert np.all(np.abs(np.asarray(edge) - centre)[wide] < 4 * spread[wide])
 
 
-@pytest.mark.parametrize("name", ["dc-motor-smith", "dc-motor-packets", "smjls-robust"])
+@pytest.mark.parametrize("name", ["dc-motor-smith", "smjls-robust"])
 def test_what_has_no_prediction_has_no_panel(tmp_path: Path, name: str) -> None:
     run = run_session(load_experiment(name, ["duration=2"]), path=tmp_path / "a.mcap").run
     assert theory_section(view_of(run)) is None
