@@ -113,6 +113,10 @@ def main(args: list[str] | None = None) -> Any:
     # Our matrices are small: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    words = sys.argv[1:] if args is None else args
+    if sys.stdout is None and "--json" in words[: words.index("--") if "--" in words else None]:  # `hil ... --json >&-`
+        print("hil: --json writes to standard output, which is closed; nothing was run", file=sys.stderr)
+        sys.exit(2)
     try:
         with signals_as_exceptions():
             return cli.main(args, prog_name="hil", standalone_mode=True)

@@ -150,6 +150,13 @@ def test_a_reader_of_json_that_has_left_is_told_like_one_of_text() -> None:
         assert (done.returncode, done.stderr) == (141, "")
 
 
+def test_json_for_a_closed_output_runs_nothing(tmp_path: Path) -> None:
+    words = f"{sys.executable} -m hil run dc-motor-hinf --duration 1 -o a.mcap --json >&-"
+    done = subprocess.run(["sh", "-c", words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2 and "--json writes to standard output, which is closed" in done.stderr
+    assert not (tmp_path / "a.mcap").exists()
+
+
 def test_an_interrupt_behind_the_last_line_of_a_command_is_one_line(monkeypatch: pytest.MonkeyPatch, cli: Hil) -> None:
     from hil.cli import cli as group
 
