@@ -10,7 +10,7 @@ from hil.compose.time_line import time_line_faults
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.can_frames import can_faults
-from hil.plugins.checks import check_answers
+from hil.plugins.checks import check_answers, check_table
 from hil.plugins.own_plugins import words
 from hil.plugins.protocols import NamesField
 
@@ -45,9 +45,13 @@ def check_own(controller: Controller, model: LoopModel) -> None:
     """Refuse a controller of the user's own that does not answer as a loop asks: told now, and not in slot 17."""
     try:
         check_answers(controller, model)
+        if isinstance(controller, GainTable):
+            check_table(controller, model)
     except AssertionError as error:
         raise FieldError("kind", f"check_controller: {error}") from error
-    except Exception as error:  # whatever a stranger's controller does when it runs
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a stranger's controller does when it runs
         if isinstance(error, HilError | NamesField):  # it says itself what does not fit
             raise
         raise FieldError("kind", f"check_controller: {words(error)}") from error

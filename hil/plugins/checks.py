@@ -29,7 +29,7 @@ from hil.plugins.asked import asked, needs
 from hil.plugins.law_checks import check_law
 from transport.packets import SELECTIONS
 
-__all__ = ["check_answers", "check_controller", "check_law"]
+__all__ = ["check_answers", "check_controller", "check_law", "check_table"]
 
 RUNNING = {"selection": f"which row is applied: one of {', '.join(SELECTIONS)}", "rows": "a method that gives the rows of a slot"}
 
@@ -46,18 +46,12 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     name = type(controller).__name__
     needs(controller, f"{name}, a controller,", {"start": "a method that returns the running controller"})
     m, p = model.B.shape[1], model.C.shape[0]
-    seen = p * packet_samples(controller)
     again = asked("pickle", lambda: pickle.loads(pickle.dumps(controller)))
     assert again == controller, f"the parameters of {name} must survive pickling, for the controller is another process"
     check_answers(controller, model)
     said = [f"{name} is a Controller: it can run in a loop"]
     if isinstance(controller, GainTable):
-        table = asked("table(model)", lambda: np.asarray(controller.table(model), dtype=float))
-        rows = row_count(controller.selection, model.d_max)
-        width = seen + p * integrates(controller)
-        fits = table.ndim == 4 and table.shape[1:] == (rows, m, width)
-        assert fits, f"table of shape {table.shape}, expected (tau, {rows}, {m}, {width})"
-        assert np.isfinite(table).all(), "a gain is not finite"
+        check_table(controller, model)
         said.append(f"{name} is a GainTable: its loop over delay chains is certified exactly, and its error is predicted")
     if isinstance(controller, ModeSchedule):
         shape = controller.schedule_of_modes().gain.shape[2:]
@@ -72,6 +66,21 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     if isinstance(controller, SeveralSamples):
         said.append(f"{name} takes SeveralSamples: {packet_samples(controller)} in one sensor packet")
     return said
+
+
+def check_table(controller: GainTable, model: LoopModel) -> None:
+    """Check the table of gains of a controller: four axes, a row for every delay, finite.
+
+    Raises:
+        AssertionError: naming the first rule that is broken.
+    """
+    m, p = model.B.shape[1], model.C.shape[0]
+    table = asked("table(model)", lambda: np.asarray(controller.table(model), dtype=float))
+    rows = row_count(controller.selection, model.d_max)
+    width = p * packet_samples(controller) + p * integrates(controller)
+    fits = table.ndim == 4 and len(table) > 0 and table.shape[1:] == (rows, m, width)
+    assert fits, f"table(model) of shape {table.shape}, expected (tau, {rows}, {m}, {width}), tau up to {model.tau_max}"
+    assert np.isfinite(table).all(), "table(model): a gain is not finite"
 
 
 def check_answers(controller: Controller, model: LoopModel) -> None:

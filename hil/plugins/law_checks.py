@@ -150,6 +150,10 @@ def _check_drawn(law: AgeLaw, slots: int) -> NDArray[np.int64]:
     served = slots_served(law)
     drawn = [draw() for _ in range(slots if served is None else min(slots, served))]
     bound = law.max_age
+    if isinstance(law, ChainLaw | SemiMarkovLaw):
+        ages = asked("mode_ages", lambda: list(law.mode_ages))
+        right = bool(ages) and all(map(_whole, ages))
+        assert right, f"mode_ages is {law.mode_ages!r:.60}, expected the age of every mode, whole numbers"
     assert all(0 <= age <= bound for _, age in drawn), f"draw() gave an age outside 0 .. {bound}, which max_age allows"
     if isinstance(law, ChainLaw | SemiMarkovLaw):
         ages = list(law.mode_ages)

@@ -44,12 +44,16 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
     name = type(plant).__name__
     for what in ("inputs", "outputs", "states"):
         signals: tuple[Signal, ...] = getattr(plant, what)
+        right = isinstance(signals, tuple | list) and all(hasattr(s, "name") and hasattr(s, "unit") for s in signals)
+        _demand(right, f"{name}.{what}: {signals!r:.80}, expected a tuple of plants.Signal, such as (Signal('force', 'N'),)")
         _demand(bool(signals), f"{name}.{what}: empty")
         _demand(len({s.name for s in signals}) == len(signals), f"{name}.{what}: a name comes twice")
         for signal in signals:
             _demand(signal.name.isidentifier() and bool(signal.unit), f"{name}.{what}: {signal!r} has no name or no unit")
     m, p, n = len(plant.inputs), len(plant.outputs), len(plant.states)
     model = plant.model()
+    known = all(hasattr(model, matrix) for matrix in "ABC")
+    _demand(known, f"{name}.model(): {model!r:.80}, expected a plants.StateSpace")
     _demand(model.B.shape[1] == m, f"{name}.model: {model.B.shape[1]} inputs, expected {m}")
     _demand(model.C.shape[0] == p, f"{name}.model: {model.C.shape[0]} outputs, expected {p}")
 
@@ -70,7 +74,8 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
         cut.advance(dt_ns - dt_ns // 3, u)
         state, y = first.state, first.measure()
         for what, vector, length in (("state", state, n), ("measure()", y, p), ("applied", first.applied, m)):
-            _demand(isinstance(vector, tuple) and len(vector) == length, f"{name}.{what}: {vector!r}, expected {length} entries")
+            right = isinstance(vector, tuple) and len(vector) == length
+            _demand(right, f"{name}.{what}: {vector!r}, expected a tuple of {length}")
             _demand(all(type(v) is float and math.isfinite(v) for v in vector), f"{name}.{what}: {vector!r}, expected floats")
         _demand(first.measure() == y and first.state == state, f"{name}.measure(): changes the plant at tick {k}")
         _demand(second.state == state, f"{name}.start: same seed, another state at tick {k}")

@@ -53,8 +53,8 @@ def test_a_command_runs_what_the_guide_says_and_no_more(cli: Hil, line: str, run
 
 def test_each_command_of_the_table_is_tried() -> None:
     table = GUIDE.read_text().partition("## What runs the files that an experiment names")[2].partition("An FMU runs")[0]
-    for word in ("run", "controller", "sweep", "compare", "laws", "dbc", "solve", "bench timing", "check", "list", "report", "replay",
-                 "export", "layout", "recover", "schema", "guide"):  # fmt: skip
+    for word in ("run", "controller", "sweep", "compare", "laws", "dbc", "solve", "bench timing", "check", "list", "report",
+                 "replay", "export", "layout", "recover", "schema", "guide"):  # fmt: skip
         assert f"`{word}" in table, word
         assert any(line.startswith(word) for line in RUNS), word
 

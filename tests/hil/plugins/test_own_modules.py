@@ -266,3 +266,57 @@ def test_what_is_no_plant_and_no_controller_says_what_it_lacks() -> None:
     with pytest.raises(hil.HilError, match="takes no changes but a plant and a controller"):
         hil.run(hil.load_experiment("dc-motor-hinf"), **{"plant.gain": 3})
     simulate(compose(hil.load_experiment("dc-motor-hinf", duration=1, controller=Law(), allow_uncertified=True)), 0)
+
+
+WRONG = '''
+from dataclasses import dataclass
+from cart import Cart, Proportional
+from plants import StateSpace
+
+@dataclass(frozen=True, kw_only=True)
+class Named(Cart):
+    inputs = ("force",)
+
+@dataclass(frozen=True, kw_only=True)
+class Number(Cart):
+    outputs = 3
+
+@dataclass(frozen=True, kw_only=True)
+class NoModel(Cart):
+    def model(self): return None
+
+@dataclass(frozen=True, kw_only=True)
+class Flat(Proportional):
+    def table(self, model): return [[1.0]]
+
+@dataclass(frozen=True, kw_only=True)
+class NoTable(Proportional):
+    def table(self, model): return None
+
+@dataclass(frozen=True, kw_only=True)
+class Alone(Proportional):
+    def table(self): return 0
+
+@dataclass(frozen=True, kw_only=True)
+class Leaves(Proportional):
+    def table(self, model): raise SystemExit("not today")
+'''
+
+
+@pytest.mark.parametrize(
+    ("path", "kind", "told"),
+    [
+        ("plant", "Named", r"check_plant: Named\.inputs: \('force',\), expected a tuple of plants\.Signal"),
+        ("plant", "Number", r"check_plant: Number\.outputs: 3, expected a tuple of plants\.Signal"),
+        ("plant", "NoModel", r"check_plant: NoModel\.model\(\): None, expected a plants\.StateSpace"),
+        ("controller", "Flat", r"check_controller: table\(model\) of shape \(1, 1\), expected \(tau, 1, 1, 1\), tau up to 2"),
+        ("controller", "NoTable", r"check_controller: table\(model\) of shape \(\), expected"),
+        ("controller", "Alone", r"check_controller: table\(model\): TypeError: .*Alone\.table\(\) takes 1 positional"),
+        ("controller", "Leaves", r"check_controller: table\(model\): SystemExit: not today \(.*wrong\.py, line \d+\)"),
+    ],
+)
+def test_a_typical_mistake_is_told_in_its_author_s_words(folder: Path, path: str, kind: str, told: str) -> None:
+    (folder / "wrong.py").write_text(WRONG)
+    with pytest.raises(hil.HilError, match=told) as said:
+        hil.run(folder / "exp.toml", log=folder / "a.mcap", **OWN | {path: {"kind": f"wrong:{kind}"}})
+    assert "AttributeError" not in str(said.value) and not (folder / "a.mcap").exists()
