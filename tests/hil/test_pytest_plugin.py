@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+
+from hil.experiment import shipped
 
 pytest_plugins = ["pytester"]
 
@@ -177,3 +180,60 @@ def test_timing_that_is_not_valid_fails_where_it_is_required(tmp_path: Path, mon
     Runner(tmp_path / "a", "real", "local:", None).run("dc-motor-hinf", duration="1s")
     with pytest.raises(pytest.fail.Exception, match=r"--hil-require=timing: dc-motor-hinf is NOT VALID: 16 of 40"):
         Runner(tmp_path / "b", "real", "local:", None, True).run("dc-motor-hinf", duration="1s")
+
+
+SLOW = '''
+import time
+from dataclasses import dataclass
+from typing import ClassVar
+
+@dataclass(frozen=True, kw_only=True)
+class Slow:
+    selection: ClassVar = "constant"
+
+    def start(self, model):
+        return self
+
+    def rows(self, k, tau, y, r):
+        if k % 10 == 9:
+            time.sleep(0.1)  # two periods
+        return ((0.0,),)
+'''
+
+
+@pytest.mark.realtime
+def test_a_controller_that_is_late_fails_where_timing_is_required_and_nowhere_else(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(slow=SLOW)
+    (pytester.path / "e.toml").write_text(shipped()["dc-motor-hinf"].read_text())
+    pytester.makepyfile(
+        """
+        def test_runs(hil):
+            hil.run("e.toml", duration="3s", controller={"kind": "slow:Slow"}, allow_uncertified=True,
+                    **{"limits.watchdog_slots": 1000})
+        """
+    )
+    words = ("-p", "no:cacheprovider", "--hil-clock=real")
+    required = pytester.runpytest_subprocess(*words, "--hil-require=timing", "--junitxml=j.xml")
+    required.assert_outcomes(failed=1)
+    required.stdout.fnmatch_lines(["*--hil-require=timing: dc-motor-hinf is NOT VALID: *"])
+    (found,) = [p for p in ElementTree.parse(pytester.path / "j.xml").iter("property") if p.get("name") == "hil_timing"]
+    assert (found.get("value") or "").startswith("NOT VALID: ")
+    pytester.runpytest_subprocess(*words).assert_outcomes(passed=1)
+
+
+def test_junit_keeps_seed_verdict_timing_and_metrics_of_a_failing_test(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        def test_fails(hil):
+            session = hil.run("dc-motor-hinf", seed=7, duration=2)
+            print("sse", repr(session.metrics["sse"]))
+            assert False
+        """
+    )
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--junitxml=j.xml")
+    result.assert_outcomes(failed=1)
+    kept = {p.get("name"): p.get("value") for p in ElementTree.parse(pytester.path / "j.xml").iter("property")}
+    (sse,) = [line.removeprefix("sse ") for line in result.outlines if line.startswith("sse ")]
+    assert kept["hil_seed"] == "7" and kept["hil_verdict"] == "certified" and kept["hil_timing"] == "valid"
+    assert kept["hil_metric_sse"] == sse and str(kept["hil_log"]).endswith(".mcap")
+    result.stdout.fnmatch_lines(["verdict: certified", f"metric_sse: {sse}"])
