@@ -19,7 +19,7 @@ from hil.compose.time_line import beyond_the_end
 from hil.errors import DiskFull, HilError
 from hil.experiment import Experiment
 from hil.experiment.can_frames import link_uri, said_identifiers
-from hil.log.events import decode_event, to_json
+from hil.log.events import DEPARTED, WITHDRAWN, decode_event, to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import CA, SC
@@ -50,6 +50,9 @@ ClockName = Literal["virtual", "real"]
 FORCE_S = 0.5
 """A run in virtual time whose slot does not end for so long after a signal is ended in it: everything stops within a second."""
 
+LEFT = 7
+"""Exit status where a plant or a controller was not, in the run, what it says that it is."""
+
 INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that somebody else sends on the link: exit status
 
 
@@ -61,7 +64,8 @@ class Session:
         log: returns the log, read when it is first asked for.
         summary: what ``hil run --json`` prints.
         status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety,
-            5 a second controller answered too, 6 the link was flooded, 130 or 143 interrupted.
+            5 a second controller answered too, 6 the link was flooded, 7 the plant or the controller was not what it says,
+            130 or 143 interrupted.
         experiment: what ran.
     """
 
@@ -166,8 +170,9 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     summary = summarise(view_of(run, experiment)) | _gains(loop)
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, sink.payloads.values())), "dropped": 0}
-    summary["problems"] = beyond_the_end(experiment)
-    return Session(log=lambda: run, summary=summary, status=3 if summary["safety"] else 0, experiment=experiment)
+    summary["problems"] = _told(run, {WITHDRAWN, DEPARTED}) | beyond_the_end(experiment)
+    status = LEFT if _kinds(run) & {WITHDRAWN, DEPARTED} else 3 if summary["safety"] else 0
+    return Session(log=lambda: run, summary=summary, status=status, experiment=experiment)
 
 
 def run_session(
@@ -360,6 +365,10 @@ def _run_real(
     counts: dict[str, Any] = dict(real.controller_counts)
     if counts:
         sink.event(real.pump.last_ns, "controller ended", "what the controller and its end of the link counted", **counts)
+    if real.controller_departed is not None:
+        k, by = real.controller_departed
+        told = f"certificate withdrawn: the controller left its table at slot {k} by {by}"
+        sink.event(real.pump.last_ns, WITHDRAWN, told, tick=k, severity="error")
     unwanted = counts.get("refused", 0) + counts.get("contradicted", 0)
     if unwanted:
         out["controller_refused"] = f"the controller refused {unwanted} frames: they are not of this rig, or not of its slot"
@@ -390,8 +399,7 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
         "messages": sink.messages,
         "dropped": sink.dropped,
     }
-    told = {*INTRUSIONS, "plant failed"}
-    problems = {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in told}
+    problems = _told(run, {*INTRUSIONS, "plant failed", WITHDRAWN, DEPARTED})
     summary["link_counters"] = link_counters(run)
     summary["controller_counters"] = controller_counters(run)
     refused = (summary["link_counters"] or {}).get("refused", 0)
@@ -399,6 +407,15 @@ def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str
         problems["refused"] = f"{refused} packets or peers on the link were refused: they had not the key or the name"
     summary["problems"] = problems | {name: text for name, text in outcome.items() if text}
     return summary
+
+
+def _kinds(run: Run) -> set[str]:
+    return {event["kind"] for event in run.events}
+
+
+def _told(run: Run, kinds: Collection[str]) -> dict[str, Any]:
+    """Return what the events of some kinds say, by kind."""
+    return {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in kinds}
 
 
 def link_counters(run: Run) -> dict[str, int] | None:
@@ -418,7 +435,9 @@ def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
         return 128 + int(signal.Signals[outcome["interrupted"]])
     if outcome.keys() & {"rig_lost", "log_lost", "plant_failed", "plug_in_failed", "measure_failed"} or sink.error is not None:
         return 1
-    kinds = {event["kind"] for event in run.events}
+    kinds = _kinds(run)
     if "second controller" in kinds:
         return INTRUSIONS["second controller"]  # whatever it led to: the run is not that of our controller
+    if kinds & {WITHDRAWN, DEPARTED}:
+        return LEFT
     return 3 if "safety" in kinds else INTRUSIONS["flood"] if "flood" in kinds else 0

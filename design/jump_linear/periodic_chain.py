@@ -10,6 +10,7 @@ the cost to go of one class; those of the others follow from it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from math import gcd
 
@@ -18,7 +19,15 @@ import numpy.typing as npt
 
 from design.errors import NotStable
 from design.jump_linear import krylov
-from design.jump_linear.second_moment import EIG_DENSE_LIMIT, mean_square_radius, to_matrix, to_vector
+from design.jump_linear.second_moment import (
+    ARPACK_RESTARTS,
+    EIG_DENSE_AFTER,
+    EIG_DENSE_LIMIT,
+    mean_square_radius,
+    power_radius,
+    to_matrix,
+    to_vector,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -56,13 +65,24 @@ def periodic_radius(A: Array, transition: Array) -> float:
     first, size = classes[0], len(classes[0]) * n * (n + 1) // 2
     if len(classes) == 1 or size <= EIG_DENSE_LIMIT:
         return mean_square_radius(A, transition)
-    from scipy.sparse.linalg import LinearOperator, eigs
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
     product = partial(_around, _steps(A, transition, classes), n)
     start = to_vector(np.broadcast_to(np.eye(n), (len(first), n, n))).ravel()
     operator = LinearOperator((size, size), matvec=product, dtype=np.float64)
-    values: npt.NDArray[np.complex128] = eigs(operator, k=2, v0=start, ncv=20, return_eigenvectors=False, tol=1e-12)
-    return float(np.abs(values).max() ** (1.0 / len(classes)))
+    try:
+        values: npt.NDArray[np.complex128] = eigs(
+            operator, k=2, v0=start, ncv=20, return_eigenvectors=False, tol=1e-12, maxiter=ARPACK_RESTARTS
+        )
+        around = float(np.abs(values).max())
+    except ArpackNoConvergence:  # what has converged may not be the largest: its number is not taken
+        dense = size <= EIG_DENSE_AFTER
+        around = _dense_radius(product, size) if dense else power_radius(product, start)
+    return float(around ** (1.0 / len(classes)))
+
+
+def _dense_radius(product: Callable[[Array], Array], size: int) -> float:
+    return float(np.abs(np.linalg.eigvals(np.column_stack([product(column) for column in np.eye(size)]))).max())
 
 
 def periodic_cost(A: Array, transition: Array, Q: Array) -> Array:

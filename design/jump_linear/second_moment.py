@@ -291,10 +291,10 @@ def mean_square_radius(A: Array, transition: Array) -> float:
         pass
     if size <= EIG_DENSE_AFTER:
         return float(np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max())
-    return _power_radius(product, start)
+    return power_radius(product, start)
 
 
-def _power_radius(product: Callable[[Array], Array], start: Array) -> float:
+def power_radius(product: Callable[[Array], Array], start: Array) -> float:
     """Spectral radius of an operator that keeps a cone, by what the trace of its iterates grows by; nan where that never settles.
 
     The identity is inside the cone: no part of the spectrum is missed.

@@ -29,6 +29,7 @@ from scipy.sparse.linalg import ArpackError, eigs
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
+from design.jump_linear.second_moment import ARPACK_RESTARTS
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.growth import gain_mode
@@ -142,7 +143,7 @@ def radius(matrix: FloatArray) -> float:
     """The spectral radius of R."""
     if matrix.shape[0] > 300:
         try:
-            found = eigs(matrix, k=1, tol=1e-10, maxiter=3000, v0=np.ones(matrix.shape[0]), return_eigenvectors=False)
+            found = eigs(matrix, k=1, tol=1e-10, maxiter=ARPACK_RESTARTS, v0=np.ones(matrix.shape[0]), return_eigenvectors=False)
             return float(np.abs(found[0]))
         except ArpackError:
             pass

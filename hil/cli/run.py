@@ -110,8 +110,8 @@ def command(
     """Run EXPERIMENT (a shipped name or a TOML file), log it to MCAP, print its summary.
 
     Exit status: 0 done; 1 the rig died or the log is not whole; 2 bad input, nothing started or written; 3 stopped by
-    safety; 4 timing not valid (with --require-valid-timing); 5 a second controller answered too; 6 the link was flooded; 130, 143
-    interrupted.
+    safety; 4 timing not valid (with --require-valid-timing); 5 a second controller answered too; 6 the link was flooded; 7 the
+    plant or the controller was not what it says; 130, 143 interrupted.
     """
     from hil.cli.run_summary import show
     from hil.cli.terminal import visible

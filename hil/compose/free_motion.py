@@ -46,14 +46,14 @@ def free_motion(
     if track.states.shape[1] == n:
         left = [(_residual(model, delayed, history, t), t.outputs - t.states @ model.C.T) for t in (track, other)]
         found = [
-            _kind(mine, its, sizes, signals)
+            kind_of(mine, its, sizes, signals)
             for mine, its, sizes, signals in zip(left[0], left[1], (track.states, track.outputs), names)
         ]
     else:
         if len(delayed):
             return FreeMotion("not compared")
         mine, its = (_unexplained(model, t.outputs) for t in (track, other))
-        found = [_kind(mine, its, track.outputs, names[1])]
+        found = [kind_of(mine, its, track.outputs, names[1])]
     order: tuple[Free, ...] = ("moves", "noise", "constant", "none")
     return min(found, key=lambda each: order.index(each.kind))
 
@@ -83,7 +83,7 @@ def _unexplained(model: LoopModel, outputs: Array) -> Array:
     return np.asarray((flat - table @ np.linalg.lstsq(table, flat, rcond=None)[0]).reshape(outputs.shape))
 
 
-def _kind(mine: Array, its: Array, sizes: Array, signals: list[tuple[str, str]]) -> FreeMotion:
+def kind_of(mine: Array, its: Array, sizes: Array, signals: list[tuple[str, str]]) -> FreeMotion:
     count = min(len(mine), len(its))
     scale = ROUNDING * np.maximum.accumulate(np.abs(sizes)).max(axis=1, keepdims=True)[: len(mine)] + 1e-300
     scale = scale + ROUNDING * np.abs(sizes[0]).max()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +30,8 @@ from design.errors import DesignError, FieldError
 from design.requests.task import DesignTask
 from design.verdict import Verdict
 from hil.compose.certifier import LoopToCertify
-from hil.compose.certify import certify, digest_of, of_external
+from hil.compose.certify import certify as certified
+from hil.compose.certify import digest_of, of_external
 from hil.compose.delay_chains import delay_chains, initial_laws, node_chains, why_no_chain, within_reach, without_held
 from hil.compose.fit import check_own, check_references, size_faults
 from hil.compose.historical_loop import delayed_plant_of, known_past, mask_faults
@@ -38,7 +40,9 @@ from hil.compose.law_files import with_law_files
 from hil.compose.packet_ages import neglects
 from hil.compose.port import Port, port_of
 from hil.compose.sensors import Shared, sensor_nodes, shared_media
+from hil.compose.stated_controller import stated_by
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
+from hil.compose.watched import Watched, one_step
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.absent import Absent
@@ -55,6 +59,9 @@ from transport.packets import MAX_OUTPUTS
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
+
+
+NOT_COMPARED = "the plant keeps to its model beyond the test: in the run it is not compared"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +81,7 @@ class Loop:
         verdict: what is claimed of the closed loop, None if nobody asked.
         gains: where solved gains come from; None where the experiment itself has them.
         port: force and position of a device under one force, None for another plant.
+        watched: what the run is compared with; None where no claim rests on it.
     """
 
     experiment: Experiment
@@ -88,6 +96,7 @@ class Loop:
     verdict: Verdict | None
     gains: Gains | None = None
     port: Port | None = None
+    watched: Watched | None = None
 
     def __post_init__(self) -> None:
         if self.verdict is not None and self.verdict.digest != digest_of(self.experiment, self.controller, self.model):
@@ -250,7 +259,13 @@ def _compose(experiment: Experiment, certify: bool, external: bool) -> Loop:
         unknown = mask_faults(controller, model.nodes)
         if unknown:
             raise ExperimentError(experiment.name, unknown)
-    verdict = _verdict(experiment, controller, model, sc, ca, running.selection) if certify else None
+    verdict, watched = None, None
+    if certify:
+        judged = _judged(experiment, controller, model, sc, ca, running.selection)
+        verdict = certified(judged)
+        watched = _watched(judged, verdict, external)
+        if watched is not None and watched.plant is None and watched.claimed:
+            verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, NOT_COMPARED))
     if verdict is not None and external:
         verdict = of_external(verdict, experiment.kinds.get("controller", ""))
     elif verdict is not None:
@@ -268,6 +283,7 @@ def _compose(experiment: Experiment, certify: bool, external: bool) -> Loop:
         verdict=verdict,
         gains=gains,
         port=port_of(plant),
+        watched=watched,
     )
 
 
@@ -292,10 +308,22 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
     )  # fmt: skip
 
 
-def _verdict(
+def _watched(judged: LoopToCertify, verdict: Verdict, external: bool) -> Watched | None:
+    """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
+
+    A controller that states itself, word for word, is not compared with itself.
+    """
+    if not verdict.certified and not external:
+        return None
+    stated = None if external else stated_by(judged)
+    twin = None if stated is None or type(stated[0]) is type(judged.controller) else stated[0]
+    return Watched(plant=one_step(judged.plant, judged.model), controller=twin, claimed=not external)
+
+
+def _judged(
     e: Experiment, controller: Controller, model: LoopModel, sc: DelayChain | None, ca: DelayChain | None, selection: str
-) -> Verdict:
-    """Return the verdict on the loop of the controller that is named."""
+) -> LoopToCertify:
+    """Return the loop of the controller that is named, as it is judged."""
     own, unmet, chainless, left = digest_of(e, controller, model), "", "", ""
     begun = initial_laws(e)
     if not isinstance(controller, GainTable | LinearFeedback):
@@ -309,13 +337,12 @@ def _verdict(
         if (sc.modes, ca.modes) != modes:
             never = sum(modes) - sc.modes - ca.modes
             unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
-    loop = LoopToCertify(
+    return LoopToCertify(
         plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own,
         damped=e.limits.passivity is not None, faults=len(e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         unmet=unmet, chainless=chainless, neglects=left,
     )  # fmt: skip
-    return certify(loop)
 
 
 def _allow(e: Experiment, verdict: Verdict) -> None:

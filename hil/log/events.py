@@ -18,6 +18,11 @@ import numpy as np
 from hil.errors import HilError
 from hil.log.records import CDR_HEADER
 
+WITHDRAWN: Final = "certificate withdrawn"
+"""Kind of the event that says that a plant or a controller was not, in the run, what its certificate rests on."""
+DEPARTED: Final = "part departed"
+"""The same where no certificate rests on it."""
+
 _NUMBERS: Final = struct.Struct("<dq")
 _LENGTH: Final = struct.Struct("<I")
 _MAX_TEXT = 2000

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.experiment import Experiment
+from hil.log.events import WITHDRAWN
 from hil.log.run import Run
 from hil.log.topics import SC
 from hil.measure.measure import measured, quantities_of, run_measures
@@ -50,8 +51,21 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
         "network": network_summary(view, timing["late"]),
         "timing": timing,
         "safety": safety_of(run),
-        "certificate": dict(run.certificate) if run.certificate else None,
+        "certificate": certificate_of(run),
     }
+
+
+def certificate_of(run: Run) -> dict[str, Any] | None:
+    """Return the certificate of a run, None without one: undecided where the run itself showed what it rests on to be untrue."""
+    if not run.certificate:
+        return None
+    told, found = withdrawal(run), dict(run.certificate)
+    return found if told is None else {**found, "state": "undecided", "reason": told, "stable": False, "stated": found["reason"]}
+
+
+def withdrawal(run: Run) -> str | None:
+    """Return why the certificate of a run was withdrawn, None if it was not."""
+    return next((str(event["message"]) for event in run.events if event.get("kind") == WITHDRAWN), None)
 
 
 def controller_of(run: Run) -> str:

@@ -53,10 +53,12 @@ def run_virtual(
     kernel = Kernel(VirtualClock())
     stoppable(kernel.stop)
     rig = Rig(loop, seed, sink, loop.channels(), kernel.stop)
-    slot = Slot(rig, DirectExchange(ControlNode(loop)), lambda t_ns: sink.commit(), lambda: kernel.stopped)
+    node = ControlNode(loop)
+    slot = Slot(rig, DirectExchange(node), lambda t_ns: sink.commit(), lambda: kernel.stopped)
     kernel.every(e.period_ns, e.ticks, slot.run)
     try:
         kernel.run()
+        rig.compare(node.departed)
     except BaseException as error:
         if not failed(error):
             raise

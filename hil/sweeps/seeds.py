@@ -16,10 +16,11 @@ from design.monte_carlo.parallel import Workers, spread
 from hil.compose.fourth_moments import caution
 from hil.compose.loop import Loop, compose
 from hil.experiment import Experiment
+from hil.log.records import EVENTS_TOPIC
 from hil.measure.many import ManyView, MeasureOfMany
 from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
-from hil.measure.summary import run_metrics
+from hil.measure.summary import run_metrics, withdrawal
 from hil.session import refuse_unsound_measures, simulate
 from hil.sweeps.lockstep import chunk_runs, in_lockstep, measured_alone, measures_in_lockstep, run_together, view_of_many
 from hil.sweeps.store import SweepStore
@@ -112,7 +113,8 @@ class Sweep(NamedTuple):
     values: ``seed``, ``stopped`` and every metric, one entry per run in the order of the seeds.
     interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; the values are those of the runs that were done.
     interval, reached: with a stopping rule, its interval (None before the first look) and whether it is narrow enough.
-    caution: what is to be said beside a mean of squared errors, nothing where it converges; see `hil.compose.fourth_moments`.
+    caution: what is to be said beside the numbers, nothing where all is well: the first run withdrew the certificate, or a
+        mean of squared errors does not converge; see `hil.compose.fourth_moments`.
     alone: which measures kept the runs from being computed at once, nothing where none did.
     """
 
@@ -178,7 +180,7 @@ def run_sweep(
             progress(sum(seed in done for seed in wanted))
             missing = [seed for seed in wanted if seed not in done]
             parts = _parts(missing, workers, chunk_runs(loop) if together else None)
-            for rows in spread(partial(run_seeds, loop), parts, workers):
+            for rows in spread(partial(run_seeds, replace(loop, watched=None)), parts, workers):
                 if store:
                     store.add(rows)
                 done.update((int(row["seed"]), row) for row in rows)
@@ -194,7 +196,8 @@ def run_sweep(
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]
     values = {name: np.array([row[name] for row in rows]) for name in ("seed", *columns_of(experiment))}
-    return Sweep(values, interrupted, interval, reached, caution(loop), measured_alone(loop))
+    said = "" if together or interrupted or not rows else withdrawal(simulate(loop, int(rows[0]["seed"]), (EVENTS_TOPIC,))) or ""
+    return Sweep(values, interrupted, interval, reached, "; ".join(filter(None, (said, caution(loop)))), measured_alone(loop))
 
 
 def _parts(seeds: Sequence[int], workers: Workers, chunk: int | None) -> list[Sequence[int]]:

@@ -67,6 +67,11 @@ class ControlNode:
                 return None
         return self._answer(seq, echo([data for _, data in sound]))
 
+    @property
+    def departed(self) -> tuple[int, str] | None:
+        """The slot in which the answers left the controller's table, and by how much; None if they did not."""
+        return None if self._heard.watch is None else self._heard.watch.departed
+
     def _keep(self, packet: SensorPacket) -> bool:
         """Keep the sample of a packet; return False where it is not of this loop, or from the future."""
         if packet.flags & EMPTY:

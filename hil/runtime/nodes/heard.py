@@ -6,6 +6,7 @@ from typing import Protocol
 
 from design.controllers import FromSamples, Known, Rows, RunningController
 from hil.compose.loop import Loop
+from hil.runtime.nodes.answer_watch import AnswerWatch
 from hil.runtime.nodes.assembly import Assembly
 from transport.packets import SensorPacket
 
@@ -15,6 +16,9 @@ class Heard(Protocol):
 
     sample_ns: int
     """Time stamp of the newest sample of any node, -1 before the first."""
+
+    watch: AnswerWatch | None
+    """Compares the answers with the table; None where they are not compared."""
 
     def take(self, packet: SensorPacket) -> bool:
         """Keep a packet; return False if it is not of this loop."""
@@ -31,6 +35,14 @@ def heard_by(loop: Loop) -> Heard:
     return EverySample(loop, running) if isinstance(running, FromSamples) else NewestSample(loop, running)
 
 
+def _watch(loop: Loop, running: RunningController | FromSamples) -> AnswerWatch | None:
+    """Return what compares a control law with its table, None where nothing is to be compared."""
+    if loop.watched is None or loop.watched.controller is None:
+        return None
+    stated, aims = loop.watched.controller, bool(loop.experiment.reference)
+    return AnswerWatch(running.rows, loop.controller, stated, loop.model, aims=aims)
+
+
 class NewestSample:
     """Serves a `RunningController`: the newest sample of every output, as old as the oldest of them.
 
@@ -45,7 +57,9 @@ class NewestSample:
     def __init__(self, loop: Loop, running: RunningController) -> None:
         e, sensors = loop.experiment, loop.sensors
         outputs = len(e.plant.outputs)
-        self._rows, self._reference, self._period_ns = running.rows, loop.reference(), e.period_ns
+        self.watch = _watch(loop, running)
+        self._rows = running.rows if self.watch is None else self.watch.rows
+        self._reference, self._period_ns = loop.reference(), e.period_ns
         self._nothing: Rows = ((0.0,) * len(e.plant.inputs),) * loop.rows
         self._lengths = [len(s.outputs) * s.buffer for s in sensors]
         self._waited = [i for i, s in enumerate(sensors) if s.trigger.kind == "every-slot"]
@@ -97,7 +111,9 @@ class EverySample:
     """
 
     def __init__(self, loop: Loop, running: FromSamples) -> None:
-        self._rows, self._reference, self._period_ns = running.rows, loop.reference(), loop.experiment.period_ns
+        self.watch = _watch(loop, running)
+        self._rows = running.rows if self.watch is None else self.watch.rows
+        self._reference, self._period_ns = loop.reference(), loop.experiment.period_ns
         self._assembly = Assembly(loop.sensors, running.memory)
         self.sample_ns = -1
 

@@ -12,12 +12,14 @@ from typing import Any
 
 from hil.compose.loop import Loop
 from hil.experiment.can_frames import FirstIdentifiers
+from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answers import Answers
 from hil.runtime.nodes.fault_line import FaultLine
 from hil.runtime.nodes.journal import Journal
+from hil.runtime.nodes.plant_watch import PlantWatch
 from hil.runtime.nodes.port_damper import damper_of
 from hil.runtime.nodes.safety import Safety
 from hil.runtime.nodes.sensor_node import SensorNode
@@ -87,6 +89,13 @@ class Rig:
         self._r: tuple[float, ...] = ()
         self._w: tuple[float, ...] = (0.0,) * inputs
         self._sent: Sequence[Delivery] = ()
+        self._claimed = loop.watched is not None and loop.watched.claimed
+        self._watch: PlantWatch | None = None
+        if loop.watched is not None and loop.watched.plant is not None:
+            streams = ("plant", "plant, again")
+            self._watch = PlantWatch(
+                loop.watched.plant, lambda which: e.plant.start(rng_for(seed, streams[which])), self._disturbance, e.period_ns
+            )
 
     def sense(self, t_ns: int) -> list[bytes]:
         """Advance the plant to t_k, measure, and return the frames of what the medium lets arrive in this slot."""
@@ -180,12 +189,28 @@ class Rig:
         self._w = self._disturbance(k)
         self._journal.slot_answered(t_ns, k, applied, self._w, draws, packet, self.answers.data)
         self._slots = k + 1
+        if self._watch is not None:
+            self._watch.take(self._plant.state, self._y, self.actuator.u, self._w)
         if self._end is not None and k >= self._end:
             self._stop()
 
     def _note_trip(self, t_ns: int, reason: str) -> None:
         self._end = self.k + self._after_trip
         self._journal.event(t_ns, "safety", f"safe state (zero input, latched): {reason}", tick=self.k, severity="error")
+
+    def compare(self, answers: tuple[int, str] | None = None) -> None:
+        """Say of a run that has ended whether plant and controller were what they say that they are.
+
+        Args:
+            answers: the slot in which the controller left its table, and by how much; None if it did not.
+        """
+        plant = None if self._watch is None else self._watch.departed()
+        for what, departed in (("the plant left its model", plant), ("the controller left its table", answers)):
+            if departed is not None:
+                k, by = departed
+                kind, claim = (WITHDRAWN, "certificate withdrawn: ") if self._claimed else (DEPARTED, "")
+                told = f"{claim}{what} at slot {k} by {by}"
+                self._journal.event(max(self.k, 0) * self._period_ns, kind, told, tick=k, severity="error")
 
     def outcome(self) -> dict[str, Any]:
         """Return the counters that the summary needs; a slot that was cut off by a signal is none."""

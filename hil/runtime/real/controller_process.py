@@ -53,14 +53,14 @@ def stop_on_sigterm() -> None:
 
 def serve(
     loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None,
-    at_end: Callable[[dict[str, int]], object] = lambda counts: None,
+    at_end: Callable[[dict[str, int], tuple[int, str] | None], object] = lambda counts, departed: None,
 ) -> None:  # fmt: skip
     """Answer sensor frames on a link until stopped.
 
     Args:
         loop: the composed experiment.
         uri: the link.
-        at_end: given what the controller and its link counted.
+        at_end: given what the controller and its link counted, and in which slot its answers left its table, by how much.
         before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
     """
     warm_up_controller(loop)
@@ -76,13 +76,13 @@ def serve(
                         link.send(answer)
         finally:
             counters, counts = asdict(link.counters), asdict(node.counts)
-            at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts})
+            at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}, node.departed)
 
 
-def _write(fd: int, counts: dict[str, int]) -> None:
+def _write(fd: int, counts: dict[str, int], departed: tuple[int, str] | None) -> None:
     if fd >= 0:
         with suppress(OSError):
-            os.write(fd, json.dumps(counts).encode())
+            os.write(fd, json.dumps({"counts": counts, "departed": departed}).encode())
 
 
 def main() -> None:

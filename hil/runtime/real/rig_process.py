@@ -130,7 +130,8 @@ def main() -> None:
     # inherit the priority.
     scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.uri), timing.idle == "awake")
     standard_output_is_free()  # results leave through the pipe, words through standard error
-    with LocalLink(ControlNode(job.loop)) if local else open_link(job.uri, "rig") as link:
+    node = ControlNode(job.loop) if local else None
+    with LocalLink(node) if node is not None else open_link(job.uri, "rig") as link:
         if isinstance(link, Tells):
             link.tell(about_rig(job.loop.experiment))
         real = RealLoop(job, link, sink, wire)  # before the greeting: nothing stands between its last rehearsal and slot 0
@@ -149,6 +150,8 @@ def main() -> None:
         if not stopped:
             try:
                 real.kernel.run()
+                if not stopped:
+                    real.rig.compare(None if node is None else node.departed)
             except PlantError as error:
                 failure = error
                 sink.event(max(real.rig.k, 0) * job.loop.experiment.period_ns, "plant failed", str(error), severity="error")

@@ -43,6 +43,7 @@ class RealOutcome:
     rig_silent: str | None = None  # why the rig was given up
     controller_lost: str | None = None
     controller_lost_ns: int = 0  # session time
+    controller_departed: tuple[int, str] | None = None  # the slot in which its answers left its table, and by how much
     controller_counts: dict[str, int] = field(default_factory=dict)  # what it and its link counted, once it has ended in order
 
 
@@ -129,7 +130,7 @@ def run_real(
         finally:
             end_all(children)
             os.close(counted_fd)
-            outcome.controller_counts = _counts(counts_fd)
+            outcome.controller_counts, outcome.controller_departed = _counts(counts_fd)
             if write_fd >= 0:
                 os.close(write_fd)
             stop_pump.set()
@@ -155,11 +156,13 @@ def _starter(loop: Loop) -> Callable[..., Child]:
     return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path])
 
 
-def _counts(fd: int) -> dict[str, int]:
-    """Return what a controller has written at its end, nothing if it could not."""
+def _counts(fd: int) -> tuple[dict[str, int], tuple[int, str] | None]:
+    """Return what a controller has written at its end, nothing if it could not, and where its answers left its table."""
     with open(fd, "rb") as file:
         try:
             said = json.loads(file.read())
         except ValueError:  # killed, or stopped and then killed
-            return {}
-    return {str(name): int(number) for name, number in said.items()}
+            return {}, None
+    departed = said["departed"]
+    counts = {str(name): int(number) for name, number in said["counts"].items()}
+    return counts, None if departed is None else (int(departed[0]), str(departed[1]))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from design.errors import NotStable
+from design.jump_linear import periodic_chain
 from design.jump_linear.periodic_chain import cyclic_classes, periodic_cost, periodic_radius
 from design.jump_linear.second_moment import backward, mean_square_radius
 
@@ -38,3 +39,19 @@ def test_a_cost_on_the_edge_is_not_found_and_an_aperiodic_chain_is_one_class() -
         periodic_cost(A / np.sqrt(periodic_radius(A, transition)), transition, np.broadcast_to(np.eye(6), A.shape))
     transition[0, 0] = 0.5
     assert len(cyclic_classes(transition)) == 1 and len(cyclic_classes(np.eye(3))) == 1
+
+
+def test_what_arpack_has_not_found_is_not_its_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    A, transition = in_turn(3, 14, 6, 0.35)
+    whole = periodic_radius(A, transition)
+
+    def tired(*given: object, **named: object) -> None:
+        from scipy.sparse.linalg import ArpackNoConvergence
+
+        assert 0 < int(str(named["maxiter"])) < 1000
+        raise ArpackNoConvergence("tired", np.array([0.5 * whole]), np.zeros((1, 1)))
+
+    monkeypatch.setattr("scipy.sparse.linalg.eigs", tired)
+    assert periodic_radius(A, transition) == pytest.approx(whole, rel=1e-9)
+    monkeypatch.setattr(periodic_chain, "EIG_DENSE_AFTER", 10)
+    assert periodic_radius(A, transition) == pytest.approx(whole, rel=1e-6)

@@ -1,0 +1,83 @@
+"""Whether a controller that runs keeps to its table: every answer beside that of what it says that it is, asked the same.
+
+An own feedforward is the author's affair: where references are stated, both are asked again with samples of zero, and what they
+answer to the samples is what is compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from design.controllers import FromSamples, Known, LoopModel, Rows
+from design.controllers.contract import Controller
+from hil.compose.motion_test import EQUAL
+
+ROUNDING = 1e-12
+
+
+class AnswerWatch:
+    """Asks a controller, and beside it what the controller says that it is.
+
+    Args:
+        own: asks the controller that runs.
+        controller: the same, to be started again.
+        stated: what it says that it is.
+        model: what both know of the loop.
+        aims: whether references are stated.
+
+    Attributes:
+        departed: the slot in which the answers left the table, and by how much; None while they did not.
+    """
+
+    def __init__(
+        self, own: Callable[..., Rows], controller: Controller, stated: Controller, model: LoopModel, *, aims: bool
+    ) -> None:
+        running = controller.start(model)
+        self._by_samples = isinstance(running, FromSamples)
+        self._own: Callable[..., Rows] = own
+        self._twin: Callable[..., Rows] = stated.start(model).rows
+        self._still: tuple[Callable[..., Rows], Callable[..., Rows]] | None = None
+        if aims:
+            self._still = running.rows, stated.start(model).rows
+        self._largest = 0.0
+        self.departed: tuple[int, str] | None = None
+
+    def rows(self, *asked: Any) -> Rows:
+        """Return what the controller answers; see `RunningController.rows` and `FromSamples.rows`."""
+        found = self._own(*asked)
+        if self.departed is None:
+            told = self._twin(*asked)
+            still = None
+            if self._still is not None:
+                at_rest = self._at_rest(asked)
+                still = self._still[0](*at_rest), self._still[1](*at_rest)
+            if found != told:
+                self._compare(asked[0], found, told, still)
+        return found
+
+    def _at_rest(self, asked: tuple[Any, ...]) -> tuple[Any, ...]:
+        if not self._by_samples:
+            k, tau, y, r = asked
+            return k, tau, (0.0,) * len(y), r
+        k, known = asked
+        return k, Known(tuple(s._replace(values=(0.0,) * len(s.values)) for s in known.samples), known.reference)
+
+    def _compare(self, k: int, found: Rows, told: Rows, still: tuple[Rows, Rows] | None) -> None:
+        if [len(row) for row in found] != [len(row) for row in told]:
+            self.departed = k, "rows of another number"
+            return
+        lost, worst = 0.0, 0.0
+        largest = self._largest
+        for i, (row, by_table) in enumerate(zip(found, told)):
+            for j, (a, b) in enumerate(zip(row, by_table)):
+                if still is not None:
+                    own, stated = still[0][i][j], still[1][i][j]
+                    a, b, lost = a - own, b - stated, max(lost, ROUNDING * (abs(own) + abs(stated)))
+                largest = max(largest, abs(b))
+                apart = abs(a - b)
+                worst = apart if not apart <= worst else worst  # what is no number is the worst
+        if largest < float("inf"):
+            self._largest = largest
+        if not worst <= EQUAL * largest + lost:
+            self.departed = k, f"{worst:.2g} where the table says {largest:.2g} at most"

@@ -1,0 +1,139 @@
+"""Whether a plant that runs keeps to its model: its record beside the model's next step, a block of slots at a time.
+
+What the model leaves unexplained is compared with what it leaves of a second run of the same seed, without commands: noise and
+loads are the same in both, and only what depends on the motion differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.compose.free_motion import kind_of
+from hil.compose.motion_test import CANCELS, EQUAL, LARGEST
+from hil.compose.watched import OneStep
+from plants.parts.protocols import PlantRun
+
+Array = NDArray[np.float64]
+BLOCK: Final = 256
+MOST_KEPT: Final = 200_000
+"""Slots with loads or noise that are compared; what comes behind them is not."""
+
+
+class PlantWatch:
+    """Compares a plant's record with its model.
+
+    Args:
+        step: what the record fulfils.
+        start: starts the plant again, as in this run (0) or with other random numbers (1).
+        disturbance: what is added to the commands in a slot.
+        period_ns: sample period, ns.
+    """
+
+    def __init__(
+        self, step: OneStep, start: Callable[[int], PlantRun], disturbance: Callable[[int], Sequence[float]], period_ns: int
+    ) -> None:
+        self._step, self._start, self._disturbance, self._period_ns = step, start, disturbance, period_ns
+        self._slots: list[tuple[Sequence[float], ...]] = []
+        self._past = np.zeros((0, step.taps.shape[2]))
+        self._scale = np.zeros(step.taps.shape[1])
+        self._next = 0  # slot of the first of `_slots`
+        self._first = -1  # slot of the first of what was kept
+        self._kept: list[tuple[Array, Array]] = []
+        self._count = 0
+
+    def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
+        """Take what a slot has come to: states, outputs, command and disturbance."""
+        self._slots.append((x, y, u, w))
+        if len(self._slots) == BLOCK:
+            self._block()
+
+    def _block(self) -> None:
+        m, begin, history = len(self._slots[0][2]), self._next, len(self._step.taps) - 1
+        z = np.array([(*x, *y, *u, *w) for x, y, u, w in self._slots], dtype=float)
+        self._next += len(z)
+        self._slots.clear()
+        z[:, -2 * m : -m] += z[:, -m:]
+        z = np.concatenate([self._past, z[:, :-m]])
+        self._past = z[-history:] if history else z[:0]
+        if len(z) <= history or self._count >= MOST_KEPT:
+            return
+        with np.errstate(over="ignore", invalid="ignore"):
+            left, scale = left_over(self._step.taps, z)
+            scale = np.maximum(np.maximum.accumulate(scale), self._scale)
+            self._scale = scale[-1]
+            quiet = (np.abs(left) <= EQUAL * scale).all()
+        if self._kept or not quiet:
+            if not self._kept:
+                self._first = begin + max(history - begin, 0)
+            self._kept.append((left, scale))
+            self._count += len(left)
+
+    def departed(self) -> tuple[int, str] | None:
+        """Return the slot in which the plant left its model, and by how much, once the run has ended; None if it did not."""
+        if self._slots:
+            self._block()
+        if not self._kept:
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._judged(*(np.concatenate(parts) for parts in zip(*self._kept)))
+
+    def _judged(self, left: Array, scale: Array) -> tuple[int, str] | None:
+        free, of_free = self._alone(0, len(left))
+        same, lost = left[: len(free)], CANCELS * np.maximum.accumulate(of_free)
+        beyond = ~(np.abs(same - free) - lost <= EQUAL * scale[: len(free)])
+        if beyond.any():
+            k = int(beyond.any(axis=1).argmax())
+            i = int(beyond[k].argmax())
+            name, unit = self._step.names[i]
+            return self._first + k, f"{_rounded(abs(same[k, i] - free[k, i]))} {unit} ({name})".replace(" 1 (", " (")
+        if self._step.stated or len(free) < len(left):
+            return None
+        other, _ = self._alone(1, len(left))
+        own = kind_of(left, other, scale, list(self._step.names))
+        if own.kind != "moves":
+            return None
+        k = int((np.abs(left) > EQUAL * scale).any(axis=1).argmax())
+        return self._first + k, f"up to {_rounded(own.size)} {own.signal[1]} in a slot, without inputs ({own.signal[0]})"
+
+    def _alone(self, which: int, slots: int) -> tuple[Array, Array]:
+        """Return what is left over of a run without commands in the slots that were kept, and of what sizes."""
+        run, history, end = self._start(which), len(self._step.taps) - 1, self._first + slots
+        w = self._disturbance(0)
+        still, rows = (0.0,) * len(w), []
+        begin = self._first - history
+        for k in range(end):
+            try:
+                if k:
+                    run.advance(self._period_ns, still, w)
+                y, x, w = run.measure(), run.state, self._disturbance(k)
+            except Exception:  # whatever an author's plant does without commands: until there it is compared
+                break
+            if not abs(sum(x)) + abs(sum(y)) < LARGEST:
+                break
+            if k >= begin:
+                rows.append((*x, *y, *w))
+        z = np.array(rows, dtype=float).reshape(len(rows), self._step.taps.shape[2])
+        if len(z) <= history:
+            return np.zeros((0, len(self._scale))), np.zeros((0, len(self._scale)))
+        return left_over(self._step.taps, z)
+
+
+def left_over(taps: Array, z: Array) -> tuple[Array, Array]:
+    """Return e(k) = sum_i taps[i] z(k - i) and the sum of the absolute values, (slots - h, q); in one order on every machine."""
+    history, count = len(taps) - 1, len(z) - len(taps) + 1
+    left, scale = np.zeros((count, taps.shape[1])), np.zeros((count, taps.shape[1]))
+    for i, tap in enumerate(taps):
+        part = z[history - i : history - i + count]
+        for column in np.flatnonzero(tap.any(axis=0)).tolist():
+            term = part[:, column : column + 1] * tap[:, column]
+            left += term
+            scale += np.abs(term)
+    return left, scale
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.2g}"
