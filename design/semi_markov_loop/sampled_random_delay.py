@@ -29,7 +29,6 @@ from scipy.sparse.linalg import ArpackError, eigs
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
-from design.jump_linear.second_moment import ARPACK_RESTARTS
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.growth import gain_mode
@@ -40,6 +39,8 @@ from design.verdict import State, Verdict
 FloatArray = npt.NDArray[np.float64]
 LARGEST = 2000
 """Most unknowns of R."""
+RESTARTS = 60
+"""Of ARPACK; then all eigenvalues are computed."""
 TOLERANCE = 1e-6
 """How far from 1 a radius must lie to decide."""
 METHOD = "sampled jump loop: plant times network as a jump-linear system"
@@ -143,7 +144,7 @@ def radius(matrix: FloatArray) -> float:
     """The spectral radius of R."""
     if matrix.shape[0] > 300:
         try:
-            found = eigs(matrix, k=1, tol=1e-10, maxiter=ARPACK_RESTARTS, v0=np.ones(matrix.shape[0]), return_eigenvectors=False)
+            found = eigs(matrix, k=1, tol=1e-10, maxiter=RESTARTS, v0=np.ones(matrix.shape[0]), return_eigenvectors=False)
             return float(np.abs(found[0]))
         except ArpackError:
             pass
