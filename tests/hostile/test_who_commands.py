@@ -80,7 +80,8 @@ def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
     with intruder(uri, "race"):
         status, summary, _ = raided(tmp_path, uri)
-    assert status == 5 and "second controller" in summary["problems"]["second_controller"]
+    said = summary["problems"]["second_controller"]  # the latter: the first question was empty, and no sample had left
+    assert status == 5 and ("answered twice, differently" in said or "which was never sent" in said), said
     assert summary["who_commands"] == "any process on this machine"
 
 
