@@ -55,6 +55,16 @@ def signals_as_exceptions() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
+@contextmanager
+def signals_later() -> Iterator[None]:
+    """Let no such signal come before the end of the block: what is made in it has its name by then, and can be taken away."""
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
 def _see(number: int, frame: FrameType | None) -> None:
     if not _importing(frame):
         _raise(number)

@@ -15,6 +15,7 @@ from pathlib import Path
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.interrupts import signals_later
 from hil.errors import HilError
 
 PRIVATE = 0o600  # a log tells what a plant did: its user's alone, unless asked otherwise
@@ -141,7 +142,8 @@ def command(
     made = [each for each in (folder, *folder.parents) if not each.exists()]  # the innermost first
     path = None
     try:
-        path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force, mode)
+        with signals_later():
+            path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force, mode)
         if as_json or quiet or sys.stderr is None or not sys.stderr.isatty():
             session = run_session(checked, clock=clock, link=uri, path=path, external=external, index=index)  # type: ignore[arg-type]
         else:

@@ -44,10 +44,12 @@ class Frames:
     title, note, topics = "Frames", "", ("/link/sensor",)
 
     def quantities(self, signals):
-        return ()
+        from hil.measure.measure import Quantity
+
+        return (Quantity(name="frames", title="frames of sensors", per_output=False),)
 
     def of(self, view):
-        return {}
+        return {"frames": float(len(view.run.arrays["/link/sensor"]))}
 """
 """It reads raw frames, so that a summary is read back from the log."""
 

@@ -165,3 +165,20 @@ def test_an_interrupt_behind_the_last_line_of_a_command_is_one_line(monkeypatch:
 
     monkeypatch.setattr(group, "main", late)
     assert cli("list")[::2] == (130, "\nhil: interrupted\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_log_is_made_leaves_none(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Hil
+) -> None:
+    """The signal comes between the making of the file and the return of its name."""
+
+    def made(output: Path, *_rest: object) -> Path:
+        output.touch()
+        os.kill(os.getpid(), number)
+        return output
+
+    monkeypatch.setattr("hil.cli.run.reserve", made)
+    monkeypatch.chdir(tmp_path)
+    status, _, err = cli("run", "dc-motor-hinf", "--duration", "1", "-o", "a.mcap")
+    assert status == 128 + number and "interrupted" in err and not list(tmp_path.iterdir())
