@@ -77,9 +77,14 @@ test-vcan: $(INSTALLED) ## the tests that need a real vcan0, in this kernel or a
 	$(BIN)/hil vcan --install -v --timeout 600 -- $(PYTEST_VCAN) -m "$(VCAN)" $(VCAN_TESTS)
 
 test-hostile: export OMP_NUM_THREADS = 1
-test-hostile: $(INSTALLED) ## the attacks at length: a million inputs over all boundaries, floods of ten seconds; half an hour
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal --hil-hostile -m "hostile and not realtime" tests/hostile $(PYTEST_ARGS)
-	$(BIN)/pytest -n 0 --hil-hostile -m "hostile and realtime" tests/hostile $(PYTEST_ARGS)
+test-hostile: $(INSTALLED) ## all attacks at length, a million inputs among them; writes their table into the guide; an hour
+	@rm -rf runs/hostile
+	-$(ATTACKS)/virtual.xml -n $(WORKERS) --dist worksteal -m "not realtime" $(filter-out tests/vcan/%,$(ATTACKED))
+	-$(ATTACKS)/real.xml -n 0 -m realtime $(filter-out tests/vcan/%,$(ATTACKED))
+	@if $(BIN)/hil vcan -- true 2>/dev/null; then $(ATTACKS)/vcan.xml -n 2 --hil-require=vcan $(filter tests/vcan/%,$(ATTACKED)); fi
+	$(BIN)/python -m tests.hostile.table page runs/hostile/*.xml
+ATTACKED = $(shell $(BIN)/python -m tests.hostile.table files)
+ATTACKS = $(BIN)/pytest --hil-hostile -o junit_suite_name=$$(git describe --always --dirty) $(PYTEST_ARGS) --junitxml runs/hostile
 
 # The tool has an environment of its own, held to hashes like the other: it lists ours and stands not in it.
 SBOM := .venv-sbom/bin
