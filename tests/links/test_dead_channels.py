@@ -6,10 +6,11 @@ import os
 import socket
 import subprocess
 import sys
-from pathlib import Path
+from pathlib import Path, PosixPath
 
 import hil
 from transport.links.dead_channels import clear_dead_channels
+from transport.links.private_directory import private_directory
 from transport.links.unix_mesh import Mesh
 
 KILLED = """
@@ -58,3 +59,21 @@ def test_the_next_session_clears_what_a_killed_one_left(tmp_path: Path, monkeypa
     killed_in(buses / "gone")
     hil.run(hil.load_experiment("dc-motor-hinf", duration=0.2), clock="real", link="local:", log=tmp_path / "x.mcap")
     assert not (buses / "gone").exists()
+
+
+class ClearedOnce(PosixPath):
+    """A folder that another process removes, once, just after it was made."""
+
+    cleared = False
+
+    def mkdir(self, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
+        super().mkdir(mode, parents, exist_ok)
+        if not ClearedOnce.cleared:
+            ClearedOnce.cleared = True
+            self.rmdir()
+
+
+def test_a_folder_that_another_session_clears_while_it_is_opened_is_made_again(tmp_path: Path) -> None:
+    folder = ClearedOnce(tmp_path / "busy")
+    assert private_directory(folder).is_dir()
+    assert ClearedOnce.cleared

@@ -13,6 +13,7 @@ from pathlib import Path
 from transport.links.link import TransportError
 
 _PAUSE_MS = 10
+_TRIES = 100
 
 
 @contextmanager
@@ -50,12 +51,15 @@ def locked(directory: Path, timeout_s: float) -> Iterator[None]:
 
 
 def _private(directory: Path) -> int:
-    """Open a directory that is ours alone, made if missing."""
-    try:
-        directory.mkdir(mode=0o700, exist_ok=True)
-        descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError as error:
-        raise TransportError(f"{directory}: {error.strerror}") from error
+    """Open a directory that is ours alone, made if missing, and made again if another process clears it away in between."""
+    for left in reversed(range(_TRIES)):
+        try:
+            directory.mkdir(mode=0o700, exist_ok=True)
+            descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            break
+        except OSError as error:
+            if not isinstance(error, FileNotFoundError) or not left:
+                raise TransportError(f"{directory}: {error.strerror}") from error
     status = os.fstat(descriptor)
     if status.st_uid != os.geteuid() or stat.S_IMODE(status.st_mode) & 0o077:
         os.close(descriptor)
