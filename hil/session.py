@@ -27,8 +27,7 @@ from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, Put, Sink, Taps, TeeSink
-from hil.measure.check import check_own_measures
-from hil.measure.measure import measures_of, quantities_of
+from hil.measure.measure import measures_of, own_measures, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
@@ -130,7 +129,10 @@ def simulate(loop: Loop, seed: int, topics: Collection[str] | None = None) -> Ru
 
 def refuse_unsound_measures(loop: Loop) -> None:
     """Hold measures of the user's own to `check_measure`, over a short run; see `hil.measure.check.check_own_measures`."""
-    check_own_measures(loop.experiment, lambda: rehearsal(loop))
+    if own_measures(loop.experiment):
+        from hil.measure.check import check_own_measures
+
+        check_own_measures(loop.experiment, lambda: rehearsal(loop))
 
 
 def rehearsal(loop: Loop, slots: int = 20) -> RunView:

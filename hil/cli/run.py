@@ -118,7 +118,6 @@ def command(
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.experiment.can_frames import link_uri
-    from hil.files.signature import Signer
     from hil.session import run_session
     from transport.links.local import LOCAL
     from transport.links.opening import open_link
@@ -135,7 +134,11 @@ def command(
             pass
     if external and sys.stderr is not None:
         print(f"waiting up to 120 s for your controller on {visible(uri)}", file=sys.stderr)
-    signer = Signer(sign) if sign is not None else None
+    signer = None
+    if sign is not None:
+        from hil.files.signature import Signer
+
+        signer = Signer(sign)
     if signer is not None and output is not None and output.exists() and not output.is_file():
         raise HilError(f"--sign: {visible(output)} is no regular file: nothing can be signed there; name another file with -o")
     folder = output.parent if output else Path("runs")

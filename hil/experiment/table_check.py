@@ -15,7 +15,6 @@ import msgspec
 from hil.errors import HilError
 from hil.experiment.field_types import frame_of, holds_tables, table_for, tag_of
 from hil.experiment.tables import HIDDEN, Experiment, Seconds, Table
-from hil.files.arrays import numbers_from_file
 from hil.plugins.protocols import NamesField
 
 INFINITE = "is not a finite number"
@@ -165,6 +164,8 @@ class TableCheck:
         args = typing.get_args(hint)
         if isinstance(value, dict) and self._folder is not None and (dimensions := _dimensions(hint)):
             try:
+                from hil.files.arrays import numbers_from_file  # with the readers of three formats
+
                 value = numbers_from_file(value, at.rpartition(".")[2], self._folder, dimensions)
             except HilError as e:
                 self.faults.append(f"{at}: {e}")

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from numbers import Real
-from types import FunctionType
 from typing import Any, Final
 
 from hil.errors import ExperimentError
@@ -15,9 +14,8 @@ from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.topics import TOPICS
 from hil.measure.many import MeasureOfMany
-from hil.measure.measure import Measure, Quantity, made_of, quantities_of
+from hil.measure.measure import Measure, Quantity, made_of, own_measures, quantities_of
 from hil.measure.view import RunView
-from hil.plugins import registry
 from hil.plugins.asked import asked, needs
 from hil.plugins.own_plugins import in_own_words
 
@@ -92,10 +90,7 @@ def check_own_measures(experiment: Experiment, view: Callable[[], RunView]) -> N
         ExperimentError: with what each one does not keep.
     """
     faults, short = [], None
-    for i, name in enumerate(experiment.report.measures):
-        cls = registry.load("hil.measures", name, experiment.folder)
-        if isinstance(cls, FunctionType) or cls.__module__.partition(".")[0] == "hil":
-            continue
+    for i, name, cls in own_measures(experiment):
         short = view() if short is None else short
         try:
             with in_own_words():

@@ -99,6 +99,16 @@ def measures_of(experiment: Experiment | None) -> tuple[Measure, ...]:
     return tuple(found)
 
 
+def own_measures(experiment: Experiment) -> list[tuple[int, str, Any]]:
+    """Return the classes of measures that an experiment asks for and that are not ours: their place, name and class."""
+    found = []
+    for i, name in enumerate(experiment.report.measures):
+        cls: Any = registry.load("hil.measures", name, experiment.folder)
+        if not isinstance(cls, FunctionType) and cls.__module__.partition(".")[0] != "hil":
+            found.append((i, name, cls))
+    return found
+
+
 def made_of(plugin: object) -> object:
     """Return the measure that a plug-in stands for: an instance of a class, the one number of a function, else the object.
 

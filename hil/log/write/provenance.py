@@ -6,7 +6,7 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,11 +27,14 @@ def package_versions() -> dict[str, str]:
 
 
 @cache
-def _version_of(package: str) -> str:  # each takes 0.6 ms to read
+def _version_of(package: str) -> str:
     try:
-        return version(package)
+        found = distribution(package)
     except PackageNotFoundError:
         return "absent"
+    # The parser of `importlib.metadata` also reads the page behind the head, as an email: half a millisecond for each package.
+    said = "\n" + (found.read_text("METADATA") or "")
+    return said.partition("\nVersion:")[2].partition("\n")[0].strip() or found.version
 
 
 @cache
