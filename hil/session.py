@@ -8,6 +8,7 @@ import os
 import signal
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from errno import EMFILE, ENFILE
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -359,6 +360,11 @@ def _run_real(
     except HilError:  # nothing ran: nothing is left behind
         sink.discard()
         raise
+    except OSError as error:
+        if error.errno not in (EMFILE, ENFILE) or sink.messages:
+            raise
+        sink.discard()
+        raise HilError("no free file descriptor to start rig and controller; raise the limit: ulimit -n 64") from error
     sink.drop(real.pump.dropped)
     out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes}
     if real.controller_lost:

@@ -127,6 +127,9 @@ def main(args: list[str] | None = None) -> Any:
         _close_stdout()
         sys.exit(141)
     except OSError as e:
+        if e.errno in (errno.EMFILE, errno.ENFILE):
+            print("hil: no free file descriptor; raise the limit: ulimit -n 64", file=sys.stderr)
+            sys.exit(2)
         if e.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         _close_stdout()

@@ -253,3 +253,16 @@ def test_a_bad_uri_is_refused_with_a_hint(uri: str, hint: str) -> None:
     with pytest.raises(TransportError) as caught:
         open_link(uri, "rig")
     assert hint in str(caught.value) and repr(uri) in str(caught.value)
+
+
+@pytest.mark.parametrize("endpoint", ["", "tcp/127.0.0.1:{port}", "tcp/localhost:{port}"])
+def test_a_second_controller_is_refused_until_the_first_has_gone(endpoint: str) -> None:
+    port, name = free_port(), f"two{os.getpid()}"
+    first = f"zenoh:tcp/127.0.0.1:{port}?name={name}" if endpoint else f"zenoh:?name={name}"
+    second = f"zenoh:{endpoint.format(port=port)}?name={name}"
+    with open_link(first, "controller"):
+        with pytest.raises(TransportError, match=r"is another controller running there\? Stop it, or choose another name"):
+            open_link(second, "controller")
+        open_link(second.replace(name, f"{name}-b"), "controller").close()
+        open_link(second, "rig").close()
+    open_link(second, "controller").close()

@@ -14,7 +14,6 @@ again when the interface does.
 from __future__ import annotations
 
 import select
-import socket
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -34,7 +33,6 @@ _REOPEN_EVERY: Final = 10
 _FAULT_PAUSE_S: Final = 0.01
 _SKIPPED: Final = 2 * FRAGMENTS
 """So many frames that complete no packet are taken in one call, lest a flood of them holds it for ever."""
-
 
 
 class _Frames(Protocol):
@@ -112,7 +110,7 @@ class CanLink(Closing):
         identifiers: Identifiers | None = None,
         fd: bool = True,
         pad: bool = False,
-        claims: Sequence[socket.socket] = (),
+        claims: Sequence[Closing] = (),
     ) -> None:
         self.uri = uri
         self._counters = LinkCounters()
@@ -200,11 +198,12 @@ class CanLink(Closing):
             if begun:
                 self._counters.malformed += 1  # it was never completed
                 parts[node] = b""
-            if fd and not several and len(data) < self._step:
-                return data  # alone in its frame, as no other follows one that is not full; the receiver's decoder judges it
             size = packet_size(data)
-            if fd and size is not None and size <= len(data) and not (several and node_of(data) != node):
-                return data[:size] if self._pad else data  # alone in a full frame, or one node's of several
+            if fd and size and size <= len(data) and not (several and node_of(data) != node):
+                return data[:size] if self._pad else data  # alone in its frame, or one node's of several
+            if fd and not several and (not size or len(data) < self._step):
+                self._counters.malformed += 1  # no packet begins so, or none can follow a frame that is not full
+                return None
         elif not begun or index * self._step != len(begun):
             self._counters.malformed += 1  # one before it is missing
             parts[node] = b""

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
-import socket
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
 from difflib import get_close_matches
-from errno import EADDRINUSE, EAFNOSUPPORT, ENODEV
-from hashlib import sha256
+from errno import EAFNOSUPPORT, ENODEV
 from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
@@ -17,6 +15,7 @@ from typing import Any, Final
 from transport.links.can_bus import bus_directory
 from transport.links.can_identifiers import filters, identifiers_of
 from transport.links.can_link import CanLink
+from transport.links.claim import Claim, network
 from transport.links.link import Role, TransportError, split_uri
 from transport.links.python_can import can
 
@@ -81,7 +80,8 @@ def open_can(uri: str, role: Role) -> CanLink:
     if interface == "socketcan":
         _check_interface(uri, channel, flexible)
     with ExitStack() as held:  # until the link holds them
-        claims = [held.enter_context(closing(_claim(uri, role, interface, channel, own[0]))) for own in heard]
+        at, choose = ("can", interface, str(_world(interface)), channel), "another channel or base"
+        claims = [held.enter_context(Claim(uri, role, *at, own[0], choose=choose)) for own in heard]
         try:
             link = CanLink(uri, role, join, identifiers=identifiers, fd=flexible, pad=pad == "1", claims=claims)
         except Exception as error:  # a back end without its driver raises anything, a NameError for instance
@@ -120,23 +120,11 @@ def _check_interface(uri: str, channel: str, flexible: bool) -> None:
             raise TransportError(f"link {uri!r}: {channel} is down: ip link set {channel} up")
 
 
-def _claim(uri: str, role: Role, interface: str, *where: object) -> socket.socket:
-    """Be the only one there in this role: hold a name as an abstract Unix socket.
-
-    It goes with the process and, like a CAN interface, belongs to one network namespace.
-    """
-    world = {"hil": bus_directory(), "virtual": os.getpid()}.get(interface, "")
-    name = sha256(repr((interface, world, where)).encode()).hexdigest()
-    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    try:
-        claim.bind(f"\0hilrig-{os.geteuid()}-{name}")
-    except OSError as error:
-        claim.close()
-        if error.errno != EADDRINUSE:
-            raise TransportError(f"link {uri!r}: {error}") from error
-        hint = f"is another {role} running there? Stop it, or choose another channel or base"
-        raise TransportError(f"link {uri!r}: {hint}") from error
-    return claim
+def _world(interface: str) -> object:
+    """Return what channels of one name may lie apart in: directories of buses, processes, network namespaces."""
+    if interface == "hil":
+        return bus_directory()
+    return os.getpid() if interface == "virtual" else network()
 
 
 def _value(text: str) -> int | float | bool | str:

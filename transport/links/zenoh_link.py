@@ -21,8 +21,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -30,6 +30,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
 from transport.links.callback_thread import CallbackThreads
+from transport.links.claim import Claim, network
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
 from transport.links.private_directory import private_directory
 from transport.links.zenoh_access import OPTIONS, Access, access
@@ -65,23 +66,24 @@ class ZenohLink(Closing):
         endpoint: zenoh endpoint, as in ``tcp/127.0.0.1:7447``.
         name: second part of the key expressions.
         who: who this end is, and whom it hears.
+        claims: closed with the link.
 
     Raises:
         TransportError: the file of passwords cannot be had.
         zenoh.ZError: the endpoint cannot be had.
     """
 
-    __slots__ = ("_closed", "_error", "_get", "_listened_to", "_name", "_publish", "_queue", "_say_again", "_session",
+    __slots__ = ("_claims", "_closed", "_error", "_get", "_listened_to", "_name", "_publish", "_queue", "_say_again", "_session",
                  "_session_id", "_token", "counters", "uri")  # fmt: skip
 
-    def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access) -> None:
+    def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access, claims: Sequence[Closing] = ()) -> None:
         os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
         import zenoh
 
         self.uri = uri
         self.counters = LinkCounters()
         self._error = zenoh.ZError
-        self._closed = False
+        self._closed, self._claims = False, tuple(claims)
         # A queue in C: the callback runs in a thread of zenoh, whose waking of ours is most of a round trip.
         self._queue: SimpleQueue[bytes] = SimpleQueue()
         self._get = self._queue.get
@@ -162,6 +164,8 @@ class ZenohLink(Closing):
             self._closed = True
             with suppress(self._error):
                 self._session.close()  # type: ignore[no-untyped-call]
+            for claim in self._claims:
+                claim.close()
 
 
 def _take(keep: Callable[[], None], queue: SimpleQueue[bytes], counters: LinkCounters, sample: zenoh.Sample) -> None:
@@ -267,9 +271,15 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
             )
     import zenoh
 
-    try:
-        return ZenohLink(uri, role, endpoint, name, who)
-    except zenoh.ZError as error:
-        said = _SOURCE.sub("", str(error))
-        hint = "; is another rig running there?" if "in use" in said or "acquire lock" in said else ""
-        raise TransportError(f"link {uri!r}: {said}{hint}") from error
+    where = (network(), _LOOPBACK.sub("loopback", address)) if protocol in _NETWORKED else (address,)
+    with ExitStack() as held:  # until the link holds it; of two rigs the second finds the endpoint taken
+        claims = [Claim(uri, role, "zenoh", *where, name, choose="another name")] if role == "controller" else []
+        held.callback(lambda: [claim.close() for claim in claims])
+        try:
+            link = ZenohLink(uri, role, endpoint, name, who, claims)
+        except zenoh.ZError as error:
+            said = _SOURCE.sub("", str(error))
+            hint = "; is another rig running there?" if "in use" in said or "acquire lock" in said else ""
+            raise TransportError(f"link {uri!r}: {said}{hint}") from error
+        held.pop_all()
+    return link

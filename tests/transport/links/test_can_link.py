@@ -211,9 +211,13 @@ def test_an_interface_that_vanished_is_joined_anew_when_it_is_back() -> None:
 
 
 def test_bytes_of_any_length_travel_padded(channel: str) -> None:
-    with open_link(f"can:virtual:{channel}", "rig") as rig, open_link(f"can:virtual:{channel}", "controller") as other:
+    with (
+        open_link(f"can:virtual:{channel}", "rig") as rig,
+        can.Bus(channel, interface="virtual", protocol=can.CanProtocol.CAN_FD) as node,
+    ):
         rig.send(b"\xee" * 13)
-        assert other.receive(1) == b"\xee" * 13 + bytes(3)
+        message = node.recv(1)
+        assert message is not None and bytes(message.data) == b"\xee" * 13 + bytes(3)
 
 
 def test_a_motor_packet_is_one_frame_with_bit_rate_switch(channel: str) -> None:
@@ -288,3 +292,16 @@ def test_what_a_full_queue_loses_is_counted_at_both_ends(channel: str, options: 
         rig.send(sensor(1))
         assert controller.receive(1) == sensor(1)
         assert controller.counters.dropped >= rig.counters.dropped  # in frames
+
+
+def test_garbage_on_the_controllers_identifier_is_malformed_over_every_frame(node: Node, controller: CanLink, fd: bool) -> None:
+    """One count for it, over CAN FD as over classic CAN: the link's own."""
+    first, tried = 0x200 if fd else 0x280, 0
+    for data in (b"", b"no", b"garbage!", *([bytes(64), sensor(1)[:24], b"\xff" * 48] if fd else [])):
+        node.send(can.Message(arbitration_id=first, is_extended_id=False, is_fd=fd, data=data))
+        assert controller.receive(0.05) is None
+        tried += 1
+    for message in fragments(sensor(9), fd):
+        node.send(message)
+    assert controller.receive(1) == sensor(9)
+    assert controller.counters.malformed >= (tried if fd else 1) and controller.counters.received == 1
