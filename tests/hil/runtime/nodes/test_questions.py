@@ -10,7 +10,7 @@ import pytest
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
-from hil.runtime.nodes.questions import NEAR, SILENCE_NS
+from hil.runtime.nodes.questions import NEAR, SILENCE_NS, Questions, Refusals
 from hil.runtime.nodes.wire import SEGMENT, Wire, before, session_wire
 from transport.packets import EMPTY, MORE, ControlPacket, SensorPacket, decode, encode_sensor
 from transport.wire.tags import echo
@@ -142,6 +142,26 @@ def test_frames_between_those_of_one_slot_never_count_unseen(ahead: int) -> None
     else:  # which of the two is the rig's cannot be told here
         assert answer is None
     assert node.counts.contradicted == 1
+
+
+@pytest.mark.parametrize("first", ["forged", "true"])
+def test_of_two_frames_with_one_number_neither_sample_counts(first: str) -> None:
+    wire, counts = session_wire(b"2" * 16), Refusals()
+    questions = Questions(counts, T)
+
+    def frame(i: int, flags: int, y: float) -> bytes:
+        return encode_sensor(SensorPacket(0, flags, 0, (y,), i, 1, (3.0, 0.0), 2, wire.nonce(0), i + 1))
+
+    def take(data: bytes) -> list[tuple[SensorPacket, bytes]] | None:
+        packet = decode(data)
+        assert isinstance(packet, SensorPacket)
+        return questions.take(packet, data, 0)
+
+    pair = [frame(0, MORE, FORGED), frame(0, MORE, 0.1)]
+    last = frame(1, 0, 0.2)
+    assert [take(data) for data in (pair if first == "forged" else pair[::-1])] == [None, None]
+    taken = take(last)
+    assert taken is not None and [data for _, data in taken] == [b"", last] and counts.contradicted == 1
 
 
 def test_a_new_rig_has_its_controller_after_a_second_of_silence_and_a_controller_that_starts_late_its_rig(loop: Loop) -> None:
