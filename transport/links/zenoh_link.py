@@ -274,7 +274,8 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
     where = (network(), _LOOPBACK.sub("loopback", address)) if protocol in _NETWORKED else (address,)
     with ExitStack() as held:  # until the link holds it; of two rigs the second finds the endpoint taken
         claims = [Claim(uri, role, "zenoh", *where, name, choose="another name")] if role == "controller" else []
-        held.callback(lambda: [claim.close() for claim in claims])
+        for claim in claims:
+            held.enter_context(claim)
         try:
             link = ZenohLink(uri, role, endpoint, name, who, claims)
         except zenoh.ZError as error:
