@@ -113,6 +113,7 @@ class Runner:
         duration: str | float | None = None,
         clock: ClockName | None = None,
         link: str | None = None,
+        external: bool = False,
         **changes: Any,
     ) -> Session:
         """Run an experiment and return its session: ``.metrics``, ``.arrays`` (numpy, per topic), ``.summary``, ``.status``.
@@ -122,6 +123,7 @@ class Runner:
             set: changes ``path=value``, as ``hil run --set`` takes them.
             seed, duration, clock, link: as in `hil.run`; clock and link default to ``--hil-clock`` and ``--hil-link``. A link
                 that is not given here is shared out among the workers of pytest-xdist.
+            external: your own controller answers on the link, in real time; nothing is claimed of its loop.
             changes: path to value, as in `hil.run`.
 
         Raises:
@@ -130,18 +132,21 @@ class Runner:
         from hil.plugins.own_packages import require_own_packages
 
         require_own_packages()
+        from hil.errors import HilError
         from hil.experiment_source import load_experiment
         from hil.session import run_session
 
+        clock = clock or self._clock
+        if external and clock == "virtual":
+            raise HilError("external needs clock='real': virtual time runs in one process, without a link")
         checked = load_experiment(experiment, set, seed=seed, duration=duration, **changes)
         self._folder.mkdir(parents=True, exist_ok=True)
         number = len(self.sessions)
         while (path := self._folder / f"{checked.name}-{number}.mcap").exists():
             number += 1  # of an earlier run of this test: it is kept
-        clock = clock or self._clock
         if clock == "real" and link is None:
             link = self._shared(self._link or checked.links.uri)
-        session = run_session(checked, clock=clock, link=link or self._link, path=path)
+        session = run_session(checked, clock=clock, link=link or self._link, path=path, external=external)
         self.sessions.append(session)
         if session.status == 130:
             raise KeyboardInterrupt  # the session closed its log first; now pytest shall end too
