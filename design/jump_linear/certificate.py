@@ -6,6 +6,7 @@ eigenvalues are computed at these matrices.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -24,6 +25,8 @@ class Certificate:
         mean_square_radius: spectral radius of the second-moment operator; stable if and only if < 1 (Theorem 7.1).
         tail_radius: the same radius over the upper bounds of the transition probabilities, where a mode stands for a tail that
             is cut; None where the probabilities are exact. Below 1 it proves stability over the law without the cut.
+        long_stay_radius: growth of E|x|^2 per slot in stays that have lasted long, where their limit is known, None elsewhere.
+            Above 1 it proves the contrary, whatever the radius is where the tail is cut.
         state: ``certified``; ``refused``, a proof of the contrary; ``undecided``, where the tail that is cut decides.
         reason: what decided, in one sentence.
         stable: (7.17), made strict, holds at the matrices found, beyond rounding, whatever the tail that is cut does.
@@ -44,6 +47,7 @@ class Certificate:
     state: State
     reason: str
     tail_radius: float | None
+    long_stay_radius: float | None
     h2_norm: float | None
     hinf_norm: float | None
     lyapunov_margin: float | None
@@ -70,6 +74,7 @@ def certify_system(
     initial: npt.ArrayLike | None = None,
     initial_law: str = "",
     between: tuple[Array, Array] | None = None,
+    stays: Sequence[Array] = (),
     hinf: bool = False,
 ) -> Certificate:
     """Certify a jump-linear system: radius, norms and inequality margins.
@@ -77,12 +82,20 @@ def certify_system(
     Where a mode stands for many whose transition probabilities differ, (7.17) is taken at the entrywise upper bounds:
     P - A_i' sum_j high_ij P_j A_i >= I with P > 0 is a Lyapunov function of every chain below them, with any number of modes.
 
+    What such a mode stands for may refute, too. Let s be the limit of the probability to stay, and rho the radius of
+    X_j -> sum_i p_ij A_i X_i A_i' over the modes of the other chain while this one stays, with s in p: if rho > 1, then for an
+    eps > 0 rho (1 - eps) > 1, and from some slot H on every probability to stay is at least s (1 - eps). No slot ends a stay for
+    sure, so that slot H is a mode of the law. The map keeps the cone of positive semi-definite X, so that an X >= 0 is multiplied
+    by rho (Krein and Rutman); from x(0) with that second moment in slot H, the paths alone that never leave give
+    E|x(n)|^2 >= c (rho (1 - eps))^n: it has no bound.
+
     Args:
         system: the system.
         selection, output: named in the certificate.
         initial: (N,) distribution of the mode at the impulse; default uniform.
         initial_law: its name, in the certificate.
         between: (N, N) entrywise lower and upper bounds of the transition probabilities; default exact.
+        stays: (N, N) transition probabilities each, of stays that have lasted long, see `joint_stays`.
         hinf: compute the H-infinity norm too.
 
     Returns:
@@ -92,6 +105,7 @@ def certify_system(
     alpha = system.alpha(initial)
     radius = system.radius()
     tail_radius = None if between is None else mean_square_radius(A, between[1])
+    growth = max((_radius_while(A, while_staying) for while_staying in stays), default=None)
     h2 = residual = norm = hinf_margin = lyapunov = positivity = rounding = None
     stable = False
     if radius < 1.0 and (tail_radius is None or tail_radius < 1.0):
@@ -113,7 +127,7 @@ def certify_system(
         gap = backward(A, transition, S) + weight - S
         residual = float(np.abs(np.linalg.eigvalsh(gap)).max() / max(float(np.abs(S).max()), 1e-300))
         stable = lyapunov > rounding and positivity > rounding
-    state, reason = _judge(A, radius, tail_radius, stable, between)
+    state, reason = _judge(A, radius, tail_radius, growth, stable, between)
     if hinf and stable:
         from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
 
@@ -121,7 +135,7 @@ def certify_system(
         hinf_margin = bounded_real_margin(system, norm * (1.0 + 1e-6))
     return Certificate(
         mean_square_radius=radius, stable=stable, state=state, reason=reason, tail_radius=tail_radius,
-        h2_norm=h2 if stable else None, hinf_norm=norm,
+        long_stay_radius=growth, h2_norm=h2 if stable else None, hinf_norm=norm,
         lyapunov_margin=lyapunov, positivity_margin=positivity, rounding=rounding,
         h2_residual=residual, hinf_margin=hinf_margin, modes=system.modes, order=system.order, selection=selection,
         output=output, initial="given" if initial is not None and not initial_law else initial_law or "uniform",
@@ -129,7 +143,8 @@ def certify_system(
 
 
 def _judge(
-    A: Array, radius: float, tail_radius: float | None, stable: bool, between: tuple[Array, Array] | None
+    A: Array, radius: float, tail_radius: float | None, growth: float | None, stable: bool,
+    between: tuple[Array, Array] | None,
 ) -> tuple[State, str]:
     """What follows from the radii and the margins, in words."""
     tail = "" if tail_radius is None else f", {tail_radius:.6g} over the bounds of the tail that is cut"
@@ -138,11 +153,22 @@ def _judge(
     least = radius if between is None else mean_square_radius(A, between[0])
     if least > 1.0 + STABILITY_MARGIN:
         return "refused", f"the loop is not mean-square stable: the second-moment radius is {least:.6g}, expected below 1"
+    if growth is not None and growth > 1.0 + STABILITY_MARGIN:
+        return "refused", (
+            "the loop is not mean-square stable: of a sojourn that has lasted long the end becomes so unlikely that the second "
+            f"moment grows by {growth:.6g} per slot, expected below 1"
+        )
     if tail_radius is None or (radius < 1.0 and tail_radius < 1.0):
         return "undecided", f"the second-moment radius is {radius:.9g}{tail}: too close to 1 for floating point"
     return "undecided", (
         f"the tail of a sojourn law decides: the second-moment radius is {radius:.6g} where it is cut{tail}, expected below 1"
     )
+
+
+def _radius_while(A: Array, transition: Array) -> float:
+    """The second-moment radius over transition probabilities of which many rows are 0: such modes are left for ever."""
+    kept = np.flatnonzero(transition.any(axis=1))
+    return mean_square_radius(A[kept], transition[np.ix_(kept, kept)])
 
 
 def _largest(family: Array) -> float:

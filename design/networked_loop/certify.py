@@ -66,5 +66,6 @@ def certify_structure(
         initial=structure.default_initial if initial is None else initial,
         initial_law=structure.initial_law if initial is None else "given",
         between=structure.between,
+        stays=structure.stays,
         hinf=hinf,
     )

@@ -36,7 +36,7 @@ from design.controllers import Selection, row_count
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.networked_loop.initial_law import default_initial, initial_law
-from design.networked_loop.joint_modes import joint_bounds, joint_modes
+from design.networked_loop.joint_modes import joint_bounds, joint_modes, joint_stays
 from design.networked_loop.loop_shapes import check_gains, check_plant_shapes
 from design.networked_loop.packet_registers import packet_registers
 from design.networked_loop.performance_output import performance_output
@@ -61,6 +61,7 @@ class LoopStructure:
 
     Fields: `base` (N, n, n) matrices for zero gains; `B` (N, n, q); `C` (N, l, n); `transition` (N, N);
     `between` entrywise lower and upper bounds (N, N) of the transition probabilities, None where these are exact;
+    `stays` those of stays that have lasted long, see `joint_stays`;
     `default_initial` (N,) and `initial_law`, the distribution of the mode at the H2 impulse and its name;
     `sc_mode`, `ca_mode`, `ca_before` (N,) indices of each mode's chains (`ca_before` is -1 unless the pattern is
     `previous`); `stored_outputs` samples lie behind x; `gain_shape` = (sc labels, rows, m, py);
@@ -72,6 +73,7 @@ class LoopStructure:
     C: Array
     transition: Array
     between: tuple[Array, Array] | None
+    stays: tuple[Array, ...]
     default_initial: Array
     initial_law: str
     entries: _Entries
@@ -285,6 +287,7 @@ def loop_structure(
         C=np.repeat(weight[None], N, axis=0),
         transition=transition,
         between=joint_bounds(sc_chain, ca_chain, modes),
+        stays=joint_stays(sc_chain, ca_chain, modes),
         default_initial=default_initial(sc_chain, ca_chain, modes),
         initial_law=initial_law(sc_chain, ca_chain),
         entries=_pack(entries, order, m, known_size),

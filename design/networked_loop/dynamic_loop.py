@@ -20,7 +20,7 @@ from design.controllers import LinearLaw
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.networked_loop.initial_law import default_initial, initial_law
-from design.networked_loop.joint_modes import joint_bounds, joint_modes
+from design.networked_loop.joint_modes import joint_bounds, joint_modes, joint_stays
 from design.networked_loop.loop_shapes import check_plant_shapes
 from design.processes.delay_chain import Array, DelayChain
 
@@ -30,6 +30,7 @@ class DynamicLoop(NamedTuple):
 
     system: MJLS
     between: tuple[Array, Array] | None
+    stays: tuple[Array, ...]
     initial: Array
     initial_law: str
 
@@ -104,4 +105,5 @@ def dynamic_loop(
     drive = np.zeros((order, m))
     drive[:n] = B_
     system = MJLS(A=closed, B=drive, C=output, transition=transition)
-    return DynamicLoop(system, joint_bounds(sc, ca, modes), default_initial(sc, ca, modes), initial_law(sc, ca))
+    bounds, stays = joint_bounds(sc, ca, modes), joint_stays(sc, ca, modes)
+    return DynamicLoop(system, bounds, stays, default_initial(sc, ca, modes), initial_law(sc, ca))

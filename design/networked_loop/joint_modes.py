@@ -31,6 +31,16 @@ def joint_bounds(sc: DelayChain, ca: DelayChain, modes: JointModes) -> tuple[Arr
     return _joint(modes, sc_low, ca_low), _joint(modes, sc_high, ca_high)
 
 
+def joint_stays(sc: DelayChain, ca: DelayChain, modes: JointModes) -> tuple[Array, ...]:
+    """Return least transition probabilities (N, N) while one chain, the other, or both are in a stay that has lasted long.
+
+    See `DelayChain.stays`; none where no limit is known.
+    """
+    sides = [[sc.bounds[0], sc.long_stays], [ca.bounds[0], ca.long_stays]]
+    found = (_joint(modes, sides[0][s], sides[1][c]) for s, c in ((1, 0), (0, 1), (1, 1)))
+    return tuple(stays for stays in found if stays.any())
+
+
 def _joint(modes: JointModes, sc: Array, ca: Array) -> Array:
     """Products of the two chains' entries; a mode that keeps the C-A mode before follows only where that fits."""
     s, c, before = np.array(modes, dtype=np.int64).T

@@ -59,6 +59,8 @@ class DelayChain:
         labels: (N,) gain index of each mode; default: the delays. Modes of one label must have one delay.
         between: lower and upper bound, (N, N) each, of every transition probability, where a mode stands for many whose
             probabilities differ (a tail that is cut); default: the probabilities are exact.
+        stays: (N,) of a mode that stands for a tail, the limit of the probability to stay one slot more as the stay grows
+            long: the tail's hazard comes arbitrarily near to it, and never ends a stay for sure. Default: 0, nothing is known.
         held: (N,) whether the receiver has nothing but what it had in the slot before: on the way to the controller its sample,
             on the way to the actuator the input that it applied. The delay of such a mode says how long ago at least. Default:
             never. Over a chain that says so, one label may have several delays.
@@ -78,10 +80,12 @@ class DelayChain:
     between: tuple[npt.ArrayLike, npt.ArrayLike] | None = None
     ages: npt.ArrayLike | None = None
     held: npt.ArrayLike | None = None
+    stays: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
         matrix = check_transition(self.transition, "transition")
         modes = matrix.shape[0]
+        object.__setattr__(self, "transition", matrix)
         delays = np.arange(modes) if self.delays is None else np.asarray(self.delays)
         labels = delays if self.labels is None else np.asarray(self.labels)
         for name, values in (("delays", delays), ("labels", labels)):
@@ -97,6 +101,11 @@ class DelayChain:
             if not ((low >= 0.0) & (low <= matrix) & (matrix <= high) & (high <= 1.0)).all():
                 raise FieldError("between", "expected 0 <= lower <= transition <= upper <= 1 in every entry")
             object.__setattr__(self, "between", (low, high))
+        if self.stays is not None:
+            stays = np.asarray(self.stays, dtype=np.float64)
+            if stays.shape != (modes,) or not ((stays >= 0.0) & (stays <= self.bounds[1].diagonal())).all():
+                raise FieldError("stays", f"expected {modes} probabilities, none above the upper bound of staying")
+            object.__setattr__(self, "stays", stays)
         if self.ages is not None:
             ages = np.asarray(self.ages)
             if ages.ndim != 2 or len(ages) != modes or not np.issubdtype(ages.dtype, np.integer) or not ages.size:
@@ -111,7 +120,6 @@ class DelayChain:
             if self.ages is not None and held.any():
                 raise FieldError("held", "not over several nodes: of each output another node holds the sample")
             object.__setattr__(self, "held", held)
-        object.__setattr__(self, "transition", matrix)
         object.__setattr__(self, "delays", delays.astype(np.int64))
         object.__setattr__(self, "labels", labels.astype(np.int64))
 
@@ -139,6 +147,11 @@ class DelayChain:
     def holds(self) -> npt.NDArray[np.bool_]:
         """(N,) whether the receiver holds what it had before, see `held`."""
         return np.zeros(self.modes, dtype=np.bool_) if self.held is None else np.asarray(self.held)
+
+    @property
+    def long_stays(self) -> Array:
+        """(N, N) transition probabilities of stays that have lasted long, as far as their limit is known, see `stays`."""
+        return np.zeros_like(self.matrix) if self.stays is None else np.diag(np.asarray(self.stays))
 
     @property
     def max_delay(self) -> int:

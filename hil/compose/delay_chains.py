@@ -121,9 +121,10 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = (), *, at: Rece
     states = delay_states(law)
     if states is None:
         return None
-    between = None if np.array_equal(states.low, states.high) else (states.low, states.high)
+    exact = np.array_equal(states.low, states.high)
+    between, stay = (None, None) if exact else ((states.low, states.high), states.stays)
     if most == 1 or stays is None:
-        return DelayChain(transition=states.matrix, delays=states.ages, between=between)
+        return DelayChain(transition=states.matrix, delays=states.ages, between=between, stays=stay)
     if len(set(stays.mode_ages)) < len(stays.mode_ages):
         said = f"several modes have one delay (ages {list(stays.mode_ages)}): the stay at a delay is not that of a mode"
         raise FieldError("sojourns", said)
@@ -137,7 +138,7 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = (), *, at: Rece
         raise FieldError("sojourns", f"{counts}, but the delay reaches {len(longest) - 1}")
     first = np.concatenate([[0], np.cumsum(counts)])[delays]
     labels = first + np.minimum(slots, np.asarray(counts)[delays]) - 1
-    return DelayChain(transition=states.matrix, delays=delays, labels=labels, between=between)
+    return DelayChain(transition=states.matrix, delays=delays, labels=labels, between=between, stays=stay)
 
 
 def initial_laws(e: Experiment) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
@@ -175,6 +176,7 @@ def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
         between=None if chain.between is None else (chain.bounds[0][inside], chain.bounds[1][inside]),
         ages=None if chain.ages is None else np.asarray(chain.ages)[kept],
         held=None if chain.held is None else chain.holds[kept],
+        stays=None if chain.stays is None else np.asarray(chain.stays)[kept],
     )  # fmt: skip
 
 

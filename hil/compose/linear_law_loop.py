@@ -54,6 +54,6 @@ def judge_linear_law(
     with threadpool_limits(1, user_api="blas"):
         certificate = certify_system(
             loop.system, selection="constant", output="stacked", initial=loop.initial, initial_law=loop.initial_law,
-            between=loop.between, hinf=True,
+            between=loop.between, stays=loop.stays, hinf=True,
         )  # fmt: skip
     return second_moment_verdict(certificate, digest)

@@ -79,11 +79,15 @@ def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:
         digest: of the loop that the verdict is on.
     """
     radius = certificate.mean_square_radius
+    if certificate.state == "refused" and radius < 1.0:  # what lies beyond the cut refutes
+        radius = certificate.long_stay_radius or radius
     stable = f"second-moment radius {radius:.5g}"
     if certificate.state == "certified":
         reason = f"the loop is mean-square stable over this network ({stable})"
     elif certificate.state == "refused":
-        reason = f"the loop is not mean-square stable over this network ({stable})"
+        reason = certificate.reason if radius != certificate.mean_square_radius else (
+            f"the loop is not mean-square stable over this network ({stable})"
+        )
     else:
         reason = certificate.reason
     assumptions: tuple[str, ...] = ("no packet is later than its law says", "no limit trips")

@@ -29,6 +29,7 @@ class DelayStates(NamedTuple):
         low, high: entrywise bounds of the matrix, (N, N); the matrix itself where it is exact.
         has_gaps: whether the law draws ages that no receiver measures.
         initial: law of the state in slot 0, (N,).
+        stays: limit of the probability to stay, (N,), in a state that stands for all longer stays; 0 where it is not known.
     """
 
     matrix: Matrix
@@ -38,6 +39,7 @@ class DelayStates(NamedTuple):
     high: Matrix
     has_gaps: bool
     initial: Matrix
+    stays: Matrix
 
 
 def delay_states(law: object) -> DelayStates | None:
@@ -55,18 +57,20 @@ def delay_states(law: object) -> DelayStates | None:
     if isinstance(law, SemiMarkovLaw):
         chain = augmented_chain(law)
         ages, slots = np.array(law.mode_ages, dtype=np.int64)[chain.modes], chain.slots
-        matrix, low, high = chain.matrix, chain.low, chain.high
+        matrix, low, high, stays = chain.matrix, chain.low, chain.high, chain.stays
     elif isinstance(law, ChainLaw):
         matrix = low = high = np.array(law.transition_matrix(), dtype=np.float64)
         ages, slots = np.array(law.mode_ages, dtype=np.int64), np.ones(len(matrix), dtype=np.int64)
+        stays = np.zeros(len(matrix))
     else:
         return None
     begin = _initial(law, matrix, slots)
     gaps = bool((high > 0.0)[ages[None, :] > ages[:, None] + 1].any())
     if gaps:
         matrix, low, high, ages, origin = _measured(matrix, low, high, ages)
-        slots, begin = slots[origin], np.append(begin, np.zeros(len(ages) - len(begin)))
-    return DelayStates(matrix, ages, slots, low, high, gaps, begin)
+        # a mode that is not left comes to measure its own age: these are the first states
+        slots, (begin, stays) = slots[origin], (np.append(own, np.zeros(len(ages) - len(own))) for own in (begin, stays))
+    return DelayStates(matrix, ages, slots, low, high, gaps, begin, stays)
 
 
 def measured_ages(ages: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -149,6 +149,15 @@ class BoundedTail(Protocol):
 
 
 @runtime_checkable
+class SettlingHazard(Protocol):
+    """A sojourn law that says where its hazard tends to, and that it never reaches 1 on the way."""
+
+    def hazard_limit(self) -> float:
+        """Return the limit of Pr(h = n | h >= n) as n grows."""
+        ...
+
+
+@runtime_checkable
 class SemiMarkovLaw(Protocol):
     """An age law that stays in mode i for a time of its own law, and then goes to mode j with probability matrix[i][j]."""
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from transport.errors import FieldError
 from transport.laws.age import AgePath, ChainAge
 from transport.laws.protocols import SemiMarkovLaw, Sojourn
-from transport.laws.sojourn import SojournLaw, hazard_bounds, hazards, mean_sojourn, remaining_sampler
+from transport.laws.sojourn import SojournLaw, hazard_bounds, hazards, longest_stay, mean_sojourn, remaining_sampler
 from transport.laws.stochastic_matrix import cumulative, stationary_row, uniforms
 
 RESOLUTION = 1e-12
@@ -28,6 +28,7 @@ class AugmentedChain(NamedTuple):
         modes: mode of every state, (N,).
         slots: slots spent in the mode, this one included, (N,); the last of a mode may stand for all longer ones.
         low, high: entrywise bounds of the matrix, (N, N), from the hazards of all the slots that a state stands for.
+        stays: limit of the probability to stay, (N,), in a state that stands for all longer stays; 0 where it is not known.
     """
 
     matrix: NDArray[np.float64]
@@ -35,6 +36,7 @@ class AugmentedChain(NamedTuple):
     slots: NDArray[np.int64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    stays: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +127,7 @@ def augmented_chain(law: SemiMarkovLaw, longest: int = 1000) -> AugmentedChain:
     first = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     matrix = np.zeros((first[-1], first[-1]))
     low, high = np.zeros_like(matrix), np.zeros_like(matrix)
+    stays = np.zeros(len(matrix))
     for i, (row, hazard, sojourn) in enumerate(zip(rows, known, law.sojourn, strict=True)):
         jumps = np.array(law.matrix[i])
         for h, leaving in enumerate(row):
@@ -133,9 +136,11 @@ def augmented_chain(law: SemiMarkovLaw, longest: int = 1000) -> AugmentedChain:
             for chain, out, stay in ((matrix, leaving, leaving), (low, least, most), (high, most, least)):
                 chain[state, first[:-1]] = out * jumps
                 chain[state, following] += 1.0 - stay
+        if hazard[-1] < 1.0:  # no slot is the last one for sure
+            stays[first[i + 1] - 1] = longest_stay(sojourn)
     modes = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
     slots = np.concatenate([np.arange(1, len(row) + 1) for row in rows])
-    return AugmentedChain(matrix, modes, slots, low, high)
+    return AugmentedChain(matrix, modes, slots, low, high, stays)
 
 
 def _tail(known: NDArray[np.float64], sojourn: Sojourn, cut: int) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from transport.errors import FieldError
 from transport.laws.decimal_powers import CLOSE, complement_of_power, ln, ln_complement, powers, root, whole_powers
-from transport.laws.protocols import BoundedTail, Sojourn
+from transport.laws.protocols import BoundedTail, SettlingHazard, Sojourn
 from transport.laws.stochastic_matrix import checked_row
 
 LONGEST = 100_000
@@ -107,6 +107,10 @@ class DiscreteWeibull(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             return 1.0 - self.q, 1.0 - self.q
         following = complement_of_power(self.q, slots + 1.0, float(slots), self.beta)
         return (0.0, following) if self.beta < 1.0 else (following, 1.0)
+
+    def hazard_limit(self) -> float:
+        """Return the limit of the hazard: n^beta - (n-1)^beta tends to 0 for beta < 1, to infinity for beta > 1."""
+        return 1.0 - self.q if self.beta == 1.0 else float(self.beta > 1.0)
 
     def sampler(self) -> Callable[[float], int]:
         """Return the inverse of the distribution function."""
@@ -250,6 +254,15 @@ def hazard_bounds(law: Sojourn, slots: int) -> tuple[float, float]:
     (0.25, 0.25)
     """
     return law.hazard_beyond(slots) if isinstance(law, BoundedTail) else (0.0, 1.0)
+
+
+def longest_stay(law: Sojourn) -> float:
+    """Return the limit of the probability to stay one slot more, of a stay that has lasted long; 0 for a law that does not say.
+
+    >>> longest_stay(DiscreteWeibull(q=0.6, beta=0.8)), longest_stay(Table(probabilities=(0.5, 0.5)))
+    (1.0, 0.0)
+    """
+    return 1.0 - law.hazard_limit() if isinstance(law, SettlingHazard) else 0.0
 
 
 def mean_sojourn(law: Sojourn) -> float:

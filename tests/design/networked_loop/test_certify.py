@@ -12,8 +12,11 @@ from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve
+from hil.compose.delay_chains import delay_chain
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_H2
 from tests.design.networked_loop.literal_loop import literal_radius
+from transport.laws.semi_markov import SemiMarkovAge
+from transport.laws.sojourn import DiscreteWeibull, Geometric
 
 ONE = DelayChain(transition=[[1.0]], delays=[1])
 ONE_OR_TWO = DelayChain(transition=[[0.6, 0.4], [0.7, 0.3]], delays=[1, 2])
@@ -73,6 +76,52 @@ def test_a_tail_that_is_long_enough_for_sure_is_refused():
     tail = cut(stay=(0.9, 1.0), leave=(0.0, 0.1), last=0.1)
     found = certify_loop([[1.2]], [[1.0]], [[1.0]], tail, [[1.0]], [[[[-1.2]]], [[[0.0]]]], "constant")
     assert (found.stable, found.state) == (False, "refused")
+
+
+HEAVY = DiscreteWeibull(q=0.6, beta=0.8)  # its hazard falls to 0
+
+
+def between_ages(stay, ages=(0, 1)):
+    """Two ages in turn, the second for a stay of that law."""
+    gaps = ages[1] > 1
+    return delay_chain(
+        SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Geometric(p=0.3), stay), ages=ages, allow_gaps=gaps)
+    )
+
+
+def test_a_tail_is_refused_where_its_growth_outruns_the_limit_of_its_hazard():
+    # review-theory.md F7: x' = 0.05 x, K = 0 while tau = 1. Of one stay alone E x^2 = sum over n of Pr(h = n) a^(2 n)
+    a, chain = float(np.exp(0.05 * 0.1)), between_ages(HEAVY)
+    n = 1e10
+    assert 2 * n * np.log(a) + n**HEAVY.beta * np.log(HEAVY.q) > 1e7  # log of a term of that sum: it has no limit
+    loop, free = ([[a]], [[1.0]], [[1.0]]), [[[[-0.5]]], [[[0.0]]]]
+    found = certify_loop(*loop, chain, [[1.0]], free, "constant")
+    assert (found.stable, found.state) == (False, "refused") and "a sojourn that has lasted long" in found.reason
+    assert found.mean_square_radius == pytest.approx(0.8688, abs=1e-4)
+    assert found.long_stay_radius == pytest.approx(a * a) and found.tail_radius > 1
+    kept = certify_loop(*loop, chain, [[1.0]], [[[[-0.5]]], [[[-0.2]]]], "constant")  # no growth while tau = 1
+    assert kept.state == "certified" and kept.long_stay_radius < kept.tail_radius < 1
+    rising = certify_loop(*loop, between_ages(DiscreteWeibull(q=0.6, beta=1.3)), [[1.0]], free, "constant")
+    assert rising.state == "certified" and rising.long_stay_radius is None  # the hazard rises to 1: every stay ends
+    silent = dataclasses.replace(chain, stays=None)  # a law that does not say its limit
+    assert certify_loop(*loop, silent, [[1.0]], free, "constant").state == "undecided"
+
+
+def test_a_tail_on_the_way_to_the_actuator_or_on_both_ways_or_behind_a_gap_refuses_too():
+    loop = ([[1.005]], [[1.0]], [[1.0]])
+    short = DiscreteWeibull(q=0.05, beta=0.8)  # of few slots, with the same limit
+    tail, gap = between_ages(short), between_ages(short, (0, 2))
+    late = certify_loop(*loop, [[1.0]], tail, [[[[-0.5]], [[0.0]]]], "applied")
+    both = certify_loop(*loop, tail, tail, [[[[-0.5]], [[-0.1]]], [[[-0.1]], [[0.0]]]], "applied")  # grows while both are old
+    behind = certify_loop(*loop, gap, [[1.0]], [[[[-0.5]]], [[[-0.1]]], [[[0.0]]]], "constant")
+    for found in (late, both, behind):
+        assert found.mean_square_radius < 1 and found.state == "refused"
+        assert found.long_stay_radius == pytest.approx(1.005**2)
+
+
+def test_what_a_law_may_not_say_of_long_stays_is_refused():
+    with pytest.raises(ValueError, match="stays: expected 2 probabilities, none above the upper bound of staying"):
+        DelayChain(transition=[[0.5, 0.5], [1.0, 0.0]], stays=[0.0, 1.0])
 
 
 def test_the_bound_of_a_tail_covers_every_law_below_it():
