@@ -86,8 +86,7 @@ def _missed(loop: LoopToCertify, plant: JumpPlant, system: JumpModel, hidden: bo
             if int(rest.measure()[-1]) - 1 == wanted or not np.abs(rest.measure()).max() < 1e6:
                 break
             for run in (moved, rest, whole):
-                for _ in range(STRIDE):
-                    run.advance(period_ns, still, still)
+                run.advance(STRIDE * period_ns, still, still)
         past.clear()
         past.append(np.zeros(n))
         for k, u in enumerate((size * random_inputs(SLOTS, m)).tolist()):

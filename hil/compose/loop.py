@@ -40,7 +40,7 @@ from hil.compose.law_files import with_law_files
 from hil.compose.packet_ages import neglects
 from hil.compose.port import Port, port_of
 from hil.compose.sensors import Shared, sensor_nodes, shared_media
-from hil.compose.stated_controller import stated_by
+from hil.compose.stated_controller import runs_as, stated_by
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
 from hil.compose.watched import Watched, one_step
 from hil.errors import ExperimentError, ForeignVerdict
@@ -311,12 +311,14 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
 def _watched(judged: LoopToCertify, verdict: Verdict, external: bool) -> Watched | None:
     """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
 
-    A controller that states itself, word for word, is not compared with itself.
+    A controller that states itself, word for word, is not compared with itself; nor is one that runs as what it states.
     """
     if not verdict.certified and not external:
         return None
     stated = None if external else stated_by(judged)
-    twin = None if stated is None or type(stated[0]) is type(judged.controller) else stated[0]
+    twin = None if stated is None else stated[0]
+    if twin is not None and (type(twin) is type(judged.controller) or runs_as(judged.controller, twin, judged.model)):
+        twin = None
     return Watched(plant=one_step(judged.plant, judged.model), controller=twin, claimed=not external)
 
 

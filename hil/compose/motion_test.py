@@ -102,14 +102,14 @@ def foretold(model: LoopModel, delayed: Array, inputs: Array) -> Array:
 
 
 def departure(
-    plant: Plant, model: LoopModel, delayed: Array, free: Track, shape: Array, unit: Array, size: float, bounds: Sequence[float]
+    plant: Plant, model: LoopModel, of_unit: Array, free: Track, shape: Array, unit: Array, size: float, bounds: Sequence[float]
 ) -> Departure:
     """Return how far a plant departs from its model under inputs of one size.
 
     Args:
         plant: what runs.
         model: what it says of itself, at the period of the loop.
-        delayed: matrices of the delayed states, (tau, n, n).
+        of_unit: what the model foretells of inputs of its unit, (slots + 1, n), see `foretold`; it is linear.
         free: the same plant without inputs.
         shape: inputs of size 1, (slots, m).
         unit: (m,) unit of every input.
@@ -118,8 +118,8 @@ def departure(
     """
     slots = len(free.states) - 1
     inputs = shape[:slots] * unit * size
-    x = foretold(model, delayed, inputs)
     with np.errstate(over="ignore", invalid="ignore"):
+        x = of_unit[: slots + 1] * size
         beyond = ~(np.abs(x) < np.minimum(LARGEST, bounds)).all(axis=1)
     kept = int(beyond.argmax()) if beyond.any() else len(x)
     inputs, x = inputs[: max(kept - 1, 1)], x[: max(kept, 2)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ from design.controllers import (
     GainTable,
     HistoryGains,
     LinearFeedback,
+    LoopModel,
     ModeSchedule,
     OutputFeedback,
     SendAll,
@@ -106,6 +108,17 @@ def stated_by(loop: LoopToCertify) -> tuple[Controller, Question] | None:
         twin = VirtualWall(wall=controller.wall, coupler=controller.coupler, equalise=controller.equalise, samples=samples)
         return twin, wall_question(model, samples)
     return None
+
+
+def runs_as(controller: Controller, twin: Controller, model: LoopModel) -> bool:
+    """Return whether a controller runs as what it states: started, both are of one class, bit for bit the same inside."""
+    running, stated = controller.start(model), twin.start(model)
+    if type(running) is not type(stated):
+        return False
+    try:
+        return pickle.dumps(running) == pickle.dumps(stated)
+    except (pickle.PicklingError, AttributeError, TypeError):  # it holds what has no bytes, such as a function
+        return False
 
 
 def _nested(K: np.ndarray) -> tuple:  # type: ignore[type-arg]

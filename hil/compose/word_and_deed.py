@@ -74,8 +74,10 @@ def plant_check(loop: LoopToCertify) -> Check:
     if not np.array_equal(again_free.states, free.states[:count]) or not np.array_equal(again_free.outputs, free.outputs[:count]):
         return "refused", f"{name}: of one seed it moves in two ways; all its randomness must come from the rng of start(rng)"
     shape = random_inputs(SLOTS, m)
-    unit, sizes, bounds = _extent(loop, delayed, shape)
-    found = [departure(plant, model, delayed, free, shape, unit, size, bounds) for size in sizes]
+    unit = np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float)
+    of_unit = foretold(model, delayed, shape * unit)
+    sizes, bounds = _extent(loop, of_unit)
+    found = [departure(plant, model, of_unit, free, shape, unit, size, bounds) for size in sizes]
     said = _departed(found, plant.inputs[0].unit, unit, name)
     if said is not None:
         return said
@@ -84,24 +86,27 @@ def plant_check(loop: LoopToCertify) -> Check:
     return _moved(own, plant, found, unit)
 
 
-def _extent(loop: LoopToCertify, delayed: Array, shape: Array) -> tuple[Array, tuple[float, ...], tuple[float, ...]]:
-    """Return the unit of every input, the sizes in it, and how far each state may go: as the limits of the run let them."""
-    m, n = len(loop.plant.inputs), len(loop.model.A)
+def _extent(loop: LoopToCertify, x: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the sizes of the inputs in their unit, and how far each state may go: as the limits of the run let them.
+
+    Args:
+        loop: with its limits.
+        x: what the model foretells of inputs of size 1, (slots + 1, n).
+    """
+    n = len(loop.model.A)
     names = [s.name for s in loop.plant.states]
     limits = loop.state_limits if len(names) == n else {}
     bounds = tuple(limits.get(name, np.inf) for name in names) if limits else (np.inf,) * n
-    unit = np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float)
     if not limits:
-        return unit, FREE_SIZES if loop.input_limits is None else (SMALL, 1.0), bounds
-    x = foretold(loop.model, delayed, shape * unit)
+        return FREE_SIZES if loop.input_limits is None else (SMALL, 1.0), bounds
     sizes = []
-    for slots in (len(shape), SHORT):  # inputs that just stay within the limits of the states for so long
+    for slots in (len(x) - 1, SHORT):  # inputs that just stay within the limits of the states for so long
         with np.errstate(all="ignore"):
             sizes.append(float(np.nanmin(np.array(bounds) / np.abs(x[:slots]).max(axis=0))))
     kept, top = (size if np.isfinite(size) and size > 0.0 else 1.0 for size in sizes)
     if loop.input_limits is not None:
         kept, top = min(kept, 1.0), 1.0
-    return unit, tuple(sorted({SMALL * kept, kept, top})), bounds
+    return tuple(sorted({SMALL * kept, kept, top})), bounds
 
 
 def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str) -> tuple[State, str] | None:
