@@ -184,8 +184,8 @@ class Table:
             rows = (model.d_max + 1) ** 2
         width = model.C.shape[0] * (self.samples + self.integral)
         K = np.full((model.tau_max + 1, rows, model.B.shape[1], width), -0.05)
-        if self.lie == "a table that changes" and CALLS["table"] % 2:
-            K = 0.1 * K
+        if self.lie == "a table that changes":
+            K = K / (1.0 + CALLS["table"])
         return K
 
     def start(self, model: LoopModel) -> Rowed:
