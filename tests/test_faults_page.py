@@ -63,6 +63,8 @@ TESTS: dict[str, tuple[str, ...]] = {
                                             "test_somebody_else_on_the_link_has_an_exit_status_and_a_problem_of_its_own"),
     "answers sent ahead": ("test_answers_sent_ahead_never_command_and_are_said",
                            "test_what_arrives_first_is_heard_first_whatever_time_its_sender_says"),
+    "zenoh: a certificate": ("test_what_the_other_end_would_refuse_says_why", "test_who_does_not_get_in_is_counted",
+                             "test_a_controller_whose_rig_is_of_another_authority_says_so"),
     "a link without key": ("test_doctor_says_in_one_line_who_could_command",
                            "test_over_tls_the_session_runs_and_says_who_could_command"),
     "a directory of sockets": ("test_a_directory_open_to_others_is_refused_with_the_remedy",

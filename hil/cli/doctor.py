@@ -148,6 +148,28 @@ def _who(uri: str | None) -> tuple[bool, str, str]:
     return True, "; ".join(f"over {link} {who_commands(link)}" for link in links), ""
 
 
+def _certificates(uri: str) -> tuple[bool, str, str]:
+    """Say until when the certificates of a link are valid, or what is wrong with those that are here."""
+    from transport.links.certificates import check_certificate
+    from transport.links.link import TransportError, split_uri
+
+    options = split_uri(uri)[2]
+    folder, found = options.get("keys", ""), []
+    for role in ("rig", "controller"):
+        ca = options.get("ca", f"{folder}/ca.pem")
+        cert = options.get("cert", f"{folder}/{{role}}.pem").replace("{role}", role)
+        if "{role}" not in options.get("cert", "{role}") and found:
+            break  # one end's only
+        if not Path(cert).exists():
+            continue
+        try:
+            ends = check_certificate(ca, cert, options.get(role, role))
+        except TransportError as error:
+            return False, str(error), "hil keys renew DIR"
+        found.append(f"{role} until {ends:%Y-%m-%d}")
+    return bool(found), ", ".join(found) or "none is here", "" if found else "hil keys new DIR"
+
+
 def _tool(program: str, package: str, why: str) -> Check:
     found = shutil.which(program)
     return program, found is not None, found or "absent", "" if found else f"apt-get install {package} ({why})"
@@ -160,7 +182,9 @@ def command(link: str | None, as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
     import json
 
-    checks = [_ours("who could command a rig", partial(_who, link)), _packages(), _ours("CAN without a kernel", _hil_can),
+    tls = link is not None and link.startswith("zenoh:tls/")
+    shown = [_ours("certificates", partial(_certificates, link or ""))] if tls else []
+    checks = [_ours("who could command a rig", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), _own_vcan(), _zenoh(), _ours("zenoh round trip", _zenoh_cpus), _scheduler(), _idle(), _clock(), _cpus(),
               _ours("kind of machine", _machine),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),

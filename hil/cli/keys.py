@@ -29,6 +29,18 @@ def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
 
 @command.command()
 @click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificates are valid.")
+def renew(folder: Path, days: int) -> None:
+    """Make new certificates for the keys in FOLDER, which `hil keys new` made; it must hold ca.key. No private key changes."""
+    from hil.cli.terminal import visible
+    from hil.files.renewal import renew_certificates
+
+    for path in renew_certificates(folder, days):
+        print(visible(str(path)))
+
+
+@command.command()
+@click.argument("folder", type=click.Path(path_type=Path))
 def signing(folder: Path) -> None:
     """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub is for who checks them."""
     from hil.cli.terminal import visible

@@ -19,7 +19,7 @@ from hil.errors import HilError
 
 AUTHORITY: Final = "hilrig test CA"
 ENDS: Final = ("rig", "controller")
-_BEFORE: Final = timedelta(minutes=5)  # clocks of two machines differ
+BEFORE: Final = timedelta(minutes=5)  # clocks of two machines differ
 
 
 def make_keys(folder: Path, hosts: Sequence[str] = (), days: int = 365) -> list[Path]:
@@ -52,7 +52,7 @@ def make_keys(folder: Path, hosts: Sequence[str] = (), days: int = 365) -> list[
 
 
 def _write(folder: Path, hosts: Sequence[str], days: int) -> list[Path]:
-    begin = datetime.now(UTC) - _BEFORE
+    begin = datetime.now(UTC) - BEFORE
     end = begin + timedelta(days=days)
     names: list[x509.GeneralName] = [_general(host) for host in dict.fromkeys(("localhost", "127.0.0.1", "::1", *hosts))]
     root = ec.generate_private_key(ec.SECP256R1())

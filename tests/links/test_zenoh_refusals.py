@@ -34,9 +34,9 @@ WRITES = 20
 
 
 @contextmanager
-def rig_of(uri: str) -> Iterator[Callable[[], int]]:
+def rig_of(uri: str, reasons: list[str] | None = None) -> Iterator[Callable[[], int]]:
     """A rig's end in a process of its own; what is yielded asks it how many were refused."""
-    command = [sys.executable, "-c", RIG, uri]
+    command, reasons = [sys.executable, "-c", RIG, uri], [] if reasons is None else reasons
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None and process.stdout is not None and process.stderr is not None
         asked, said = process.stdin, process.stderr
@@ -44,7 +44,9 @@ def rig_of(uri: str) -> Iterator[Callable[[], int]]:
         def refused() -> int:
             asked.write("\n")
             asked.flush()
-            return int(said.readline())
+            while (line := said.readline()).startswith("hil: zenoh refused"):
+                reasons.append(line)
+            return int(line)
 
         assert refused() == 0  # it is up
         yield refused
@@ -110,10 +112,14 @@ def test_who_does_not_get_in_is_counted(tmp_path: Path, kind: str) -> None:
         "no password": ("tcp", {}),
         "a wrong password": ("tcp", {"transport/auth/usrpwd": {"user": "controller", "password": "guess"}}),
     }[kind]
-    with rig_of(both[protocol]) as refused, stranger(port_of(both[protocol]), dict(entries), protocol) as (session, heard):
+    reasons: list[str] = []
+    said = {"another authority": kind, "no certificate": "showed no certificate"}.get(kind, "a password is missing or wrong")
+    uri = both[protocol]
+    with rig_of(uri, reasons) as refused, stranger(port_of(uri), dict(entries), protocol) as (session, heard):
         until(lambda: refused() >= 2, "two tries to be counted")
         session.put("hil/rig0/control", control(1))
         assert heard == []
+    assert len(reasons) == 1 and said in reasons[0], reasons
 
 
 def test_a_flood_of_denied_writes_does_not_keep_the_controller_from_the_rig(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from transport.links.certificates import check_certificate
 from transport.links.link import Role, TransportError
 from transport.links.secret_file import read_secret
 
@@ -126,7 +127,8 @@ def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Acce
         options: of the URI; those in `OPTIONS` are taken out.
 
     Raises:
-        TransportError: certificates without TLS, TLS without certificates, or files that are not to be had.
+        TransportError: certificates without TLS, TLS without certificates, files that are not to be had, or a
+            certificate that the other end would refuse.
     """
     said: dict[str, str] = {option: options.pop(option) for option in OPTIONS if option in options}
     if "keys" in said:
@@ -144,6 +146,7 @@ def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Acce
                 raise TransportError(f"link {uri!r}: {name}={tls[name]}: is no regular file")
         if tls:
             read_secret(tls["key"], f"the private key of the {role}")
+            check_certificate(tls["ca"], tls["cert"], said.get(role, role))
         if "users" in said:
             read_secret(said["users"], "the file of passwords")
     except OSError as error:

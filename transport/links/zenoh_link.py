@@ -34,7 +34,7 @@ from transport.links.claim import Claim, network
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
 from transport.links.private_directory import private_directory
 from transport.links.zenoh_access import OPTIONS, Access, access
-from transport.links.zenoh_refusals import add_refused, count_into
+from transport.links.zenoh_refusals import add_refused, count_into, say
 
 if TYPE_CHECKING:
     import zenoh
@@ -90,7 +90,7 @@ class ZenohLink(Closing):
         self._session_id, self._name = os.urandom(8).hex(), name
         self._say_again: Callable[..., None] | None = None
         self._listened_to = Event()
-        if role == "rig" and (who.tls or who.users):
+        if who.tls or who.users:
             count_into(self.counters)
         self._session = zenoh.open(config(role, endpoint, who.config(name)))
         says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
@@ -180,6 +180,7 @@ def _meet(peer: str, counters: LinkCounters, event: zenoh.LinkEvent) -> None:
     """Count who connects with a certificate of our authority, but another's name; the access-control list keeps it silent."""
     if str(event.kind).endswith("PUT") and event.link.auth_identifier != peer:
         add_refused(counters)
+        say(f"the certificate is called {str(event.link.auth_identifier)[:80]!r}, expected {peer}")
 
 
 def _note(listened_to: Event, status: zenoh.MatchingStatus) -> None:

@@ -20,18 +20,30 @@ from transport.links.link import LinkCounters
 
 _SAYS: Final = (
     "off,zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::access_control=off,"
-    "zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls::unicast=warn"
+    "zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls::unicast=warn,"
+    "zenoh::net::runtime::orchestrator=debug"  # why this end did not connect
 )
 _REFUSAL: Final = re.compile(
     rb"Msg intercepted!"  # a message that the access-control list denies
     rb"|UsrPwd extension - Recv"  # no password, or a wrong one
     rb"|WARN[^\n]*zenoh_link_tls::unicast"  # no certificate, or one of another authority
 )
+_WHY: Final = (
+    (re.compile(rb"certificate expired|CertificateExpired"), "a certificate has expired"),
+    (re.compile(rb"certificate not valid yet"), "a certificate is not yet valid"),
+    (re.compile(rb"UnknownIssuer|UnknownCA|BadSignature|DecryptError|unknown ca"), "a certificate is of another authority"),
+    (re.compile(rb"sent no certificates|CertificateRequired"), "the other end showed no certificate"),
+    (re.compile(rb"UsrPwd extension - Recv"), "a password is missing or wrong"),
+)
+"""What zenoh's log says of a connection that was refused, and what that means."""
+
 _BETWEEN_LOOKS_S: Final = 0.02  # a flood wakes the reader fifty times a second, and not once for each line
 _PIPE_BYTES: Final = 1 << 20
 
 _lock: Final = Lock()
 _counted: list[LinkCounters] = []
+_said: Final = set[str]()
+_MOST_SAID: Final = 16
 _free = False
 
 
@@ -48,7 +60,7 @@ def count_into(counters: LinkCounters) -> None:
     """Count there whom zenoh turns away from now on, if `standard_output_is_free`; what prints then goes to standard error.
 
     Args:
-        counters: of the rig's end of a link.
+        counters: of one end of a link.
     """
     if not _free:
         return
@@ -80,11 +92,27 @@ def add_refused(counters: LinkCounters, number: int = 1) -> None:
         counters.refused += number
 
 
+def say(why: str) -> None:
+    """Say on standard error why zenoh refused a connection, once a reason; not where standard output is somebody's.
+
+    Args:
+        why: in words.
+    """
+    with _lock:
+        if _free and why not in _said and len(_said) < _MOST_SAID:
+            _said.add(why)
+            sys.stderr.write(f"hil: zenoh refused a connection: {why}\n")
+            sys.stderr.flush()
+
+
 def _read(fd: int) -> None:
     rest = b""
     while text := os.read(fd, _PIPE_BYTES):
         lines, newline, rest = (rest + text).rpartition(b"\n")
         for counters in _counted:
             add_refused(counters, len(_REFUSAL.findall(lines)))
+        for pattern, why in _WHY:
+            if pattern.search(lines):
+                say(why)
         rest = rest if newline else rest[-4096:]
         time.sleep(_BETWEEN_LOOKS_S)

@@ -23,6 +23,7 @@ from hil.runtime.real.warm_up import warm_up_controller
 from hil.runtime.time.clock import monotonic_ns
 from transport.links.link import TransportError
 from transport.links.opening import open_link
+from transport.links.zenoh_refusals import standard_output_is_free
 
 IDLE_S = 0.2  # how long one wait for a frame lasts, so that a signal is seen soon
 
@@ -88,6 +89,7 @@ def _write(fd: int, counts: dict[str, int], departed: tuple[int, str] | None) ->
 def main() -> None:
     """Run one job from standard input."""
     job: Job = read_job()
+    standard_output_is_free()
     timing = job.loop.experiment.timing
     try:
         stop_on_sigterm()
