@@ -153,8 +153,8 @@ def _certificates(uri: str) -> tuple[bool, str, str]:
     from transport.links.certificates import check_certificate
     from transport.links.link import TransportError, split_uri
 
-    options = split_uri(uri)[2]
-    folder, found = options.get("keys", ""), []
+    options, found = split_uri(uri)[2], list[str]()
+    folder = options.get("keys", "")
     for role in ("rig", "controller"):
         ca = options.get("ca", f"{folder}/ca.pem")
         cert = options.get("cert", f"{folder}/{{role}}.pem").replace("{role}", role)
