@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from design.errors import NotStable
 from design.jump_linear import krylov
+from design.jump_linear.interruptible import spectral_radius
 from design.jump_linear.second_moment import (
     ARPACK_RESTARTS,
     EIG_DENSE_AFTER,
@@ -82,7 +83,7 @@ def periodic_radius(A: Array, transition: Array) -> float:
 
 
 def _dense_radius(product: Callable[[Array], Array], size: int) -> float:
-    return float(np.abs(np.linalg.eigvals(np.column_stack([product(column) for column in np.eye(size)]))).max())
+    return spectral_radius(np.column_stack([product(column) for column in np.eye(size)]))
 
 
 def periodic_cost(A: Array, transition: Array, Q: Array) -> Array:

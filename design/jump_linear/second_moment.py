@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.jump_linear.coupled_lyapunov import solve_bordered, solve_coupled
+from design.jump_linear.interruptible import spectral_radius
 from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
 from design.jump_linear.positive_radius import is_sparse, positive_radius, solve_sparse, sparse_operator
 
@@ -290,7 +291,7 @@ def mean_square_radius(A: Array, transition: Array) -> float:
     except ArpackNoConvergence:  # what has converged may not be the largest: its number is not taken
         pass
     if size <= EIG_DENSE_AFTER:
-        return float(np.abs(np.linalg.eigvals(operator_matrix(A, transition))).max())
+        return spectral_radius(operator_matrix(A, transition))
     return power_radius(product, start)
 
 

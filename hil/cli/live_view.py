@@ -57,6 +57,7 @@ class LiveView:
         from rich.console import Console
 
         self._console = console or Console(stderr=True)
+        self._begun = self._console.get_time()
         self._on = self._console.is_terminal and not self._console.is_dumb_terminal
         self._experiment = experiment
         self._where = "virtual time" if clock == "virtual" else f"real time · {link or experiment.links.uri}"
@@ -129,7 +130,9 @@ class LiveView:
         done_s = max(self._t_ns, 0) / 1e9
         head = Text.assemble((visible(e.name), "bold"), (f"  seed {e.seed} · {visible(self._where)}", "dim"))
         if self._t_ns < 0:
-            return Group(head, Text("starting …" if "real" in self._where else "computing …", style="dim"))
+            waited = int(self._console.get_time() - self._begun)
+            what = "starting" if "real" in self._where else "computing"
+            return Group(head, Text(f"{what} … {f'{waited} s' if waited else ''}", style="dim"))
         bar = Table.grid(padding=(0, 1), expand=True)
         bar.add_column(ratio=1)
         bar.add_column(justify="right", width=19)

@@ -78,6 +78,17 @@ def test_view_before_the_first_record_says_that_it_waits(recorded: tuple[Experim
     assert "starting" in written(console)
 
 
+def test_view_says_how_long_a_design_or_a_proof_takes(
+    recorded: tuple[Experiment, MemorySink], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    console = terminal()
+    view = LiveView(recorded[0], "virtual", console=console)
+    now = console.get_time()
+    monkeypatch.setattr(console, "get_time", lambda: now + 75.0)
+    console.print(view.render())
+    assert "computing … 75 s" in written(console)
+
+
 def test_view_of_many_outputs_keeps_names_whole_and_one_line_each_at_sixty_columns() -> None:
     experiment = load_experiment("vtol-fault", ['duration="0.2 s"'])
     loop = compose(experiment)
