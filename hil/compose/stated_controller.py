@@ -40,6 +40,8 @@ def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
     if stated is None:
         return None, ()
     twin, asked = stated
+    if isinstance(controller, GainTable) and not _same_again(loop, controller):
+        return "refused", f"{NAME}: table() returns other gains when it is asked again"
     selection, of_twin = controller.start(model).selection, twin.start(model).selection
     if selection != of_twin or loop.selection not in ("", selection):
         return "refused", f"{NAME}: it answers by the rule {selection!r} and states {of_twin!r}"
@@ -67,6 +69,10 @@ def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
         f"the controller answers as it says: compared in {slots} slots up to slot {far}, every age and row, samples of "
         f"{SIZES[0]:g} to {SIZES[-1]:g}",
     )
+
+
+def _same_again(loop: LoopToCertify, controller: GainTable) -> bool:
+    return np.array_equal(loop.said.once("table", lambda: None), np.array(controller.table(loop.model), dtype=float))
 
 
 def stated_by(loop: LoopToCertify) -> tuple[Controller, Question] | None:

@@ -15,8 +15,8 @@ def sine(turns: float) -> float:
     Args:
         turns: the angle in full turns, finite; in rad over `TURN`.
 
-    >>> sine(0.25), sine(0.5), sine(-0.25)
-    (1.0, 0.0, -1.0)
+    >>> sine(0.25), sine(-0.25), sine(1.25)
+    (1.0, -1.0, 1.0)
     """
     part = turns % 1.0
     quarter = int(4.0 * part + 0.5)

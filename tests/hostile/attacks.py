@@ -11,7 +11,7 @@ ROOT: Final = Path(__file__).parents[2]
 ATTACKS: Final[Mapping[str, tuple[str, ...]]] = {
     "bytes at all boundaries: files, frames, options": ("tests/hostile/test_boundaries.py",),
     "numbers that nobody expects, in the shipped experiments": ("tests/hostile/test_numbers.py",),
-    "hostile options and values": ("tests/hostile/test_options.py", "tests/hil/experiment/test_toml_text.py"),
+    "hostile options and values": ("tests/hostile/test_options.py", "tests/hil/files/test_toml_text.py"),
     "floods of the link": ("tests/hostile/test_flood.py", "tests/hil/runtime/real/test_exchange.py"),
     "takeover by answers": ("tests/hostile/test_who_commands.py",),
     "takeover by questions": ("tests/hostile/test_forged_questions.py", "tests/hil/runtime/nodes/test_questions.py"),
@@ -24,15 +24,15 @@ ATTACKS: Final[Mapping[str, tuple[str, ...]]] = {
     "signals": ("tests/hostile/test_stop.py", "tests/hil/cli/test_run_ends.py", "tests/hil/runtime/real/test_stop_signals.py"),
     "processes killed or stopped": ("tests/realtime/test_sessions.py", "tests/hil/runtime/real/test_silence.py"),
     "full disk": ("tests/hil/test_full_disk.py",),
-    "bombs: what unpacks to too much": ("tests/hil/log/read/test_limits.py", "tests/hil/experiment/test_mat_file.py"),
+    "bombs: what unpacks to too much": ("tests/hil/log/read/test_limits.py", "tests/hil/files/test_mat_file.py"),
     "truncated, flipped and foreign logs": ("tests/hil/log/read/test_recover.py", "tests/hil/log/read/test_foreign.py"),
-    "signatures of logs": ("tests/hil/log/test_signature.py",),
+    "signatures of logs": ("tests/hil/files/test_signature.py",),
     "shadows in the working folder": ("tests/hostile/test_working_folder.py",),
     "completion by TAB": ("tests/hil/cli/test_completion.py",),
-    "plug-ins and modules": ("tests/hil/experiment/test_own_modules.py",),
+    "plug-ins and modules": ("tests/hil/plugins/test_own_modules.py",),
     "FMUs": ("tests/plants/test_fmu_faults.py",),
     "output to a terminal": ("tests/hil/cli/test_terminal.py",),
-    "symbolic links, pipes and devices": ("tests/hil/cli/test_outputs.py", "tests/hil/test_regular_file.py"),
+    "symbolic links, pipes and devices": ("tests/hil/cli/test_outputs.py", "tests/hil/files/test_regular.py"),
     "guests of `hil vcan`": ("tests/vcan/test_hostile_guest.py", "tests/vcan/test_runner.py"),
 }  # fmt: skip
 """Attack to the files whose tests are its tries."""

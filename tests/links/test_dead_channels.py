@@ -27,8 +27,8 @@ def killed_in(channel: Path) -> None:
     assert [*channel.glob("*.sock")]
 
 
-def test_a_channel_of_killed_processes_is_removed_and_a_live_one_stays(tmp_path: Path) -> None:
-    buses = tmp_path / "buses"
+def test_a_channel_of_killed_processes_is_removed_and_a_live_one_stays(bus_directory: Path) -> None:
+    buses = bus_directory / "buses"
     buses.mkdir(mode=0o700)
     for name in ("dead", "mixed", "foreign"):
         killed_in(buses / name)
@@ -42,18 +42,18 @@ def test_a_channel_of_killed_processes_is_removed_and_a_live_one_stays(tmp_path:
         assert live.dropped == live.lost == 0
 
 
-def test_a_socket_at_which_another_container_listens_stays(tmp_path: Path) -> None:
-    channel = tmp_path / "far"
+def test_a_socket_at_which_another_container_listens_stays(bus_directory: Path) -> None:
+    channel = bus_directory / "far"
     channel.mkdir(mode=0o700)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
         listener.bind(str(channel / "4999999-0.sock"))  # no process of this number can be here
         listener.listen()
-        clear_dead_channels(tmp_path)
+        clear_dead_channels(bus_directory)
         assert (channel / "4999999-0.sock").exists()
 
 
-def test_the_next_session_clears_what_a_killed_one_left(tmp_path: Path, monkeypatch) -> None:
-    buses = tmp_path / "b"
+def test_the_next_session_clears_what_a_killed_one_left(tmp_path: Path, bus_directory: Path, monkeypatch) -> None:
+    buses = bus_directory / "b"
     buses.mkdir(mode=0o700)
     monkeypatch.setenv("HIL_CAN_DIR", str(buses))
     killed_in(buses / "gone")
