@@ -72,7 +72,10 @@ def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
 
 
 def _same_again(loop: LoopToCertify, controller: GainTable) -> bool:
-    return np.array_equal(loop.said.once("table", lambda: None), np.array(controller.table(loop.model), dtype=float))
+    def asked() -> np.ndarray:
+        return np.array(controller.table(loop.model), dtype=float)
+
+    return np.array_equal(loop.said.once("table", asked), asked())
 
 
 def stated_by(loop: LoopToCertify) -> tuple[Controller, Question] | None:
