@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, distributions
 from typing import Final, Literal
 
 from hil.errors import HilError
@@ -15,15 +15,26 @@ from hil.plugins.own_modules import is_own, load_own, written_in
 
 Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]
 
-_installed: Final = cache(entry_points)  # asked for one group, it reads the files of every installed package all the same
-
 OBJECT: Final = "object "
 """How the kind of something begins that was built in Python and stands in no file."""
 
 
 @cache
+def _installed() -> tuple[EntryPoint, ...]:
+    """Return the entry points of every package that has ours; of two packages of one name, those of the first on the path.
+
+    `importlib.metadata.entry_points` would parse the files of all the others too, at every start.
+    """
+    first: dict[str, Distribution] = {}
+    for package in distributions():
+        if "[hil." in (package.read_text("entry_points.txt") or ""):
+            first.setdefault(package.name, package)
+    return tuple(point for package in first.values() for point in package.entry_points)
+
+
+@cache
 def _found(group: str) -> dict[str, EntryPoint]:
-    return {e.name: e for e in _installed().select(group=group)}
+    return {e.name: e for e in _installed() if e.group == group}
 
 
 def names(group: Group) -> list[str]:

@@ -6,6 +6,7 @@ loads are the same in both, and only what depends on the motion differs.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -18,7 +19,7 @@ from hil.compose.watched import OneStep
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
-BLOCK: Final = 256
+BLOCK: Final = 1024
 MOST_KEPT: Final = 200_000
 """Slots with loads or noise that are compared; what comes behind them is not."""
 
@@ -37,7 +38,8 @@ class PlantWatch:
         self, step: OneStep, start: Callable[[int], PlantRun], disturbance: Callable[[int], Sequence[float]], period_ns: int
     ) -> None:
         self._step, self._start, self._disturbance, self._period_ns = step, start, disturbance, period_ns
-        self._slots: list[tuple[Sequence[float], ...]] = []
+        self._slots = array("d")  # states, outputs, command and disturbance of each, one behind the other
+        self._width = 0
         self._past = np.zeros((0, step.taps.shape[2]))
         self._scale = np.zeros(step.taps.shape[1])
         self._next = 0  # slot of the first of `_slots`
@@ -47,15 +49,19 @@ class PlantWatch:
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
         """Take what a slot has come to: states, outputs, command and disturbance."""
-        self._slots.append((x, y, u, w))
-        if len(self._slots) == BLOCK:
-            self._block()
+        slots = self._slots
+        slots.extend((*x, *y, *u, *w))
+        if len(slots) >= BLOCK * self._width:
+            if self._width:
+                self._block()
+            else:
+                self._width = len(slots)
 
     def _block(self) -> None:
-        m, begin, history = len(self._slots[0][2]), self._next, len(self._step.taps) - 1
-        z = np.array([(*x, *y, *u, *w) for x, y, u, w in self._slots], dtype=float)
+        m, begin, history = self._width - self._step.taps.shape[2], self._next, len(self._step.taps) - 1
+        z = np.array(self._slots).reshape(-1, self._width)
         self._next += len(z)
-        self._slots.clear()
+        del self._slots[:]
         z[:, -2 * m : -m] += z[:, -m:]
         z = np.concatenate([self._past, z[:, :-m]])
         self._past = z[-history:] if history else z[:0]

@@ -85,6 +85,7 @@ class Rig:
         self._stop = stop
         self.k = -1
         self._slots = 0  # that were completed
+        self._x: Sequence[float] = ()
         self._y: tuple[float, ...] = ()
         self._r: tuple[float, ...] = ()
         self._w: tuple[float, ...] = (0.0,) * inputs
@@ -152,7 +153,8 @@ class Rig:
             t_ns: nominal time of the slot, ns.
             frames: what :meth:`sense` returned.
         """
-        k, state, journal = self.k, self._plant.state, self._journal
+        k, journal = self.k, self._journal
+        state = self._x = self._plant.state
         if self._faults is not None:
             self._faults.log_events(t_ns, k, journal)
         journal.slot_asked(t_ns, k, state, self._y, self._r, self._sent, frames)
@@ -190,7 +192,7 @@ class Rig:
         self._journal.slot_answered(t_ns, k, applied, self._w, draws, packet, self.answers.data)
         self._slots = k + 1
         if self._watch is not None:
-            self._watch.take(self._plant.state, self._y, self.actuator.u, self._w)
+            self._watch.take(self._x, self._y, self.actuator.u, self._w)
         if self._end is not None and k >= self._end:
             self._stop()
 
