@@ -6,8 +6,10 @@ Usage: intruder.py URI (ahead | race | fill)
 *race*: it answers question k at once, digest and all. *fill*: as ahead, 300 times over, so that the rig's queue is full.
 """
 
+import os
 import sys
 from contextlib import suppress
+from tempfile import mkdtemp
 
 import can
 
@@ -56,6 +58,7 @@ def on_zenoh(uri: str, way: str) -> None:
 
 def main() -> None:
     uri, way = sys.argv[1:]
+    os.environ["HIL_CLAIM_DIR"] = mkdtemp()  # an intruder claims no role
     if uri.startswith("can:hil:"):
         on_can(uri.rpartition(":")[2], way)
     else:
