@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from design.controllers import Controller, LoopModel
+from design.controllers import Controller, GainTable, LoopModel
 from design.verdict import Kind, Verdict
 from hil.compose.said import Said
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
@@ -67,6 +68,15 @@ class Certifier(Protocol):
     def __call__(self, loop: LoopToCertify) -> Verdict | None:
         """Return the verdict on a loop, None if loops of this kind are somebody else's."""
         ...
+
+
+def table_of(loop: LoopToCertify, controller: GainTable) -> NDArray[np.float64]:
+    """Return the gains that a controller states, K[tau, row, m, p], asked once: judge and test lean on the same ones."""
+
+    def ask() -> NDArray[np.float64]:
+        return np.array(controller.table(loop.model), dtype=float)
+
+    return loop.said.once("table", ask)
 
 
 def undecided(loop: LoopToCertify, kind: Kind, reason: str, details: Mapping[str, object] | None = None) -> Verdict:

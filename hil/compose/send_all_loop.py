@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, integrates, packet_samples
 from design.verdict import Verdict
-from hil.compose.certifier import LoopToCertify, limited_to_model, undecided
+from hil.compose.certifier import LoopToCertify, limited_to_model, table_of, undecided
 from hil.compose.delay_chains import gains_within
 from hil.plugins.protocols import JumpPlant
 
@@ -32,8 +32,7 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
         return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", "no certificate covers a table of gains over a plant that jumps")
-    table = loop.said.once("table", lambda: np.array(controller.table(loop.model), dtype=float))
-    gains = gains_within(table, controller.selection, loop.sc, loop.ca)
+    gains = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
     verdict = judge_gains(
         loop.model, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),
         integral=integrates(controller), digest=loop.digest,

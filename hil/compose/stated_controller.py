@@ -23,7 +23,7 @@ from design.controllers import (
 from design.controllers.rendered_wall import RendersWall
 from design.verdict import State
 from hil.compose.answers_test import Answer, Question, Start, compared, drifts, over_nodes, question
-from hil.compose.certifier import LoopToCertify
+from hil.compose.certifier import LoopToCertify, table_of
 from hil.compose.motion_test import ALIKE, EQUAL
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
     if stated is None:
         return None, ()
     twin, asked = stated
-    if isinstance(controller, GainTable) and not _same_again(loop, controller):
+    if isinstance(controller, GainTable) and not np.array_equal(table_of(loop, controller), controller.table(model)):
         return "refused", f"{NAME}: table() returns other gains when it is asked again"
     selection, of_twin = controller.start(model).selection, twin.start(model).selection
     if selection != of_twin or loop.selection not in ("", selection):
@@ -71,19 +71,12 @@ def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
     )
 
 
-def _same_again(loop: LoopToCertify, controller: GainTable) -> bool:
-    def asked() -> np.ndarray:
-        return np.array(controller.table(loop.model), dtype=float)
-
-    return np.array_equal(loop.said.once("table", asked), asked())
-
-
 def stated_by(loop: LoopToCertify) -> tuple[Controller, Question] | None:
     """Return what a controller says that it is, and what to ask it; None for one that states no gains."""
     controller, model = loop.controller, loop.model
     p = model.C.shape[0]
     if isinstance(controller, GainTable):
-        K = loop.said.once("table", lambda: np.array(controller.table(model), dtype=float))
+        K = table_of(loop, controller)
         samples, integral, stays, ages = (
             packet_samples(controller), integrates(controller), sojourns_told(controller), ages_told(controller),
         )  # fmt: skip
