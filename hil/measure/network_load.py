@@ -26,7 +26,7 @@ class Load:
         packets: packets that arrived or were lost on the way; what was still on its way at the end is not counted.
         lost: of these lost on the way.
         packets_per_s: mean over the run.
-        bits_per_s: mean over the run, of whole packets in wire version 2.
+        bits_per_s: mean over the run, of whole packets.
     """
 
     node: str

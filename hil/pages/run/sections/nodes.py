@@ -66,7 +66,7 @@ def section(view: RunView) -> Section | None:
         ),
         Table(
             title="Network load", columns=["node", "outputs", "packets", "lost", "packets/s", "bit/s"], rows=rows,
-            note="Sensor packets as sent, lost ones included, with their headers in wire version 2.",
+            note="Sensor packets as sent, lost ones included, with their headers.",
         ),
     )  # fmt: skip
     return Section(title="Sensor nodes", place=40, blocks=blocks)
