@@ -155,6 +155,17 @@ def test_another_process_finds_the_file_before_the_class(folder: Path) -> None:
     assert written_in(type(cart)) is not None and written_in(DCMotor) is None
 
 
+def test_a_text_that_two_folders_hold_is_found_where_it_was_read_last(folder: Path, tmp_path: Path) -> None:
+    text = (folder / "cart.py").read_text()
+    (other := tmp_path / "other").mkdir()
+    (other / "cart.py").write_text(text)
+    load_own("cart:Cart", other)
+    (other / "cart.py").write_text(f"{text}# changed since\n")
+    cart = load_own("cart:Cart", folder)(mass=2.0)
+    told = f"import pickle; print(pickle.loads({pickle.dumps(cart)!r}).model().B.tolist())"
+    assert subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout == "[[0.5]]\n"
+
+
 @pytest.mark.parametrize(
     ("plant", "told"),
     [
