@@ -72,7 +72,7 @@ def _module(path: Path, expected: str | None = None) -> ModuleType:
     if expected is not None and name != expected:
         raise HilError(f"{path}: was changed since the run was composed")
     if name in sys.modules:
-        sys.modules[name].__file__ = str(path)  # of several files of one text, the one that was read last: another may have changed
+        sys.modules[name].__file__ = str(path)  # of the files of one text, the one that was read last
         return sys.modules[name]
     module = ModuleType(name)
     module.__file__ = str(path)
