@@ -34,11 +34,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from hil.assertions import assert_law, assert_probability
+    from hil.api.assertions import assert_law, assert_probability
+    from hil.api.experiment_source import load_experiment
+    from hil.api.face import compare, design, report, run, simulate, sweep, verify
     from hil.errors import ExperimentError, HilError
     from hil.experiment import Experiment
-    from hil.experiment_source import load_experiment
-    from hil.face import compare, design, report, run, simulate, sweep, verify
     from hil.log.read.run import read_run
     from hil.log.run import Run
     from hil.session import Session
@@ -53,17 +53,17 @@ _HOMES: Final = {
     "Run": "hil.log.run",
     "Session": "hil.session",
     "Sweep": "hil.sweeps.seeds",
-    "assert_law": "hil.assertions",
-    "assert_probability": "hil.assertions",
-    "compare": "hil.face",
-    "design": "hil.face",
-    "load_experiment": "hil.experiment_source",
+    "assert_law": "hil.api.assertions",
+    "assert_probability": "hil.api.assertions",
+    "compare": "hil.api.face",
+    "design": "hil.api.face",
+    "load_experiment": "hil.api.experiment_source",
     "read_run": "hil.log.read.run",
-    "report": "hil.face",
-    "run": "hil.face",
-    "simulate": "hil.face",
-    "sweep": "hil.face",
-    "verify": "hil.face",
+    "report": "hil.api.face",
+    "run": "hil.api.face",
+    "simulate": "hil.api.face",
+    "sweep": "hil.api.face",
+    "verify": "hil.api.face",
 }
 
 __all__ = [

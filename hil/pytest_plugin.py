@@ -132,8 +132,8 @@ class Runner:
         from hil.plugins.own_packages import require_own_packages
 
         require_own_packages()
+        from hil.api.experiment_source import load_experiment
         from hil.errors import HilError
-        from hil.experiment_source import load_experiment
         from hil.session import run_session
 
         clock = clock or self._clock

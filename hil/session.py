@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from hil.compose.loop import Loop, compose
-from hil.compose.time_line import beyond_the_end
 from hil.errors import DiskFull, HilError
 from hil.experiment import Experiment
-from hil.experiment.can_frames import link_uri, said_identifiers
 from hil.log.events import DEPARTED, WITHDRAWN, decode_event, to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
@@ -33,12 +31,14 @@ from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
 from hil.plugins.asked import told_of
+from hil.rig.can_frames import link_uri, said_identifiers
+from hil.rig.time_line import beyond_the_end
 from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
 from plants.errors import PlantError
+from transport.draws import REASONS
 from transport.links.who_commands import who_commands
-from transport.medium.draws import REASONS
 from transport.packets import SELECTIONS
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from transport.draws import REASONS, Draw
     from transport.laws.age import ConstantAge, IidAge, MarkovAge
     from transport.laws.packet import GilbertElliott, PacketLaw
     from transport.laws.semi_markov import SemiMarkovAge
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from transport.links.link import Link, LinkCounters, Role, TransportError
     from transport.links.memory import MemoryLink, memory_pair
     from transport.links.opening import open_link
-    from transport.medium.draws import REASONS, Draw
     from transport.medium.independent import Impairment, impair
     from transport.packets import (
         EMPTY,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _HOMES: Final = {
     "ConstantAge": "transport.laws.age",
     "ControlPacket": "transport.packets",
-    "Draw": "transport.medium.draws",
+    "Draw": "transport.draws",
     "EMPTY": "transport.packets",
     "GilbertElliott": "transport.laws.packet",
     "IidAge": "transport.laws.age",
@@ -46,7 +46,7 @@ _HOMES: Final = {
     "MarkovAge": "transport.laws.age",
     "MemoryLink": "transport.links.memory",
     "PacketLaw": "transport.laws.packet",
-    "REASONS": "transport.medium.draws",
+    "REASONS": "transport.draws",
     "Role": "transport.links.link",
     "SELECTIONS": "transport.packets",
     "SemiMarkovAge": "transport.laws.semi_markov",

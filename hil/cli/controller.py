@@ -20,7 +20,7 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     """
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
-    from hil.experiment.can_frames import link_uri
+    from hil.rig.can_frames import link_uri
     from hil.runtime.real.controller_process import serve
     from transport.links.opening import find_link
     from transport.links.zenoh_refusals import standard_output_is_free

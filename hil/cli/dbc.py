@@ -44,7 +44,7 @@ def command(
 
 def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> str:
     from hil.experiment import load_experiment
-    from hil.experiment.can_frames import experiment_dbc
+    from hil.rig.can_frames import experiment_dbc
     from transport import dbc_path
     from transport.links.link import TransportError
 

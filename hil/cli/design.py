@@ -15,7 +15,7 @@ from hil.errors import HilError
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
-    from hil.compose.design_problem import TrackingTarget
+    from hil.design_questions.design_problem import TrackingTarget
 
 NUMBER = click.FloatRange(-1e30, 1e30)
 """As in an experiment: products of larger ones leave what a double holds."""
@@ -91,8 +91,8 @@ def command(
     from design.tracking.design_file import design_text, to_document
     from hil.cli.design_historical import command as historical
     from hil.cli.design_historical import experiment_over_history
-    from hil.compose.design_problem import problem_for, tracking_target, verdict_on
-    from hil.compose.plant_uncertainty import interval, judge_uncertain
+    from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
+    from hil.design_questions.plant_uncertainty import interval, judge_uncertain
     from hil.files.outputs import check_output, write_output
     from hil.log.write.provenance import package_versions
 

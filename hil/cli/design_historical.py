@@ -22,8 +22,8 @@ class OverHistory(Protocol):
 def experiment_over_history(subject: str) -> Experiment | None:
     """Return the experiment of a name with several sensor nodes, or with gains over historical data; None for any other name."""
     from hil.experiment import load_experiment
-    from hil.experiment.sensor_list import sensors_of
     from hil.plugins.registry import names
+    from hil.rig.sensor_list import sensors_of
 
     if subject in names("hil.plants"):
         return None
@@ -33,8 +33,8 @@ def experiment_over_history(subject: str) -> Experiment | None:
 
 def command(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -> None:
     """Print what gains over historical data cost."""
-    from hil.compose.historical_bounds import judge_historical
     from hil.compose.loop import compose
+    from hil.design_questions.historical_bounds import judge_historical
 
     try:
         found = judge_historical(compose(experiment), orders=orders, spread=spread)

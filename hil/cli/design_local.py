@@ -8,9 +8,9 @@ from typing import Any, get_args
 from design.errors import DesignError, FieldError
 from design.local.python_control import LocalMethod
 from design.requests.local import LocalDesigned
-from hil.compose.certifier import limited_to_model
-from hil.compose.design_problem import TrackingTarget, digest_of_law, model_at
-from hil.compose.linear_law_loop import judge_linear_law
+from hil.certify.certifier import limited_to_model
+from hil.certify.linear_law_loop import judge_linear_law
+from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at
 from hil.errors import HilError
 
 METHODS: tuple[str, ...] = get_args(LocalMethod)

@@ -13,7 +13,7 @@ import click
 from hil.cli.completion import CHANGE, EXPERIMENT
 
 if TYPE_CHECKING:
-    from transport.laws.analysis import LawAnalysis
+    from transport.law_tests.analysis import LawAnalysis
     from transport.laws.protocols import NetworkLaw
 
 NEGLIGIBLE = 1e-6
@@ -27,8 +27,8 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
     from hil.compose.law_files import with_law_files
     from hil.experiment import load_experiment
-    from hil.experiment.sensor_list import sensors_of
-    from transport.laws.analysis import analyse_law
+    from hil.rig.sensor_list import sensors_of
+    from transport.law_tests.analysis import analyse_law
     from transport.laws.modes import mode_transitions
 
     checked = with_law_files(load_experiment(experiment, sets))

@@ -103,8 +103,8 @@ def _signed(file: Path, key: Path) -> Run:
 def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json: bool) -> None:
     from hil.cli.terminal import visible
     from hil.log.records_digest import records_sha256
-    from hil.replay import changed_files, experiment_of, verify
-    from hil.replay_tags import verify_tags
+    from hil.replay.replay import changed_files, experiment_of, verify
+    from hil.replay.tags import verify_tags
 
     experiment = experiment_of(run, str(file), folder=folder)
     for sentence in changed_files(run, experiment):
@@ -135,7 +135,7 @@ def _what_if(
     import numpy as np
 
     from hil.experiment import parse_plugin
-    from hil.replay import experiment_of, what_if
+    from hil.replay.replay import experiment_of, what_if
 
     experiment = experiment_of(run, str(file), folder=folder)
     series = what_if(run, parse_plugin("hil.controllers", kind, sets), kind, str(file), experiment)
@@ -181,7 +181,7 @@ def _onto(run: Run, uri: str, speed: float, as_json: bool) -> None:
     from rich.progress import Progress
 
     from hil.cli.terminal import visible
-    from hil.replay import onto
+    from hil.replay.replay import onto
 
     err = Console(stderr=True)
     with Progress(console=err, disable=not err.is_terminal) as bar:

@@ -18,8 +18,8 @@ def command(file: Path, output: Path | None, figures: Path | None, folder: Path 
 
     An existing page is replaced; the log is never changed.
     """
+    from hil.api.face import report
     from hil.cli.terminal import visible
-    from hil.face import report
 
     page, *drawn = report(file, output=output, force=True, figures=figures, folder=folder)
     click.echo(f"written: {visible(page)} ({page.stat().st_size / 1e6:.1f} MB)")

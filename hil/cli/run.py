@@ -117,7 +117,7 @@ def command(
     from hil.cli.run_summary import show
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
-    from hil.experiment.can_frames import link_uri
+    from hil.rig.can_frames import link_uri
     from hil.session import run_session
     from transport.links.local import LOCAL
     from transport.links.opening import open_link

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from hil.cli.two_columns import Line, print_lines
-from transport.medium.draws import CORRUPTED, CUT, OFF_BUS, REASONS
+from transport.draws import CORRUPTED, CUT, OFF_BUS, REASONS
 
 BROKEN: Final = tuple(REASONS[code] for code in (CUT, CORRUPTED, OFF_BUS))
 """What became of packets under a fault on the time line."""

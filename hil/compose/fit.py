@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from design.controllers import Controller, GainTable, LoopModel, held_exactly, integrates
 from design.errors import FieldError
-from hil.compose.port import port_of
-from hil.compose.sensors import node_faults
-from hil.compose.time_line import time_line_faults
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
-from hil.experiment.can_frames import can_faults
 from hil.plugins.own_plugins import words
 from hil.plugins.protocols import NamesField
+from hil.rig.can_frames import can_faults
+from hil.rig.port import port_of
+from hil.rig.sensors import node_faults
+from hil.rig.time_line import time_line_faults
 
 
 def size_faults(e: Experiment) -> list[str]:

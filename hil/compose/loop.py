@@ -29,30 +29,30 @@ from design.controllers import (
 from design.errors import DesignError, FieldError
 from design.requests.task import DesignTask
 from design.verdict import Verdict
-from hil.compose.certifier import LoopToCertify
-from hil.compose.certify import certify as certified
-from hil.compose.certify import digest_of, of_external
-from hil.compose.delay_chains import delay_chains, initial_laws, node_chains, why_no_chain, within_reach, without_held
+from hil.certify.certifier import LoopToCertify
+from hil.certify.certify import certify as certified
+from hil.certify.certify import digest_of, of_external
+from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
+from hil.certify.jump_plant import process_of, system_of
+from hil.certify.stated_controller import runs_as, stated_by
+from hil.certify.watched import Watched, one_step
 from hil.compose.fit import check_own, check_references, size_faults
-from hil.compose.historical_loop import delayed_plant_of, known_past, mask_faults
-from hil.compose.jump_plant import process_of, system_of
 from hil.compose.law_files import with_law_files
-from hil.compose.packet_ages import neglects
-from hil.compose.port import Port, port_of
-from hil.compose.sensors import Shared, sensor_nodes, shared_media
-from hil.compose.stated_controller import runs_as, stated_by
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
-from hil.compose.watched import Watched, one_step
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.absent import Absent
-from hil.experiment.sensor_list import Sensor, sensors_of
 from hil.experiment.table_check import fault_at
 from hil.log.records import Channel
 from hil.log.topics import Logged, channels
 from hil.plugins.own_modules import is_own
 from hil.plugins.protocols import Designer, GivesGains, JumpPlant, NamedController
 from hil.plugins.registry import OBJECT
+from hil.rig.delay_chains import delay_chains, initial_laws, node_chains, why_no_chain, within_reach, without_held
+from hil.rig.packet_ages import neglects
+from hil.rig.port import Port, port_of
+from hil.rig.sensor_list import Sensor, sensors_of
+from hil.rig.sensors import Shared, sensor_nodes, shared_media
 from plants.errors import PlantError
 from transport.laws.protocols import NetworkLaw, prepare
 from transport.packets import MAX_OUTPUTS

@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from hil.experiment.sensor_list import sensors_of
 from hil.log.growing import pieces
 from hil.log.topics import SC, SENSOR, STATE
 from hil.measure.many import Many, ManyView
@@ -17,6 +16,7 @@ from hil.measure.network_load import loads, node_loads
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, RunView, matrix, signal_names
 from hil.plugins.protocols import HasCost
+from hil.rig.sensor_list import sensors_of
 
 
 class Cost:

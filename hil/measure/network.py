@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log.growing import pieces
+from transport.draws import REASONS
+from transport.law_tests.statistics import law_p_value, mode_counts, transition_counts
 from transport.laws.modes import mode_shares, mode_transitions
 from transport.laws.protocols import NetworkLaw
-from transport.laws.statistics import law_p_value, mode_counts, transition_counts
-from transport.medium.draws import REASONS
 
 Draws: TypeAlias = npt.NDArray[np.void]
 

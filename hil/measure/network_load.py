@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hil.experiment.sensor_list import Sensor
 from hil.log.growing import pieces
 from hil.log.topics import SC
 from hil.measure.network_paths import network_paths, run_sensors
 from hil.measure.view import MEASUREMENT, RunView
-from transport.medium.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
+from hil.rig.sensor_list import Sensor
+from transport.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
 from transport.wire.layout import sensor_length
 
 

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hil.experiment.sensor_list import Sensor, sensors_of
 from hil.log.growing import Growing, pieces
 from hil.log.topics import CA, SC
 from hil.measure.view import RunView
+from hil.rig.sensor_list import Sensor, sensors_of
 from transport.laws.protocols import NetworkLaw
 
 Draws = npt.NDArray[np.void]

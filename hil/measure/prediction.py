@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import GainTable, integrates
-from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
 from hil.compose.loop import Loop
-from hil.compose.packet_ages import neglects, unheard
 from hil.measure.signals import signals_of
 from hil.measure.step_response import AFTER_S, target_of
 from hil.measure.tracking import squared_unit
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant
+from hil.rig.delay_chains import delay_chains, gains_over, initial_laws
+from hil.rig.packet_ages import neglects, unheard
 
 if TYPE_CHECKING:
     from design.networked_loop.prediction import Prediction

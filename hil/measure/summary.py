@@ -17,7 +17,7 @@ from hil.measure.network_load import loads
 from hil.measure.network_paths import network_paths
 from hil.measure.timing import timing_metrics
 from hil.measure.view import APPLIED, TIMING, RunView, view_of
-from transport.medium.draws import REASONS
+from transport.draws import REASONS
 
 
 def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, Any]:

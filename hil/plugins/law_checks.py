@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.plugins.asked import asked, needs
+from transport.draws import Draw
+from transport.law_tests.statistics import law_p_value
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import (
     AgeLaw,
@@ -24,8 +26,6 @@ from transport.laws.protocols import (
     prepare,
     slots_served,
 )
-from transport.laws.statistics import law_p_value
-from transport.medium.draws import Draw
 from transport.medium.independent import impair
 
 DIFFERS: Final = 1e-6

@@ -66,7 +66,7 @@ class GivesGains(Protocol):
 class Designer(Protocol):
     """A ``[controller]`` table that says what is to be achieved; what runs is what it solves to.
 
-    It returns gains and nothing else: whether their loop is certified is said by :mod:`hil.compose.certify` alone.
+    It returns gains and nothing else: whether their loop is certified is said by :mod:`hil.certify.certify` alone.
     """
 
     def solve(self, task: DesignTask) -> NamedController:

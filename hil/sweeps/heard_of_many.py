@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hil.compose.loop import Loop
 from hil.runtime.nodes.uplink import clock_of, uplink_of
 from hil.sweeps.delays_of_many import Slots, received, told_at_once
-from transport.medium.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
+from transport.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
 
 _TOLD = frozenset((DELIVERED, DISORDERED, SUPERSEDED, LOST))
 """Fates that say that a packet was sent, each once; see `hil.measure.network_load.sent_packets`."""

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import hil
+from hil.api.experiment_source import load_experiment
+from hil.certify.watched import one_step
 from hil.compose.loop import Loop, compose
-from hil.compose.watched import one_step
-from hil.experiment_source import load_experiment
 from hil.log.read.run import read_run
 from hil.pages.run.run_page import verdicts
 from hil.pytest_plugin import explained

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from hil.compose.delay_chains import delay_chains, gains_over
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.rig.delay_chains import delay_chains, gains_over
 from hil.session import simulate
 from hil.sweeps.lockstep import run_together
 

@@ -11,7 +11,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.replay import verify
+from hil.replay.replay import verify
 from hil.session import run_session, simulate
 
 

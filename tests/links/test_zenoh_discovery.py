@@ -11,7 +11,7 @@ import zenoh
 
 from hil.cli.discover import command
 from hil.experiment import load_experiment
-from hil.experiment.can_frames import about_rig
+from hil.rig.can_frames import about_rig
 from tests.hil.cli.conftest import run_main
 from tests.ports import free_port
 from tests.waiting import until

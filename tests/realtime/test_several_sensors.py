@@ -18,7 +18,7 @@ from design.controllers.historical import Historical
 from hil.cli.guide import pages
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.replay import verify
+from hil.replay.replay import verify
 from hil.session import run_session, simulate
 from tests.foreign_session import drive
 from tests.ports import free_port

@@ -18,7 +18,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
-from hil.replay import verify
+from hil.replay.replay import verify
 from hil.session import Session, run_session, simulate
 from transport.links.can_identifiers import derived
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar, runtime_chec
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.medium.draws import Draw
+from transport.draws import Draw
 
 
 class AgeProcess(Protocol):

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from transport.draws import LOST, NO_MODE, REPLACED, Draw
 from transport.errors import FieldError
-from transport.medium.draws import LOST, NO_MODE, REPLACED, Draw
 from transport.medium.independent import Impairment
 from transport.medium.medium import Delivery
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import nan
 from typing import Final, Literal, NamedTuple
 
-from transport.medium.draws import CORRUPTED, CUT, DELIVERED, DISORDERED, DUPLICATED, NO_MODE, OFF_BUS, REPEATED, Draw
+from transport.draws import CORRUPTED, CUT, DELIVERED, DISORDERED, DUPLICATED, NO_MODE, OFF_BUS, REPEATED, Draw
 from transport.medium.independent import Arrivals, Impairment
 from transport.medium.medium import Delivery, Medium
 

@@ -10,9 +10,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from transport.errors import FieldError
-from transport.laws.protocols import AgeLaw, AgeProcess, GapLaw, NetworkLaw, PacketProcess, PerPacketLaw
-from transport.medium.draws import (
+from transport.draws import (
     ABSENT,
     COPIED,
     DELIVERED,
@@ -27,6 +25,8 @@ from transport.medium.draws import (
     SUPERSEDED,
     Draw,
 )
+from transport.errors import FieldError
+from transport.laws.protocols import AgeLaw, AgeProcess, GapLaw, NetworkLaw, PacketProcess, PerPacketLaw
 
 __all__ = ["REASONS", "AgeImpairment", "Draw", "GappedAgeImpairment", "Impairment", "PacketImpairment", "impair"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from transport.medium.draws import Draw
+from transport.draws import Draw
 from transport.medium.independent import Arrivals, Impairment
 
 Delivery = tuple[list[Draw], Arrivals]

@@ -31,8 +31,6 @@ import numpy as np
 
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved
-from hil.experiment.can_frames import identifiers_of_link, identifiers_on
-from hil.experiment.sensor_order import framing
 from hil.files.exclusive import written_whole
 from hil.log.growing import pieces
 from hil.log.read.arrays import StructuredArray
@@ -41,6 +39,8 @@ from hil.log.read.npz import NpzFile
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
 from hil.log.topics import FRAME_TOPICS, SENSOR
+from hil.rig.can_frames import identifiers_of_link, identifiers_on
+from hil.rig.sensor_order import framing
 
 if TYPE_CHECKING:
     from transport.links.can_identifiers import Identifiers

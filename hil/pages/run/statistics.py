@@ -15,9 +15,9 @@ from hil.measure.network import expected_frequencies, expected_transitions, mode
 from hil.measure.network_paths import NetworkPath
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
 from hil.pages.html.numbers import text_of
+from transport.law_tests.statistics import is_testable
 from transport.laws.protocols import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
 from transport.laws.sojourn import hazards
-from transport.laws.statistics import is_testable
 
 DOUBTFUL = 0.01
 """A p-value below this is marked: it happens to one right run in a hundred."""

@@ -21,7 +21,7 @@ from hil.measure.view import view_of
 from hil.reproduce.statements import Statement, above, below, exactly, says
 from hil.session import simulate
 from plants.delayed_states import DelayedStates
-from transport.medium.draws import DELIVERED
+from transport.draws import DELIVERED
 
 Array = npt.NDArray[np.float64]
 SLOTS = 400

@@ -11,7 +11,7 @@ from design.jump_linear.bounded_real import hinf_norm
 from design.jump_linear.h2 import h2_norm
 from design.monte_carlo.markov_batch import simulate_mjls
 from design.networked_loop.closed_loop import loop_structure
-from hil.compose.design_problem import LAMBDA, PI, PRINTED_VTOL
+from hil.design_questions.design_problem import LAMBDA, PI, PRINTED_VTOL
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.statements import ERRORS, Statement, above, below, exactly, within
 from plants import VTOL, DCMotor

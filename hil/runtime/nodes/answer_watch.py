@@ -11,7 +11,7 @@ from typing import Any
 
 from design.controllers import FromSamples, Known, LoopModel, Rows
 from design.controllers.contract import Controller
-from hil.compose.motion_test import EQUAL
+from hil.certify.motion_test import EQUAL
 
 ROUNDING = 1e-12
 

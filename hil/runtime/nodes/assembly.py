@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from design.controllers import Sample
-from hil.experiment.sensor_list import Sensor
+from hil.rig.sensor_list import Sensor
 
 
 class Assembly:

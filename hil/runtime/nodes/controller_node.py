@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from hil.compose.loop import Loop
-from hil.compose.time_line import time_line
+from hil.rig.time_line import time_line
 from hil.runtime.nodes.heard import heard_by
 from hil.runtime.nodes.questions import Questions, Refusals
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from hil.compose.loop import Loop
-from hil.compose.time_line import time_line, told
 from hil.experiment.faults import RESTART
+from hil.rig.time_line import time_line, told
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import rng_for
 from transport.medium.faulted import FaultedChannel, FaultedMedium, FaultyPath

@@ -7,14 +7,14 @@ from itertools import chain
 from math import nan
 from typing import Any
 
-from hil.experiment.can_frames import FirstIdentifiers
 from hil.log.records import Channel
 from hil.log.topics import APPLIED, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
 from hil.log.topics.topic import SlotRecord
 from hil.log.write.sinks import Sink, record_to, records_to
+from hil.rig.can_frames import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.port_damper import Injected
-from transport.medium.draws import Draw
+from transport.draws import Draw
 from transport.medium.medium import Delivery
 from transport.packets import ControlPacket, node_of
 

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compose.free_motion import kind_of
-from hil.compose.motion_test import CANCELS, EQUAL, LARGEST
-from hil.compose.watched import OneStep
+from hil.certify.free_motion import kind_of
+from hil.certify.motion_test import CANCELS, EQUAL, LARGEST
+from hil.certify.watched import OneStep
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]

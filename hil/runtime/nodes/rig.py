@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from hil.compose.loop import Loop
-from hil.experiment.can_frames import FirstIdentifiers
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
+from hil.rig.can_frames import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answers import Answers
 from hil.runtime.nodes.fault_line import FaultLine

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.compose.loop import Loop
-from hil.compose.sensors import Shared
-from hil.experiment.sensor_list import Sensor
+from hil.rig.sensor_list import Sensor
+from hil.rig.sensors import Shared
 from hil.runtime.streams import rng_for
+from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.medium.arbitration import ArbitratedBus
-from transport.medium.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.medium.independent import Impairment, impair
 from transport.medium.medium import Delivery, IndependentChannels, Medium
 from transport.medium.sample_clock import SampleClock

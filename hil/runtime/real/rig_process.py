@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass
 from types import FrameType
 
 from hil.compose.loop import Loop
-from hil.experiment.can_frames import about_rig, session_identifiers
 from hil.log.topics import TIMING
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import record_to
+from hil.rig.can_frames import about_rig, session_identifiers
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire

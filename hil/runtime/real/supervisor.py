@@ -13,12 +13,12 @@ from functools import partial
 from pathlib import Path
 
 from hil.compose.loop import Loop
-from hil.compose.time_line import time_line
 from hil.errors import HilError
 from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.rehearsal import rehearse
 from hil.log.write.sinks import Put, Sink
 from hil.plugins.registry import OBJECT
+from hil.rig.time_line import time_line
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.free_memory import FreeMemory

@@ -12,7 +12,7 @@ from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve
-from hil.compose.delay_chains import delay_chain
+from hil.rig.delay_chains import delay_chain
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_H2
 from tests.design.networked_loop.literal_loop import literal_radius
 from transport.laws.semi_markov import SemiMarkovAge

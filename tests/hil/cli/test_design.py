@@ -13,9 +13,9 @@ from design.requests.local import LocalDesigned
 from design.requests.tracking import solve_tracking
 from hil.cli.design import command
 from hil.cli.design_local import design_local
-from hil.compose.design_problem import problem_for, tracking_target, verdict_on
 from hil.compose.loop import compose
-from hil.compose.plant_uncertainty import interval, judge_uncertain, plants_between
+from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
+from hil.design_questions.plant_uncertainty import interval, judge_uncertain, plants_between
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from tests.bench.design import GOALS, bench_design

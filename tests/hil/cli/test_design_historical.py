@@ -12,9 +12,9 @@ from click.testing import CliRunner
 from design.requests.historical import HistoricalDesigned
 from hil.cli import cli
 from hil.cli.design_historical import experiment_over_history
-from hil.compose.design_problem import tracking_target
-from hil.compose.historical_bounds import judge_historical
 from hil.compose.loop import compose
+from hil.design_questions.design_problem import tracking_target
+from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.experiment.load import shipped

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from hil.cli.laws import command
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
-from transport.laws import analysis
+from transport.law_tests import analysis
 
 PACKET = 'links.ca.law={kind="packet", latency={dist="gamma", a=2.0, scale="20 ms"}, loss={p_gb=0.1, p_bg=0.4}}'
 

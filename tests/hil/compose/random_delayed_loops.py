@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from hil.compose.certifier import LoopToCertify
+from hil.certify.certifier import LoopToCertify
 from plants import JumpModel, JumpRates, TransitionRates
 from tests.hil.compose.random_loops import Array, jump_loop, jump_matrices, radius, rates_of, rows
 

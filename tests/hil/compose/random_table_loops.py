@@ -10,8 +10,8 @@ from scipy.linalg import solve_discrete_are
 
 from design.controllers import LoopModel, SendAll, nested
 from design.processes.delay_chain import DelayChain
-from hil.compose.certifier import LoopToCertify
-from hil.compose.delay_chains import delay_chain
+from hil.certify.certifier import LoopToCertify
+from hil.rig.delay_chains import delay_chain
 from tests.hil.compose.random_loops import Array, Flat, chain, radius
 from transport.laws.semi_markov import SemiMarkovAge
 from transport.laws.sojourn import Table

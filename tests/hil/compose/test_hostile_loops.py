@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.compose.certify import judge
+from hil.certify.certify import judge
 from tests.hil.compose.random_delayed_loops import delayed_case
 from tests.hil.compose.random_jump_loops import (
     fault_case,

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from design.controllers import SendAll
-from hil.compose.delay_chains import delay_chains
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.measure.network import expected_frequencies, expected_transitions
 from hil.plugins.checks import check_law
+from hil.rig.delay_chains import delay_chains
 from hil.session import simulate
 from tests.hil.test_prediction import predicted_of
+from transport.law_tests.analysis import analyse_law
+from transport.law_tests.statistics import is_testable
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
-from transport.laws.analysis import analyse_law
 from transport.laws.semi_markov import SemiMarkovAge
 from transport.laws.sojourn import DiscreteWeibull, Table
-from transport.laws.statistics import is_testable
 from transport.laws.trace import TraceAge
 
 GAPS = IidAge(probabilities=(0.5, 0.3, 0.2), allow_gaps=True)

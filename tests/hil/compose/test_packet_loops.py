@@ -14,9 +14,9 @@ from design.networked_loop.certify import certify_loop
 from design.networked_loop.dynamic_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
 from hil.compose.loop import compose
-from hil.compose.packet_ages import Receiver, packet_delays, unheard
 from hil.experiment import load_experiment
 from hil.measure.prediction import predict
+from hil.rig.packet_ages import Receiver, packet_delays, unheard
 from hil.sweeps.seeds import run_seeds
 from transport.laws.packet import GilbertElliott, PacketLaw
 

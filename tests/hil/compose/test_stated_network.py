@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from design.verdict import Verdict
+from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
-from hil.experiment_source import load_experiment
 
 CALM = {"kind": "constant", "age": 0}
 TWO_CLASSES = [[1.0, 0.0], [0.0, 1.0]]

@@ -12,12 +12,12 @@ from scipy.stats import norm
 from design.controllers import FromSamples, Known, Sample, SendAll
 from design.networked_loop.prediction import predict_tracking
 from hil.cli.run_summary import show
-from hil.compose.delay_chains import delay_chains, gains_over, initial_laws
-from hil.compose.design_problem import tracking_target
 from hil.compose.loop import Loop, compose
+from hil.design_questions.design_problem import tracking_target
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.replay import verify
+from hil.replay.replay import verify
+from hil.rig.delay_chains import delay_chains, gains_over, initial_laws
 from hil.session import run_session, simulate
 
 EARLY = 'reference=[{at="0.1 s", value=[3.0, 0.0]}]'

@@ -10,7 +10,7 @@ from hil.log.read.run import Run
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink
 from hil.runtime.virtual import run_virtual
-from transport.medium.draws import REASONS
+from transport.draws import REASONS
 
 
 def run_of(name: str, *sets: str, timed: bool = False) -> Run:

@@ -16,7 +16,7 @@ from hil.log.read.run import read_run
 from hil.log.write.sinks import MemorySink
 from hil.measure.view import view_of
 from hil.pages.run.sections.theory import section as theory_section
-from hil.replay import verify
+from hil.replay.replay import verify
 from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.supervisor import run_real

@@ -10,10 +10,10 @@ import pytest
 
 from design.controllers import GainIndex, SendAll
 from design.tracking.design_file import load_design
-from hil.compose.delay_chains import delay_chain, delay_chains
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
+from hil.rig.delay_chains import delay_chain, delay_chains
 from hil.session import simulate
 from transport.laws.age import MarkovAge
 from transport.laws.semi_markov import SemiMarkovAge, augmented_chain

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from transport.law_tests.analysis import analyse_law
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
-from transport.laws.analysis import analyse_law
 from transport.laws.delay_states import delay_states, measured_ages
 from transport.laws.packet import PacketLaw
 from transport.laws.semi_markov import SemiMarkovAge, augmented_chain

@@ -21,10 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from transport.laws.latency import LatencySpec, described, latency, seconds
-from transport.laws.packet import GilbertElliott, PacketLaw
-from transport.laws.protocols import load_files, prepare, slots_served
-from transport.medium.draws import (
+from transport.draws import (
     ABSENT,
     DELIVERED,
     DISORDERED,
@@ -35,6 +32,9 @@ from transport.medium.draws import (
     SENT,
     Draw,
 )
+from transport.laws.latency import LatencySpec, described, latency, seconds
+from transport.laws.packet import GilbertElliott, PacketLaw
+from transport.laws.protocols import load_files, prepare, slots_served
 from transport.medium.independent import Impairment, impair
 
 T, DEADLINE = 0.010, 0.004

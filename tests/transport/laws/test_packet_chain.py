@@ -13,13 +13,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from transport.draws import LOST, SENT
 from transport.errors import FieldError
-from transport.laws.analysis import analyse_law
+from transport.law_tests.analysis import analyse_law
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.packet_chain import PacketChain
 from transport.laws.packet_paths import channel_modes, fives_of_many
 from transport.laws.protocols import AgeChain, InitialLaw, PacketAges, prepare
-from transport.medium.draws import LOST, SENT
 from transport.medium.independent import impair
 
 T, DEADLINE = 0.010, 0.004

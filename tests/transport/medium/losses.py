@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from transport.medium.draws import LOST
+from transport.draws import LOST
 from transport.medium.medium import Medium
 
 

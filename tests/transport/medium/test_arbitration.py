@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.transport.medium.losses import lost_and_came
+from transport.draws import DELIVERED, REPLACED
 from transport.laws.age import ConstantAge
 from transport.medium.arbitration import ArbitratedBus
-from transport.medium.draws import DELIVERED, REPLACED
 from transport.medium.independent import impair
 from transport.medium.sample_clock import SampleClock
 from transport.medium.scheduled import RoundRobin, ScheduledMedium

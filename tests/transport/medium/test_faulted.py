@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from transport.draws import CORRUPTED, CUT, OFF_BUS
 from transport.laws.age import ConstantAge, MarkovAge
 from transport.laws.packet import PacketLaw
-from transport.medium.draws import CORRUPTED, CUT, OFF_BUS
 from transport.medium.faulted import FaultedChannel, FaultKind, FaultyPath, Spell
 from transport.medium.independent import Impairment, impair
 

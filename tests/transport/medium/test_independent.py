@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from transport.draws import ABSENT, DELIVERED, DISORDERED, NO_MODE, NONE_YET, REASONS, REPEATED, SUPERSEDED, Draw
 from transport.laws.age import ConstantAge, MarkovAge
-from transport.medium.draws import ABSENT, DELIVERED, DISORDERED, NO_MODE, NONE_YET, REASONS, REPEATED, SUPERSEDED, Draw
 from transport.medium.independent import Impairment, impair
 
 LAMBDA = MarkovAge(matrix=((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1)))

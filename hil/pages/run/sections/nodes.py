@@ -15,7 +15,7 @@ from hil.measure.view import RunView
 from hil.pages.html.figures import Block, Cell, Figure, Section, Series, Table
 from hil.pages.run.curve import Records, curve, curve_of
 from hil.pages.run.time_panels import markers
-from transport.medium.draws import DELIVERED, DISORDERED, LOST
+from transport.draws import DELIVERED, DISORDERED, LOST
 
 
 def newest_ages(draws: npt.NDArray[np.void], node: int, slots: int) -> npt.NDArray[np.float64]:

@@ -18,9 +18,9 @@ from mcap.reader import make_reader
 from hil.cli.export import command
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.experiment.can_frames import said_identifiers
 from hil.log.read.export import export
 from hil.log.read.run import Run, read_run
+from hil.rig.can_frames import said_identifiers
 from hil.session import run_session
 from tests.hil.log.recording import record_chunks
 

@@ -15,13 +15,13 @@ from hil.cli import main
 from hil.compose import loop as composing
 from hil.compose.loop import Loop
 from hil.errors import HilError
-from hil.experiment import sensor_list
 from hil.measure import composed, measure, network_paths
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Table, Text
 from hil.pages.html.plain_section import plain_section
 from hil.pages.run.run_page import render_report
 from hil.pages.run.sections import sections_of
+from hil.rig import sensor_list
 from plants.dc_motor import DCMotor
 
 MINE = """

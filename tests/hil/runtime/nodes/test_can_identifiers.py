@@ -9,10 +9,10 @@ import pytest
 
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
-from hil.experiment.can_frames import FirstIdentifiers, link_uri, session_identifiers
 from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.sinks import MemorySink, Sink
+from hil.rig.can_frames import FirstIdentifiers, link_uri, session_identifiers
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.rig import Rig

@@ -15,15 +15,15 @@ from design.historical_data.phase_gains import phase_gains
 from design.historical_data.sensor_schedule import mask_of
 from design.jump_linear.second_moment import forward
 from design.requests.historical import historical_of
-from hil.compose.historical_bounds import judge_historical
-from hil.compose.historical_loop import delayed_plant_of
+from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
-from hil.compose.sensors import sensor_nodes
+from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.rig.sensors import sensor_nodes
 from hil.runtime.nodes.assembly import Assembly
 from hil.session import simulate
-from transport.medium.draws import DELIVERED
+from transport.draws import DELIVERED
 
 SETS = {
     "three samples": ["media.bus.loss=0.6"],

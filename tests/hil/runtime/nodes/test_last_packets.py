@@ -8,13 +8,13 @@ import pytest
 from design.controllers.packet_window import PacketWindow, window_of
 from design.historical_data.lifted_loop import close
 from design.historical_data.packet_windows import window_mask
-from hil.compose.historical_loop import delayed_plant_of
+from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
-from hil.compose.sensors import sensor_nodes
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.rig.sensors import sensor_nodes
 from hil.session import simulate
-from transport.medium.draws import DELIVERED
+from transport.draws import DELIVERED
 
 SETS = {
     "random": ["media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], loss=0.3}"],

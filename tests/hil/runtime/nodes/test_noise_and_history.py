@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from design.historical_data.measurement_noise import noise_costs
-from hil.compose.historical_loop import delayed_plant_of
+from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import load_experiment

@@ -11,7 +11,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.replay import verify
+from hil.replay.replay import verify
 from hil.runtime.nodes.port_damper import PortDamper
 from hil.session import run_session, simulate
 

@@ -15,16 +15,16 @@ from design.controllers import Historical, HistoryGains, Known, LoopModel, Rows,
 from design.historical_data.cost_moments import CostMoments, cost_moments
 from design.historical_data.lifted_loop import LiftedLoop, close
 from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
-from hil.compose.historical_bounds import judge_historical
-from hil.compose.historical_loop import delayed_plant_of
+from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
+from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
-from hil.experiment.sensor_list import sensors_of
 from hil.measure.cost import Cost
 from hil.measure.network_load import loads
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
+from hil.rig.sensor_list import sensors_of
 from hil.runtime.nodes.assembly import Assembly
 from hil.runtime.nodes.heard import NewestSample
 from hil.runtime.nodes.triggers import DeadBand, Error, Magnitude

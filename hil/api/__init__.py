@@ -1,0 +1,1 @@
+"""What a program sees: the functions behind ``import hil``."""

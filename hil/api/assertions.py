@@ -1,0 +1,98 @@
+"""What a test asserts of a networked loop: a probability, by a sequential test, and the law of a run's delays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from hil.api.experiment_source import Source, checked_experiment
+from hil.errors import HilError
+from hil.session import Session
+from hil.sweeps.probability import frequency
+
+
+def assert_probability(
+    source: Source,
+    holds: Callable[[Session], object],
+    *,
+    at_least: float,
+    margin: float | None = None,
+    alpha: float = 1e-3,
+    beta: float = 1e-3,
+    most_runs: int = 10_000,
+    first_seed: int = 0,
+    **changes: Any,
+) -> str:
+    """Assert that a condition holds with at least some probability, by Wald's sequential test over seeded sessions.
+
+    It runs seed after seed in virtual time and stops as soon as it may. If the probability is ``at_least`` or less, it passes
+    with probability at most ``alpha``; if it is ``at_least + margin`` or more, it fails with probability at most ``beta``.
+
+    Args:
+        source: as in `run`.
+        holds: says of a session whether the condition holds, ``lambda s: s.metrics["sse"] < 12``.
+        at_least: the probability to be exceeded, between 0 and 1.
+        margin: how far above it the probability must lie to pass surely; half of the way to 1 by default.
+        alpha, beta: largest probabilities of a wrong pass and of a wrong failure.
+        most_runs: after so many runs it fails as undecided.
+        first_seed: seeds are ``first_seed``, ``first_seed + 1``, ...
+        changes: path to value, as in `load_experiment`.
+
+    Returns:
+        one line: how many runs, how many held, which seeds failed.
+
+    Raises:
+        AssertionError: with that line, if the probability is too low or undecided.
+        HilError: if the experiment cannot be run, or the numbers mean nothing.
+
+    Reference: A. Wald, Sequential Analysis, 1947.
+    """
+    from design.monte_carlo.sequential import SequentialTest
+
+    __tracebackhide__ = True  # pytest shows the line of the test, not this function
+    if not 0.0 < at_least < 1.0:
+        raise HilError(f"assert_probability: at_least: {at_least:g}; expected a number between 0 and 1")
+    sure = at_least + (0.5 * (1.0 - at_least) if margin is None else margin)
+    if not at_least < sure < 1.0:
+        room = 1.0 - at_least
+        raise HilError(f"assert_probability: margin: {margin:g}; expected a number between 0 and 1 - at_least = {room:g}")
+    try:
+        test = SequentialTest(p0=at_least, p1=sure, alpha=alpha, beta=beta)
+    except ValueError as error:
+        raise HilError(f"assert_probability: {error}") from None
+    found = frequency(checked_experiment(source, None, None, changes), holds, test, most_runs=most_runs, first_seed=first_seed)
+    if not found.holds:
+        raise AssertionError(str(found))
+    return str(found)
+
+
+def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
+    """Assert that the delays of a run are those of its network law, by the law's own test of goodness of fit.
+
+    A run whose network is the law's fails with probability ``alpha``.
+
+    Args:
+        session: a finished run.
+        side: "sc" (sensor to controller), "ca" (controller to actuator), or the name of a sensor node.
+        alpha: largest probability of a wrong failure.
+
+    Returns:
+        the p-value.
+
+    Raises:
+        AssertionError: if the p-value is below ``alpha``.
+        HilError: another side, or a law that has no test or too short a record for it.
+    """
+    __tracebackhide__ = True  # pytest shows the line of the test, not this function
+    network = session.summary["network"]
+    sides = {"sc": network["sc"], "ca": network["ca"], **network["nodes"]}
+    if side not in sides:
+        raise HilError(f"assert_law: side {side!r}; expected one of {', '.join(map(repr, sides))}")
+    found = sides[side]
+    p_value = found["p_value"]
+    if p_value is None:
+        raise HilError(f"assert_law: {side}: the law {found['law']!r} has no test, or the run is too short for it")
+    if p_value < alpha:
+        counts = f"modes {found['mode_counts']}, transitions {found['transition_counts']}"
+        raise AssertionError(f"{side}: not the law {found['law']!r}: p = {p_value:.3g} < {alpha:g}; {counts}")
+    return float(p_value)

@@ -1,0 +1,142 @@
+"""The seam of the door: the loop that a certifier is handed, and what a certifier answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import Controller, GainTable, LoopModel
+from design.verdict import Kind, Verdict
+from hil.certify.said import Said
+from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopToCertify:
+    """The loop that will run, as far as a claim can rest on it.
+
+    Args:
+        plant: the plant, with the parameters that it runs with.
+        controller: the controller that runs, with any design solved.
+        model: the plant's nominal model at the sample period, and the largest delays.
+        sc, ca: the delay chains of both directions; None where a law has none.
+        digest: SHA-256 of everything above, in the user's words; a verdict on this loop carries it.
+        damped: whether a passivity controller at the rig may add to the command.
+        faults: faults on the time line.
+        input_limits: largest command per input that the run allows, None where it has no limit.
+        state_limits: largest value of named states.
+        selection: rule by which the controller that was started says that a row is picked; empty: nobody looked.
+        said: what plant and controller said of themselves.
+        unmet: what of the network never happens, as its laws begin; empty: every mode of theirs may come.
+        neglects: what the chains leave out; empty: nothing.
+        chainless: what keeps the experiment from having a chain of ages on both links; empty: nobody looked, or nothing does.
+    """
+
+    plant: Plant
+    controller: Controller
+    model: LoopModel
+    sc: DelayChain | None
+    ca: DelayChain | None
+    digest: str
+    damped: bool = False
+    faults: int = 0
+    input_limits: tuple[float, ...] | None = None
+    state_limits: Mapping[str, float] = field(default_factory=dict)
+    selection: str = ""
+    said: Said = field(default_factory=Said)
+    unmet: str = ""
+    neglects: str = ""
+    chainless: str = ""
+
+    def no_chain(self) -> str:
+        """Return why nothing is known of a loop without chains of ages, as a reason."""
+        return f"no certificate covers this kind of network: {self.chainless}" if self.chainless else (
+            "no certificate covers this kind of network law"
+        )
+
+
+class Certifier(Protocol):
+    """Says what can be claimed of one kind of loop. The door asks them in order; the first that knows the kind answers."""
+
+    def __call__(self, loop: LoopToCertify) -> Verdict | None:
+        """Return the verdict on a loop, None if loops of this kind are somebody else's."""
+        ...
+
+
+def table_of(loop: LoopToCertify, controller: GainTable) -> NDArray[np.float64]:
+    """Return the gains that a controller states, K[tau, row, m, p], asked once: judge and test lean on the same ones."""
+
+    def ask() -> NDArray[np.float64]:
+        return np.array(controller.table(loop.model), dtype=float)
+
+    return loop.said.once("table", ask)
+
+
+def undecided(loop: LoopToCertify, kind: Kind, reason: str, details: Mapping[str, object] | None = None) -> Verdict:
+    """Return the verdict of a theory that does not know."""
+    return Verdict(kind=kind, state="undecided", reason=reason, details=details or {}, digest=loop.digest)
+
+
+def limited_to_model(
+    plant: Plant, verdict: Verdict, *, knows_state_delays: bool = False, knows_jumps: bool = False
+) -> Verdict:  # fmt: skip
+    """Return a verdict on the plant's model as one on the plant: undecided where the plant has more than its model.
+
+    Args:
+        plant: the plant.
+        verdict: on the model x(k+1) = A x(k) + B u(k).
+        knows_state_delays: whether it is on the model with A_1 x(k-1) + ... beside it.
+        knows_jumps: whether it is on the model of every mode and on their process.
+    """
+    beyond = tuple(plant.beyond_model()) if isinstance(plant, BeyondModel) else ()
+    if not knows_state_delays and isinstance(plant, HasStateDelays) and np.any(plant.state_delays()):
+        beyond += ("delayed states",)
+    if not knows_jumps and isinstance(plant, JumpPlant):
+        beyond += ("jumps between modes",)
+    if not beyond:
+        return verdict
+    return _undecide(verdict, f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}")
+
+
+def limited_to_undamped(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on a loop without its passivity controller as one on the loop: only a passive loop is what it was.
+
+    Behind a controller that is certified passive with the damping of the model, the observed energy never exceeds 0, whatever the
+    hand does: sum |u|^2 <= sum |u - 2 b w|^2 is what the condition of `design.passivity.condition` says of the controller.
+    """
+    if not loop.damped or (verdict.kind == "passivity" and verdict.certified):
+        return verdict
+    return _undecide(
+        verdict,
+        f"{verdict.state} without the passivity controller at the rig; undecided with the force that this controller adds "
+        f"({verdict.reason})",
+    )
+
+
+def limited_to_sound(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on a loop without the faults on its time line as one on the loop: no proof knows what they break."""
+    if not loop.faults:
+        return verdict
+    faults = "1 fault" if loop.faults == 1 else f"{loop.faults} faults"
+    return _undecide(
+        verdict, f"{verdict.state} without what happens on the time line ({faults}); undecided with it: {verdict.reason}"
+    )
+
+
+def limited_to_whole(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on a loop without the packets that its chains leave out as one on the loop."""
+    return _undecide(verdict, f"{verdict.state} but for what is left out: {loop.neglects}") if loop.neglects else verdict
+
+
+def _undecide(verdict: Verdict, reason: str) -> Verdict:
+    """Return a verdict that nothing is known after all; one that knew nothing keeps its own reason."""
+    if verdict.state == "undecided":
+        return verdict
+    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})

@@ -1,0 +1,97 @@
+"""The one door for certificates: what is claimed of the loop that will run, by what proof.
+
+Nothing else says whether a loop is certified: a design hands over gains, a plant its matrices and rates, and a certifier per
+kind of loop judges them as they run. To add a kind of loop, write a :class:`hil.certify.certifier.Certifier` over the
+protocols of its plant and controller, and put it into `CERTIFIERS`. A plant or controller of a user's own that fulfils the
+protocols is judged like ours.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from design.controllers import Controller, LoopModel
+from design.verdict import Verdict, digest
+from hil.certify.certifier import Certifier, LoopToCertify, limited_to_sound, limited_to_undamped, limited_to_whole, undecided
+from hil.certify.following_loop import certify_model_following
+from hil.certify.historical_loop import certify_historical
+from hil.certify.jump_loop import certify_jump_loop
+from hil.certify.linear_law_loop import certify_linear_law
+from hil.certify.send_all_loop import certify_send_all
+from hil.certify.wall_loop import certify_wall_loop
+from hil.certify.word_and_deed import tested
+from hil.errors import ForeignVerdict
+from hil.experiment import Experiment
+
+CERTIFIERS: tuple[Certifier, ...] = (
+    certify_send_all, certify_jump_loop, certify_wall_loop, certify_model_following, certify_historical, certify_linear_law,
+)  # fmt: skip
+"""Asked in this order; the first that knows the kind of loop answers."""
+
+
+def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:
+    """Return the digest of the loop that will run: its plant, controller, network, period and model, not its seed or schedule."""
+    resolved = replace(experiment, controller=controller).resolved()
+    said = {name: resolved[name] for name in ("plant", "controller", "links", "period")}
+    said["links"] = {side: said["links"][side] for side in ("sc", "ca")}  # over which link its frames go is no part of it
+    said |= {name: resolved[name] for name in ("nodes", "media", "fault") if name in resolved}
+    if experiment.limits.passivity is not None:  # the other limits stop a run; this one changes it
+        said["passivity"] = resolved["limits"]["passivity"]
+    law = f"{type(controller).__module__}.{type(controller).__qualname__}"  # two laws may have the same parameters
+    return digest({**said, "control law": law, "A": model.A, "B": model.B, "C": model.C})
+
+
+def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
+    """Return the verdict on a loop whose plant and controller were tested to be what they say: see `judge` and `tested`.
+
+    Args:
+        loop: the loop that will run.
+        certifiers: who is asked, in order.
+
+    Raises:
+        ForeignVerdict: as of `judge`.
+    """
+    return tested(loop, judge(loop, certifiers))
+
+
+def of_external(verdict: Verdict, named: str) -> Verdict:
+    """Return what is known of a loop whose controller is somebody else's program: nothing, whatever the named one is worth.
+
+    Args:
+        verdict: on the loop of the controller that the experiment names.
+        named: its kind.
+    """
+    worth = f"{verdict.state}, {verdict.kind}: {verdict.reason}"
+    return Verdict(
+        kind=verdict.kind, state="undecided", digest=verdict.digest,
+        reason=f"the controller is not ours: an external program answers on the link, and not the experiment's {named!r}",
+        details={"controller": "external", "stable": False, "the named controller would be": worth},
+    )  # fmt: skip
+
+
+def judge(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
+    """Return the verdict on what a loop says of itself: ``undecided`` where no certifier knows its kind, or no proof is computed.
+
+    Args:
+        loop: the loop that will run.
+        certifiers: who is asked, in order.
+
+    Raises:
+        ForeignVerdict: a certifier answered for another loop than the one it was handed.
+    """
+    for certifier in certifiers:
+        try:
+            verdict = certifier(loop)
+        except (np.linalg.LinAlgError, OverflowError) as error:
+            return undecided(loop, "mean-square stability", f"its proof cannot be computed in double precision: {error}")
+        if verdict is not None:
+            if verdict.digest != loop.digest:
+                raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
+            if loop.unmet and verdict.state != "undecided":
+                verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
+            return limited_to_sound(loop, limited_to_undamped(loop, limited_to_whole(loop, verdict)))
+    return undecided(loop, "mean-square stability", "no certificate covers this kind of controller")

@@ -1,0 +1,181 @@
+"""Whether a plant that jumps moves as the matrices of its modes say, and changes its modes at its rates.
+
+Two runs of one seed, one with inputs and one without, go through the same modes. In the last part of every slot their difference
+must move by dx/dt = A_i dx + A_di dx(t - tau) + B_i u, within what the plant says is uncertain, entry by entry; and a third run,
+advanced by whole slots, must meet the first. The jumps that are seen are counted beside the integral of their rates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import cast
+
+import numpy as np
+
+from design.verdict import State
+from hil.certify.certifier import LoopToCertify
+from hil.certify.motion_test import SEED, Array, random_inputs
+from hil.plugins.protocols import JumpPlant
+from plants.parts.jump import JumpModel, JumpRates
+
+SIZES = (1e-3, 1e3)
+SLOTS, RUNS, SEEN = 40, 8, 15
+"""Slots of a run, the most runs, and how often every mode shall be met at least."""
+WAIT, STRIDE = 1000, 4
+"""Slots for which a run waits at most until it shows a mode that was not met, and how many it goes at once."""
+PART = 64
+"""The last part of a slot in which a derivative is measured: a 64th of it, at most `SHORTEST` of the fastest motion's time."""
+SHORTEST = 1e-3
+CLOSE = 1e-4
+"""Share of the motion's speed by which a measured derivative may miss: of second order in the part's length."""
+JUMPED = 0.03
+"""Share of the parts in which a jump may have fallen unseen."""
+UNLIKELY = 1e-6
+"""Chance of a count of jumps so far from its mean, by Chernoff's bound: one right plant in a million is refused."""
+COUNTED, AT_ONCE = 5000, 6
+"""Slots over which jumps are counted, and how many pass at once where the rates are slow."""
+MISSED = 0.1
+"""Most jumps in a step of the count: what comes back within a step is not seen."""
+ENOUGH = 40.0
+"""Jumps that are to be expected before the count ends early."""
+NAME = "your plant is not the model that it tells"
+
+
+def jump_check(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+    """Return what a plant's motion says of its matrices and rates: a state and its reason, or None and what was found equal."""
+    plant = cast(JumpPlant, loop.plant)
+    system = loop.said.once("jump system", plant.jump_system)
+    rates = loop.said.once("jump process", plant.jump_process)
+    found = [_missed(loop, plant, system, bool(rates.detection), size) for size in SIZES]
+    reasons = [reason for reason, _, _ in found]
+    if reasons[0]:
+        return "refused", f"{NAME}: {reasons[0]}"
+    if any(reasons):
+        return "undecided", f"non-linear: the plant moves as its model says under small inputs, but {next(filter(None, reasons))}"
+    said = f"the plant moves in its modes as its model says: compared in {found[0][1]} slots, random inputs of 0.001 to 1000"
+    unmet = [str(mode + 1) for mode in range(len(system.A)) if mode not in found[0][2]]
+    said += f"; modes {', '.join(unmet)} were not met" if unmet else ""
+    if rates.detection:
+        return None, (said, "its modes change at the rates that it states: not compared, as the true mode is not measured")
+    wrong = _counted(plant, rates, loop.model.period_s, costly=bool(system.Ad))
+    if wrong:
+        return "refused", f"{NAME}: {wrong}"
+    slots = COUNTED // 5 if system.Ad else COUNTED
+    return None, (said, f"its modes change at the rates that it states: counted over {slots} slots at most")
+
+
+def _missed(loop: LoopToCertify, plant: JumpPlant, system: JumpModel, hidden: bool, size: float) -> tuple[str, int, set[int]]:
+    """Return why the motion is not that of the modes, empty where it is; how many slots were compared, and the modes met."""
+    A, B = np.array(system.A, dtype=float), np.array(system.B, dtype=float)
+    n, m, modes = A.shape[1], B.shape[2], len(A)
+    delayed = np.array(system.Ad, dtype=float) if system.Ad else None
+    changes = [(np.array(dA, dtype=float), np.array(dB, dtype=float)) for dA, dB in system.changes]
+    period_ns = round(loop.model.period_s * 1e9)
+    fastest = float(np.abs(A).sum(axis=2).max()) + 1e-9
+    part_ns = max(1, min(period_ns // PART, round(1e9 * SHORTEST / fastest)))
+    past = deque[Array](maxlen=2 * math.ceil(1e9 * system.max_delay_s / period_ns) + 4)
+    compared, missed, met = 0, 0, dict.fromkeys(range(modes), 0)
+    told, still = "", (0.0,) * m
+    for turn in range(RUNS):
+        wanted = min(met, key=lambda mode: met[mode])
+        if turn and met[wanted] >= SEEN:
+            break
+        moved, rest, whole = (plant.start(np.random.default_rng((SEED, turn))) for _ in range(3))
+        for _ in range(WAIT // STRIDE if turn else 0):
+            if int(rest.measure()[-1]) - 1 == wanted or not np.abs(rest.measure()).max() < 1e6:
+                break
+            for run in (moved, rest, whole):
+                run.advance(STRIDE * period_ns, still, still)
+        past.clear()
+        past.append(np.zeros(n))
+        for k, u in enumerate((size * random_inputs(SLOTS, m)).tolist()):
+            before: list[Array] = []
+            seen: list[int] = []
+            for span_ns in (period_ns - part_ns, part_ns):
+                moved.advance(span_ns, u, still)
+                rest.advance(span_ns, still, still)
+                y, z = np.array(moved.measure()), np.array(rest.measure())
+                if y[-1] != z[-1]:
+                    return f"in slot {k} its mode depends on its inputs", compared, set()
+                before.append(y[:n] - z[:n])
+                seen.append(int(y[-1]) - 1)
+            whole.advance(period_ns, u, still)
+            x, size_now = np.array(whole.measure()), float(np.abs(y).max()) + 1e-300
+            if not np.isfinite(y).all() or np.abs(before[-1]).max() > 1e12 * size:
+                break
+            if np.abs(x - y).max() > 1e-6 * size_now:
+                return f"cut in two, slot {k} ends elsewhere, by {np.abs(x - y).max():.3g}", compared, set()
+            rounding = 1e-13 * (size_now + float(np.abs(z).max())) / (part_ns / 1e9)
+            if seen[0] == seen[1]:
+                compared += 1
+                candidates = range(modes) if hidden else (seen[1],)
+                gaps = [_gap(before, np.array(u), i, A, B, delayed, changes, past, part_ns / 1e9, rounding) for i in candidates]
+                met[seen[1] % modes] += 1
+                if min(gaps) > CLOSE:
+                    missed += 1
+                    where = f"inputs up to {size:g} in mode {seen[1] + 1}"
+                    told = told or f"{where}: its speed in slot {k} misses the model's by {min(gaps):.2g} of it"
+            past.extend(before)
+    if missed > max(2, JUMPED * compared):
+        return f"{told} ({missed} of {compared} slots)", compared, set()
+    return "", compared, {mode for mode, count in met.items() if count}
+
+
+def _gap(
+    before: list[Array], u: Array, i: int, A: Array, B: Array, delayed: Array | None, changes: list[tuple[Array, Array]],
+    past: deque[Array], dt: float, rounding: float,
+) -> float:  # fmt: skip
+    """Return by how much the measured derivative leaves what mode i allows, as a share of the motion's speed."""
+    first, last = before
+    speed, middle = (last - first) / dt, 0.5 * (first + last)
+    terms = [A[i] @ middle, B[i] @ u]
+    low = high = terms[0] + terms[1]
+    if changes:
+        free = np.array([dA[i] @ middle + dB[i] @ u for dA, dB in changes])
+        low, high = low + free.min(axis=0), high + free.max(axis=0)
+        terms += list(free)
+    if delayed is not None:
+        late = np.array([delayed[i] @ x for x in (*past, first, last)])
+        spread = 0.5 * np.abs(np.diff(late, axis=0)).max(axis=0)
+        low, high = low + late.min(axis=0) - spread, high + late.max(axis=0) + spread
+        terms += [np.abs(late).max(axis=0)]
+    scale = float(max(np.abs(term).max() for term in terms)) + 1e-300
+    outside = np.maximum(np.maximum(low - speed, speed - high) - rounding, 0.0)
+    return float(outside.max()) / scale
+
+
+def _counted(plant: JumpPlant, rates: JumpRates, period_s: float, *, costly: bool) -> str:
+    """Return which jump comes too often or too seldom, empty where none does; a plant with a delay inside is costly."""
+    table, N = rates.rates, rates.rates.modes
+    counts, mean = np.zeros((N, N)), np.zeros((N, N))
+    fastest = max(sum(rate for rate in row if rate > 0.0) for matrix in table.rates for row in matrix)
+    step_s = min(AT_ONCE * period_s, MISSED / max(fastest, 1e-9))
+    step_ns, still = max(round(step_s * 1e9), 1), (0.0,) * len(plant.inputs)
+    slots = COUNTED // 5 if costly else COUNTED
+    steps, turns = min(round(slots * period_s / step_s), slots), 5
+    for turn in range(turns):
+        run = plant.start(np.random.default_rng((SEED + 1, turn)))
+        mode, since = int(run.measure()[-1]) - 1, 0.0
+        for _ in range(steps // turns):
+            run.advance(step_ns, still, still)
+            mean[mode] += step_s * np.array(table.at(mode + 1, since + 0.5 * step_s))
+            since += step_s
+            now = int(run.measure()[-1]) - 1
+            if now != mode:
+                counts[mode, now] += 1
+                mode, since = now, 0.5 * step_s
+            if not all(map(math.isfinite, run.state)):
+                break
+        if mean.sum() > ENOUGH:
+            break
+    for of, c, m in [("", float(counts.sum()), float(mean.sum()))] + [
+        (f" from mode {i + 1} to {j + 1}", float(counts[i, j]), float(mean[i, j])) for i in range(N) for j in range(N) if i != j
+    ]:
+        low, high = m * (1.0 - MISSED), m  # an unseen return makes the count smaller
+        nearest = min(max(c, low), high)
+        if nearest and c * math.log(c / nearest) - c + nearest > -math.log(UNLIKELY) if c else nearest > -math.log(UNLIKELY):
+            return f"it jumped{of} {int(c)} times, where its rates have {m:.3g}"
+        if c and not m:
+            return f"it jumped{of} {int(c)} times, where its rates have none"
+    return ""

@@ -1,0 +1,166 @@
+"""What a controller says that it is, as one that runs in the loop's own arithmetic; and the comparison of both."""
+
+from __future__ import annotations
+
+import pickle
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from design.controllers import (
+    GainTable,
+    HistoryGains,
+    LinearFeedback,
+    LoopModel,
+    ModeSchedule,
+    OutputFeedback,
+    SendAll,
+    ages_told,
+    integrates,
+    packet_samples,
+    sojourns_told,
+)
+from design.controllers.rendered_wall import RendersWall
+from design.verdict import State
+from hil.certify.answers_test import Answer, Question, Start, compared, drifts, over_nodes, question
+from hil.certify.certifier import LoopToCertify, table_of
+from hil.certify.motion_test import ALIKE, EQUAL
+
+if TYPE_CHECKING:
+    from design.controllers import Controller
+
+SIZES = (1e-3, 1e3)
+NAME = "your controller is not the one that it tells"
+
+
+def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+    """Return what a controller's answers say of what it states: a state and its reason, or None and what was found equal."""
+    controller, model = loop.controller, loop.model
+    stated = stated_by(loop)
+    if stated is None:
+        return None, ()
+    twin, asked = stated
+    if isinstance(controller, GainTable) and not np.array_equal(table_of(loop, controller), controller.table(model)):
+        return "refused", f"{NAME}: table() returns other gains when it is asked again"
+    selection, of_twin = controller.start(model).selection, twin.start(model).selection
+    if selection != of_twin or loop.selection not in ("", selection):
+        return "refused", f"{NAME}: it answers by the rule {selection!r} and states {of_twin!r}"
+
+    def own() -> object:
+        return controller.start(model)
+
+    starts: tuple[Start, Start] = (own, lambda: twin.start(model))  # type: ignore[assignment]
+    nodes = model.nodes
+    if isinstance(controller, RendersWall):
+        return _wall(starts, asked, loop)
+    try:
+        apart = drifts(starts[0], _at_rest(asked), nodes)
+        found = compared(*starts, asked, nodes, SIZES)
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # whatever an author's controller does when it runs
+        return "refused", f"{NAME}: asked for an answer it raises {type(error).__name__}: {error}"
+    said = _departed(found)
+    if said is not None:
+        return said
+    if apart:
+        what = "two runs of one start differ" if np.isinf(apart) else f"they change by {apart:.3g} from slot to slot"
+        return "undecided", f"the controller's answers are not its table's alone: on samples and references of zero {what}"
+    slots, far = len(asked.slots), asked.slots[-1]
+    return None, (
+        f"the controller answers as it says: compared in {slots} slots up to slot {far}, every age and row, samples of "
+        f"{SIZES[0]:g} to {SIZES[-1]:g}",
+    )
+
+
+def stated_by(loop: LoopToCertify) -> tuple[Controller, Question] | None:
+    """Return what a controller says that it is, and what to ask it; None for one that states no gains."""
+    controller, model = loop.controller, loop.model
+    p = model.C.shape[0]
+    if isinstance(controller, GainTable):
+        K = table_of(loop, controller)
+        samples, integral, stays, ages = (
+            packet_samples(controller), integrates(controller), sojourns_told(controller), ages_told(controller),
+        )  # fmt: skip
+        told = (stays,) if isinstance(stays, int) else tuple(stays)
+        table = SendAll(
+            gains=_nested(K), selection=controller.selection, integral=integral, samples=samples,
+            sojourns=() if isinstance(stays, int) else told, ages=ages,
+        )  # fmt: skip
+        return table, question(model, width=p * samples, longest=max(told, default=1), far=True)
+    if isinstance(controller, LinearFeedback):
+        law = loop.said.once("law", lambda: controller.linear_law(model))
+        rows = [tuple(tuple(map(float, row)) for row in np.asarray(M)) for M in (law.A, law.B, law.C, law.D)]
+        return OutputFeedback(A=rows[0], B=rows[1], C=rows[2], D=rows[3]), question(model, width=p)
+    if isinstance(controller, HistoryGains):
+        from design.controllers.historical import Historical
+
+        K = loop.said.once("history", lambda: np.array(controller.history(), dtype=float))
+        if None in model.nodes.delays:
+            return None
+        return Historical(gains=_nested(K), uses=controller.uses), over_nodes(model, memory=K.shape[1] - 1)
+    if isinstance(controller, ModeSchedule):
+        from hil.certify.mode_question import mode_question, scheduled_by
+
+        gain = loop.said.once("schedule", controller.schedule_of_modes)
+        return scheduled_by(gain), mode_question(model, gain)
+    if isinstance(controller, RendersWall):
+        from design.controllers.virtual_wall import VirtualWall
+        from hil.certify.mode_question import wall_question
+
+        samples = packet_samples(controller)
+        twin = VirtualWall(wall=controller.wall, coupler=controller.coupler, equalise=controller.equalise, samples=samples)
+        return twin, wall_question(model, samples)
+    return None
+
+
+def runs_as(controller: Controller, twin: Controller, model: LoopModel) -> bool:
+    """Return whether a controller runs as what it states: started, both are of one class, bit for bit the same inside."""
+    running, stated = controller.start(model), twin.start(model)
+    if type(running) is not type(stated):
+        return False
+    try:
+        return pickle.dumps(running) == pickle.dumps(stated)
+    except (pickle.PicklingError, AttributeError, TypeError):  # it holds what has no bytes, such as a function
+        return False
+
+
+def _nested(K: np.ndarray) -> tuple:  # type: ignore[type-arg]
+    return tuple(_nested(part) for part in K) if K.ndim > 1 else tuple(map(float, K))
+
+
+def _at_rest(asked: Question) -> Question:
+    """The same question with references of zero."""
+    return Question(
+        slots=asked.slots, ages=asked.ages, samples=asked.samples, reference=(0.0,) * len(asked.reference), heard=asked.heard,
+    )  # fmt: skip
+
+
+def _departed(found: list[Answer]) -> tuple[State, str] | None:
+    far = [each for each in found if each.share > EQUAL]
+    if not far:
+        return None
+    w = far[0]
+    told = (
+        f"on samples up to {w.size:g} of age {w.age} its row {w.row} changes by {w.found:.4g} in slot {w.slot}, "
+        f"its table says {w.foretold:.4g}"
+        if np.isfinite(w.share) else "its packet has other rows than it states, or they are not finite"
+    )  # fmt: skip
+    if found[0].share <= EQUAL:
+        return "undecided", f"non-linear: the controller answers as its table says on small samples, but {told}"
+    if found[-1].share < 0.1 * found[0].share and found[-1].share < ALIKE:
+        return "undecided", f"non-linear: the controller answers as its table says on large samples, but {told}"
+    return "refused", f"{NAME}: {told}"
+
+
+def _wall(starts: tuple[Start, Start], asked: Question, loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+    """A wall is no linear law: its forces themselves are compared."""
+    from hil.certify.answers_test import answers
+
+    for size in (1e-4, 1e-2):
+        own, told = (answers(start(), asked, size, loop.model.nodes) for start in starts)
+        scale = float(np.abs(told).max()) + 1e-300
+        if own.shape != told.shape or not float(np.abs(own - told).max()) <= EQUAL * scale:
+            k = 0 if own.shape != told.shape else int(np.abs(own - told).max(axis=(1, 2)).argmax())
+            return "refused", (
+                f"{NAME}: pressed {1e3 * size:g} mm deep it answers otherwise than its wall and coupler, in slot {asked.slots[k]}"
+            )
+    return None, (f"the wall answers as its coupler and materials say: compared in {len(asked.slots)} slots, down to 10 mm deep",)

@@ -1,0 +1,164 @@
+"""The test at the door: what plant and controller do, beside what they say of themselves.
+
+A certificate is a proof about matrices. That the plant moves by them, and that the controller answers by them, no proof shows:
+both are driven with random inputs and compared. Different at small inputs is another system, and refused; different at large
+ones alone is no linear system, and undecided; equal is an assumption that says how far it was tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from design.verdict import State, Verdict
+from hil.certify.certifier import LoopToCertify
+from hil.certify.free_motion import FreeMotion, free_motion
+from hil.certify.motion_test import ALIKE, EQUAL, SEED, SLOTS, Array, Departure, departure, drive, foretold, random_inputs
+from hil.certify.stated_controller import answers_of
+from hil.plugins.protocols import BeyondModel, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
+
+SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
+"""Share of a limit that counts as small; without limits, the sizes of the inputs, in their units."""
+SHORT = 60
+"""Slots in which a second run of one seed is compared with the first, and over which a state's limit is reached."""
+
+Check = tuple[State, str] | tuple[None, tuple[str, ...]]
+"""A state and its reason, or None and what was found equal, a phrase each."""
+
+
+def tested(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+    """Return a verdict on what plant and controller say as one on what they do.
+
+    A plant that says itself what it is beyond its model leaves every loop undecided, and is not tested.
+
+    Args:
+        loop: the loop that will run.
+        verdict: on the matrices and gains that both state.
+    """
+    if isinstance(loop.plant, BeyondModel) and loop.plant.beyond_model():
+        return verdict
+    assumptions: list[str] = []
+    for what, check in (("plant", plant_check), ("controller", answers_of)):
+        try:
+            state, said = check(loop)
+        except Exception as error:  # whatever an author's plant or controller does when it is driven
+            state, said = "undecided", f"the {what} could not be compared with what it says: {type(error).__name__}: {error}"
+        if state == "refused" or (state is not None and verdict.state != "undecided"):
+            return replace(verdict, state=state, reason=str(said), details={**verdict.details, "stable": False})
+        assumptions += said if state is None else ()
+    return verdict if verdict.state == "undecided" else replace(verdict, assumptions=(*verdict.assumptions, *assumptions))
+
+
+def plant_check(loop: LoopToCertify) -> Check:
+    """Return what the comparison of a plant's motion with its model says."""
+    plant, model = loop.plant, loop.model
+    if isinstance(plant, JumpPlant):
+        from hil.certify.jump_motion_test import jump_check
+
+        return jump_check(loop)
+    name = "your plant is not the model that it tells"
+    again = plant.model().discretise(model.period_s)
+    if not all(np.array_equal(a, b) for a, b in zip((again.A, again.B, again.C), (model.A, model.B, model.C))):
+        return "refused", f"{name}: model() returns other matrices at every call"
+    n, m = model.B.shape
+    delayed = np.asarray(plant.state_delays()) if isinstance(plant, HasStateDelays) else np.zeros((0, n, n))
+    history = np.asarray(plant.state_history()) if isinstance(plant, HasStateHistory) else np.zeros((0, n))
+    period_ns = round(model.period_s * 1e9)
+    rest = np.zeros((SLOTS, m))
+    free, again_free, other = (
+        drive(plant, period_ns, rest[:slots], seed) for slots, seed in ((SLOTS, SEED), (SHORT, SEED), (SHORT, SEED + 7))
+    )
+    count = len(again_free.states)
+    if not np.array_equal(again_free.states, free.states[:count]) or not np.array_equal(again_free.outputs, free.outputs[:count]):
+        return "refused", f"{name}: of one seed it moves in two ways; all its randomness must come from the rng of start(rng)"
+    shape = random_inputs(SLOTS, m)
+    unit = np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float)
+    of_unit = foretold(model, delayed, shape * unit)
+    sizes, bounds = _extent(loop, of_unit)
+    found = [departure(plant, model, of_unit, free, shape, unit, size, bounds) for size in sizes]
+    said = _departed(found, plant.inputs[0].unit, unit, name)
+    if said is not None:
+        return said
+    signals = tuple([(str(s[0]), str(s[1])) for s in each] for each in (plant.states, plant.outputs))
+    own = free_motion(model, delayed, history, free, other, signals)
+    return _moved(own, plant, found, unit)
+
+
+def _extent(loop: LoopToCertify, x: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the sizes of the inputs in their unit, and how far each state may go: as the limits of the run let them.
+
+    Args:
+        loop: with its limits.
+        x: what the model foretells of inputs of size 1, (slots + 1, n).
+    """
+    n = len(loop.model.A)
+    names = [s.name for s in loop.plant.states]
+    limits = loop.state_limits if len(names) == n else {}
+    bounds = tuple(limits.get(name, np.inf) for name in names) if limits else (np.inf,) * n
+    if not limits:
+        return FREE_SIZES if loop.input_limits is None else (SMALL, 1.0), bounds
+    sizes = []
+    for slots in (len(x) - 1, SHORT):  # inputs that just stay within the limits of the states for so long
+        with np.errstate(all="ignore"):
+            sizes.append(float(np.nanmin(np.array(bounds) / np.abs(x[:slots]).max(axis=0))))
+    kept, top = (size if np.isfinite(size) and size > 0.0 else 1.0 for size in sizes)
+    if loop.input_limits is not None:
+        kept, top = min(kept, 1.0), 1.0
+    return tuple(sorted({SMALL * kept, kept, top})), bounds
+
+
+def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str) -> tuple[State, str] | None:
+    """What follows from the departures at every size of the inputs; None where the motion is the model's at all of them."""
+    far = [each for each in found if each.share > EQUAL]
+    if not far:
+        return None
+    worst = far[0]
+
+    def told(each: Departure) -> str:
+        size = f"{each.size * float(unit.max()):.3g} {unit_name}"
+        which, u = each.signal
+        amount = (
+            f"{each.found:.4g} {u} where the model has {each.foretold:.4g} {u}" if np.isfinite(each.found) else "it is not finite"
+        )
+        share = f"{_percent(each.share)} of the motion at most"
+        return f"inputs up to {size} move its {which} by {amount} in slot {each.slot} ({share})"
+
+    if found[0].share <= EQUAL:
+        return "undecided", f"non-linear: the plant moves as its model says under small inputs, but {told(worst)}"
+    if found[-1].share < 0.1 * found[0].share and found[-1].share < ALIKE:
+        return "undecided", f"non-linear: the plant moves as its model says under large inputs, but {told(worst)}"
+    if found[0].share <= ALIKE:
+        return "undecided", f"the plant is near the model that it tells under small inputs, and is not it: {told(worst)}"
+    return "refused", f"{name}: {told(worst)}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if np.isfinite(share) and share < 1e3 else "more than 1000 times"
+
+
+def _moved(own: FreeMotion, plant: Plant, found: Sequence[Departure], unit: Array) -> Check:
+    """What follows from the motion without inputs, once the answer to inputs is the model's."""
+    slots = max(each.slots for each in found)
+    least, most = (each.size * float(unit.max()) for each in (found[0], found[-1]))
+    u = plant.inputs[0].unit.replace("1", "").strip()
+    sizes = f"random inputs of {least:.3g} to {most:.3g} {u}".rstrip()
+    alike = f"the plant moves as its model says: compared over {slots} slots, {sizes}"
+    stated = tuple(plant.own_inputs()) if isinstance(plant, HasOwnInputs) else ()
+    which, of = own.signal
+    if own.kind == "moves" and not stated:
+        return "undecided", (
+            f"without inputs the plant departs from its model: its {which} by up to {own.size:.3g} {of} in a slot, neither a "
+            "constant load nor steady noise; a state that the model lacks may grow (own_inputs() names what pushes a plant)"
+        )
+    if own.kind == "not compared" and not stated:
+        return "undecided", "the plant's motion without inputs cannot be compared: its states are others than those of its model"
+    extra = {
+        "none": (), "moves": (), "not compared": (),
+        "constant": ("a constant load acts on it, which moves its point of rest",),
+        "noise": ("noise acts on it, which scatters the motion around the one that is judged",),
+    }[own.kind]  # fmt: skip
+    if stated:
+        extra = (f"{', '.join(stated)}: bounded, whatever the plant does",)
+    return None, (alike, *extra)

@@ -1,0 +1,141 @@
+"""Design problems in the user's words: a plant or an experiment by name, and the network of Section 7.4."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import LinearLaw, LoopModel
+from design.processes.delay_chain import DelayChain
+from design.tracking.problem import TrackingProblem
+from design.verdict import Verdict, digest
+from hil.certify.certifier import limited_to_model
+from hil.certify.send_all_loop import judge_gains
+from hil.errors import HilError
+from hil.plugins.protocols import Plant
+
+if TYPE_CHECKING:
+    from design.tracking.synthesis import Design
+
+LAMBDA = ((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1))
+PI = ((0.5, 0.5), (0.7, 0.3))
+"""The network of both examples, (7.34)."""
+
+PERIODS_S = {"dc-motor": 0.05, "vtol": 0.01}
+"""Sample periods of Section 7.4, s."""
+
+PRINTED_VTOL = (
+    ((0.9996, 0.0003, 0.0002, -0.0046), (0.0005, 0.99, -0.0002, -0.04), (0.001, 0.0036, 0.993, 0.0141), (0, 0, 0.01, 1.0001)),
+    ((0.0044, 0.0018), (0.0353, -0.0755), (-0.0549, 0.0446), (-0.0003, 0.0002)),
+    ((0.0, 1.0, 0.0, 0.0),),
+)
+"""A, B, C of Section 7.4.1: the plant's zero-order hold rounded to four decimals, which moves the norms by 3e-4."""
+
+
+class TrackingTarget(NamedTuple):
+    """Where a controller is to work: plant's name, period in s, discrete plant, the two delay chains, and the plant itself."""
+
+    plant: str
+    period_s: float
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    sc: DelayChain
+    ca: DelayChain
+    of: Plant
+
+
+def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1) -> TrackingTarget:
+    """Plant and network of a plant plug-in (network (7.34)) or of an experiment.
+
+    The name "vtol" without a period means the discrete model that Section 7.4.1 prints; an experiment always means the
+    model of the plant that it runs.
+
+    Raises:
+        HilError: no such plant or experiment, or a network that is no chain of delays.
+    """
+    from hil.plugins.registry import load, names
+
+    of_experiment = name not in names("hil.plants")
+    if not of_experiment:
+        if sojourns > 1:
+            raise HilError(f"--sojourns: over the Markov network of {name} it adds no information; name an experiment")
+        plant = load("hil.plants", name)()
+        period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
+        sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
+    else:
+        from hil.experiment import load_experiment
+        from hil.rig.delay_chains import delay_chain, node_chains
+        from hil.rig.packet_ages import actuator_of
+        from hil.rig.sensor_list import sensors_of
+
+        experiment = load_experiment(name)
+        if len(sensors_of(experiment)) > 1:
+            raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
+        plant = experiment.plant
+        period = period_s if period_s is not None else float(experiment.period)
+        try:
+            chains, ca_found = node_chains(experiment, sojourns), delay_chain(experiment.links.ca.law, at=actuator_of(experiment))
+        except ValueError as error:
+            raise HilError(f"{name}: {error}") from None
+        if chains is None or ca_found is None:
+            raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
+        (sc,), ca = chains, ca_found
+        name = experiment.kinds.get("plant", name)
+    if not (np.isfinite(period) and period > 0):
+        raise HilError(f"--period: {period:g} s, expected a number > 0")
+    try:
+        discrete = plant.model().discretise(float(period))
+    except (AttributeError, NotImplementedError) as error:
+        raise HilError(f"{name}: this plant has no linear model to design for ({error})") from None
+    A, B, C = (np.asarray(M) for M in (discrete.A, discrete.B, discrete.C))
+    if name == "vtol" and period_s is None and not of_experiment:
+        A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
+    return TrackingTarget(name, float(period), A, B, C, sc, ca, plant)
+
+
+def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
+    """Return what the door says of a design over the network that it was made for."""
+    sc, ca = design.problem.chains
+    verdict = judge_gains(
+        model_at(target), sc, ca, design.gains, design.selection, samples=design.problem.samples,
+        integral=bool(design.problem.integral), digest=digest_of_design(target, design),
+    )  # fmt: skip
+    return limited_to_model(target.of, verdict)
+
+
+def model_at(target: TrackingTarget) -> LoopModel:
+    """Return what a controller may know of the loop that is designed for."""
+    tau_max = target.sc.max_delay if target.sc.held is None else int(target.sc.label.max())
+    return LoopModel(
+        A=target.A, B=target.B, C=target.C, period_s=target.period_s, tau_max=tau_max, d_max=target.ca.max_delay
+    )  # fmt: skip
+
+
+def digest_of_design(target: TrackingTarget, design: Design) -> str:
+    """Return the digest of the loop that a design is for: plant, gains, network, period."""
+    sc, ca = design.problem.chains
+    system = {"A": target.A, "B": target.B, "C": target.C, "gains": design.gains, "selection": design.selection}
+    system |= {"sc": sc.matrix, "sc delays": sc.delay, "ca": ca.matrix, "ca delays": ca.delay, "period": target.period_s}
+    return digest(system)
+
+
+def digest_of_law(target: TrackingTarget, law: LinearLaw) -> str:
+    """Return the digest of the loop of a linear controller: plant, law, network, period."""
+    system = {"A": target.A, "B": target.B, "C": target.C, "law": [law.A, law.B, law.C, law.D], "period": target.period_s}
+    system |= {"sc": target.sc.matrix, "sc delays": target.sc.delay, "ca": target.ca.matrix, "ca delays": target.ca.delay}
+    return digest(system)
+
+
+def problem_for(target: TrackingTarget, **options: Any) -> TrackingProblem:
+    """The tracking problem of a plant and its network; errors name the field at fault.
+
+    Raises:
+        HilError: an option that does not fit.
+    """
+    try:
+        return TrackingProblem(A=target.A, B=target.B, C=target.C, sc=target.sc, ca=target.ca, **options)
+    except ValueError as error:
+        raise HilError(f"design: {error}") from None

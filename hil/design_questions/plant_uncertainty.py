@@ -1,0 +1,194 @@
+"""What a design guarantees though parameters of the plant are known to a share only: (7.41) for a parameter's interval.
+
+The discrete plants of all parameter values lie in [A + dA, B + dB], [dA dB] = M Delta [N1 N2], |Delta| <= 1: M and N are fitted
+to a grid over the intervals, so that every plant of the grid has |Delta| <= 1, and Delta is widened by the second differences
+of the grid for what lies between. Delta may change from slot to slot, so that parameters that drift are covered, too.
+
+Reference: thesis Remark 7.6; `design.networked_loop.uncertainty`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from design.errors import Infeasible
+from design.jump_linear.mjls import STABILITY_MARGIN
+from design.networked_loop.closed_loop import LoopStructure
+from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
+from design.tracking.synthesis import Design
+from design.verdict import State, Verdict, digest
+from hil.certify.certifier import limited_to_model
+from hil.design_questions.design_problem import TrackingTarget, digest_of_design
+from hil.errors import HilError
+from hil.plugins.protocols import Plant
+from plants.errors import PlantError
+
+Array = NDArray[np.float64]
+GRID = {1: 33, 2: 13, 3: 7}
+"""Points per parameter, by the number of parameters."""
+
+
+class Interval(NamedTuple):
+    """A parameter of the plant, its nominal value, and the ends between which it may lie."""
+
+    name: str
+    nominal: float
+    low: float
+    high: float
+
+
+class PlantSet(NamedTuple):
+    """M (n, a), N1 (b, n), N2 (b, m) that cover the plants, and the grid of plants that they were fitted to."""
+
+    M: Array
+    N1: Array
+    N2: Array
+    changes: Array
+
+
+def interval(plant: Plant, said: str) -> Interval:
+    """Return what ``name=10%`` (a share of the nominal value) or ``name=0.2`` (to either side) says of a plant's parameter.
+
+    Raises:
+        HilError: no such parameter, or no width above 0.
+    """
+    name, _, width = (part.strip() for part in said.partition("="))
+    match = re.fullmatch(r"([0-9.eE+-]+)(\s*%)?", width)
+    try:
+        number = float(match[1]) if match else np.nan
+    except ValueError:
+        number = np.nan
+    if match is None or not (np.isfinite(number) and number > 0):
+        raise HilError(f"--uncertainty {said}: expected NAME=PERCENT% or NAME=WIDTH, above 0, as in gain=10%")
+    known = parameters(plant)
+    if name not in known:
+        raise HilError(f"--uncertainty: {name}: the plant has no such number (there are: {', '.join(sorted(known)) or 'none'})")
+    nominal = known[name]
+    half = abs(nominal) * number / 100.0 if match[2] else number
+    if half == 0.0:
+        raise HilError(f"--uncertainty: {name}: is 0, so every percentage of it is 0; give a width, as in {name}=0.1")
+    return Interval(name, nominal, nominal - half, nominal + half)
+
+
+def parameters(plant: Plant) -> dict[str, float]:
+    """Return the numbers among a plant's own parameters, by name."""
+    if not dataclasses.is_dataclass(plant):
+        return {}
+    numbers = {name: value for name, value in dataclasses.asdict(plant).items() if isinstance(value, float | int)}
+    return {name: float(value) for name, value in numbers.items() if not isinstance(value, bool)}
+
+
+def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> PlantSet:
+    """Return matrices that cover the discrete plants of all parameters in their intervals.
+
+    Raises:
+        HilError: more than three parameters, one named twice, or a value that the plant refuses.
+    """
+    names = [i.name for i in intervals]
+    if not 1 <= len(set(names)) == len(names) <= max(GRID):
+        raise HilError(f"--uncertainty: {', '.join(names)}; expected one to {max(GRID)} parameters, each once")
+    count = GRID[len(names)]
+    axes = [np.linspace(i.low, i.high, count).tolist() for i in intervals]
+    nominal = _discrete(target, {})
+    points = [_discrete(target, dict(zip(names, values))) - nominal for values in product(*axes)]
+    n, width = nominal.shape
+    changes = np.array(points)
+    left, row_size, _ = np.linalg.svd(changes.transpose(1, 0, 2).reshape(n, -1), full_matrices=False)
+    _, column_size, right = np.linalg.svd(changes.reshape(-1, width), full_matrices=False)
+    if row_size[0] == 0.0:
+        raise HilError(f"--uncertainty: {', '.join(names)}: the plant's model does not depend on it")
+    rows, columns = row_size > 1e-12 * row_size[0], column_size > 1e-12 * column_size[0]
+    M = left[:, rows] * np.sqrt(row_size[rows])
+    N = np.sqrt(column_size[columns])[:, None] * right[columns]
+    delta = np.linalg.pinv(M) @ changes @ np.linalg.pinv(N)
+    grid = delta.reshape(*[count] * len(names), *delta.shape[1:])
+    between = sum(float(np.linalg.norm(np.diff(grid, 2, axis=axis), 2, axis=(-2, -1)).max()) for axis in range(len(names)))
+    largest = float(np.linalg.norm(delta, 2, axis=(-2, -1)).max()) + between
+    return PlantSet(M * largest, N[:, :n], N[:, n:], changes)
+
+
+def _discrete(target: TrackingTarget, values: dict[str, float]) -> Array:
+    """[A B] of the plant with other values of its parameters, (n, n + m)."""
+    try:
+        changed = dataclasses.replace(target.of, **values) if values else target.of  # type: ignore[type-var]
+        found = changed.model().discretise(target.period_s)
+    except (PlantError, ValueError) as error:
+        raise HilError(f"--uncertainty: {error}") from None
+    return np.hstack([np.asarray(found.A, dtype=np.float64), np.asarray(found.B, dtype=np.float64)])
+
+
+def judge_uncertain(target: TrackingTarget, design: Design, intervals: Sequence[Interval]) -> Verdict:
+    """Return the verdict on a design over all plants whose parameters lie in their intervals.
+
+    Args:
+        target: the plant and its network.
+        design: the gains.
+        intervals: the parameters.
+
+    Raises:
+        HilError: see `plants_between`.
+    """
+    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+        return _judge(target, design, intervals)
+
+
+def _judge(target: TrackingTarget, design: Design, intervals: Sequence[Interval]) -> Verdict:
+    structure, gains = design.problem.structure(), design.gains
+    found = plants_between(target, intervals)
+    margin = uncertainty_margin(structure, gains, found.M, found.N1, found.N2)
+    worst = max(_radius(target, design, change) for change in _extreme(found.changes, len(intervals)))
+    details: dict[str, object] = {
+        "parameters": [i._asdict() for i in intervals],
+        "margin": margin if np.isfinite(margin) else None,
+        "worst_radius_at_the_ends": worst,
+        "M": found.M.tolist(), "N1": found.N1.tolist(), "N2": found.N2.tolist(), "h2_norm": None, "hinf_norm": None,
+    }  # fmt: skip
+    state, reason = _decided(structure, margin, worst)
+    if state == "certified":
+        try:
+            norms = robust_norms(structure, gains, found.M, found.N1, found.N2, design.problem.initial)
+            details |= {"h2_norm": norms.h2, "hinf_norm": norms.hinf}
+        except Infeasible as error:  # stable, but no bound was found
+            reason = f"{reason}; {error}"
+    system = {"loop": digest_of_design(target, design), "parameters": [list(i) for i in intervals]}
+    verdict = Verdict(
+        kind="mean-square stability", state=state, reason=reason, number=1.0 / margin, limit=1.0,
+        quantity="share of the uncertainty that the loop bears, inverse", details=details, digest=digest(system),
+        method="small-gain theorem over the jump-linear loop (Remark 7.6)",
+        assumptions=(
+            f"the plant between two of {len(found.changes)} computed ones changes as smoothly as they do",
+            "no packet is later than its law says", "no limit trips",
+        ),
+    )  # fmt: skip
+    return limited_to_model(target.of, verdict)
+
+
+def _extreme(changes: Array, axes: int) -> Array:
+    """The plants of the ends of all intervals."""
+    count = GRID[axes]
+    grid = changes.reshape(*[count] * axes, *changes.shape[1:])
+    return grid[np.ix_(*[[0, -1]] * axes)].reshape(-1, *changes.shape[1:])
+
+
+def _radius(target: TrackingTarget, design: Design, change: Array) -> float:
+    n = len(target.A)
+    A, B = target.A + change[:, :n], target.B + change[:, n:]
+    return float(dataclasses.replace(design.problem, A=A, B=B).structure().system(design.gains).radius())
+
+
+def _decided(structure: LoopStructure, margin: float, worst: float) -> tuple[State, str]:
+    if worst > 1.0 + STABILITY_MARGIN:
+        return "refused", f"the second-moment radius is {worst:.5g} at an end of the intervals, expected below 1"
+    if structure.between is not None:
+        return "undecided", "the small-gain theorem is not computed over a sojourn law whose tail is cut"
+    if margin <= 1.0:
+        return "undecided", f"the small-gain theorem proves {100.0 * margin:.3g} % of the uncertainty only"
+    return "certified", f"the loop is mean-square stable for all plants between, and up to {margin:.3g} times the uncertainty"

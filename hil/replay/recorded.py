@@ -1,0 +1,126 @@
+"""What a log recorded of the link: the nonces of the questions, and the answers that came in time, slot by slot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import HilError
+from hil.log.growing import Growing, let_go, pieces
+from hil.log.read.arrays import StructuredArray
+from hil.log.run import Run
+from hil.log.topics import CONTROL, SENSOR, TIMING
+from hil.replay.compare import BATCH, in_time
+from hil.runtime.nodes.wire import Wire
+from transport.packets import SensorPacket, decode
+
+MOST_SORTED: Final = 200_000
+"""Control packets that are sorted where a log has them out of order; hil writes them in order."""
+
+
+def frames(parts: Iterator[StructuredArray]) -> Iterator[tuple[int, bytes]]:
+    """Give slot and bytes of every frame."""
+    for piece in parts:
+        yield from zip(piece["tick"].tolist(), map(bytes, piece["data"]))
+
+
+class Heard:
+    """The control packets that arrived in time, asked for slot by slot.
+
+    Args:
+        run: the log.
+
+    Raises:
+        HilError: they are out of order, and too many to be sorted in memory.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._numbers = run.numbers(CONTROL.name)
+        self._frames = frames(map(in_time, run.pieces(CONTROL.name, BATCH)))
+        count, last, ordered = 0, -(1 << 62), True
+        for ticks in self._slots():
+            ordered = ordered and int(ticks[0]) >= last and not (ticks[1:] < ticks[:-1]).any()
+            count, last = count + len(ticks), int(ticks[-1])
+        if not ordered and count > MOST_SORTED:
+            raise HilError(f"/link/control: {count} packets that are out of order; hil sorts {MOST_SORTED} at most")
+        # A dict keeps the last of one slot; in a log that is in order it need hold no more than the slot at hand.
+        self._held: dict[int, bytes] = {} if ordered else dict(self._frames)
+        self._all = None if ordered else frozenset(self._held)
+        self._next = next(self._frames, None)
+
+    def _slots(self) -> Iterator[NDArray[np.integer[Any]]]:
+        return (ticks for piece in pieces(self._numbers, BATCH) if len(ticks := in_time(piece)["tick"]))
+
+    def answered(self, end: int) -> int:
+        """Return in how many slots below a number a packet arrived in time."""
+        if self._all is not None:
+            return sum(k < end for k in self._all)
+        count, last = 0, -(1 << 62)
+        for ticks in self._slots():
+            count += int(ticks[0] != last and ticks[0] < end) + int(np.count_nonzero((np.diff(ticks) != 0) & (ticks[1:] < end)))
+            last = int(ticks[-1])
+        return count
+
+    def get(self, k: int) -> bytes | None:
+        """Return the packet of a slot; slots are asked for in order."""
+        while self._next is not None and self._next[0] <= k:
+            self._held = {self._next[0]: self._next[1]}
+            self._next = next(self._frames, None)
+        return self._held.get(k)
+
+
+def recorded_wire(run: Run) -> Wire:
+    """Return the nonces of the recorded questions."""
+    slots, nonces = Growing(np.int64), Growing(np.uint64)
+    for piece in run.pieces(SENSOR.name, BATCH):
+        asked = {tick: decode(bytes(data)) for tick, data in zip(piece["tick"].tolist(), piece["data"])}
+        questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
+        slots.extend(np.fromiter(questions, np.int64, len(questions)))
+        nonces.extend(np.fromiter((packet.nonce for packet in questions.values()), np.uint64, len(questions)))
+    return Wire(nonce=_Nonces(slots.array(), nonces.array()).of)
+
+
+class _Nonces:
+    """The nonces of the questions, a stretch of slots at a time."""
+
+    def __init__(self, slots: NDArray[Any], nonces: NDArray[Any]) -> None:
+        if any((piece[1:] < piece[:-1]).any() for piece in pieces(slots)):
+            order = np.argsort(slots, kind="stable")
+            slots, nonces = slots[order], nonces[order]
+        self._slots, self._nonces = slots, nonces
+        self._begin = self._end = 0
+        self._known: dict[int, int] = {}
+
+    def of(self, k: int) -> int:
+        """Return the nonce of a slot's question, 0 if none was asked; of several the last."""
+        if not self._begin <= k < self._end:
+            self._begin, self._end = k, k + BATCH
+            first, last = np.searchsorted(self._slots, (self._begin, self._end))
+            self._known = dict(zip(self._slots[first:last].tolist(), self._nonces[first:last].tolist()))
+            let_go(self._slots)
+            let_go(self._nonces)
+        return self._known.get(k, 0)
+
+
+class Woken:
+    """When each slot began: a watchdog that looks at the clock trips again where it did. Slots are asked for in order.
+
+    Args:
+        run: the log.
+        period_ns: sample period, ns.
+    """
+
+    def __init__(self, run: Run, period_ns: int) -> None:
+        timed = run.pieces(TIMING.name, BATCH) if TIMING.name in run.arrays else iter(())
+        self._late = (late for piece in timed for late in zip(piece["tick"].tolist(), piece["lateness_us"].tolist()))
+        self._period_ns, self._next = period_ns, next(self._late, None)
+
+    def at(self, t_ns: int) -> int:
+        """Return when the slot of a nominal time began, ns; at that time where the log does not say."""
+        k = t_ns // self._period_ns
+        while self._next is not None and self._next[0] < k:
+            self._next = next(self._late, None)
+        return t_ns if self._next is None or self._next[0] != k else t_ns + round(self._next[1] * 1e3)

@@ -1,0 +1,318 @@
+"""What a log can be asked afterwards: was it so, what would another controller have done, put it on a bus again."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from operator import itemgetter
+from typing import Literal
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from design.controllers import Controller, packet_samples
+from hil.compose.loop import Loop, compose
+from hil.errors import HilError
+from hil.experiment import Experiment, experiment_from_resolved
+from hil.experiment.absent import Absent
+from hil.log.growing import Growing, pieces, whole
+from hil.log.read.measured_frames import measured_frames
+from hil.log.run import Run
+from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING
+from hil.plugins.protocols import Designer
+from hil.plugins.registry import OBJECT
+from hil.replay.compare import BATCH, Comparison, near_frames
+from hil.replay.recorded import Heard, Woken, frames, recorded_wire
+from hil.rig.can_frames import link_uri
+from hil.runtime.nodes.actuator_node import OK, row_index
+from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.rig import Rig
+from hil.runtime.slot import Hear, Slot
+from hil.runtime.time.clock import RealClock, monotonic_ns
+from transport.links.opening import open_link
+from transport.packets import ControlPacket, SensorPacket, decode, encode_control
+
+REMEMBERED = 4096
+"""Slots beyond the longest delay of which answers are kept."""
+
+
+Likeness = Literal["same bits", "same within 1e-9", "different"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """Outcome of a verification.
+
+    Args:
+        likeness: ``same bits``; ``same within 1e-9`` of the largest value of every signal, and of what a frame carries two units
+            in the last place of single precision; or ``different``.
+        answers, states: control packets and plant states that were compared and found alike.
+        difference: the first sample that is not alike, None if all bits are the same.
+    """
+
+    likeness: Likeness
+    answers: int
+    states: int
+    difference: str | None
+
+
+def experiment_of(
+    run: Run, source: str, *, plant: object = None, controller: object = None, laws: Mapping[str, object] | None = None,
+    folder: str | None = None,
+) -> Experiment:  # fmt: skip
+    """Return the experiment that a log carries.
+
+    Args:
+        run: the log.
+        source: its name, for messages.
+        plant, controller: what ran, where it was built in Python; no file holds it.
+        laws: network laws that were built in Python, by their paths.
+        folder: where the file of an own module or an FMU stands; nothing of it is read without being asked to.
+
+    Raises:
+        HilError: what ran cannot be made again, with what it takes.
+    """
+    if not run.resolved:
+        raise HilError(f"{source}: the log carries no resolved experiment")
+    objects = {name: given for name, given in (("plant", plant), ("controller", controller)) if given is not None}
+    objects |= laws or {}
+    experiment = experiment_from_resolved(run.resolved, run.experiment_text, source, folder=folder, objects=objects)
+    absent = [part for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
+    if absent:
+        told = "; ".join(f"its {part.field} was {part.why}" for part in absent)
+        asked = ", ".join(f"{part.field}=..." for part in absent if part.kind.startswith(OBJECT))
+        helps = [f"in Python, hil.verify({source!r}, {asked}) takes what ran"] if asked else []
+        if any(not part.kind.startswith(OBJECT) for part in absent):
+            helps.append("--folder DIR (in Python folder=...) says where its file stands")
+        raise HilError(f"{source}: {told}; {'; '.join(helps)}")
+    return experiment
+
+
+def changed_files(run: Run, experiment: Experiment) -> list[str]:
+    """Return a sentence for every own module that is not, word for word, the one that ran.
+
+    Args:
+        run: the log.
+        experiment: made again from it.
+    """
+    now = experiment.origins()
+    pairs = {name: (run.metadata.get(name), now.get(name)) for name in ("plant", "controller", *now)}
+    return [f"{name}: {was} ran; now it is {told}" for name, (was, told) in pairs.items() if was and told and was != told]
+
+
+def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
+    """Feed the recorded sensor frames to the loop's controller; give the slot and its answer."""
+    node = ControlNode(loop)
+    for tick, data in frames(run.pieces(SENSOR.name, BATCH)):
+        answer = node.hear(data)
+        if answer is not None:
+            yield tick, answer
+
+
+class Recorded:
+    """The link of a replay: what was recorded answers, and our controller says whether it would have said the same.
+
+    Args:
+        loop: the composed experiment.
+        heard: the control packets that arrived in time.
+        foreign: somebody else's controller answered; ours is not asked.
+    """
+
+    def __init__(self, loop: Loop, heard: Heard, foreign: bool) -> None:
+        self._node, self._heard, self._foreign = ControlNode(loop), heard, foreign
+        self._period_ns = loop.experiment.period_ns
+        self._answer: bytes | None = None
+        self.difference: tuple[int, str] | None = None  # of bits
+        self.far: tuple[int, str] | None = None
+
+    def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
+        """Ask our controller."""
+        answers = [answer for answer in map(self._node.hear, frames) if answer is not None]
+        self._answer = answers[-1] if answers else None
+
+    def answer(self, t_ns: int, hear: Hear) -> None:
+        """Hand over what was recorded, and compare."""
+        k = t_ns // self._period_ns
+        recorded = self._heard.get(k)
+        if recorded is None:
+            return
+        hear(recorded)
+        if not self._foreign and self._answer != recorded and _said(self._answer) != _said(recorded):
+            text = f"control packet of slot {k}: {_words(recorded)} recorded, {_words(self._answer)} now"
+            self.difference = self.difference or (k, text)
+            if self._answer is None or not near_frames(recorded, self._answer):
+                self.far = (k, text)
+
+
+def verify(run: Run, source: str = "log", experiment: Experiment | None = None) -> Verdict:
+    """Run controller and rig again on the recorded control packets; compare every record.
+
+    What is not compared: times measured (``/timing/tick``), late packets, events, and the packets of a foreign controller.
+
+    Args:
+        run: the log.
+        source: its name, for messages.
+        experiment: what `experiment_of` made of it, where it took more than the log.
+
+    Raises:
+        HilError: if the log has no slots.
+    """
+    experiment = experiment_of(run, source) if experiment is None else experiment
+    loop = compose(experiment, certify=False)
+    foreign = run.session.get("external_controller") == "True"
+    applied = run.numbers(APPLIED.name)
+    if not len(applied):
+        raise HilError(f"{source}: the log holds no slots")
+    ended = any(event["kind"] == "outcome" for event in run.events)
+    slots = int(applied["tick"][-1]) + ended  # the last slot of a rig that was killed may be torn
+    heard = Heard(run)
+    channels = loop.channels()
+    compared = sorted(topic for topic in channels if topic != TIMING.name and topic in run.arrays)  # an older log may lack one
+    again = Comparison(run, channels, compared, slots)
+    began = Woken(run, experiment.period_ns).at
+    rig = Rig(loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, recorded_wire(run), woken=began)
+    recorded = Recorded(loop, heard, foreign)
+    slot = Slot(rig, recorded, stopped=lambda: recorded.far is not None)
+    for k in range(slots):
+        slot.run(k * experiment.period_ns)
+        if recorded.far is not None:
+            slots = k
+            break
+        if k % BATCH == BATCH - 1:
+            again.compare()
+    again.compare()
+    far = again.far(slots) + ([] if recorded.far is None else [recorded.far])
+    exact = again.differences(slots) + ([] if recorded.difference is None else [recorded.difference])
+    likeness: Likeness = "different" if far else "same within 1e-9" if exact else "same bits"
+    _, text = min(far or exact, default=(slots, None))
+    alike = min(far, default=(slots, ""))[0]
+    return Verdict(
+        likeness=likeness, answers=0 if foreign else heard.answered(alike), states=min(alike, slots), difference=text
+    )
+
+
+def _said(data: bytes | None) -> bytes | None:
+    """Return what an answer says: not its tag, which the link adds, nor its counter, which counts what was lost, too."""
+    packet = decode(data) if data is not None else None
+    return encode_control(packet._replace(counter=0, tag=b"")) if isinstance(packet, ControlPacket) else data
+
+
+def _words(data: bytes | None) -> str:
+    packet = decode(data) if data is not None else None
+    return str(packet.rows) if isinstance(packet, ControlPacket) else "nothing"
+
+
+def what_if(
+    run: Run, controller: Controller | Designer, kind: str, source: str = "log", experiment: Experiment | None = None
+) -> dict[str, NDArray[np.float64]]:
+    """Ask what another controller would have commanded on the recorded arrivals (the plant does not react).
+
+    Args:
+        run: the log.
+        controller: parameters of the other one.
+        kind: its name.
+        source: name of the log, for messages.
+        experiment: what `experiment_of` made of it, where it took more than the log.
+
+    Returns:
+        ``t_s``, and per input ``recorded_<name>`` (as applied) and ``<kind>_<name>`` (the row with the recorded d and selection
+        history, NaN where nothing was applied).
+    """
+    experiment = experiment_of(run, source) if experiment is None else experiment
+    other = compose(_with_controller(experiment, controller, kind), certify=False)
+    if other.samples != (carried := packet_samples(experiment.controller)):
+        raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")
+    applied = run.numbers(APPLIED.name)
+    names = [f[2:] for f in applied.dtype.names or () if f.startswith("w_")]
+    if not any((piece["status"] == OK).any() for piece in pieces(applied)):
+        raise HilError(f"{source}: the log has no slot with an applied command, so replay compares nothing")
+    d_max, selection = other.model.d_max, other.start_controller().selection
+    d = array("i", whole(applied, "d").astype(np.int32).tobytes())
+    answers, recent = _answers(other, run), _Recent(d_max + REMEMBERED)
+    rows = [Growing(np.float64) for _ in names]
+    for piece in pieces(applied, BATCH):
+        found = []
+        for k, g, status in zip(piece["tick"].tolist(), piece["packet_tick"].tolist(), piece["status"].tolist()):
+            packet = recent.of(g, answers) if status == OK else None
+            if isinstance(packet, ControlPacket):
+                found.append(packet.rows[row_index(selection, k - g, g, d, d_max)])
+            else:
+                found.append((math.nan,) * len(names))
+        for i, column in enumerate(rows):
+            column.extend(np.array([row[i] for row in found]))
+    out: dict[str, NDArray[np.float64]] = {"t_s": whole(applied, "t_ns") / 1e9}
+    for name, column in zip(names, rows):
+        out[f"recorded_{name}"] = whole(applied, name)
+        out[f"{kind}_{name}"] = column.array()
+    return out
+
+
+class _Recent:
+    """The answers of the last slots: what the actuator may still apply."""
+
+    def __init__(self, slots: int) -> None:
+        self._slots, self._last = slots, -1
+        self._packets: dict[int, SensorPacket | ControlPacket | None] = {}
+
+    def of(self, g: int, answers: Iterator[tuple[int, bytes]]) -> SensorPacket | ControlPacket | None:
+        """Return the answer of a slot, reading on as far as need be."""
+        while self._last <= g and (more := next(answers, None)) is not None:
+            self._last = more[0]
+            self._packets[more[0]] = decode(more[1])
+            if len(self._packets) > self._slots:
+                del self._packets[next(iter(self._packets))]
+        return self._packets.get(g)
+
+
+def _with_controller(experiment: Experiment, controller: Controller | Designer, kind: str) -> Experiment:
+    return replace(experiment, controller=controller, kinds={**experiment.kinds, "controller": kind}, allow_uncertified=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Playback:
+    """How a playback kept its own time: error of each frame against its recorded instant, us."""
+
+    frames: int
+    error_us: dict[str, float]
+
+
+def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], None] = lambda i, n: None) -> Playback:
+    """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
+    count = sum(len(run.numbers(topic)) for topic in FRAME_TOPICS)
+    ways = [_of_role(run, topic, role) for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True)]
+    schedule = heapq.merge(*ways, key=itemgetter(0))
+    begin = next(schedule, None)
+    if begin is None:
+        raise HilError("the log has no frames to play")
+    errors = Growing(np.float64)
+    if run.resolved.get("nodes"):  # each on its own CAN identifiers
+        uri = link_uri(experiment_of(run, "the log"), uri)
+    with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
+        links = {"rig": rig, "controller": controller}
+        clock = RealClock(monotonic_ns() + 100_000_000)
+        found: list[float] = []
+        for i, (t_ns, role, data) in enumerate(chain([begin], schedule)):
+            at = round((t_ns - begin[0]) / speed)
+            clock.wait_until(at)
+            found.append((clock.now() - at) / 1e3)
+            links[role].send(data)
+            while links["controller" if role == "rig" else "rig"].receive(0) is not None:
+                pass  # our own other end hears what we play; keep its queue short
+            if i % 50 == 0:
+                progress(i, count)
+            if len(found) == BATCH:
+                errors.extend(np.array(found))
+                found.clear()
+    errors.extend(np.array(found))
+    error = errors.array()
+    points = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
+    return Playback(frames=count, error_us={name: float(np.percentile(error, q)) for name, q in points.items()})
+
+
+def _of_role(run: Run, topic: str, role: str) -> Iterator[tuple[int, str, bytes]]:
+    return ((t_ns, role, data) for t_ns, data in measured_frames(run, topic))

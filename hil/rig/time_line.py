@@ -1,0 +1,88 @@
+"""The faults on the time line of an experiment: what is wrong with them, and what they break in which slots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil.experiment import Experiment
+from hil.experiment.faults import RESTART, Fault
+from hil.rig.sensor_list import sensors_of
+from transport.medium.faulted import Spell
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeLine:
+    """What is broken when.
+
+    Args:
+        nodes: of each sensor node, by number.
+        actuator: of the way from the controller to the actuator.
+        restarts: first slot of each restart of the controller, and the one in which it may answer again.
+    """
+
+    nodes: tuple[tuple[Spell, ...], ...]
+    actuator: tuple[Spell, ...]
+    restarts: tuple[tuple[int, int], ...]
+
+
+def time_line_faults(e: Experiment) -> list[str]:
+    """Return what is wrong with the time line, each with its path."""
+    there = f"there are: {', '.join(e.nodes)}" if e.nodes else "no node is named: use link"
+    return [
+        f"fault[{i}].node: there is no node {fault.node!r} ({there})"
+        for i, fault in enumerate(e.fault)
+        if fault.node is not None and fault.node not in e.nodes
+    ]
+
+
+def beyond_the_end(e: Experiment) -> dict[str, str]:
+    """Return the problem of a run whose time line names what it never reaches; nothing where it reaches all.
+
+    Args:
+        e: a checked experiment.
+
+    >>> from hil.experiment import load_experiment
+    >>> late = "fault=[{at=9,for=1,kind='cut',link='sc'}]"
+    >>> beyond_the_end(load_experiment("dc-motor-hinf", ["duration=5", late]))
+    {'faults': 'fault[0].at: 9 s lies beyond the end of the run (5 s): the cut of links.sc for 1 s never happens'}
+    """
+    told_of = [
+        f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {told(fault)} never happens"
+        for i, fault in enumerate(e.fault)
+        if fault.slots(float(e.period))[0] >= e.ticks
+    ]
+    return {"faults": "; ".join(told_of)} if told_of else {}
+
+
+def time_line(e: Experiment) -> TimeLine:
+    """Return the time line of a checked experiment.
+
+    A controller that is off the bus hears nothing either.
+    """
+    names = [sensor.name for sensor in sensors_of(e)]
+    nodes: list[list[Spell]] = [[] for _ in names]
+    actuator: list[Spell] = []
+    restarts = []
+    for fault in e.fault:
+        first, end = fault.slots(float(e.period))
+        if fault.kind == RESTART:
+            restarts.append((first, end))
+            continue
+        spell = Spell(first, end, fault.kind)
+        if fault.link == "ca":
+            actuator.append(spell)
+        for i, name in enumerate(names):
+            if fault.link == "sc" or fault.node == name or (fault.link == "ca" and fault.kind == "bus-off"):
+                nodes[i].append(spell)
+    return TimeLine(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
+
+
+def told(fault: Fault) -> str:
+    """Return what a fault is, in words.
+
+    >>> from hil.experiment import Seconds
+    >>> told(Fault(at=Seconds(3), lasts=Seconds(0.5), kind="cut", link="ca"))
+    'cut of links.ca for 0.5 s'
+    """
+    words = {"corrupt": "flipped bits on", "freeze": "frozen values on", "bus-off": "bus-off of", RESTART: "restart of"}
+    return f"{words.get(fault.kind, f'{fault.kind} of')} {fault.where} for {fault.lasts:g} s"

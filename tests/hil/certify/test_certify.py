@@ -1,0 +1,237 @@
+"""The one door for certificates: what it says is of the loop that runs, and of no other."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from design.controllers import LoopModel
+from design.requests.scheduled import RobustScheduled
+from design.verdict import Verdict
+from hil.certify.certifier import LoopToCertify
+from hil.certify.certify import CERTIFIERS, certify, digest_of
+from hil.compose.loop import Loop, compose
+from hil.errors import ExperimentError, ForeignVerdict
+from hil.experiment import load_experiment
+from hil.rig.delay_chains import delay_chains
+from hil.session import simulate
+
+
+@cache
+def composed(name: str, *sets: str) -> Loop:
+    return compose(load_experiment(name, [*sets, "allow_uncertified=true"]))
+
+
+def test_a_motor_over_chains_is_certified_with_its_radius_and_the_keys_of_before() -> None:
+    certificate = composed("dc-motor-h2").certificate
+    assert certificate is not None
+    assert certificate["kind"] == "mean-square stability" and certificate["state"] == "certified"
+    assert certificate["number"] == certificate["mean_square_radius"] < certificate["limit"] == 1.0
+    assert certificate["stable"] and certificate["h2_norm"] > 0 and len(certificate["digest"]) == 64
+    assert json.loads(json.dumps(certificate)) == certificate
+
+
+def test_the_number_that_decides_turns_the_verdict() -> None:
+    gains = [composed("dc-motor-local", f"controller.gain=[[{gain}]]").verdict for gain in (-0.05, -0.4515)]
+    assert [v.state for v in gains if v] == ["certified", "refused"]
+    with pytest.raises(ExperimentError, match=r"refused: .*radius 1\.054"):
+        compose(load_experiment("dc-motor-local", ["allow_uncertified=false"]))
+
+
+@pytest.mark.parametrize(
+    ("name", "sets", "why"),
+    [
+        ("dc-motor-packets", ("links.ca.law={kind='packet',latency={trace=['10 ms']}}",), "its latencies are a recorded trace"),
+        ("dc-motor-h2", ('links.sc.law={kind="trace", ages=[0, 1, 2, 0]}',), "states no chain: it is a packet law or a trace"),
+        ("dc-motor-smith", (), "this kind of controller"),
+        ("dc-motor-h2-friction", (), "not decided with a driver that saturates, rounds or has a dead zone, friction, an encoder"),
+    ],
+)
+def test_what_no_theory_knows_is_undecided_and_needs_leave(name: str, sets: tuple[str, ...], why: str) -> None:
+    verdict = composed(name, *sets).verdict
+    assert verdict is not None and verdict.state == "undecided" and why in verdict.reason
+    with pytest.raises(ExperimentError, match=r"undecided: .*allow_uncertified"):
+        compose(load_experiment(name, [*sets, "allow_uncertified=false"]))
+
+
+def test_friction_of_any_kind_leaves_the_linear_claim_undecided_and_a_load_does_not() -> None:
+    for change, state in (
+        ("plant.friction.viscous_v_s_per_rad=0.001", "undecided"),
+        ("plant.encoder.step_rad=1e-6", "undecided"),
+        ("plant.driver.saturation_v=12.0", "undecided"),
+        ("plant.load.torque_v=0.1", "certified"),
+    ):
+        verdict = composed("dc-motor-h2", change).verdict
+        assert verdict is not None and verdict.state == state, change
+
+
+FALSE_CERTIFICATES = [
+    pytest.param("vtol-fault", ("links.sc.law.age=60", "links.ca.law.age=60"), "refused", marks=pytest.mark.slow),
+    ("vtol-fault", ("plant.fault_effectiveness=-60", "plant.initial_fault=2"), "refused"),
+    pytest.param(
+        "smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0"), "refused", marks=pytest.mark.slow
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "sets", "state"), FALSE_CERTIFICATES)
+def test_gains_of_one_plant_are_not_certified_over_another(name: str, sets: tuple[str, ...], state: str) -> None:
+    """The gains that the shipped experiment runs, over the plant and network that were changed after the design."""
+    gains = composed(name).controller
+    experiment = load_experiment(name, [*sets, "allow_uncertified=true"])
+    loop = compose(replace(experiment, controller=gains))
+    assert loop.verdict is not None and loop.verdict.state == state
+    with pytest.raises(ExperimentError, match="no certificate of"):
+        compose(replace(experiment, controller=gains, allow_uncertified=False))
+    assert any(event["kind"] == "safety" for event in simulate(loop, 0).events)  # and rightly so
+
+
+@pytest.mark.parametrize(
+    ("name", "sets"),
+    [
+        pytest.param("vtol-fault", ("plant.fault_effectiveness=-60", "plant.initial_fault=2"), marks=pytest.mark.slow),
+        ("smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0")),
+    ],
+)
+def test_gains_that_are_solved_for_the_changed_plant_are_certified_only_as_they_hold_it(name: str, sets: tuple[str, ...]) -> None:
+    loop = composed(name, *sets)
+    assert loop.verdict is not None and loop.verdict.certified
+    for seed in range(2):
+        run = simulate(loop, seed)
+        assert not [event for event in run.events if event["kind"] == "safety"], seed
+        measured = run.arrays["/plant/measurement"]
+        tenth = len(measured) // 10
+        size = sum(measured[name] ** 2 for name in loop.experiment.plant.tracked)
+        assert size[-tenth:].mean() < 0.2 * size[:tenth].mean(), seed
+
+
+@pytest.mark.parametrize(
+    ("sets", "state"),
+    [
+        (("links.sc.law.age=1", "links.ca.law.age=1"), "certified"),
+        (('links.sc.law={kind="iid", probabilities=[0.5, 0.5]}',), "undecided"),
+        # 164 states with delayed inputs
+        pytest.param(("links.sc.law.age=40", "links.ca.law.age=40"), "undecided", marks=pytest.mark.slow),
+        pytest.param(("links.sc.law.age=60", "links.ca.law.age=60"), "refused", marks=pytest.mark.slow),
+    ],
+)
+def test_delays_that_the_sampled_theory_knows_are_judged_and_others_are_undecided(sets: tuple[str, ...], state: str) -> None:
+    verdict = composed("vtol-fault", *sets).verdict
+    assert verdict is not None and verdict.state == state
+    assert "not decided at T = 0.001 s" in verdict.reason or state != "undecided"
+
+
+@pytest.mark.slow
+def test_robust_gains_are_solved_for_the_plant_that_runs_and_not_for_an_example() -> None:
+    sound, broken = (
+        composed("vtol-fault", f"plant.fault_effectiveness={share}").controller.schedule_of_modes()  # type: ignore[attr-defined]
+        for share in (0.5, -1.0)
+    )
+    assert not np.allclose(sound.gain, broken.gain)
+
+
+def test_a_plant_that_does_not_jump_is_no_plant_for_robust_scheduled_gains() -> None:
+    with pytest.raises(ExperimentError, match=r"controller\.kind: needs a plant that jumps"):
+        compose(load_experiment("vtol-h2", ['controller={kind="robust-scheduled"}']))
+
+
+def test_a_method_that_the_plant_does_not_call_for_is_refused_by_its_field() -> None:
+    with pytest.raises(ExperimentError, match=r"controller\.method: 'delayed-hinf' is not for this plant, which has no delay"):
+        compose(load_experiment("smjls-robust", ['controller.method="delayed-hinf"']))
+
+
+def test_a_verdict_on_another_loop_is_refused() -> None:
+    loop = composed("dc-motor-h2")
+    other = composed("dc-motor-h2", "plant.gain=170.0")
+    assert loop.verdict is not None and other.verdict is not None and loop.verdict.digest != other.verdict.digest
+    with pytest.raises(ForeignVerdict):
+        dataclasses.replace(loop, verdict=other.verdict)
+    with pytest.raises(ForeignVerdict):
+        dataclasses.replace(loop, controller=composed("dc-motor-hinf").controller)
+
+    def careless(loop: LoopToCertify) -> Verdict:
+        return Verdict(kind="mean-square stability", state="certified", reason="of something else", digest="0" * 64)
+
+    with pytest.raises(ForeignVerdict):
+        certify(to_certify(loop), (careless, *CERTIFIERS))
+
+
+def test_everything_that_decides_is_in_the_digest_and_seed_and_schedule_are_not() -> None:
+    def digest(*sets: str) -> str:
+        verdict = composed("dc-motor-h2", *sets).verdict
+        assert verdict is not None
+        return verdict.digest
+
+    same = digest()
+    assert digest("seed=7", "duration=3", 'links.uri="memory:"') == same
+    for change in ("plant.pole=3.5", "period=0.06", 'links.ca.law={kind="constant", age=0}', 'controller.selection="applied"'):
+        assert digest(change) != same, change
+
+
+def to_certify(loop: Loop) -> LoopToCertify:
+    sc, ca = delay_chains(loop.experiment)
+    return LoopToCertify(
+        plant=loop.experiment.plant, controller=loop.controller, model=loop.model, sc=sc, ca=ca,
+        digest=digest_of(loop.experiment, loop.controller, loop.model),
+    )  # fmt: skip
+
+
+def test_a_further_kind_of_loop_gets_its_certificate_by_a_certifier_of_its_own() -> None:
+    loop = to_certify(composed("dc-motor-smith"))
+
+    def passive(loop: LoopToCertify) -> Verdict | None:
+        return Verdict(kind="passivity", state="certified", reason="energy", number=0.1, digest=loop.digest)
+
+    assert certify(loop).state == "undecided"
+    assert certify(loop, (*CERTIFIERS, passive)).kind == "passivity"
+
+
+def test_a_request_says_which_of_its_fields_is_wrong() -> None:
+    for field, value in (("gain_bound", -1.0), ("decay", float("nan")), ("sections", -1)):
+        with pytest.raises(ValueError, match=f"{field}: "):
+            RobustScheduled(**{field: value})
+    assert isinstance(composed("smjls-robust", "controller.sections=3").model, LoopModel)
+
+
+@pytest.mark.parametrize(("delayed", "state"), [(0.9, "undecided"), (0.0, "certified")])
+def test_delayed_states_that_a_certifier_does_not_read_leave_it_undecided(tmp_path, delayed: float, state: str) -> None:
+    """x(k+1) = 0.5 x(k) + 0.9 x(k-1) grows; 0.5 x(k) alone does not: the verdict turns with the matrix A_1."""
+    path = tmp_path / "delayed.toml"
+    path.write_text(f"""
+        name = "delayed"
+        period = "50 ms"
+        duration = "5 s"
+        allow_uncertified = true
+        [plant]
+        kind = "delayed-states"
+        A = [[0.5]]
+        delayed = [[[{delayed}]]]
+        B = [[1.0]]
+        weight = [[1.0]]
+        initial_state = [1.0]
+        [controller]
+        kind = "send-all"
+        gains = [[[[0.0]]]]
+        [links]
+        uri = "memory:"
+        sc.law = {{ kind = "constant", age = 0 }}
+        ca.law = {{ kind = "constant", age = 0 }}
+    """)
+    verdict = compose(load_experiment(path)).verdict
+    assert verdict is not None and verdict.state == state
+    assert ("delayed states" in verdict.reason) == (state == "undecided")
+
+
+def test_a_proof_that_overflows_says_undecided() -> None:
+    experiment = load_experiment("dc-motor-local")
+    states = {}
+    for gain in (-0.03, -0.4515, 1e160):
+        law = dataclasses.replace(experiment.controller, gain=((gain,),))  # as an object: a file is refused such a number
+        certificate = compose(replace(experiment, controller=law, allow_uncertified=True)).certificate
+        states[gain] = certificate["state"], "double precision" in certificate["reason"]
+    assert states == {-0.03: ("certified", False), -0.4515: ("refused", False), 1e160: ("undecided", True)}

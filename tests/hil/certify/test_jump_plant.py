@@ -1,0 +1,137 @@
+"""A plant that jumps hands over its own numbers: ours, and a stranger's."""
+
+from __future__ import annotations
+
+import dataclasses
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from design.as_printed import examples
+from design.controllers import Constant, LoopModel, SendAll
+from design.requests.scheduled import RobustScheduled, Scheduled
+from hil.certify.jump_plant import process_of, system_of
+from hil.compose.loop import compose
+from hil.errors import ExperimentError
+from hil.experiment import load_experiment
+from hil.experiment.limits import Limits
+from hil.experiment.tables import Seconds
+from hil.plugins.checks import check_controller
+from hil.session import simulate
+from plants import DCMotor, DelayedVTOL, FaultyVTOL, PlantError, SwitchedExample, check_plant
+
+TwoSpeedTank: Any = runpy.run_path(str(Path(__file__).with_name("two_speed_tank.py")))["TwoSpeedTank"]
+
+
+def rates(process: Any, h: float) -> np.ndarray[Any, Any]:
+    return np.array([process.rate(mode, h) for mode in range(process.modes)])
+
+
+SOJOURNS = (0.0, 0.2, 0.31, 0.9, 1.7, 1.9, 2.5, 3.7, 9.0)
+
+
+def test_the_switched_example_is_that_of_chapter_2() -> None:
+    ours, printed = system_of(SwitchedExample(uncertainty="none").jump_system()), examples.chapter2_system("none")
+    np.testing.assert_array_equal(ours.a, printed.a)
+    np.testing.assert_array_equal(ours.b, printed.b)
+    for h in SOJOURNS:
+        mine = rates(process_of(SwitchedExample().jump_process()), h)
+        np.testing.assert_allclose(mine, rates(examples.chapter2_process(), h), rtol=1e-14)
+
+
+def test_the_hull_of_the_switched_example_holds_what_sigma_and_rho_can_do() -> None:
+    plant = SwitchedExample(uncertainty_scale=1.5)
+    system = system_of(plant.jump_system())
+    low, high = system.uncertainty.da.min(axis=0), system.uncertainty.da.max(axis=0)  # type: ignore[union-attr]
+    for sigma, rho in np.random.default_rng(0).uniform(-1.5, 1.5, (50, 2)):
+        for mode in (1, 2):
+            off = np.array(plant.matrices(mode, sigma, rho)[0]) - system.a[mode - 1]
+            assert (off >= low[mode - 1] - 1e-12).all() and (off <= high[mode - 1] + 1e-12).all()
+    fixed = SwitchedExample(uncertainty_scale=12.0, sigma=1.0, rho=1.0)
+    certain = system_of(fixed.jump_system())
+    assert certain.uncertainty is None  # type: ignore[union-attr]
+    np.testing.assert_allclose(certain.a[0], fixed.matrices(1, 12.0, 12.0)[0])
+
+
+def test_the_delayed_vtol_is_that_of_chapter_3() -> None:
+    ours, printed = system_of(DelayedVTOL().jump_system()), examples.chapter3_system()
+    for name in ("a", "ad", "b", "c", "e", "delay_slopes"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(printed, name), rtol=1e-14, err_msg=name)
+    assert ours.delay_max_s == printed.delay_max_s  # type: ignore[union-attr]
+    for h in SOJOURNS:
+        np.testing.assert_allclose(
+            rates(process_of(DelayedVTOL().jump_process()), h), rates(examples.chapter3_process(), h), rtol=1e-13
+        )
+
+
+def test_the_faulty_vtol_is_that_of_chapter_4() -> None:
+    ours, printed = system_of(FaultyVTOL().jump_system()), examples.chapter4_system()
+    for name in ("a", "b", "c", "e"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(printed, name), rtol=1e-14, err_msg=name)
+    mine: Any = process_of(FaultyVTOL().jump_process())
+    theirs = examples.chapter4_process(failure_restarts_detection_clock=False)
+    pairs = [(mine.failure, theirs.failure), *zip(mine.detection, theirs.detection, strict=True)]
+    for h in SOJOURNS:
+        for one, other in pairs:
+            np.testing.assert_allclose(rates(one, h), rates(other, h), rtol=1e-13)
+
+
+def tank_loop(**changes: Any) -> Any:
+    plain = load_experiment("smjls-robust", ["period=20 ms", "duration=5"])
+    given: dict[str, Any] = {"plant": TwoSpeedTank(), "controller": RobustScheduled(gain_bound=4.0, decay=0.5)}
+    given |= {"allow_uncertified": False, **changes}
+    return compose(replace(plain, limits=Limits(), kinds={}, **given))
+
+
+def test_a_strangers_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
+    assert any("is a JumpPlant" in sentence for sentence in check_plant(TwoSpeedTank()))
+    loop = tank_loop()
+    assert loop.verdict.certified and loop.verdict.details["continuous_time"] == "certified"
+    assert max(abs(k) for mode in loop.controller.gain for section in mode for row in section for k in row) <= 4.0 + 1e-9
+    level = simulate(loop, 1).arrays["/plant/state"]["level"]
+    assert abs(level[-1]) < 0.1 * abs(level[0])
+    assert any("is a ModeSchedule" in sentence for sentence in check_controller(loop.controller, loop.model))
+
+
+def test_gains_that_a_strangers_plant_outgrew_are_not_certified() -> None:
+    gains = tank_loop().controller
+    with pytest.raises(ExperimentError, match="no certificate of mean-square stability, refused"):
+        tank_loop(controller=gains, plant=TwoSpeedTank(growth=(0.2, 9.0)))
+
+
+def test_a_longer_period_turns_the_verdict_of_the_same_gains() -> None:
+    gains = tank_loop().controller
+    found = [tank_loop(controller=gains, period=Seconds(T), allow_uncertified=True).verdict for T in (0.02, 0.2, 2.0)]
+    assert [verdict.state for verdict in found] == ["certified", "certified", "refused"]
+    assert max(found[0].number, found[1].number) < 1.0
+    assert "are multiplied by at least inf" in found[-1].reason and found[-1].number is None  # JSON has no infinity
+
+
+def test_a_jump_plant_whose_matrices_do_not_fit_is_named() -> None:
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Odd(TwoSpeedTank):  # type: ignore[misc]
+        def jump_system(self) -> Any:
+            return dataclasses.replace(TwoSpeedTank().jump_system(), B=(((1.0, 2.0),), ((1.0, 2.0),)))
+
+    with pytest.raises(PlantError, match=r"Odd\.jump_system: B of shape \(1, 2\)"):
+        check_plant(Odd())
+
+
+def test_checks_say_what_a_plug_in_is_and_what_that_earns() -> None:
+    assert "DCMotor is no JumpPlant" in check_plant(DCMotor())[1]
+    assert "friction" in check_plant(DCMotor.experimental(), tolerance=1.0)[2]
+    model = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.1, tau_max=0, d_max=0)
+    gains = SendAll(gains=((((0.5,),),),))
+    assert any("is a GainTable" in sentence for sentence in check_controller(gains, model))
+    assert any("allow_uncertified only" in sentence for sentence in check_controller(Constant(value=(0.0,)), model))
+    with pytest.raises(AssertionError, match=r"gains of shape \(1, 2\), expected \(1, 0\)"):
+        check_controller(_Blind(gain=((((1.0, 1.0),),),), starts_s=((0.0,),)), model)
+
+
+class _Blind(Scheduled):
+    def start(self, model: LoopModel) -> Any:
+        return Constant(value=(0.0,)).start(model)

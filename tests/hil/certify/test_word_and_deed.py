@@ -1,0 +1,162 @@
+"""What plants and controllers do beside what they say: no plug-in that lies is certified, none that is honest is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from design.controllers import OutputFeedback
+from design.controllers.historical import Historical, HistoricalRun
+from design.controllers.virtual_wall import VirtualWall
+from design.verdict import Verdict
+from hil.api.experiment_source import load_experiment
+from hil.compose.loop import compose
+from hil.errors import ExperimentError
+from plants import SwitchedExample
+from plants.switched_example import SwitchedExampleRun
+from tests.hil.compose.lying_plugins import ANSWERS, CONDITIONS, HONEST, PLANT_LIES, TABLE_LIES, Plant, Table
+
+
+def verdict_on(name: str = "dc-motor-h2", **changes: Any) -> Verdict:
+    found = compose(load_experiment(name, allow_uncertified=True, **changes)).verdict
+    assert found is not None
+    return found
+
+
+def on_own_plant(plant: Plant, controller: Table) -> Verdict | None:
+    """The verdict; None where the loop is refused before one is asked for."""
+    try:
+        return verdict_on(plant=plant, controller=controller, **{"limits.state": {}})
+    except ExperimentError as error:
+        assert "check_plant" in str(error) or "check_controller" in str(error)
+        return None
+
+
+@pytest.mark.parametrize("lie", PLANT_LIES)
+def test_a_plant_that_is_not_its_model_is_not_certified(lie: str) -> None:
+    found = on_own_plant(Plant(lie), Table())
+    if "huge inputs" in lie:  # beyond the limit of the run: no input is ever so large, and the verdict says how far it was tested
+        assert found is not None and any("of 0.005 to 5 V" in said for said in found.assumptions)
+    else:
+        assert found is None or not found.certified, lie
+
+
+@pytest.mark.parametrize("lie", ["none", *HONEST])
+def test_a_load_or_noise_of_an_own_plant_is_no_lie_and_is_named(lie: str) -> None:
+    found = on_own_plant(Plant(lie), Table())
+    assert found is not None and found.certified, found
+    assert any("the plant moves as its model says: compared over" in said for said in found.assumptions)
+    assert any(lie.split()[0] in said for said in found.assumptions) or lie == "none"
+
+
+def test_without_limits_a_plant_is_tested_up_to_a_million() -> None:
+    assert "huge inputs" in CONDITIONS
+    found = verdict_on(plant=Plant("turned, huge inputs"), controller=Table(), limits={})
+    assert found.state == "undecided" and found.reason.startswith("non-linear: ") and "1e+06 V" in found.reason
+
+
+def test_the_number_stands_in_the_refusal() -> None:
+    with pytest.raises(ExperimentError, match=r"refused: your plant is not the model that it tells: inputs up to 0.005 V move"):
+        hil.run("dc-motor-h2", plant=Plant("turned, always"), controller=Table(), **{"limits.state": {}})
+
+
+@pytest.mark.parametrize("lie", TABLE_LIES)
+def test_a_controller_that_is_not_its_table_is_not_certified(lie: str) -> None:
+    found = on_own_plant(Plant(), Table(lie))
+    assert found is None or not found.certified, lie
+
+
+@pytest.mark.parametrize("selection", ["constant", "generated", "previous", "both"])
+@pytest.mark.parametrize("lie", ["last row", "of age 1", "a state"])
+def test_every_information_pattern_is_tested(selection: Any, lie: str) -> None:
+    honest, liar = (on_own_plant(Plant(), Table(name, selection=selection)) for name in ("none", lie))
+    assert honest is not None and honest.certified and liar is not None and liar.state == "refused"
+
+
+def test_a_second_sample_and_an_integral_are_tested() -> None:
+    def second(run: Any, k: int, tau: int, y: Any, r: Any, rows: list[list[float]]) -> None:
+        rows[0][0] += 0.3 * y[-1]
+
+    ANSWERS["second sample"] = second
+    two = {"nodes.sensor": {"outputs": ["y"], "buffer": 2}}
+    for samples, changes in ((2, two), (1, {})):
+        honest, liar = (
+            verdict_on(
+                plant=Plant(), controller=Table(lie, samples=samples, integral=samples == 1), **{"limits.state": {}}, **changes
+            )
+            for lie in ("none", "second sample")
+        )
+        assert "not the one" not in honest.reason and liar.reason.startswith("your controller is not the one that it tells")
+
+
+def test_an_own_feedforward_is_the_authors_affair() -> None:
+    found = on_own_plant(Plant(), Table("an own aim"))
+    assert found is not None and found.certified
+
+
+class Twisted:
+    """Rows of another controller, changed by a function."""
+
+    def __init__(self, running: Any, change: Callable[[int, Any], Any]) -> None:
+        self.running, self.change, self.selection = running, change, running.selection
+        if isinstance(running, HistoricalRun):
+            self.memory = running.memory
+
+    def rows(self, k: int, *asked: Any) -> Any:
+        return self.change(k, self.running.rows(k, *asked))
+
+
+def doubled(k: int, rows: Any) -> Any:
+    return tuple(tuple(2.0 * u for u in row) for row in rows)
+
+
+def test_linear_historical_and_wall_controllers_are_tested() -> None:
+    feedback = OutputFeedback(A=((0.1,),), B=((1.0,),), C=((0.001,),), D=((-0.004,),))
+    cases: list[tuple[Any, str, dict[str, Any]]] = [
+        (OutputFeedback, "dc-motor-h2", {"controller": feedback}),
+        (Historical, "multisensor-published", {}),
+        (VirtualWall, "omni-push", {}),
+    ]
+    for law, name, changes in cases:
+        before = verdict_on(name, **changes)
+        assert before.certified and any("answers as" in said for said in before.assumptions), before.reason
+
+        def lying(self: Any, model: Any, start: Any = law.start) -> Any:
+            return Twisted(start(self, model), doubled)
+
+        own = type(f"Own{law.__name__}", (law,), {"start": lying})
+        controller = compose(load_experiment(name, allow_uncertified=True, **changes)).controller
+        given = {field.name: getattr(controller, field.name) for field in fields(controller)}  # type: ignore[arg-type]
+        found = verdict_on(name, controller=own(**given))
+        assert found.state == "refused" and found.reason.startswith("your controller is not the one that it tells"), found.reason
+
+
+@pytest.mark.parametrize("lie", ["input", "mode 2", "rates", "none"])
+def test_a_plant_that_jumps_is_tested_in_every_mode_and_in_its_rates(lie: str) -> None:
+    class Run(SwitchedExampleRun):
+        def _move(self, from_ns: int, to_ns: int) -> None:
+            held = self._v
+            if lie == "input" or (lie == "mode 2" and self._mode.mode == 2):
+                self._v = (-3.0 * held[0],)
+            super()._move(from_ns, to_ns)
+            self._v = held
+
+    class Own(SwitchedExample):
+        def start(self, rng: np.random.Generator) -> SwitchedExampleRun:
+            slow = replace(self, rate_low=0.02, rate_high=0.03) if lie == "rates" else self
+            return Run(slow, rng)
+
+    found = verdict_on("smjls-robust-published", plant=Own())
+    assert found.certified is (lie == "none"), found.reason
+    assert lie == "none" or found.reason.startswith("your plant is not the model that it tells")
+
+
+def test_the_test_draws_nothing_from_the_run() -> None:
+    noisy = Plant("noise")
+    runs = [hil.run("dc-motor-h2", plant=noisy, controller=Table(), duration=1, **{"limits.state": {}}) for _ in range(2)]
+    assert runs[0].summary["log"]["sha256"] == runs[1].summary["log"]["sha256"]
