@@ -19,8 +19,9 @@ from hil.experiment import load_experiment
 from hil.log.read.run import read_run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.replay.replay import compare as replay_compare
-from hil.replay.replay import replay, verify, what_if
+from hil.replay import compare as replay_compare
+from hil.replay import replay
+from hil.replay.replay import verify, what_if
 from hil.session import run_session, simulate
 from hil.sweeps.seeds import statistics, sweep
 from transport.packets import ControlPacket, decode, encode_control

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-TANK = HERE.parent / "hil" / "compose" / "two_speed_tank.py"
+TANK = HERE.parent / "hil" / "certify" / "two_speed_tank.py"
 
 ENTRY_POINTS = """
 [hil.plants]

@@ -8,8 +8,8 @@ import pytest
 
 from hil.errors import HilError
 from hil.log.read.run import Run
+from hil.replay import recorded as replay_recorded
 from hil.replay.recorded import Heard, recorded_wire
-from hil.replay.replay import recorded as replay_recorded
 from transport import SensorPacket, encode_sensor
 
 
