@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -37,6 +38,18 @@ def test_a_virtual_run_beyond_the_limit_of_a_file_ends_in_order_and_recovers(tmp
     assert recovered.returncode == 0, recovered.stderr
     again = hil(tmp_path, "replay", "r.mcap")
     assert again.returncode == 0, again.stdout + again.stderr
+
+
+def test_no_half_of_a_module_is_kept_under_the_limit_of_a_file(tmp_path: Path) -> None:
+    program = "import resource as r; r.setrlimit(r.RLIMIT_FSIZE, (4096,) * 2); from hil.cli import main; main(['run', '--help'])"
+    cache = {"PYTHONPYCACHEPREFIX": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program], cwd=tmp_path, capture_output=True, text=True,
+        env={name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | cache,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    modules = {path.name.split(".")[0] for path in (tmp_path / "cache").rglob("hil/cli/*.pyc")}
+    assert "run" not in modules, modules
 
 
 MEASURE = """
