@@ -18,6 +18,8 @@ from hil.plugins.own_packages import require_own_packages
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",
     "list": "List experiments and plug-ins.",
+    "show": "Print the file of a shipped experiment.",
+    "new": "Write a plant, controller, law, measure or experiment of your own.",
     "check": "Check a plug-in, and say what it has earned.",
     "laws": "Show the network laws of an experiment: stationary law, burst lengths.",
     "report": "Make a self-contained page from a log.",

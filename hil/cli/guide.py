@@ -10,7 +10,7 @@ import click
 from hil.errors import HilError
 
 ORDER = (
-    "quick-start", "experiments", "own-plant-law-controller", "wire-format", "who-commands", "real-time", "vcan",
+    "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "who-commands", "real-time", "vcan",
     "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls", "several-sensors",
     "identification", "reproducing-the-thesis", "errata", "decisions",
 )  # fmt: skip

@@ -1,0 +1,77 @@
+"""`hil new`: what it writes runs and passes its own tests as it stands; `hil show`: the file of a shipped experiment."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.cli.guide import pages
+from hil.cli.new import PARTS, files_of
+from hil.experiment import shipped
+from tests.hil.cli.conftest import Hil
+
+NAMES = {"plant": "cart", "controller": "pd", "law": "calm", "measure": "effort", "experiment": "first-try"}
+
+
+def test_every_part_is_written_runs_and_passes_its_own_tests(cli: Hil, tmp_path: Path) -> None:
+    for part, name in NAMES.items():
+        status, out, err = cli("new", part, name, "-o", "mine")
+        assert status == 0, err
+        assert f"hil run mine/{name.replace('-', '_')}.toml" in out
+        status, _, err = cli("run", f"mine/{name.replace('-', '_')}.toml")
+        assert status == 0, err
+    tests = [sys.executable, "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", "mine"]
+    done = subprocess.run(tests, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = "".join(path.read_text() for path in Path("mine").glob("test_*.py"))
+    assert f"{len(re.findall('^def test_', written, re.M))} passed" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("plant", "9"), "expected lower-case letters"),
+        (("plant", "../cart"), "expected lower-case letters"),
+        (("plant", "Cart"), "expected lower-case letters"),
+        (("law", "numpy"), "take another: hil new law my_numpy"),
+        (("law", "class"), "take another: hil new law my_class"),
+        (("law", "json"), "take another: hil new law my_json"),
+        (("part", "x"), "is not one of"),
+    ],
+)
+def test_a_name_that_will_not_do_is_refused_and_nothing_is_written(cli: Hil, words: tuple[str, str], says: str) -> None:
+    status, _, err = cli("new", *words)
+    assert status == 2 and says in err and not list(Path().iterdir())
+
+
+def test_files_that_exist_are_kept_without_force(cli: Hil) -> None:
+    Path("test_cart.py").write_text("mine")
+    status, _, err = cli("new", "plant", "cart")
+    assert status == 2 and "test_cart.py: exists already" in err and [p.name for p in Path().iterdir()] == ["test_cart.py"]
+    assert cli("new", "plant", "cart", "--force")[0] == 0 and Path("test_cart.py").read_text() != "mine"
+    assert cli("new", "plant", "cart", "--force")[0] == 0  # its own module is no other one
+
+
+def test_a_folder_that_cannot_be_made_is_one_message(cli: Hil) -> None:
+    Path("file").write_text("")
+    status, _, err = cli("new", "plant", "cart", "-o", "file/below")
+    assert status == 2 and "file/below: cannot be made" in err and "Traceback" not in err
+
+
+def test_the_guide_shows_what_is_written() -> None:
+    shown = re.findall(r"```python\n(.*?)```", pages()["first-plugin"].read_text(encoding="utf-8"), re.S)
+    parts = [part for part in PARTS if part != "experiment"]
+    assert shown == [files_of(part, NAMES[part])[f"{NAMES[part]}.py"] for part in parts]
+
+
+def test_show_prints_a_shipped_experiment_that_runs_as_a_file(cli: Hil) -> None:
+    status, out, _ = cli("show", "dc-motor-hinf")
+    assert status == 0 and out == shipped()["dc-motor-hinf"].read_text(encoding="utf-8")
+    Path("mine.toml").write_text(out)
+    assert cli("run", "mine.toml", "--duration", "1")[0] == 0
+    status, _, err = cli("show", "dc-motor-hin")
+    assert status == 2 and "did you mean 'dc-motor-hinf'?" in err
