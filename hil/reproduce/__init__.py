@@ -1,4 +1,4 @@
-"""The thesis's numbers beside computed ones: one room per chapter, each with a module ``numbers`` that holds its `Chapter`.
+"""The thesis's numbers beside computed ones: a room a chapter, each with a module ``numbers`` that holds its `Chapter`.
 
 A statement is data: what is printed, which computed number, by which rule (``statements``); a row is a statement judged, and no
 verdict is written down (``judgement``). A chapter is a list of stages (``chapter``); ``pages`` draws the results, ``power`` says
