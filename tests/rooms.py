@@ -7,6 +7,7 @@ drawn is computed from the imports themselves, not from the contracts.
 from __future__ import annotations
 
 import ast
+import textwrap
 from pathlib import Path
 
 import grimp
@@ -56,17 +57,21 @@ def says(module: str) -> str:
     return doc.partition(". ")[0].replace("|", "/").replace("``", "`").rstrip(".")
 
 
+def wrapped(item: str) -> str:
+    """Return an item of a list, folded."""
+    return textwrap.fill(item, 118, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
 def drawn() -> str:
-    """Return the tables of all rooms, as they stand in the page."""
+    """Return the lists of all rooms, as they stand in the page."""
     graph = grimp.build_graph(*PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
     lines = []
     for package in PACKAGES:
         found = floors(graph, package)
         rooms = [room for floor in found for room in floor]
         lines += [f"\n### `{package}`: {len(rooms)} rooms on {len(found)} floors\n"]
-        lines += ["| floor | room | what is inside |", "|---|---|---|"]
         for height, floor in zip(range(len(found) - 1, -1, -1), found, strict=True):
-            lines += [f"| {height} | `{room.partition('.')[2]}` | {says(room)} |" for room in floor]
+            lines += [wrapped(f"- {height} `{room.partition('.')[2]}`: {says(room)}") for room in floor]
     return "\n".join(lines).strip() + "\n"
 
 

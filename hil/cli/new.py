@@ -62,7 +62,7 @@ def files_of(part: str, module: str) -> dict[str, str]:
 
     templates = Path(str(resources.files("hil") / "templates"))
     cls = "".join(word.capitalize() for word in module.split("_"))
-    kept = {f"{part}.py": f"{module}.py", f"{part}.toml": f"{module}.toml", f"test_{part}.py": f"test_{module}.py"}
+    kept = {f"{part}.py.txt": f"{module}.py", f"{part}.toml": f"{module}.toml", f"test_{part}.py.txt": f"test_{module}.py"}
     return {
         new: re.sub(r"\bMine\b", cls, re.sub(r"\bmine\b", module, (templates / old).read_text(encoding="utf-8")))
         for old, new in kept.items()
