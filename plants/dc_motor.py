@@ -147,10 +147,20 @@ class DCMotor:
         measured = [[1.0, 0.0], [0.0, 1.0]][: len(self.outputs)]
         return StateSpace(A=[[0.0, 1.0], [0.0, -self.pole]], B=[[0.0], [self.gain]], C=measured)
 
+    def motion(self) -> StateSpace:
+        """Return the model by which it moves: viscous friction moves the pole."""
+        measured = [[1.0, 0.0], [0.0, 1.0]][: len(self.outputs)]
+        return StateSpace(A=[[0.0, 1.0], [0.0, -self._damping]], B=[[0.0], [self.gain]], C=measured)
+
+    @property
+    def _damping(self) -> float:
+        """All viscous friction, 1/s."""
+        return self.pole + self.gain * self.friction.viscous_v_s_per_rad
+
     def beyond_model(self) -> tuple[str, ...]:
-        """Return what acts on this motor and is not in `model`; a load is, as it only moves the point of rest."""
+        """Return what acts on this motor and is not in `motion`; a load is, as it only moves the point of rest."""
         found = [] if self.driver.ideal else ["a driver that saturates, rounds or has a dead zone"]
-        found += ["friction"] if self.friction != Friction() else []
+        found += ["dry friction"] if self.friction.dry else []
         found += ["an encoder that rounds"] if self.encoder.step_rad else []
         return tuple(found)
 
@@ -167,7 +177,7 @@ class DCMotor:
         axes: Axes = (
             RubbingAxes(self.gain, self.pole, self.friction)
             if self.friction.dry
-            else FreeAxes(self.gain, self.pole + self.gain * self.friction.viscous_v_s_per_rad)
+            else FreeAxes(self.gain, self._damping)
         )
         return MotorRuns(
             axes,
@@ -228,7 +238,7 @@ class DCMotorRun:
     __slots__ = ("_angle", "_applied", "_drive", "_move", "_now_ns", "_pieces", "_read", "_speed", "_tacho", "_through")
 
     def __init__(self, motor: DCMotor) -> None:
-        damping = motor.pole + motor.gain * motor.friction.viscous_v_s_per_rad
+        damping = motor._damping
         axis: _Axis = (
             _DryAxis(RubbingAxis(motor.gain, motor.pole, motor.friction))
             if motor.friction.dry

@@ -35,7 +35,7 @@ class LinearPlant:
         states: name and unit of the n states; ("x1", "1"), ... if left out.
         initial_state: x at time 0, n entries; zero if left out.
         saturation: largest magnitude that the actuator puts out, m entries above 0, in the input's unit. A certificate of the
-            model is undecided for a plant with it, or with process noise.
+            model is undecided for a plant with it.
         process_noise: intensity of white noise v on x', n entries, at least 0, in the state's unit per root of a second.
         noise_step_s: v is held over steps of this length, s.
         measurement_noise: standard deviation of white noise e on every output, new with every sample, p entries, at least 0.
@@ -96,9 +96,12 @@ class LinearPlant:
         return StateSpace(A=self.A, B=self.B, C=self.C)
 
     def beyond_model(self) -> tuple[str, ...]:
-        """Return what the matrices do not say; noise of the sensors adds to a linear loop, and stays bounded in it."""
-        saturated = ("saturated actuators",) if self.saturation else ()
-        return (*saturated, "process noise") if any(self.process_noise) else saturated
+        """Return what the matrices do not say; noise adds to a linear loop, and its variance stays bounded in a stable one."""
+        return ("saturated actuators",) if self.saturation else ()
+
+    def own_inputs(self) -> tuple[str, ...]:
+        """Return the process noise, where there is one."""
+        return ("process noise",) if any(self.process_noise) else ()
 
     def sensor_noise(self) -> NDArray[np.float64]:
         """Return the standard deviation of the noise on every output, (p,)."""

@@ -13,6 +13,7 @@ from design.controllers import Controller, GainTable, LoopModel
 from design.verdict import Kind, Verdict
 from hil.certify.said import Said
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
+from hil.rig.motion import motion_of
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -55,6 +56,11 @@ class LoopToCertify:
     neglects: str = ""
     chainless: str = ""
 
+    @property
+    def motion(self) -> LoopModel:
+        """The model with the matrices by which the plant moves: what is judged, beside what the controller knows."""
+        return motion_of(self.plant, self.model)
+
     def no_chain(self) -> str:
         """Return why nothing is known of a loop without chains of ages, as a reason."""
         return f"no certificate covers this kind of network: {self.chainless}" if self.chainless else (
@@ -91,7 +97,7 @@ def limited_to_model(
 
     Args:
         plant: the plant.
-        verdict: on the model x(k+1) = A x(k) + B u(k).
+        verdict: on the model by which it moves, x(k+1) = A x(k) + B u(k).
         knows_state_delays: whether it is on the model with A_1 x(k-1) + ... beside it.
         knows_jumps: whether it is on the model of every mode and on their process.
     """

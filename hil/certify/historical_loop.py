@@ -75,7 +75,7 @@ def certify_historical(loop: LoopToCertify) -> Verdict | None:
     from design.historical_data.guaranteed_cost import Start, certify_cost
     from design.historical_data.phase_gains import gains_undecided, phase_gains
 
-    plant = delayed_plant_of(loop.plant, loop.model)
+    plant = delayed_plant_of(loop.plant, loop.motion)
     if plant is None:
         return undecided(loop, KIND, "the theory knows a plant that does not jump and whose state is measured")
     history = known_past(loop.plant)

@@ -30,7 +30,7 @@ def certify_linear_law(loop: LoopToCertify) -> Verdict | None:
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", f"{missing} a linear controller over a plant that jumps")
     law = loop.said.once("law", lambda: controller.linear_law(loop.model))
-    return limited_to_model(loop.plant, judge_linear_law(loop.model, loop.sc, loop.ca, law, digest=loop.digest))
+    return limited_to_model(loop.plant, judge_linear_law(loop.motion, loop.sc, loop.ca, law, digest=loop.digest))
 
 
 def judge_linear_law(

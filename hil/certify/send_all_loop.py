@@ -34,7 +34,7 @@ def certify_send_all(loop: LoopToCertify) -> Verdict | None:
         return undecided(loop, "mean-square stability", "no certificate covers a table of gains over a plant that jumps")
     gains = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
     verdict = judge_gains(
-        loop.model, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),
+        loop.motion, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),
         integral=integrates(controller), digest=loop.digest,
     )  # fmt: skip
     return limited_to_model(loop.plant, verdict)

@@ -53,15 +53,16 @@ def tested(loop: LoopToCertify, verdict: Verdict) -> Verdict:
 
 def plant_check(loop: LoopToCertify) -> Check:
     """Return what the comparison of a plant's motion with its model says."""
-    plant, model = loop.plant, loop.model
+    plant, model = loop.plant, loop.motion
     if isinstance(plant, JumpPlant):
         from hil.certify.jump_motion_test import jump_check
 
         return jump_check(loop)
     name = "your plant is not the model that it tells"
-    again = plant.model().discretise(model.period_s)
-    if not all(np.array_equal(a, b) for a, b in zip((again.A, again.B, again.C), (model.A, model.B, model.C))):
-        return "refused", f"{name}: model() returns other matrices at every call"
+    again, moves = plant.model().discretise(model.period_s), loop.motion
+    for which, a, b in (("model", again, loop.model), ("motion", moves, model)):
+        if not all(np.array_equal(*pair) for pair in zip((a.A, a.B, a.C), (b.A, b.B, b.C))):
+            return "refused", f"{name}: {which}() returns other matrices at every call"
     n, m = model.B.shape
     delayed = np.asarray(plant.state_delays()) if isinstance(plant, HasStateDelays) else np.zeros((0, n, n))
     history = np.asarray(plant.state_history()) if isinstance(plant, HasStateHistory) else np.zeros((0, n))

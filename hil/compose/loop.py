@@ -319,7 +319,7 @@ def _watched(judged: LoopToCertify, verdict: Verdict, external: bool) -> Watched
     twin = None if stated is None else stated[0]
     if twin is not None and (type(twin) is type(judged.controller) or runs_as(judged.controller, twin, judged.model)):
         twin = None
-    return Watched(plant=one_step(judged.plant, judged.model), controller=twin, claimed=not external)
+    return Watched(plant=one_step(judged.plant, judged.motion), controller=twin, claimed=not external)
 
 
 def _judged(

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, integrates
+from design.controllers import GainTable, feedforward, integrates
 from hil.compose.loop import Loop
 from hil.measure.signals import signals_of
 from hil.measure.step_response import AFTER_S, target_of
 from hil.measure.tracking import squared_unit
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant
 from hil.rig.delay_chains import delay_chains, gains_over, initial_laws
+from hil.rig.motion import motion_of
 from hil.rig.packet_ages import neglects, unheard
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
         or neglects(loop.experiment)
         or isinstance(plant, JumpPlant)
         or (isinstance(plant, HasStateDelays) and np.any(plant.state_delays()))
+        or not np.array_equal(feedforward(motion_of(plant, loop.model)), feedforward(loop.model))  # u* holds another plant
     ):
         return None
     at, at_w, signals, motion = loop.reference(), loop.disturbance(), signals_of(plant), drive_of(loop, slots)
@@ -142,33 +144,36 @@ def left_out(loop: Loop) -> tuple[str, ...]:
     plant = loop.experiment.plant
     beyond = tuple(plant.beyond_model()) if isinstance(plant, BeyondModel) else ()
     damped = loop.experiment.limits.passivity is not None
-    found = (*beyond, *(("any load",) if beyond else ()), *(("the plant's noise",) if _draws(loop) else ()))
+    moved, any_noise = _chance(loop)
+    found = (*beyond, *(("any load",) if beyond or moved else ()), *(("the plant's noise",) if any_noise else ()))
     return (*found, *(("the passivity controller",) if damped else ()))
 
 
-def _draws(loop: Loop) -> bool:
-    """Return whether chance moves the plant or its sensors: whether two generators give two motions."""
-    e, zero = loop.experiment, (0.0,) * loop.model.B.shape[1]
+def _chance(loop: Loop) -> tuple[bool, bool]:
+    """Return whether chance moves the plant, and whether it moves the plant or its sensors: two generators give two motions."""
+    e, zero, measured = loop.experiment, (0.0,) * loop.model.B.shape[1], False
     one, other = (e.plant.start(np.random.default_rng(seed)) for seed in (0, 1))
     for _ in range(min(LOOKED_AT, e.ticks)):
-        if one.measure() != other.measure() or tuple(one.state) != tuple(other.state):
-            return True
+        if tuple(one.state) != tuple(other.state):
+            return True, True
+        measured = measured or one.measure() != other.measure()
         one.advance(e.period_ns, zero)
         other.advance(e.period_ns, zero)
-    return False
+    return False, measured
 
 
 def drive_of(loop: Loop, slots: int) -> tuple[Matrix, Matrix]:
     """Return the plant's first state (n,) and what acts on it beside its inputs, (slots, n), in states' units.
 
     The plant itself moves, without an input: f(k) = x(k+1) - A x(k) - B w(k). Where it has more than its model, f would not be
-    the same with an input: then it is 0, and `left_out` says so.
+    the same with an input, and where chance moves it not the same in the next run: then it is 0, and `left_out` says so.
     """
-    e, A, B, at = loop.experiment, loop.model.A, loop.model.B, loop.disturbance()
+    e, at, model = loop.experiment, loop.disturbance(), motion_of(loop.experiment.plant, loop.model)
+    A, B = model.A, model.B
     run = e.plant.start(np.random.default_rng(0))
     state = first = np.array(run.state)
     drive = np.zeros((slots, len(A)))
-    if isinstance(e.plant, BeyondModel) and e.plant.beyond_model():
+    if _chance(loop)[0] or (isinstance(e.plant, BeyondModel) and e.plant.beyond_model()):
         return first, drive
     zero, last = (0.0,) * B.shape[1], np.zeros(len(A))
     with np.errstate(all="ignore"):
@@ -192,7 +197,7 @@ def _moments(
 ) -> Prediction:  # fmt: skip
     from design.networked_loop.prediction import predict_tracking
 
-    model, at = loop.model, loop.disturbance()
+    model, at = motion_of(loop.experiment.plant, loop.model), loop.disturbance()
     x0, drive = motion
     return predict_tracking(
         model.A, model.B, model.C, *chains, gains_over(controller, model, *chains), controller.selection, r,

@@ -16,6 +16,7 @@ from plants.parts.protocols import (
     HasStateDelays,
     HasStateHistory,
     JumpPlant,
+    MovesOtherwise,
     NamesFiles,
     Plant,
     PlantRun,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BeyondModel", "Designer", "HasCost", "HasOwnInputs", "HasSensorNoise", "HasStateDelays", "HasStateHistory", "JumpPlant",
-    "NamedController", "NamesField", "NamesFiles", "Plant", "PlantRun",
+    "MovesOtherwise", "NamedController", "NamesField", "NamesFiles", "Plant", "PlantRun",
 ]  # fmt: skip
 
 

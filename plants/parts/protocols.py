@@ -75,11 +75,20 @@ class BeyondModel(Protocol):
 
 
 @runtime_checkable
+class MovesOtherwise(Protocol):
+    """A plant that moves by other matrices than a designer sees, and says by which; claims are of these."""
+
+    def motion(self) -> StateSpace | DiscreteStateSpace:
+        """Return the linear model by which it moves, in the states, inputs and outputs of `model`."""
+        ...
+
+
+@runtime_checkable
 class HasOwnInputs(Protocol):
-    """A plant that says what pushes it from within, as time passes and whatever it does itself: loads, hands, gusts."""
+    """A plant that says what pushes it from within, as time passes and whatever it does itself: loads, hands, gusts, noise."""
 
     def own_inputs(self) -> tuple[str, ...]:
-        """Return what pushes it, each a noun phrase; bounded, and no state of its own; empty: nothing does."""
+        """Return what pushes it, each a noun phrase; of bounded size (noise: of bounded variance), and no state of its own."""
         ...
 
 

@@ -36,13 +36,14 @@ def test_noise_has_the_variance_that_is_asked_for_and_keeps_the_contract() -> No
     assert np.var(x) == pytest.approx(0.125, rel=0.11) and np.var(y) == pytest.approx(0.01, rel=0.11)
 
 
-def test_noise_comes_from_the_seed_of_the_run_and_sensor_noise_leaves_the_loop_certified() -> None:
+def test_noise_comes_from_the_seed_of_the_run_and_leaves_the_loop_certified() -> None:
     plant = {"kind": "state-space", **MATRICES, "process_noise": [0.1], "measurement_noise": [0.01]}
-    runs = [hil.run("dc-motor-hinf", plant=plant, seed=seed, allow_uncertified=True, **NETWORK) for seed in (1, 1, 2)]
+    runs = [hil.run("dc-motor-hinf", plant=plant, seed=seed, **NETWORK) for seed in (1, 1, 2)]
     states = [run.arrays["/plant/state"]["x1"] for run in runs]
     assert (states[0] == states[1]).all() and not (states[0] == states[2]).all()
-    assert "not decided with process noise" in runs[0].summary["certificate"]["reason"]
-    swept = hil.sweep("dc-motor-hinf", plant=plant, runs=2, jobs=1, first_seed=1, allow_uncertified=True, **NETWORK)
+    certificate = runs[0].summary["certificate"]
+    assert certificate["state"] == "certified" and any("process noise" in said for said in certificate["assumptions"])
+    swept = hil.sweep("dc-motor-hinf", plant=plant, runs=2, jobs=1, first_seed=1, **NETWORK)
     assert swept.values["sse"].tolist() == [runs[0].metrics["sse"], runs[2].metrics["sse"]]
     quiet = hil.run("dc-motor-hinf", plant=plant | {"process_noise": []}, **NETWORK)
     assert quiet.summary["certificate"]["state"] == "certified"

@@ -49,7 +49,7 @@ def test_the_number_that_decides_turns_the_verdict() -> None:
         ("dc-motor-packets", ("links.ca.law={kind='packet',latency={trace=['10 ms']}}",), "its latencies are a recorded trace"),
         ("dc-motor-h2", ('links.sc.law={kind="trace", ages=[0, 1, 2, 0]}',), "states no chain: it is a packet law or a trace"),
         ("dc-motor-smith", (), "this kind of controller"),
-        ("dc-motor-h2-friction", (), "not decided with a driver that saturates, rounds or has a dead zone, friction, an encoder"),
+        ("dc-motor-h2-friction", (), "a driver that saturates, rounds or has a dead zone, dry friction, an encoder"),
     ],
 )
 def test_what_no_theory_knows_is_undecided_and_needs_leave(name: str, sets: tuple[str, ...], why: str) -> None:
@@ -59,9 +59,23 @@ def test_what_no_theory_knows_is_undecided_and_needs_leave(name: str, sets: tupl
         compose(load_experiment(name, [*sets, "allow_uncertified=false"]))
 
 
-def test_friction_of_any_kind_leaves_the_linear_claim_undecided_and_a_load_does_not() -> None:
+def test_viscous_friction_moves_the_pole_of_the_loop_that_is_judged() -> None:
+    """The verdict is that of a motor whose pole is the sum of both, under the gains and the u* of the nominal one."""
+    viscous, faster = (
+        composed("dc-motor-h2", "controller={kind='local',gain=[[-0.45]]}", change).verdict
+        for change in ("plant.friction.viscous_v_s_per_rad=0.02", f"plant.pole={3.5287 + 172.38 * 0.02!r}")
+    )
+    assert viscous is not None and faster is not None
+    assert viscous.number == pytest.approx(faster.number, rel=1e-12)
+    nominal = composed("dc-motor-h2", "controller={kind='local',gain=[[-0.45]]}").verdict
+    assert nominal is not None and nominal.number is not None and viscous.number is not None
+    assert nominal.number > 1.0 > viscous.number  # another state of the verdict, too
+
+
+def test_dry_friction_leaves_the_linear_claim_undecided_and_a_load_does_not() -> None:
     for change, state in (
-        ("plant.friction.viscous_v_s_per_rad=0.001", "undecided"),
+        ("plant.friction.viscous_v_s_per_rad=0.001", "certified"),
+        ("plant.friction.coulomb_v=0.001", "undecided"),
         ("plant.encoder.step_rad=1e-6", "undecided"),
         ("plant.driver.saturation_v=12.0", "undecided"),
         ("plant.load.torque_v=0.1", "certified"),

@@ -102,8 +102,17 @@ def test_a_shipped_experiment_runs_as_predicted(name: str) -> None:
 def test_what_is_left_out_is_named() -> None:
     said = {name: predict(compose(load_experiment(name), certify=False), 4) for name in ("dc-motor-h2-friction", "omni-identify")}
     friction, noisy = (found.left_out for found in said.values() if found is not None)
-    assert "friction" in friction and "any load" in friction
+    assert "dry friction" in friction and "any load" in friction
     assert noisy == ("the plant's noise",)
+
+
+def test_viscous_friction_is_in_the_prediction() -> None:
+    viscous, faster = (
+        predict(compose(load_experiment("dc-motor-h2", [change]), certify=False), 100)
+        for change in ("plant.friction.viscous_v_s_per_rad=0.02", f"plant.pole={3.5287 + 172.38 * 0.02!r}")
+    )
+    assert viscous is not None and faster is not None
+    assert viscous.left_out == () and viscous.sums[0].mean == pytest.approx(faster.sums[0].mean, rel=1e-9)
 
 
 def test_an_output_that_follows_nothing_is_in_no_sum() -> None:
