@@ -11,7 +11,7 @@ WORKERS := $(shell n=$$(nproc 2>/dev/null || echo 2); [ $$n -gt 2 ] && echo $$n 
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pins help run test .types .virtual check .changed test-slow test-hostile sbom mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
+.PHONY: pins help run test .types .virtual check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -95,6 +95,9 @@ sbom: $(INSTALLED) ## bill of materials of what is installed, CycloneDX 1.6, in 
 	@$(SBOM)/cyclonedx-py environment $(BIN)/python --pyproject pyproject.toml --spec-version 1.6 --output-reproducible \
 	    --mc-type application -o runs/sbom.json
 	@echo "bill of materials  $(CURDIR)/runs/sbom.json"
+
+wheel: $(INSTALLED) ## wheel and source archive in dist/, each tried in a bare environment with every Python that is here
+	@.ci/smoke
 
 pins: $(INSTALLED) ## choose the versions again and write their hashes: constraints.txt, .ci/*.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --extra test \

@@ -12,7 +12,7 @@ import pytest
 TOP = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("script", [".ci/run", ".ci/apt_install", "tests/with_vcan"])
+@pytest.mark.parametrize("script", [".ci/run", ".ci/smoke", ".ci/apt_install", "tests/with_vcan"])
 def test_a_script_is_executable_and_the_shell_reads_it(script: str) -> None:
     assert os.access(TOP / script, os.X_OK)
     subprocess.run(["sh", "-n", str(TOP / script)], check=True)
@@ -24,7 +24,7 @@ def test_ci_calls_scripts_and_targets_that_exist() -> None:
     assert called and all(os.access(TOP / path, os.X_OK) for path in called), called
     targets = re.findall(r"^make (\S+)", text, flags=re.M)
     makefile = (TOP / "Makefile").read_text()
-    assert targets == ["test", "test-vcan"] and all(re.search(rf"^{name}:", makefile, flags=re.M) for name in targets)
+    assert targets == ["test", "test-vcan", "wheel"] and all(re.search(rf"^{name}:", makefile, flags=re.M) for name in targets)
 
 
 def test_ci_runs_the_tests_in_an_order_of_its_own_and_says_which() -> None:
