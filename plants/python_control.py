@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from plants.errors import PlantError
+from plants.parts.control_package import python_control
 from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace
 from plants.parts.protocols import Plant
 from plants.state_space import LinearPlant
@@ -34,9 +35,7 @@ def from_control(
     Raises:
         PlantError: for a model in discrete time, with a direct feedthrough, or without a state.
     """
-    import control
-
-    model = control.ss(system)
+    model = python_control().ss(system)
     if model.isdtime(strict=True):
         raise PlantError(f"from_control: the model has the period {model.dt}; a rig moves a plant in continuous time")
     if np.any(model.D):

@@ -24,6 +24,7 @@ from design.errors import DesignError
 from design.jump_linear.coupled_riccati import solve_bounded_real
 from design.jump_linear.second_moment import Resolvent, expect
 from design.processes.delay_chain import Array
+from design.solvers import solver
 from design.tracking.loop_objective import LoopObjective
 from design.tracking.problem import TrackingProblem
 from design.tracking.stabilise import check_plant, stabilising
@@ -109,9 +110,7 @@ class _Programme:
     """
 
     def __init__(self, problem: TrackingProblem, gains: Array, norm: float) -> None:
-        import cvxpy
-
-        cp: Any = cvxpy  # its type hints miss bmat and trace
+        cp = solver("cvxpy")
         self.structure, self.space, self.norm = problem.structure(), problem.space(), norm
         s = self.structure
         N, n, q = s.B.shape
@@ -175,9 +174,7 @@ class _Programme:
         """Next E_i(P), X_i and free gains, None if the solver has none."""
         import warnings
 
-        import cvxpy
-
-        cp: Any = cvxpy
+        cp = solver("cvxpy")
 
         self.unit.value = (level / self.norm) ** 2
         for parameter, value in zip(self.P0 + self.X0, P + X, strict=True):

@@ -24,6 +24,7 @@ import numpy as np
 from design.errors import Infeasible
 from design.historical_data.information import Mask
 from design.historical_data.lifted_loop import Array, DelayedPlant
+from design.solvers import solver
 
 MARGIN = 1e-6
 
@@ -107,7 +108,7 @@ def proof_without_gains(plant: DelayedPlant, x0: Array) -> tuple[Array, Array]:
     Raises:
         Infeasible: the theorem cannot be met without gains.
     """
-    import cvxpy as cp
+    cp = solver("cvxpy")
 
     n, tau = len(plant.A), plant.memory
     P: Any = cp.Variable((n, n), symmetric=True)
@@ -126,7 +127,7 @@ def proof_without_gains(plant: DelayedPlant, x0: Array) -> tuple[Array, Array]:
 
 
 def _tangent_step(plant: DelayedPlant, mask: Mask, x0: Array, X: Array) -> tuple[Array, Array, Array] | None:
-    import cvxpy as cp
+    cp = solver("cvxpy")
 
     compiler: Any = cp  # its re-exports have no types
     phases, columns, n = mask.shape
@@ -152,7 +153,7 @@ def _tangent_step(plant: DelayedPlant, mask: Mask, x0: Array, X: Array) -> tuple
 
 def diagonal_blocks(blocks: list[Any]) -> Any:
     """Return the block-diagonal matrix of square blocks of one size."""
-    import cvxpy as cp
+    cp = solver("cvxpy")
 
     compiler: Any = cp
     n = blocks[0].shape[0]
@@ -162,7 +163,7 @@ def diagonal_blocks(blocks: list[Any]) -> Any:
 
 def solve_quietly(problem: Any) -> None:
     """Solve a semidefinite programme; where the solver fails its variables have no values."""
-    import cvxpy as cp
+    cp = solver("cvxpy")
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # whatever the solver says of its answer, the caller checks it

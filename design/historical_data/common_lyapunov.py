@@ -9,6 +9,7 @@ import numpy as np
 
 from design.errors import Infeasible
 from design.historical_data.lifted_loop import Array, LiftedLoop
+from design.solvers import solver
 
 MARGINS = (1e-6, 1e-5, 1e-4, 1e-3)
 """By how much the inequalities are asked to hold, as a share of the largest weight: a solver's rounding cannot break them."""
@@ -26,7 +27,7 @@ def common_bound(loop: LiftedLoop, X0: Array) -> tuple[float, Array]:
     Raises:
         Infeasible: no such P was found; ``value`` is the largest eigenvalue that stays.
     """
-    import cvxpy as cp
+    cp = solver("cvxpy")
 
     size, scale = loop.L.shape[-1], float(np.abs(loop.Q).max())
     worst = np.inf

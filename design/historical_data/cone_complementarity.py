@@ -23,6 +23,7 @@ from design.historical_data.block_diagonal import (
 )
 from design.historical_data.information import Mask
 from design.historical_data.lifted_loop import Array, DelayedPlant
+from design.solvers import solver
 
 
 def cone_complementarity(plant: DelayedPlant, mask: Mask, x0: Array, bound: float, *, iterations: int = 30) -> BlockDiagonalProof:
@@ -38,7 +39,7 @@ def cone_complementarity(plant: DelayedPlant, mask: Mask, x0: Array, bound: floa
     Raises:
         Infeasible: no step's answer meets (5.9) with the inverse of P; ``value`` is the bound.
     """
-    import cvxpy as cp
+    cp = solver("cvxpy")
 
     compiler: Any = cp  # its re-exports have no types
     phases, columns, n = mask.shape

@@ -6,12 +6,11 @@ whoever calls verifies the one and makes a proof of the other.
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
+
+from design.solvers import solver
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,11 +44,11 @@ def clarabel(
     q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]
 ) -> tuple[FloatArray, FloatArray, str]:
     """Interior point: x, z and what the solver says of them."""
-    solver: Any = importlib.import_module("clarabel")
-    settings = solver.DefaultSettings()
+    package = solver("clarabel")
+    settings = package.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 2
-    cones = [solver.PSDTriangleConeT(size) for size in sizes]
+    cones = [package.PSDTriangleConeT(size) for size in sizes]
     quadratic = sparse.csc_matrix((q.size, q.size))
-    result = solver.DefaultSolver(quadratic, q, a, b, cones, settings).solve()
+    result = package.DefaultSolver(quadratic, q, a, b, cones, settings).solve()
     return np.array(result.x), np.array(result.z), str(result.status)

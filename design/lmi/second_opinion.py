@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.lmi.program import Inequality, verify
+from design.solvers import solver
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -64,9 +65,7 @@ def second_opinion(
     Returns:
         the matrices found, with the margin of the inequalities at them.
     """
-    import cvxpy
-
-    cp: Any = cvxpy
+    cp = solver("cvxpy")
     begun = time.perf_counter()
     names = sorted({name for item in inequalities for name in item.on})
     unknown = {name: _unknown(cp, like[name], None if bases is None else bases.get(name)) for name in names}

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from design.controllers import LinearLaw
 from design.errors import DesignError, FieldError
+from design.solvers import solver
 
 LocalMethod = Literal["lqr", "lqg", "hinf"]
 Array = npt.NDArray[np.float64]
@@ -70,7 +71,7 @@ def lqr_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
     Raises:
         DesignError: there is no stabilising one.
     """
-    import control
+    control = solver("control")
 
     try:
         F = np.asarray(control.dlqr(A, B, C.T @ C, input_weight**2 * np.eye(B.shape[1]))[0], dtype=np.float64)
@@ -103,7 +104,7 @@ def game_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
 
 def _at_gamma(A: Array, B: Array, C: Array, input_weight: float, gamma: float) -> Array | None:
     """F of the saddle point (u, w) of sum |z|^2 - gamma^2 |w|^2, None where there is none."""
-    import control
+    control = solver("control")
 
     m = B.shape[1]
     both = np.hstack([B, B])
@@ -124,7 +125,7 @@ def _at_gamma(A: Array, B: Array, C: Array, input_weight: float, gamma: float) -
 
 def _filter(A: Array, B: Array, C: Array, noise: float) -> Array:
     """The gain (n, p) by which a sample corrects the state: P C' (C P C' + V)^-1, P by `control.dlqe`."""
-    import control
+    control = solver("control")
 
     V = noise**2 * np.eye(C.shape[0])
     try:

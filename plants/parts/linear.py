@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from plants.errors import FieldError, PlantError
+from plants.parts.control_package import python_control
 from plants.parts.exponential import Rows, drift, zero_order_hold
 
 if TYPE_CHECKING:
@@ -72,9 +73,7 @@ class StateSpace:
 
     def to_control(self) -> control.StateSpace:
         """Return the model as a `control.StateSpace` (imports python-control, which no rig process may do)."""
-        import control
-
-        return control.ss(self.A, self.B, self.C, self.D)
+        return python_control().ss(self.A, self.B, self.C, self.D)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, init=False)
@@ -117,9 +116,7 @@ class DiscreteStateSpace:
 
     def to_control(self) -> control.StateSpace:
         """Return the model as a `control.StateSpace` with this period (imports python-control, see above)."""
-        import control
-
-        return control.ss(self.A, self.B, self.C, self.D, self.period_s)
+        return python_control().ss(self.A, self.B, self.C, self.D, self.period_s)
 
 
 def _checked(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None) -> tuple[Matrix, Matrix, Matrix, Matrix]:

@@ -6,6 +6,7 @@ import json
 from typing import Any, Final
 
 from transport.links.zenoh_link import config, zenoh_directory
+from transport.links.zenoh_package import require_zenoh
 
 LARGEST_INFO: Final = 1 << 20
 """Bytes of an answer that is read."""
@@ -23,7 +24,11 @@ def discover(endpoint: str, wait_s: float) -> list[dict[str, Any]]:
     Args:
         endpoint: of a rig.
         wait_s: how long to wait for answers, s.
+
+    Raises:
+        TransportError: zenoh is not installed.
     """
+    require_zenoh(f"zenoh:{endpoint}")
     import zenoh
 
     entries = {"mode": "client", "connect/timeout_ms": 0, "connect/exit_on_failure": True}

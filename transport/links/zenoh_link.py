@@ -34,6 +34,7 @@ from transport.links.claim import Claim, network
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
 from transport.links.private_directory import private_directory
 from transport.links.zenoh_access import OPTIONS, Access, access
+from transport.links.zenoh_package import require_zenoh
 from transport.links.zenoh_refusals import add_refused, count_into, say
 
 if TYPE_CHECKING:
@@ -270,6 +271,7 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
                 f"link {uri!r}: {host} is not this machine alone, and who reaches it can command the plant; "
                 "use 127.0.0.1, or append ?lan=1"
             )
+    require_zenoh(uri)
     import zenoh
 
     where = (network(), _LOOPBACK.sub("loopback", address)) if protocol in _NETWORKED else (address,)

@@ -1,0 +1,27 @@
+"""`hil doctor` has a remedy only for what is wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from hil.bench import links
+from hil.cli import doctor
+
+
+@pytest.mark.parametrize(("free", "said"), [(240.0, "auto takes one CPU"), (90.0, 'timing.affinity = "free" may be faster here')])
+def test_one_comparison_of_round_trips_is_no_fault(free: float, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def measured(*args: Any, **options: Any) -> list[dict[str, Any]]:
+        return [{"p50_us": free, "note": ""}, {"p50_us": 263.0, "note": ""}]
+
+    monkeypatch.setattr(links, "bench_links", measured)
+    fine, finding, remedy = doctor._zenoh_cpus()
+    assert fine and said in finding and not remedy
+
+
+def test_what_is_fine_has_no_remedy() -> None:
+    checks = [doctor._vcan(), doctor._own_vcan(), doctor._zenoh(), doctor._scheduler(), doctor._idle(), doctor._clock(),
+              doctor._cpus(), doctor._packages(), doctor._tool("sh", "dash", "scripts")]  # fmt: skip
+    for what, fine, finding, remedy in checks:
+        assert finding and bool(remedy) is not fine, what
