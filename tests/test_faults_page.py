@@ -56,6 +56,11 @@ TESTS: dict[str, tuple[str, ...]] = {
     "a second rig or controller of ours": ("test_a_taken_port_is_refused_with_a_hint",
                                            "test_a_bare_uri_is_a_socket_in_a_directory_of_our_own",
                                            "test_a_second_controller_is_refused_until_the_first_has_gone"),
+    "a second controller of ours over zenoh": (
+        "test_a_second_controller_from_another_machine_is_refused_and_a_death_frees_the_role",
+        "test_what_a_refused_controller_says_before_it_knows_reaches_nobody",
+        "test_of_controllers_that_wait_for_one_rig_one_is_heard", "test_a_controller_in_another_network_is_refused_too",
+    ),
     "another user holds": ("test_a_claim_is_a_file_that_no_other_user_reaches",
                            "test_a_directory_that_others_may_enter_or_that_is_a_link_is_refused"),
     "too few file": ("test_a_run_without_descriptors_is_one_message_with_status_2",),
@@ -65,6 +70,11 @@ TESTS: dict[str, tuple[str, ...]] = {
                            "test_what_arrives_first_is_heard_first_whatever_time_its_sender_says"),
     "zenoh: a certificate": ("test_what_the_other_end_would_refuse_says_why", "test_who_does_not_get_in_is_counted",
                              "test_a_controller_whose_rig_is_of_another_authority_says_so"),
+    "zenoh: a name that is revoked": (
+        "test_a_revoked_name_is_refused_at_both_ends_and_another_one_takes_its_place",
+        "test_the_old_key_of_a_revoked_name_connects_and_is_kept_silent_counted_and_said",
+        "test_a_list_that_is_none_opens_no_link",
+    ),
     "a link without key": ("test_doctor_says_in_one_line_who_could_command",
                            "test_over_tls_the_session_runs_and_says_who_could_command"),
     "a directory of sockets": ("test_a_directory_open_to_others_is_refused_with_the_remedy",

@@ -159,7 +159,7 @@ def _certificates(uri: str) -> tuple[bool, str, str]:
     folder = options.get("keys", "")
     for role in ("rig", "controller"):
         ca = options.get("ca", f"{folder}/ca.pem")
-        cert = options.get("cert", f"{folder}/{{role}}.pem").replace("{role}", role)
+        cert = options.get("cert", f"{folder}/{options.get(role, role)}.pem").replace("{role}", role)
         if "{role}" not in options.get("cert", "{role}") and found:
             break  # one end's only
         if not Path(cert).exists():

@@ -41,6 +41,32 @@ def renew(folder: Path, days: int) -> None:
 
 @command.command()
 @click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("name")
+@click.option("--host", "hosts", multiple=True, help="Name or address of a rig of that name besides localhost; several allowed.")
+@click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificate is valid.")
+def issue(folder: Path, name: str, hosts: tuple[str, ...], days: int) -> None:
+    """Make a private key and a certificate called NAME in FOLDER, which `hil keys new` made; it must hold ca.key."""
+    from hil.cli.terminal import visible
+    from hil.files.authority import issue_certificate
+
+    for path in issue_certificate(folder, name, hosts, days):
+        print(visible(str(path)))
+    print(f"zenoh:tls/127.0.0.1:7447?keys={visible(str(folder))}&controller={name}   or &rig={name}, at both ends")
+
+
+@command.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("names", nargs=-1, required=True)
+def revoke(folder: Path, names: tuple[str, ...]) -> None:
+    """Let NAMES in no more: a list in FOLDER, which both ends need beside their ca.pem. Links that are open stay open."""
+    from hil.cli.terminal import visible
+    from hil.files.authority import revoke_names
+
+    print(visible(str(revoke_names(folder, names))))
+
+
+@command.command()
+@click.argument("folder", type=click.Path(path_type=Path))
 def signing(folder: Path) -> None:
     """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub is for who checks them."""
     from hil.cli.terminal import visible

@@ -19,6 +19,9 @@ from hil.errors import HilError
 
 AUTHORITY: Final = "hilrig test CA"
 ENDS: Final = ("rig", "controller")
+File = tuple[Path, bytes, int]
+"""Path, contents, mode."""
+
 BEFORE: Final = timedelta(minutes=5)  # clocks of two machines differ
 
 
@@ -54,28 +57,45 @@ def make_keys(folder: Path, hosts: Sequence[str] = (), days: int = 365) -> list[
 def _write(folder: Path, hosts: Sequence[str], days: int) -> list[Path]:
     begin = datetime.now(UTC) - BEFORE
     end = begin + timedelta(days=days)
+    root, issuer = ec.generate_private_key(ec.SECP256R1()), _name(AUTHORITY)
+    own = _certificate(issuer, issuer, root, begin, end, 0).sign(root, hashes.SHA256())
+    files = [(folder / "ca.pem", own.public_bytes(Encoding.PEM), 0o644), (folder / "ca.key", _pem(root), 0o600)]
+    for name in ENDS:
+        files += end_files(folder, name, root, issuer, hosts, begin, end)
+    return new_files([*files, (folder / "frames.key", os.urandom(16).hex().encode() + b"\n", 0o600)])
+
+
+def end_files(
+    folder: Path, name: str, root: ec.EllipticCurvePrivateKey, issuer: x509.Name, hosts: Sequence[str], begin: datetime,
+    end: datetime,
+) -> list[File]:  # fmt: skip
+    """Return certificate and private key of a new end of a link, as files that are to be made.
+
+    Args:
+        folder: where they will stand.
+        name: what the end is called.
+        root: key of the authority.
+        issuer: what the authority is called.
+        hosts: names and addresses at which the end can be reached, besides localhost.
+        begin: from when the certificate is valid.
+        end: until when.
+    """
     names: list[x509.GeneralName] = [_general(host) for host in dict.fromkeys(("localhost", "127.0.0.1", "::1", *hosts))]
-    root = ec.generate_private_key(ec.SECP256R1())
-    issuer = _name(AUTHORITY)
+    key = ec.generate_private_key(ec.SECP256R1())
+    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
+    builder = _certificate(issuer, _name(name), key, begin, end, None)
+    builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False).add_extension(usage, critical=False)
+    signed = builder.sign(root, hashes.SHA256()).public_bytes(Encoding.PEM)
+    return [(folder / f"{name}.pem", signed, 0o644), (folder / f"{name}.key", _pem(key), 0o600)]
 
-    def certificate(called: x509.Name, key: ec.EllipticCurvePrivateKey) -> x509.CertificateBuilder:
-        builder = x509.CertificateBuilder(issuer_name=issuer, subject_name=called, public_key=key.public_key())
-        builder = builder.serial_number(x509.random_serial_number()).not_valid_before(begin).not_valid_after(end)
-        return builder.add_extension(x509.BasicConstraints(ca=key is root, path_length=0 if key is root else None), critical=True)
 
-    made = [
-        _new(folder / "ca.pem", certificate(issuer, root).sign(root, hashes.SHA256()).public_bytes(Encoding.PEM), 0o644),
-        _new(folder / "ca.key", _pem(root), 0o600),
-    ]
-    for end_of_link in ENDS:
-        key = ec.generate_private_key(ec.SECP256R1())
-        usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
-        builder = certificate(_name(end_of_link), key).add_extension(x509.SubjectAlternativeName(names), critical=False)
-        signed = builder.add_extension(usage, critical=False).sign(root, hashes.SHA256())
-        made.append(_new(folder / f"{end_of_link}.pem", signed.public_bytes(Encoding.PEM), 0o644))
-        made.append(_new(folder / f"{end_of_link}.key", _pem(key), 0o600))
-    made.append(_new(folder / "frames.key", os.urandom(16).hex().encode() + b"\n", 0o600))
-    return made
+def _certificate(
+    issuer: x509.Name, called: x509.Name, key: ec.EllipticCurvePrivateKey, begin: datetime, end: datetime, path_length: int | None
+) -> x509.CertificateBuilder:
+    builder = x509.CertificateBuilder(issuer_name=issuer, subject_name=called, public_key=key.public_key())
+    builder = builder.serial_number(x509.random_serial_number()).not_valid_before(begin).not_valid_after(end)
+    basic = x509.BasicConstraints(ca=path_length is not None, path_length=path_length)
+    return builder.add_extension(basic, critical=True)
 
 
 def _name(common: str) -> x509.Name:
@@ -97,8 +117,14 @@ def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
-def _new(path: Path, data: bytes, mode: int) -> Path:
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
-    with open(descriptor, "wb") as file:
-        file.write(data)
-    return path
+def new_files(files: Sequence[File]) -> list[Path]:
+    """Make files that are not there yet, and return their paths.
+
+    Raises:
+        OSError: one is there, or cannot be written.
+    """
+    for path, data, mode in files:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+        with open(descriptor, "wb") as file:
+            file.write(data)
+    return [path for path, _, _ in files]

@@ -16,7 +16,9 @@ ATTACKS: Final[Mapping[str, tuple[str, ...]]] = {
     "takeover by answers": ("tests/hostile/test_who_commands.py",),
     "takeover by questions": ("tests/hostile/test_forged_questions.py", "tests/hil/runtime/nodes/test_questions.py"),
     "forged and repeated tags (`auth=`)": ("tests/links/test_authenticated_link.py",),
-    "names, passwords, certificates (zenoh)": ("tests/links/test_zenoh_access.py",),
+    "names, passwords, certificates (zenoh)": (
+        "tests/links/test_zenoh_access.py", "tests/links/test_zenoh_claims.py", "tests/links/test_revoked_names.py",
+    ),
     "sockets, channels and descriptors": (
         "tests/links/test_dead_channels.py", "tests/links/test_descriptors.py", "tests/transport/links/test_unix_mesh.py",
     ),

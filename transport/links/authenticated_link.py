@@ -24,7 +24,7 @@ from hmac import compare_digest
 from time import monotonic
 from typing import Final
 
-from transport.links.link import LOOK_S, Closing, Link, LinkCounters, Role, TransportError
+from transport.links.link import LOOK_S, Closing, Link, LinkCounters, OneOfARole, Role, TransportError
 from transport.links.secret_file import read_secret
 from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES
 from transport.wire.tags import Tagged, tag_of, with_tag
@@ -138,6 +138,10 @@ class AuthenticatedLink(Closing):
         if not self._rig:
             self._heard_s = self._now_s()
         return True
+
+    def check_alone(self) -> None:
+        if isinstance(self._link, OneOfARole):
+            self._link.check_alone()
 
     def close(self) -> None:
         self._link.close()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from transport.links.link import TransportError
+from transport.links.revoked import refuse_revoked
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -26,7 +27,7 @@ def check_certificate(ca: str, cert: str, name: str, now: datetime | None = None
         now: instead of the clock's.
 
     Raises:
-        TransportError: expired, not yet valid, of another authority, of another name, or no certificate.
+        TransportError: expired, not yet valid, of another authority, of another or a revoked name, or no certificate.
     """
     from cryptography import x509  # 40 ms that no other link needs
 
@@ -48,6 +49,7 @@ def check_certificate(ca: str, cert: str, name: str, now: datetime | None = None
     called = [str(each.value) for each in own.subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME)]
     if name not in called:
         raise TransportError(f"{cert}: is called {', '.join(called) or 'nothing'}, the other end lets in only {name}")
+    refuse_revoked(ca, *called)
     return min(each.not_valid_after_utc for each in (own, *between))
 
 

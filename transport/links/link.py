@@ -109,6 +109,19 @@ class Tells(Protocol):
         ...
 
 
+@runtime_checkable
+class OneOfARole(Protocol):
+    """A link that learns while it is open that another end has its role."""
+
+    def check_alone(self) -> None:
+        """Say so.
+
+        Raises:
+            TransportError: who has the role.
+        """
+        ...
+
+
 class Closing:
     """`with` for what has `close`."""
 

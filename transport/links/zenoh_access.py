@@ -20,12 +20,13 @@ from typing import Any, Final
 
 from transport.links.certificates import check_certificate
 from transport.links.link import Role, TransportError
+from transport.links.revoked import refuse_revoked, revoked_names
 from transport.links.secret_file import read_secret
 
 OPTIONS: Final = ("keys", "ca", "cert", "key", "rig", "controller", "users")
 """Options of a zenoh URI that say who may speak."""
 
-_PASSED: Final = {"ca": "{keys}/ca.pem", "cert": "{keys}/{role}.pem", "key": "{keys}/{role}.key"}
+_PASSED: Final = {"ca": "{keys}/ca.pem", "cert": "{keys}/{name}.pem", "key": "{keys}/{name}.key"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,12 +38,14 @@ class Access:
         peer: name that the other end's certificate or login must have.
         tls: `ca`, `cert` and `key`, paths; empty without TLS.
         users: file of ``name:password`` lines, empty without passwords.
+        revoked: names whose certificates are let in no more.
     """
 
     role: Role
     peer: str
     tls: dict[str, str]
     users: str
+    revoked: frozenset[str] = frozenset()
 
     def config(self, name: str) -> dict[str, Any]:
         """Return the entries of zenoh's configuration.
@@ -88,17 +91,18 @@ def _deny_all_but(subject: dict[str, Any], role: Role, name: str) -> dict[str, A
         key_exprs = [f"hil/{name}/{key}" for key in keys]
         return {"id": f"{message} {flow}", "permission": "allow", "flows": [flow], "messages": [message], "key_exprs": key_exprs}
 
+    tokens = {"rig": ("rig", "hears/*/*/*"), "controller": ("controller", "controller/*/*/*")}
     told = [
         allow("egress", "declare_subscriber", hears),
         allow("egress", "declare_queryable", "info"),
-        allow("egress", "liveliness_token", role),
+        allow("egress", "liveliness_token", *tokens[role]),
     ]
     peers = [
         allow("ingress", "put", hears),
         allow("egress", "put", says),
         allow("ingress", "declare_subscriber", says),
         allow("ingress", "declare_queryable", "info"),
-        allow("ingress", "liveliness_token", "rig", "controller"),
+        allow("ingress", "liveliness_token", *tokens["controller" if role == "rig" else "rig"]),
         allow(of, "query", "info"),
         allow(to, "reply", "info"),
     ]
@@ -117,8 +121,9 @@ def _deny_all_but(subject: dict[str, Any], role: Role, name: str) -> dict[str, A
 def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Access:
     """Take the options that say who may speak out of a URI's.
 
-    ``keys=DIR`` stands for ``ca=DIR/ca.pem&cert=DIR/{role}.pem&key=DIR/{role}.key``, as `hil keys new` makes them; ``{role}``
-    is rig or controller, so that one URI serves both ends.
+    ``keys=DIR`` stands for ``ca=DIR/ca.pem&cert=DIR/NAME.pem&key=DIR/NAME.key``, as `hil keys new` makes them; NAME is this
+    end's, rig or controller unless ``rig=`` or ``controller=`` choose another. ``{role}`` in a path is rig or controller, so that
+    one URI serves both ends.
 
     Args:
         uri: for messages.
@@ -127,12 +132,13 @@ def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Acce
         options: of the URI; those in `OPTIONS` are taken out.
 
     Raises:
-        TransportError: certificates without TLS, TLS without certificates, files that are not to be had, or a
-            certificate that the other end would refuse.
+        TransportError: certificates without TLS, TLS without certificates, files that are not to be had, a
+            certificate that the other end would refuse, or a name that is revoked.
     """
     said: dict[str, str] = {option: options.pop(option) for option in OPTIONS if option in options}
     if "keys" in said:
-        said = {k: v.replace("{keys}", said["keys"]) for k, v in _PASSED.items()} | {k: v for k, v in said.items() if k != "keys"}
+        made = {k: v.replace("{name}", said.get(role, role)).replace("{keys}", said["keys"]) for k, v in _PASSED.items()}
+        said = made | {k: v for k, v in said.items() if k != "keys"}
     tls = {name: said[name].replace("{role}", role) for name in _PASSED if name in said}
     if protocol == "tls" and len(tls) < len(_PASSED):
         raise TransportError(
@@ -140,6 +146,7 @@ def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Acce
         )
     if protocol != "tls" and tls:
         raise TransportError(f"link {uri!r}: {', '.join(sorted(tls))}: certificates need an endpoint tls/host:port")
+    peer = said.get("controller", "controller") if role == "rig" else said.get("rig", "rig")
     try:
         for name in ("ca", "cert"):
             if name in tls and not stat.S_ISREG(Path(tls[name]).stat().st_mode):
@@ -147,11 +154,13 @@ def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Acce
         if tls:
             read_secret(tls["key"], f"the private key of the {role}")
             check_certificate(tls["ca"], tls["cert"], said.get(role, role))
+            refuse_revoked(tls["ca"], peer)
         if "users" in said:
             read_secret(said["users"], "the file of passwords")
     except OSError as error:
         raise TransportError(f"link {uri!r}: {error.filename}: {error.strerror}") from error
     except TransportError as error:
         raise error if str(error).startswith("link ") else TransportError(f"link {uri!r}: {error}") from error
-    peer = said.get("controller", "controller") if role == "rig" else said.get("rig", "rig")
-    return Access(role=role, peer=peer, tls={k: str(Path(v).absolute()) for k, v in tls.items()}, users=said.get("users", ""))
+    revoked = revoked_names(tls["ca"]) if tls else frozenset[str]()
+    absolute = {k: str(Path(v).absolute()) for k, v in tls.items()}
+    return Access(role=role, peer=peer, tls=absolute, users=said.get("users", ""), revoked=revoked)

@@ -38,10 +38,11 @@ def discover(endpoint: str, wait_s: float) -> list[dict[str, Any]]:
         return []
     try:
         alive: dict[str, set[str]] = {}
-        for reply in session.liveliness().get("hil/*/*", timeout=wait_s):
+        for reply in session.liveliness().get("hil/*/*/**", timeout=wait_s):
             if reply.ok is not None:
-                _, name, role = str(reply.ok.key_expr).split("/")
-                alive.setdefault(name, set()).add(role)
+                _, name, role, *_ = str(reply.ok.key_expr).split("/")
+                if role != "hears":
+                    alive.setdefault(name, set()).add(role)
         told: dict[str, Any] = {}
         for reply in session.get("hil/*/info", timeout=wait_s):
             if reply.ok is not None:

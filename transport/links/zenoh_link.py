@@ -4,9 +4,9 @@ The rig listens at the endpoint and the controller connects to it; there is no r
 packets are published under ``hil/<name>/sensor``, control packets under ``hil/<name>/control``, so that any zenoh program
 that is let in at the rig's endpoint can watch, or be the controller. A peer of the rig does not see what another peer
 publishes, so the rig says again under ``hil/<name>/heard`` what control packets it hears, once somebody listens there. Every
-packet has the encoding `ENCODING` and an attachment ``slot=K;session=S``. A liveliness token ``hil/<name>/rig`` or
-``hil/<name>/controller`` says who is there, and the rig answers queries for ``hil/<name>/info``. Certificates and passwords keep
-all of that from everybody else.
+packet has the encoding `ENCODING` and an attachment ``slot=K;session=S``. Liveliness tokens say who is there and which
+controller the rig hears (`transport.links.zenoh_claims`), and the rig answers queries for ``hil/<name>/info``. Certificates and
+passwords keep all of that from everybody else.
 
 Without an endpoint the link is a Unix socket in a directory of mode 0700 (`zenoh_directory`): who is not this user cannot
 reach it. ``tls/`` takes certificates of both ends, and only the one called *controller* is heard: see
@@ -34,6 +34,7 @@ from transport.links.claim import Claim, network
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
 from transport.links.private_directory import private_directory
 from transport.links.zenoh_access import OPTIONS, Access, access
+from transport.links.zenoh_claims import LEASE_S, Claims, own_name
 from transport.links.zenoh_package import require_zenoh
 from transport.links.zenoh_refusals import add_refused, count_into, say
 
@@ -74,8 +75,8 @@ class ZenohLink(Closing):
         zenoh.ZError: the endpoint cannot be had.
     """
 
-    __slots__ = ("_claims", "_closed", "_error", "_get", "_listened_to", "_name", "_publish", "_queue", "_say_again", "_session",
-                 "_session_id", "_token", "counters", "uri")  # fmt: skip
+    __slots__ = ("_claims", "_closed", "_error", "_get", "_listened_to", "_name", "_publish", "_queue", "_roles", "_say_again",
+                 "_session", "_session_id", "counters", "uri")  # fmt: skip
 
     def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access, claims: Sequence[Closing] = ()) -> None:
         os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
@@ -97,7 +98,7 @@ class ZenohLink(Closing):
         says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
         try:
             if who.tls:
-                met = zenoh.handlers.Callback(partial(_meet, who.peer, self.counters), indirect=False)
+                met = zenoh.handlers.Callback(partial(_meet, who, self.counters), indirect=False)
                 self._session.info.declare_link_events_listener(met, history=True)
             declared = partial(
                 self._session.declare_publisher,
@@ -111,9 +112,10 @@ class ZenohLink(Closing):
                 again = declared(f"hil/{name}/heard")
                 again.declare_matching_listener(zenoh.handlers.Callback(partial(_note, self._listened_to), indirect=False))
                 self._say_again = again.put
-            self._token = self._session.liveliness().declare_token(f"hil/{name}/{role}")  # it lives as long as it is held
+            self._roles = Claims(self._session, name, role, own_name(self._session_id))  # before anything is heard
             # indirect=False: no Python thread in between, which would keep the process alive for ever if left open.
-            heard = zenoh.handlers.Callback(partial(_take, CallbackThreads().keep, self._queue, self.counters), indirect=False)
+            take = partial(_take, CallbackThreads().keep, self._queue, self.counters, self._roles)
+            heard = zenoh.handlers.Callback(take, indirect=False)
             self._session.declare_subscriber(f"hil/{name}/{hears}", heard)
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -148,6 +150,9 @@ class ZenohLink(Closing):
     def _about(self, packet: bytes) -> str:
         return f"slot={int.from_bytes(packet[4:8], 'little')};session={self._session_id}"
 
+    def check_alone(self) -> None:
+        self._roles.check(self.uri)
+
     def tell(self, about: Mapping[str, object]) -> None:
         """Answer queries for ``hil/<name>/info`` with this, and the session, as JSON.
 
@@ -169,19 +174,25 @@ class ZenohLink(Closing):
                 claim.close()
 
 
-def _take(keep: Callable[[], None], queue: SimpleQueue[bytes], counters: LinkCounters, sample: zenoh.Sample) -> None:
+def _take(
+    keep: Callable[[], None], queue: SimpleQueue[bytes], counters: LinkCounters, roles: Claims, sample: zenoh.Sample
+) -> None:
     keep()
-    if queue.qsize() < QUEUE_LIMIT:
+    if not roles.admits(sample):
+        add_refused(counters)
+    elif queue.qsize() < QUEUE_LIMIT:
         queue.put(sample.payload.to_bytes())
     else:
         counters.dropped += 1
 
 
-def _meet(peer: str, counters: LinkCounters, event: zenoh.LinkEvent) -> None:
+def _meet(who: Access, counters: LinkCounters, event: zenoh.LinkEvent) -> None:
     """Count who connects with a certificate of our authority, but another's name; the access-control list keeps it silent."""
-    if str(event.kind).endswith("PUT") and event.link.auth_identifier != peer:
+    name = event.link.auth_identifier
+    if str(event.kind).endswith("PUT") and name != who.peer:
         add_refused(counters)
-        say(f"the certificate is called {str(event.link.auth_identifier)[:80]!r}, expected {peer}")
+        why = "a name that is revoked" if name in who.revoked else f"expected {who.peer}"
+        say(f"the certificate is called {str(name)[:80]!r}, {why}")
 
 
 def _note(listened_to: Event, status: zenoh.MatchingStatus) -> None:
@@ -217,7 +228,7 @@ def config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
         "connect/endpoints": [] if role == "rig" else [endpoint],
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
-        "transport/link/tx/lease": 1000,
+        "transport/link/tx/lease": round(1e3 * LEASE_S),
         # `transport/unicast/lowlatency` is a quarter faster, but there a peer that is stopped (SIGSTOP) blocks `put` for ever.
         "transport/link/tx/queue/size/real_time": 16,  # the default of 2 is less than the frames of one slot may be
         **entries,

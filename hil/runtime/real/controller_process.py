@@ -21,7 +21,7 @@ from hil.runtime.real.child import read_job
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import warm_up_controller
 from hil.runtime.time.clock import monotonic_ns
-from transport.links.link import TransportError
+from transport.links.link import OneOfARole, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 
@@ -63,6 +63,9 @@ def serve(
         uri: the link.
         at_end: given what the controller and its link counted, and in which slot its answers left its table, by how much.
         before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
+
+    Raises:
+        TransportError: the link cannot be had, or the rig hears another controller.
     """
     warm_up_controller(loop)
     node = ControlNode(loop)
@@ -75,6 +78,8 @@ def serve(
                     answer = node.hear(data, monotonic_ns())
                     if answer is not None:
                         link.send(answer)
+                elif isinstance(link, OneOfARole):  # whom the rig does not hear takes no packet
+                    link.check_alone()
         finally:
             counters, counts = asdict(link.counters), asdict(node.counts)
             at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}, node.departed)
