@@ -1,0 +1,254 @@
+"""A CAN bus in time: at every idle instant the lowest identifier wins, and a frame lasts as long as its bits.
+
+The rule of the instant: who is queued at the instant at which the bus becomes idle takes part in that arbitration, who is queued
+later, by however little, does not. A frame of which a part has been sent is never interrupted.
+
+Not modelled: overload frames, the last bit of EOF disturbed, bits that only some nodes see otherwise, the drift of oscillators.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, Protocol
+
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, FrameLength, WireBits, wire_bits
+from transport.can_bus_model.collision import collide
+from transport.can_bus_model.fault_confinement import (
+    RECESSIVE_BITS,
+    RECOVERY_SEQUENCES,
+    SUSPENDED_BITS,
+    ErrorCounters,
+)
+from transport.can_bus_model.noise import flag_bits
+from transport.can_bus_model.transmit_buffer import BufferKind, TransmitBuffer, Waiting
+
+_DELIMITER: Final = 8
+
+
+class Noise(Protocol):
+    """Says which bit of the next frame is disturbed."""
+
+    def first(self, bits: int) -> int | None:
+        """Return its position, None if there is none."""
+        ...
+
+
+class Transmission(NamedTuple):
+    """A frame that was on the bus.
+
+    Attributes:
+        node: who sent it; of several with the very same frame the first.
+        waiting: what was sent.
+        start: first instant of the start of frame, in units.
+        end: end of the EOF, or of the error delimiter.
+        idle: when the bus is idle again.
+        error_bit: position of the bit at which it was destroyed; None: it got through.
+    """
+
+    node: int
+    waiting: Waiting
+    start: int
+    end: int
+    idle: int
+    error_bit: int | None
+
+
+@dataclass(slots=True)
+class CanNode:
+    """One node on the bus.
+
+    Args:
+        buffer: how its frames wait.
+        recovers: whether it comes back by itself from bus-off.
+    """
+
+    buffer: BufferKind = "priority"
+    recovers: bool = True
+    waiting: TransmitBuffer = field(init=False)
+    errors: ErrorCounters = field(default_factory=ErrorCounters)
+
+    def __post_init__(self) -> None:
+        self.waiting = TransmitBuffer(self.buffer)
+
+
+class CanBus:
+    """Nodes on one wire.
+
+    Args:
+        rates: bit rates of all nodes.
+        nodes: everyone on the bus, those that only listen and acknowledge included.
+        noise: disturbances; None: none.
+        idle: first instant at which the bus is idle, in units.
+        status: called with (instant, node) when the error state of a node has changed.
+    """
+
+    def __init__(
+        self,
+        rates: BitRates,
+        nodes: Sequence[CanNode],
+        noise: Noise | None = None,
+        idle: int = 0,
+        status: Callable[[int, int], None] = lambda at, node: None,
+    ) -> None:
+        self.rates, self.nodes = rates, list(nodes)
+        self._noise, self._idle, self._status = noise, idle, status
+        self._busy: set[int] = set()  # nodes with frames that wait
+        self._not_before: dict[int, int] = {}
+        self._off: set[int] = set()
+        self._recessive_since = idle - RECESSIVE_BITS * rates.bit
+        self._now: list[tuple[Transmission, tuple[tuple[int, Waiting], ...]]] = []  # at most one, with all who send it
+
+    def queue(self, node: int, waiting: Waiting) -> Waiting | None:
+        """Let a frame wait, after `advance` to that instant; return the older one whose place it takes.
+
+        An older one that is being sent goes on, and is not sent again if it is destroyed.
+        """
+        self._busy.add(node)
+        old = self.nodes[node].waiting.queue(waiting)
+        sending = {id(each) for _, senders in self._now for _, each in senders}
+        return None if id(old) in sending else old
+
+    def abort(self, node: int, tag: object) -> list[Waiting]:
+        """Take out a node's frames with a tag, unless one is being sent: that one is not sent again, and may get through."""
+        gone = self.nodes[node].waiting.drop(tag)
+        if not self.nodes[node].waiting:
+            self._busy.discard(node)
+        return gone
+
+    def advance(self, until: int) -> list[Transmission]:
+        """Let time pass; return what ended, in order, up to that instant and at it.
+
+        Arbitration at that very instant is left for the next call: whoever is queued in it takes part.
+
+        Args:
+            until: an instant in units, not before the last one.
+        """
+        ended: list[Transmission] = []
+        while True:
+            if self._now:
+                if self._now[0][0].end > until:
+                    return ended
+                ended.append(self._finish(*self._now.pop()))
+            start = self._next_start()
+            back = self._next_recovery()
+            if back is not None and back < until and (start is None or back <= start):
+                self._recover(back)
+            elif start is None or start >= until:
+                return ended
+            else:
+                self._begin(start)
+
+    def _next_start(self) -> int | None:
+        best = None
+        for node in self._busy - self._off if self._off else self._busy:
+            ready = self.nodes[node].waiting.head().queued
+            if node in self._not_before:
+                ready = max(ready, self._not_before[node])
+            if ready <= self._idle:
+                return self._idle
+            best = ready if best is None or ready < best else best
+        return best
+
+    def _next_recovery(self) -> int | None:
+        missing = [RECOVERY_SEQUENCES - self.nodes[i].errors.sequences for i in self._off if self.nodes[i].recovers]
+        return self._recessive_since + min(missing) * RECESSIVE_BITS * self.rates.bit if missing else None
+
+    def _recover(self, at: int) -> None:
+        sequences = self._sequences(at)
+        for i in sorted(self._off):
+            errors = self.nodes[i].errors
+            if self.nodes[i].recovers and errors.sequences + sequences >= RECOVERY_SEQUENCES:
+                errors.recover()
+                self._off.discard(i)
+                self._not_before[i] = at
+                self._status(at, i)
+
+    def _sequences(self, at: int) -> int:
+        return (at - self._recessive_since) // (RECESSIVE_BITS * self.rates.bit)
+
+    def _begin(self, start: int) -> None:
+        for i in self._off:
+            self.nodes[i].errors.sequences += self._sequences(start)
+        ready = [i for i in self._busy if i not in self._off and self._not_before.get(i, start) <= start]
+        heads = {i: head for i in ready if (head := self.nodes[i].waiting.head()).queued <= start}
+        self._not_before.clear()  # who waited so long receives now
+        best = min(head.key for head in heads.values())
+        senders = sorted(i for i, head in heads.items() if head.key == best)
+        if len(heads) > len(senders):
+            for head in heads.values():
+                head.lost += head.key != best
+        sent = heads[senders[0]]
+        error = None
+        if len(senders) > 1:
+            wires = [wire_bits(heads[i].frame).bits for i in senders]
+            met = collide(wires, [self.nodes[i].errors.passive for i in senders])
+            for place in met.fallen:
+                self._send_failed(senders[place], start)
+            senders, error = [senders[place] for place in met.senders], met.bit
+            sent = heads[senders[0]]
+        length = sent.bits()
+        if error is None and self._noise is not None:
+            error = self._noise.first(sum(length) - INTERMISSION - 1)
+        listeners = len(self.nodes) - len(self._off) - len(senders)
+        unanswered = not listeners
+        if unanswered and (error is None or error > sum(length) - 12):
+            error = sum(length) - 12  # the ACK slot stays recessive
+        for i in senders:
+            heads[i].attempts += 1
+        idle = start + self.rates.duration(length)
+        if error is not None:
+            idle = start + self._broken(sent, length, error, senders, answered=not unanswered)
+        transmission = Transmission(senders[0], sent, start, idle - INTERMISSION * self.rates.bit, idle, error)
+        self._now.append((transmission, tuple((i, heads[i]) for i in senders)))
+
+    def _broken(self, sent: Waiting, length: FrameLength, error: int, senders: Sequence[int], *, answered: bool) -> int:
+        """Return how long a destroyed frame holds the bus, with error flags, delimiter and intermission."""
+        if sent.length is None:
+            wire = wire_bits(sent.frame)
+        else:  # no content: no equal bits in a row, and the data bit rate up to the CRC delimiter
+            first = length.nominal - len(ACK_TO_INTERMISSION)
+            wire = WireBits(("01" * sum(length))[: sum(length)], (first, first + length.data))
+        first, end = wire.fast
+        fast = min(max(error + 1 - first, 0), end - first)
+        active = any(not self.nodes[i].errors.passive for i in senders)
+        flags = flag_bits(wire.bits, error, dominant=active, answered=answered)
+        nominal = error + 1 - fast + flags + _DELIMITER + INTERMISSION
+        return nominal * self.rates.bit + fast * self.rates.data_bit
+
+    def _send_failed(self, i: int, at: int, *, unanswered: bool = False) -> None:
+        node = self.nodes[i]
+        before = node.errors.state
+        node.errors.send_failed(unanswered=unanswered)
+        if node.errors.off:
+            self._off.add(i)
+            node.errors.sequences = 0
+        if node.errors.state != before:
+            self._status(at, i)
+
+    def _finish(self, done: Transmission, senders: Sequence[tuple[int, Waiting]]) -> Transmission:
+        of = {i for i, _ in senders}
+        unanswered = len(self.nodes) - len(self._off) == len(senders)
+        self._idle, self._recessive_since = done.idle, done.idle - RECESSIVE_BITS * self.rates.bit
+        for i, waiting in senders:
+            node, before = self.nodes[i], self.nodes[i].errors.state
+            if done.error_bit is None:
+                node.errors.sent()
+                node.waiting.remove(waiting)
+                if node.errors.state != before:
+                    self._status(done.end, i)
+            else:
+                self._send_failed(i, done.end, unanswered=unanswered)
+            if not node.waiting:
+                self._busy.discard(i)
+            if node.errors.passive:
+                self._not_before[i] = done.idle + SUSPENDED_BITS * self.rates.bit
+        for i, node in enumerate(self.nodes):
+            errors = node.errors
+            if i not in of and (done.error_bit is not None or errors.rec) and i not in self._off:
+                before = errors.state
+                errors.received() if done.error_bit is None else errors.receive_failed()
+                if errors.state != before:
+                    self._status(done.end, i)
+        return done
