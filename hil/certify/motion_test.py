@@ -34,10 +34,11 @@ LARGEST = 1e60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Track:
-    """States and outputs of a run, slot by slot after the first: (k, n') and (k, p)."""
+    """States and outputs of a run, slot by slot after the first: (k, n') and (k, p); what it says was put out, (k - 1, m)."""
 
     states: Array
     outputs: Array
+    applied: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,15 +66,17 @@ class Departure:
 def drive(plant: Plant, period_ns: int, inputs: Array, seed: int = SEED) -> Track:
     """Return what a plant does under given inputs, (k, m), driven as a rig drives it; it ends where a number is not finite."""
     run, still = plant.start(np.random.default_rng(seed)), (0.0,) * inputs.shape[1]
-    states, outputs = [run.state], [run.measure()]
+    states, outputs, applied = [run.state], [run.measure()], []
     for u in inputs.tolist():
         run.advance(period_ns, tuple(u), still)
         y, x = run.measure(), run.state
         states.append(x)
         outputs.append(y)
+        applied.append(run.applied)
         if not abs(sum(x)) + abs(sum(y)) < LARGEST:
             break
-    return Track(states=np.array(states, dtype=float), outputs=np.array(outputs, dtype=float))
+    of_inputs = np.array(applied, dtype=float).reshape(len(applied), inputs.shape[1])
+    return Track(states=np.array(states, dtype=float), outputs=np.array(outputs, dtype=float), applied=of_inputs)
 
 
 def random_inputs(slots: int, inputs: int) -> Array:
@@ -86,6 +89,7 @@ def random_inputs(slots: int, inputs: int) -> Array:
             held = int(rng.choice((1, 1, 2, 5, 20)))
             column[k : k + held] = column[k]
             k += held
+        column /= np.where(column > 0.0, column.max(), -column.min())  # both limits are reached
     return found
 
 
@@ -124,10 +128,18 @@ def departure(
     kept = int(beyond.argmax()) if beyond.any() else len(x)
     inputs, x = inputs[: max(kept - 1, 1)], x[: max(kept, 2)]
     driven = drive(plant, round(model.period_s * 1e9), inputs)
-    told = x @ model.C.T
-    pairs = [(driven.outputs, free.outputs, told, [tuple(s) for s in plant.outputs])]
+    pairs = [(driven.outputs, free.outputs, x @ model.C.T, [tuple(s) for s in plant.outputs])]
     if driven.states.shape[1] == x.shape[1]:
         pairs.append((driven.states, free.states, x, [tuple(s) for s in plant.states]))
+    told = driven.applied
+    put_out = np.abs(told - inputs[: len(told)]) > EQUAL * size * unit
+    if put_out.any():
+        at, j = divmod(int(put_out.argmax()), put_out.shape[1])
+        what, name = (str(each) for each in plant.inputs[j])
+        return Departure(
+            size=size, share=np.inf, slot=at, signal=(f"applied {what}", name), found=float(told[at, j]),
+            foretold=float(inputs[at, j]), slots=len(x) - 1,
+        )  # fmt: skip
     worst = Departure(size=size, share=0.0, slot=0, signal=("", ""), found=0.0, foretold=0.0, slots=len(x) - 1)
     largest = float(np.abs(x).max()) if x.size else 0.0
     for moved, rest, expected, signals in pairs:

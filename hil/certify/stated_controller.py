@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from design.controllers import (
+    FromSamples,
     GainTable,
     HistoryGains,
     LinearFeedback,
-    LoopModel,
     ModeSchedule,
     OutputFeedback,
     SendAll,
@@ -22,7 +22,7 @@ from design.controllers import (
 )
 from design.controllers.rendered_wall import RendersWall
 from design.verdict import State
-from hil.certify.answers_test import Answer, Question, Start, compared, drifts, over_nodes, question
+from hil.certify.answers_test import Answer, Question, Running, Start, compared, drifts, over_nodes, question
 from hil.certify.certifier import LoopToCertify, table_of
 from hil.certify.motion_test import ALIKE, EQUAL
 
@@ -42,9 +42,11 @@ def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
     twin, asked = stated
     if isinstance(controller, GainTable) and not np.array_equal(table_of(loop, controller), controller.table(model)):
         return "refused", f"{NAME}: table() returns other gains when it is asked again"
-    selection, of_twin = controller.start(model).selection, twin.start(model).selection
-    if selection != of_twin or loop.selection not in ("", selection):
-        return "refused", f"{NAME}: it answers by the rule {selection!r} and states {of_twin!r}"
+    running, told = controller.start(model), twin.start(model)
+    if running.selection != told.selection or loop.selection not in ("", running.selection):
+        return "refused", f"{NAME}: it answers by the rule {running.selection!r} and states {told.selection!r}"
+    if looks_back(running) != looks_back(told):
+        return "undecided", f"the controller {handed(running)}, what it states {handed(told)}: in the run they cannot be compared"
 
     def own() -> object:
         return controller.start(model)
@@ -112,15 +114,25 @@ def stated_by(loop: LoopToCertify) -> tuple[Controller, Question] | None:
     return None
 
 
-def runs_as(controller: Controller, twin: Controller, model: LoopModel) -> bool:
-    """Return whether a controller runs as what it states: started, both are of one class, bit for bit the same inside."""
-    running, stated = controller.start(model), twin.start(model)
+def runs_as(running: Running, stated: Running) -> bool:
+    """Return whether a controller that runs is what it states: both of one class, bit for bit the same inside."""
     if type(running) is not type(stated):
         return False
     try:
         return pickle.dumps(running) == pickle.dumps(stated)
     except (pickle.PicklingError, AttributeError, TypeError):  # it holds what has no bytes, such as a function
         return False
+
+
+def looks_back(running: Running) -> int | None:
+    """Return the age in slots of the oldest sample that a running controller is handed; None where it gets the newest alone."""
+    return running.memory if isinstance(running, FromSamples) else None
+
+
+def handed(running: Running) -> str:
+    """Return in words which samples a running controller is handed."""
+    memory = looks_back(running)
+    return "takes the newest sample alone" if memory is None else f"takes every sample of the last {memory + 1} slots"
 
 
 def _nested(K: np.ndarray) -> tuple:  # type: ignore[type-arg]

@@ -34,7 +34,7 @@ from hil.certify.certify import certify as certified
 from hil.certify.certify import digest_of, of_external
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.certify.jump_plant import process_of, system_of
-from hil.certify.stated_controller import runs_as, stated_by
+from hil.certify.stated_controller import stated_by
 from hil.certify.watched import Watched, one_step
 from hil.compose.fit import check_own, check_references, size_faults
 from hil.compose.law_files import with_law_files
@@ -311,13 +311,13 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
 def _watched(judged: LoopToCertify, verdict: Verdict, external: bool) -> Watched | None:
     """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
 
-    A controller that states itself, word for word, is not compared with itself; nor is one that runs as what it states.
+    A controller that states itself, word for word, is not compared with itself.
     """
     if not verdict.certified and not external:
         return None
     stated = None if external else stated_by(judged)
     twin = None if stated is None else stated[0]
-    if twin is not None and (type(twin) is type(judged.controller) or runs_as(judged.controller, twin, judged.model)):
+    if twin is not None and type(twin) is type(judged.controller):
         twin = None
     return Watched(plant=one_step(judged.plant, judged.motion), controller=twin, claimed=not external)
 

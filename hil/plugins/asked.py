@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final
+from typing import Any
 
-from hil.plugins.own_packages import OURS, ROOT
-
-_OUR_FOLDERS: Final = tuple(str(ROOT / name) + "/" for name in ("hil", *OURS))
+from hil.plugins.own_packages import OUR_FOLDERS
 
 
 def needs(made: object, what: str, names: Mapping[str, str]) -> None:
@@ -63,7 +61,7 @@ def told_of(error: BaseException, objects: Iterable[object]) -> str | None:
     """
     modules = (sys.modules.get(type(made).__module__) for made in objects)
     files = {str(getattr(module, "__file__", None)) for module in modules}
-    theirs = {file for file in files if not file.startswith(_OUR_FOLDERS)}
+    theirs = {file for file in files if not file.startswith(OUR_FOLDERS)}
     frames = traceback.extract_tb(error.__traceback__)
     return words(error) if any(frame.filename in theirs for frame in frames) else None
 
@@ -74,6 +72,6 @@ def words(error: BaseException) -> str:
     Args:
         error: as it was caught.
     """
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(_OUR_FOLDERS)]
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(OUR_FOLDERS)]
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
@@ -11,6 +12,7 @@ from hil.errors import HilError
 OURS: Final = ("design", "plants", "transport")
 ROOT: Final = Path(__file__).resolve().parents[2]
 """The folder that holds hil and its three packages: a checkout, or `site-packages`."""
+OUR_FOLDERS: Final = tuple(f"{ROOT / name}/" for name in ("hil", *OURS))
 
 REMEDY: Final = "rename it, or start Python from another folder or with python -P (pytest: --import-mode=importlib)"
 
@@ -39,3 +41,12 @@ def require_own_packages() -> None:
     if found:
         lines = [f"{path or 'no module'} shadows hilrig's package {name!r}" for name, path in found.items()]
         raise HilError("\n".join([*lines, REMEDY]))
+
+
+def is_ours(made: object) -> bool:
+    """Return whether the class of an object stands in our own packages, under its name."""
+    cls = type(made)
+    module = sys.modules.get(cls.__module__)
+    found = getattr(module, cls.__qualname__, None)
+    file = getattr(module, "__file__", None)
+    return found is cls and str(file).startswith(OUR_FOLDERS)

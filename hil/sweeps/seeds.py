@@ -17,12 +17,14 @@ from hil.compose.fourth_moments import caution
 from hil.compose.loop import Loop, compose
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
+from hil.log.run import Run
 from hil.measure.many import ManyView, MeasureOfMany
 from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.session import refuse_unsound_measures, simulate
 from hil.sweeps.lockstep import chunk_runs, in_lockstep, measured_alone, measures_in_lockstep, run_together, view_of_many
+from hil.sweeps.same_numbers import copied, foreign_parts, refuse_other_numbers
 from hil.sweeps.store import SweepStore
 
 WORTH_WORKERS = 3_000_000
@@ -91,20 +93,18 @@ def _of_many(measure: MeasureOfMany, view: ManyView) -> dict[str, NDArray[np.flo
 
 def run_one_by_one(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     """Run a loop seed by seed with the nodes of a session: what `run_seeds` is held to."""
-    rows = []
     names = columns_of(loop.experiment)[1:]
     wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics}
-    topics = {"/events", *(wanted & loop.channels().keys())}
-    for seed in seeds:
-        run = simulate(loop, seed, topics)
-        found = run_metrics(run, loop.experiment)
-        for output, numbers in found.pop("outputs", {}).items():
-            found |= {f"{name}.{output}": value for name, value in numbers.items()}
-        row = {name: float("nan") if found[name] is None else float(found[name]) for name in names}
-        row["seed"] = seed
-        row["stopped"] = float(any(e["kind"] == "safety" for e in run.events))
-        rows.append(row)
-    return rows
+    topics = {EVENTS_TOPIC, *(wanted & loop.channels().keys())}
+    return [_row(simulate(loop, seed, topics), loop.experiment, names, seed) for seed in seeds]
+
+
+def _row(run: Run, experiment: Experiment, names: Sequence[str], seed: int) -> dict[str, float]:
+    found = run_metrics(run, experiment)
+    for output, numbers in found.pop("outputs", {}).items():
+        found |= {f"{name}.{output}": value for name, value in numbers.items()}
+    row = {name: float("nan") if found[name] is None else float(found[name]) for name in names}
+    return row | {"seed": seed, "stopped": float(any(e["kind"] == "safety" for e in run.events))}
 
 
 class Sweep(NamedTuple):
@@ -169,6 +169,9 @@ def run_sweep(
     wanted: Sequence[int] = seeds
     loop = compose(experiment)
     refuse_unsound_measures(loop)
+    alone = run_one_by_one(replace(loop, watched=None), [seeds[0]])[0] if foreign_parts(loop) else None
+    if alone is not None:
+        refuse_other_numbers(loop, alone, run_seeds(copied(replace(loop, watched=None)), seeds[:2])[0])
     together = in_lockstep(loop) and measures_in_lockstep(loop)
     if together and workers.backend == "loky" and len(seeds) * experiment.ticks <= WORTH_WORKERS:
         workers = Workers(backend="serial")
@@ -196,7 +199,10 @@ def run_sweep(
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]
     values = {name: np.array([row[name] for row in rows]) for name in ("seed", *columns_of(experiment))}
-    said = "" if together or interrupted or not rows else withdrawal(simulate(loop, int(rows[0]["seed"]), (EVENTS_TOPIC,))) or ""
+    if alone is not None and rows:
+        refuse_other_numbers(loop, alone, rows[0])
+    unseen = interrupted or not rows or (together and alone is None)
+    said = "" if unseen else withdrawal(simulate(loop, int(rows[0]["seed"]), (EVENTS_TOPIC,))) or ""
     return Sweep(values, interrupted, interval, reached, "; ".join(filter(None, (said, caution(loop)))), measured_alone(loop))
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ import numpy as np
 import pytest
 
 import hil
+from design.controllers import LoopModel, SendAll
+from design.controllers.historical import Historical
 from hil.api.experiment_source import load_experiment
-from hil.certify.watched import one_step
+from hil.certify.watched import Watched, one_step
 from hil.compose.loop import Loop, compose
 from hil.log.read.run import read_run
 from hil.pages.run.run_page import verdicts
@@ -20,6 +23,7 @@ from hil.pytest_plugin import explained
 from hil.runtime.nodes.plant_watch import left_over
 from hil.session import Session, run_session, simulated_session
 from hil.sweeps.seeds import run_seeds
+from plants.omni import Omni
 from tests.hil.compose.lying_plugins import HONEST, Plant, Table
 from tests.hil.late_lies import LATE, WHEN, LateTable
 
@@ -50,6 +54,110 @@ def test_a_controller_that_lies_late_loses_its_certificate(late: str) -> None:
     told = said(simulated_session(loop_of(Plant(), LateTable(late=late)), 3))
     assert told.startswith("certificate withdrawn: the controller left its table at slot "), told
     assert 285 < int(told.split(" slot ")[1].split()[0]) < 305
+
+
+@dataclass(frozen=True)
+class Replaced(Table):
+    """Starts what it states, until it has been started so often."""
+
+    honest: int = 0
+
+    def start(self, model: LoopModel) -> Any:
+        STARTED[0] += 1
+        runs = SendAll(gains=nested(Table().table(model)), selection=self.selection).start(model)
+        if STARTED[0] <= self.honest:
+            return runs
+
+        class Other:
+            selection = runs.selection
+
+            def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Any:
+                return tuple(tuple(u + 0.3 * y[0] for u in row) for row in runs.rows(k, tau, y, r))
+
+        return Other()
+
+
+STARTED = [0]
+
+
+def nested(K: np.ndarray) -> Any:
+    return tuple(nested(part) for part in K) if K.ndim > 1 else tuple(map(float, K))
+
+
+def test_the_controller_that_runs_is_compared_and_not_one_that_was_started_before() -> None:
+    for honest in (10_000, 0):  # first so many as the door starts, then as many that are honest
+        STARTED[0], honest = 0, honest or STARTED[0]
+        loop = loop_of(Plant(), Replaced(honest=honest))
+    assert said(simulated_session(loop, 3)).startswith("certificate withdrawn: the controller left its table at slot ")
+
+
+def said_of_virtual(loop: Loop) -> str:
+    """What a run says of a loop whose verdict was taken away, so that its controller can be another one than was judged."""
+    return str(simulated_session(loop, 3).summary["problems"].get("certificate_withdrawn", ""))
+
+
+class Forgetful(Historical):
+    """Runs with the gains that it states, and asks for the newest samples alone."""
+
+    def start(self, model: LoopModel) -> Any:
+        runs = super().start(model)
+        runs.memory = 0
+        return runs
+
+
+def test_a_controller_that_is_handed_fewer_samples_than_it_states_is_not_certified() -> None:
+    shipped = load_experiment("multisensor-published")
+    honest = compose(shipped).controller
+    own = Forgetful(**{f.name: getattr(honest, f.name) for f in fields(honest)})  # type: ignore[arg-type]
+    loop = compose(load_experiment("multisensor-published", controller=own, allow_uncertified=True))
+    assert loop.verdict is not None and loop.verdict.state == "undecided"
+    assert loop.verdict.reason.startswith("the controller takes every sample of the last 1 slots, what it states takes every")
+    judged = compose(shipped)
+    watched = Watched(plant=None, controller=judged.controller, claimed=True)
+    late = replace(judged, controller=own, watched=watched, verdict=None)
+    assert "left its table at slot 0 by what it is handed: it takes every sample of the last 1 slots" in said_of_virtual(late)
+
+
+class Boasting(Omni):
+    """A device that says from a slot on that it puts out five times the command."""
+
+    def start(self, rng: np.random.Generator) -> Any:
+        return Boast(super().start(rng))
+
+
+class Boast:
+    def __init__(self, run: Any) -> None:
+        self.run, self.slots = run, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.run, name)
+
+    def advance(self, *held: Any) -> None:
+        self.slots += 1
+        self.run.advance(*held)
+
+    @property
+    def applied(self) -> tuple[float, ...]:
+        return tuple((5.0 if self.slots > LATE_FROM[0] else 1.0) * u for u in self.run.applied)
+
+
+LATE_FROM = [0]
+
+
+@pytest.mark.parametrize("late", [0, 400])
+def test_what_a_device_says_that_it_puts_out_is_compared(late: int) -> None:
+    LATE_FROM[0] = late
+    plant = load_experiment("omni-push").plant
+    own = Boasting(**{f.name: getattr(plant, f.name) for f in fields(plant)})  # type: ignore[arg-type]
+    passivity = {"energy_j": 1e-9, "damping_n_s_per_m": 5.0}
+    changes: dict[str, Any] = {"duration": "25 s", "limits.state": {}, "limits.passivity": passivity}
+    loop = compose(load_experiment("omni-push", plant=own, allow_uncertified=True, **changes))
+    assert loop.verdict is not None
+    if not late:
+        assert loop.verdict.state == "refused" and "move its applied " in loop.verdict.reason, loop.verdict.reason
+        return
+    assert loop.verdict.certified
+    assert "the plant left its model at slot 4" in said(simulated_session(loop, 3))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

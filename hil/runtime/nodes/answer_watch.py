@@ -11,7 +11,9 @@ from typing import Any
 
 from design.controllers import FromSamples, Known, LoopModel, Rows
 from design.controllers.contract import Controller
+from hil.certify.answers_test import Running
 from hil.certify.motion_test import EQUAL
+from hil.certify.stated_controller import handed, looks_back
 
 ROUNDING = 1e-12
 
@@ -20,7 +22,7 @@ class AnswerWatch:
     """Asks a controller, and beside it what the controller says that it is.
 
     Args:
-        own: asks the controller that runs.
+        own: the controller that runs.
         controller: the same, to be started again.
         stated: what it says that it is.
         model: what both know of the loop.
@@ -31,17 +33,19 @@ class AnswerWatch:
     """
 
     def __init__(
-        self, own: Callable[..., Rows], controller: Controller, stated: Controller, model: LoopModel, *, aims: bool
+        self, own: Running, controller: Controller, stated: Controller, model: LoopModel, *, aims: bool
     ) -> None:
-        running = controller.start(model)
-        self._by_samples = isinstance(running, FromSamples)
-        self._own: Callable[..., Rows] = own
-        self._twin: Callable[..., Rows] = stated.start(model).rows
+        twin = stated.start(model)
+        self._by_samples = isinstance(own, FromSamples)
+        self._own: Callable[..., Rows] = own.rows
+        self._twin: Callable[..., Rows] = twin.rows
         self._still: tuple[Callable[..., Rows], Callable[..., Rows]] | None = None
         if aims:
-            self._still = running.rows, stated.start(model).rows
+            self._still = controller.start(model).rows, stated.start(model).rows
         self._largest = 0.0
         self.departed: tuple[int, str] | None = None
+        if looks_back(own) != looks_back(twin):
+            self.departed = 0, f"what it is handed: it {handed(own)}, and what it states {handed(twin)}"
 
     def rows(self, *asked: Any) -> Rows:
         """Return what the controller answers; see `RunningController.rows` and `FromSamples.rows`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from design.controllers import FromSamples, Known, Rows, RunningController
+from hil.certify.stated_controller import runs_as
 from hil.compose.loop import Loop
 from hil.runtime.nodes.answer_watch import AnswerWatch
 from hil.runtime.nodes.assembly import Assembly
@@ -40,7 +41,9 @@ def _watch(loop: Loop, running: RunningController | FromSamples) -> AnswerWatch 
     if loop.watched is None or loop.watched.controller is None:
         return None
     stated, aims = loop.watched.controller, bool(loop.experiment.reference)
-    return AnswerWatch(running.rows, loop.controller, stated, loop.model, aims=aims)
+    if runs_as(running, stated.start(loop.model)):  # the very one that runs, and not one that was started before it
+        return None
+    return AnswerWatch(running, loop.controller, stated, loop.model, aims=aims)
 
 
 class NewestSample:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from hil.certify.motion_test import EQUAL
 from hil.compose.loop import Loop
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
@@ -91,6 +92,7 @@ class Rig:
         self._w: tuple[float, ...] = (0.0,) * inputs
         self._sent: Sequence[Delivery] = ()
         self._claimed = loop.watched is not None and loop.watched.claimed
+        self._put_out: tuple[int, str] | None = None  # the first slot in which the plant said so of another input
         self._watch: PlantWatch | None = None
         if loop.watched is not None and loop.watched.plant is not None:
             streams = ("plant", "plant, again")
@@ -162,7 +164,10 @@ class Rig:
         if tripped is not None:
             self._note_trip(t_ns, tripped)
         if self._port is not None:
-            tripped = self.actuator.feel(self._y[self._port], self._plant.applied[0])
+            put_out, command = self._plant.applied[0], self.actuator.u[0]
+            if put_out != command and self._put_out is None and not abs(put_out - command) <= EQUAL * abs(command):
+                self._put_out = k, f"what it says that it puts out, {put_out:.3g} for a command of {command:.3g}"
+            tripped = self.actuator.feel(self._y[self._port], put_out)
             if tripped is not None:
                 self._note_trip(t_ns, tripped)
 
@@ -206,7 +211,7 @@ class Rig:
         Args:
             answers: the slot in which the controller left its table, and by how much; None if it did not.
         """
-        plant = None if self._watch is None else self._watch.departed()
+        plant = None if self._watch is None else self._watch.departed() or self._put_out
         for what, departed in (("the plant left its model", plant), ("the controller left its table", answers)):
             if departed is not None:
                 k, by = departed

@@ -94,6 +94,18 @@ def test_a_second_sample_and_an_integral_are_tested() -> None:
         assert "not the one" not in honest.reason and liar.reason.startswith("your controller is not the one that it tells")
 
 
+def test_a_plant_that_takes_back_what_it_has_beyond_its_model_is_tested() -> None:
+    class Coy(Plant):
+        def beyond_model(self) -> tuple[str, ...]:
+            asked.append(0)
+            return () if len(asked) <= begins else ("friction",)
+
+    for begins in range(4):
+        asked: list[int] = []
+        found = on_own_plant(Coy("unstable, always"), Table())
+        assert found is None or not found.certified, begins
+
+
 def test_an_own_feedforward_is_the_authors_affair() -> None:
     found = on_own_plant(Plant(), Table("an own aim"))
     assert found is not None and found.certified

@@ -144,6 +144,7 @@ LIES: dict[str, Callable[..., None]] = {
     "gain of nothing": lambda run, v, a, b, f: b.__imul__(0.0),
     "growing noise": lambda run, v, a, b, f: f.__iadd__(run.drawn[:2] * 1e-3 * 1.05**run.k),
     "noise that states scale": lambda run, v, a, b, f: f.__iadd__(5.0 * run.drawn[:2] * run.x),
+    "saturation just below the limit": lambda run, v, a, b, f: f.__iadd__(B[:, 0] * (np.clip(v, -4.9975, 4.9975) - v)),
     "an output of twice": none,
     "the other output": none,
     "an output that turns late": none,
