@@ -1,5 +1,7 @@
 """Synthesis and analysis of networked controllers as jump-linear systems.
 
+::
+
     closed_loop -> mjls -> (second_moment, h2, bounded_real) -> certificate
                      \\-> tracking (h2, hinf, mixed synthesis; ccl for comparison; bounds)
     rates -> semi_markov -> (smjls_analysis, robust_feedback, delayed_hinf, fault_tolerant) -> jump_certificate -> exact_proof

@@ -1,5 +1,7 @@
 """Test a networked controller without the hardware.
 
+::
+
     import hil
 
     session = hil.run("dc-motor-hinf", seed=3, **{"plant.gain": 150})

@@ -161,7 +161,7 @@ def test_names_in_the_text_exist() -> None:
 def test_the_table_of_contents_names_every_page() -> None:
     index = next(iter(pages().values())).with_name("index.md").read_text(encoding="utf-8")
     (tree,) = blocks(index, r"\{toctree\}")
-    assert tree.split() == list(pages())
+    assert tree.split() == [*pages(), "api"]  # the reference is for `make docs` alone
 
 
 def test_key_expressions_of_the_guide_are_those_of_the_link() -> None:
