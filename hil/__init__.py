@@ -16,8 +16,10 @@
 `read_run`                a log, read back: a `Run`
 `report`                  one self-contained page of a session or a log
 `verify`                  run a log again, bit for bit, with the objects that no file holds
-`sweep`, `compare`        many seeds of one experiment; several experiments on the same delays
+`sweep`, `compare`        many seeds of one experiment, at one point or many; several experiments on the same delays
 `design`                  gains for a plant over a network, with their norms and bounds
+`laws`                    what an experiment's network laws do in the long run
+`reproduce_chapter`       every number of a chapter of the thesis beside a computed one
 `assert_probability`      a condition holds with at least some probability: Wald's sequential test
 `assert_law`              the delays of a run are those of its network law
 `HilError`                what all of them raise for what the caller can mend
@@ -37,31 +39,38 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from hil.api.assertions import assert_law, assert_probability
+    from hil.api.design_result import DesignResult
     from hil.api.experiment_source import load_experiment
-    from hil.api.face import compare, design, report, run, simulate, sweep, verify
+    from hil.api.face import compare, report, run, simulate, sweep, verify
+    from hil.api.questions import design, laws, reproduce_chapter
     from hil.errors import ExperimentError, HilError
     from hil.experiment import Experiment
     from hil.log.read.run import read_run
     from hil.log.run import Run
     from hil.session import Session
     from hil.sweeps.comparison import Comparison
-    from hil.sweeps.seeds import Sweep
+    from hil.sweeps.parameters import ParameterSweep
+    from hil.sweeps.sweep import Sweep
 
 _HOMES: Final = {
     "Comparison": "hil.sweeps.comparison",
+    "DesignResult": "hil.api.design_result",
     "Experiment": "hil.experiment",
     "ExperimentError": "hil.errors",
     "HilError": "hil.errors",
+    "ParameterSweep": "hil.sweeps.parameters",
     "Run": "hil.log.run",
     "Session": "hil.session",
-    "Sweep": "hil.sweeps.seeds",
+    "Sweep": "hil.sweeps.sweep",
     "assert_law": "hil.api.assertions",
     "assert_probability": "hil.api.assertions",
     "compare": "hil.api.face",
-    "design": "hil.api.face",
+    "design": "hil.api.questions",
+    "laws": "hil.api.questions",
     "load_experiment": "hil.api.experiment_source",
     "read_run": "hil.log.read.run",
     "report": "hil.api.face",
+    "reproduce_chapter": "hil.api.questions",
     "run": "hil.api.face",
     "simulate": "hil.api.face",
     "sweep": "hil.api.face",
@@ -70,9 +79,11 @@ _HOMES: Final = {
 
 __all__ = [
     "Comparison",
+    "DesignResult",
     "Experiment",
     "ExperimentError",
     "HilError",
+    "ParameterSweep",
     "Run",
     "Session",
     "Sweep",
@@ -80,9 +91,11 @@ __all__ = [
     "assert_probability",
     "compare",
     "design",
+    "laws",
     "load_experiment",
     "read_run",
     "report",
+    "reproduce_chapter",
     "run",
     "simulate",
     "sweep",

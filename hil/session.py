@@ -27,6 +27,7 @@ from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, Put, Sink, Taps, TeeSink
 from hil.measure.measure import measures_of, own_measures, quantities_of
+from hil.measure.names import Named
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
@@ -82,8 +83,7 @@ class Session:
     @property
     def metrics(self) -> dict[str, Any]:
         """The numbers of the experiment's measures, by name; ``summary["units"]`` has their units."""
-        found: dict[str, Any] = self.summary["metrics"]
-        return found
+        return Named("metric", self.summary["metrics"])
 
     @property
     def arrays(self) -> Mapping[str, StructuredArray]:
@@ -111,7 +111,9 @@ class Session:
     def _repr_html_(self) -> str:
         from hil.notebook import cell
 
-        return cell(self.run, self.summary, repr(self))
+        of = self.experiment
+        quantities = () if of is None else quantities_of(measures_of(of), signals_of(of.plant))
+        return cell(self.run, self.summary, repr(self), quantities)
 
     def __repr__(self) -> str:
         s, metrics = self.summary, self.summary["metrics"]

@@ -112,6 +112,11 @@ def _table_of(path: str, value: Any) -> Any:
     return value
 
 
+def as_change(value: Any, path: str) -> str:
+    """Return a value as ``--set`` takes it: text as it is, anything else in TOML notation."""
+    return value if isinstance(value, str) else _toml(value, path)
+
+
 def _toml(value: Any, path: str) -> str:
     """Return a value in TOML notation."""
     if isinstance(value, np.ndarray | np.generic):

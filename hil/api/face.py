@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import builtins
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from hil.api.experiment_source import Source, checked_experiment, object_of
+import numpy as np
+
+from hil.api.experiment_source import Source, as_change, checked_experiment, load_experiment, object_of
 from hil.compose.loop import Loop, compose
-from hil.design_questions.design_problem import problem_for, tracking_target
 from hil.errors import HilError
+from hil.experiment import Experiment
 from hil.files.outputs import check_output, write_output
 from hil.log.read.run import read_run
 from hil.log.run import Run
@@ -23,10 +26,10 @@ from hil.session import ClockName, Session, run_session
 from hil.session import simulate as simulate_loop
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.comparison import compare as compare_experiments
-from hil.sweeps.seeds import Sweep, here, run_sweep
-
-if TYPE_CHECKING:
-    from design.tracking.synthesis import Design
+from hil.sweeps.parameters import ParameterSweep, load_points, sweep_parameters
+from hil.sweeps.points import Points, grid_of, latin_hypercube
+from hil.sweeps.seeds import here, run_sweep
+from hil.sweeps.sweep import Sweep
 
 
 def verify(
@@ -62,6 +65,7 @@ def run(
     clock: ClockName = "virtual",
     link: str | None = None,
     log: str | Path | None = None,
+    force: bool = False,
     external: bool = False,
     **changes: Any,
 ) -> Session:
@@ -73,6 +77,7 @@ def run(
         clock: "virtual" (one process, reproducible) or "real" (separate processes over ``link``).
         link: URI of the real link; the experiment's own by default.
         log: where to keep the log, a new file; without it none is kept.
+        force: replace a log that is there already.
         external: somebody else's controller answers on the link.
         changes: path to value, as in `load_experiment`; of a loaded experiment plant and controller alone.
 
@@ -86,9 +91,7 @@ def run(
     if clock == "virtual" and (link is not None or external):
         raise HilError("link and external need clock='real': virtual time runs in one process, without a link")
     if log is not None:
-        path = Path(log)
-        if path.exists():
-            raise HilError(f"log {path}: exists already; choose another")
+        path = check_output(Path(log), fresh=not force, remedy="choose another log=..., or add force=True")
         return run_session(checked, clock=clock, link=link, path=path, external=external)
     with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
         session = run_session(checked, clock=clock, link=link, path=Path(folder) / "run.mcap", external=external)
@@ -98,7 +101,7 @@ def run(
 
 
 def report(
-    source: Session | str | Path,
+    source: Session | Comparison | ParameterSweep | str | Path,
     *,
     output: str | Path | None = None,
     force: bool = False,
@@ -108,7 +111,7 @@ def report(
     """Make one self-contained HTML page of a run: its sections, and those that the experiment's plug-ins draw.
 
     Args:
-        source: a session, or the file of a log.
+        source: a session, or the file of a log; a comparison or a sweep over parameters, whose page needs ``output``.
         output: the page, a file; beside the log by default, with the ending ``.html``.
         force: replace a page that is there already.
         figures: a folder in which every plot is written as SVG and PDF too.
@@ -124,6 +127,8 @@ def report(
     from hil.pages.run.run_page import render_report
     from hil.pages.run.sections import sections_of
 
+    if isinstance(source, Comparison | ParameterSweep):
+        return (_report_of_many(source, output, force, {"figures": figures, "folder": folder}),)
     log = source.summary["log"]["path"] if isinstance(source, Session) else source
     if log is None and output is None:
         raise HilError("report: this session kept no log to write the page beside; expected output='page.html'")
@@ -138,6 +143,22 @@ def report(
     check_output(target, page=True, fresh=not force, remedy="choose another -o (in Python output=..., or force=True)")
     write_output(target, render_report(view))
     return (target, *([] if figures is None else write_figures(view.once(sections_of), Path(figures))))
+
+
+def _report_of_many(
+    source: Comparison | ParameterSweep, output: str | Path | None, force: bool, others: Mapping[str, object]
+) -> Path:
+    from hil.pages.compare import compare_page
+    from hil.pages.parameters import parameter_page
+
+    unfit = [name for name, value in others.items() if value is not None]
+    if unfit or output is None:
+        said = f"{unfit[0]}: belongs to the page of a run" if unfit else "many runs keep no log to write the page beside"
+        raise HilError(f"report: {said}; expected output='page.html' alone")
+    target = check_output(Path(output), page=True, fresh=not force, remedy="choose another output=..., or add force=True")
+    page = compare_page(source) if isinstance(source, Comparison) else parameter_page(source)
+    write_output(target, page, replace=force)
+    return target
 
 
 def simulate(
@@ -167,25 +188,73 @@ def simulate(
     return simulate_loop(compose(checked), checked.seed, topics)
 
 
-def sweep(source: Source, *, runs: int = 100, first_seed: int = 0, jobs: int = -1, **changes: Any) -> Sweep:
-    """Run an experiment for many seeds in virtual time.
+def sweep(
+    source: Source,
+    *,
+    runs: int = 100,
+    first_seed: int = 0,
+    jobs: int = -1,
+    grid: Mapping[str, Sequence[Any]] | None = None,
+    range: Mapping[str, Sequence[Any]] | None = None,
+    points: int | None = None,
+    **changes: Any,
+) -> Sweep | ParameterSweep:
+    """Run an experiment for many seeds in virtual time, at one point or, with ``grid`` or ``range``, at many.
 
     Args:
         source: as in `run`.
-        runs: how many; seeds ``first_seed``, ``first_seed + 1``, ...
+        runs: how many at each point; seeds ``first_seed``, ``first_seed + 1``, ..., the same at every point.
         first_seed: the first of them.
         jobs: processes on this machine, -1 for one per core.
+        grid: path to values; all combinations are run: ``{"plant.gain": [150, 170], "period": ["25 ms", "50 ms"]}``.
+        range: path to lowest and highest value: ``{"plant.gain": (100, 200)}``, with ``points``.
+        points: so many points of a Latin hypercube over ``range``.
         changes: path to value, as in `load_experiment`.
 
     Returns:
-        ``values``: column to array, one entry per seed (``seed``, ``stopped`` and every number of the measures).
+        one point: a `Sweep` with ``values``, column to array, one entry per seed (``seed``, ``stopped`` and every number of the
+        measures). Many: a `ParameterSweep` with ``points`` and ``columns``, the same per point. Both have ``to_pandas()`` and
+        ``plot()``, and show themselves in a notebook.
 
     Raises:
-        HilError: if the experiment cannot be run.
+        HilError: if the experiment cannot be run, or the points are none.
     """
     if runs < 1 or first_seed < 0:
         raise HilError(f"runs: {runs}, first_seed: {first_seed}; expected at least one run and no negative seed")
-    return run_sweep(checked_experiment(source, None, None, changes), range(first_seed, first_seed + runs), workers=here(jobs))
+    if grid is None and range is None and points is None:
+        seeds = builtins.range(first_seed, first_seed + runs)
+        return run_sweep(checked_experiment(source, None, None, changes), seeds, workers=here(jobs))
+    where = _points(grid, range, points)
+    if isinstance(source, Experiment):
+        raise HilError("sweep: grid and range change the file of an experiment; give its name or path, not a loaded one")
+    experiments = load_points(lambda sets: load_experiment(source, sets, **changes), where)
+    return sweep_parameters(experiments, where, runs=runs, first_seed=first_seed, workers=here(jobs))
+
+
+def _points(
+    axes: Mapping[str, Sequence[Any]] | None, ranges: Mapping[str, Sequence[Any]] | None, count: int | None
+) -> Points:
+    """Return the points of a grid or of ranges.
+
+    Raises:
+        HilError: both, none, a number of points without ranges, or values that are no list.
+    """
+    if (axes is None) == (ranges is None):
+        raise HilError("sweep: expected grid={...}, or range={...} with points=N, one of them")
+    if (ranges is None) != (count is None):
+        raise HilError("sweep: range and points belong together: so many points of a Latin hypercube over the ranges")
+    said: dict[str, list[str]] = {}
+    for path, values in (axes or ranges or {}).items():
+        if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or not len(values):
+            raise HilError(f"sweep: {path}: {values!r:.40}; expected a list of values, such as [150, 170]")
+        if ranges is not None and len(values) != 2:
+            raise HilError(f"sweep: range: {path}: {len(values)} values; expected the lowest and the highest, such as (100, 200)")
+        said[path] = [as_change(value, path) for value in values]
+    if not said:
+        raise HilError("sweep: no parameter is named; expected a path and its values, such as {'plant.gain': [150, 170]}")
+    if ranges is None:
+        return grid_of(said)
+    return latin_hypercube([f"{path}={':'.join(ends)}" for path, ends in said.items()], count or 0)
 
 
 def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -> Comparison:
@@ -207,27 +276,3 @@ def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -
     if runs < 2:
         raise HilError(f"compare: {runs} runs of each; expected at least 2")
     return compare_experiments(named, runs, jobs=jobs)
-
-
-def design(source: str, *, period: float | None = None, sojourns: int = 1, **options: Any) -> Design:
-    """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
-
-    Args:
-        source: name of a plant plug-in or of an experiment.
-        period: sample period in s; the thesis's, or the experiment's, by default.
-        sojourns: lengths of stay at the measured tau that a gain tells apart, over semi-Markov delays.
-        options: of `design.TrackingProblem`: objective ("h2", "hinf", "mixed"), information, R, samples, ...
-
-    Returns:
-        the design: ``gains``, ``certificate``, ``problem``.
-
-    Raises:
-        HilError: an option that does not fit, or no gains meet the request.
-    """
-    from design.errors import DesignError
-    from design.requests.tracking import solve_tracking
-
-    try:
-        return solve_tracking(problem_for(tracking_target(source, period, sojourns), **options))
-    except (DesignError, TypeError) as error:
-        raise HilError(f"design: {error}") from error

@@ -48,7 +48,7 @@ def command(
     from hil.measure.signals import with_unit
     from hil.pages.compare import compare_page
     from hil.sweeps.comparison import compare
-    from hil.sweeps.seeds import statistics
+    from hil.sweeps.sweep import statistics
 
     if not 2 <= runs < 2**63:
         raise HilError(f"--runs: {runs} is {'below 2' if runs < 2 else 'not below 2^63'}")

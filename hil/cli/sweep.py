@@ -78,8 +78,9 @@ def command(
     from hil.cli.sweep_parameters import points_of, run_points
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
-    from hil.sweeps.seeds import columns_of, here, run_sweep, statistics
+    from hil.sweeps.seeds import columns_of, here, run_sweep
     from hil.sweeps.store import SweepStore
+    from hil.sweeps.sweep import statistics
 
     if runs < 1:
         raise HilError(f"--runs: {runs} is below 1")

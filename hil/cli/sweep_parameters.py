@@ -15,7 +15,8 @@ from hil.errors import HilError
 
 if TYPE_CHECKING:
     from design.monte_carlo.parallel import Workers
-    from hil.sweeps.parameters import ParameterSweep, Points
+    from hil.sweeps.parameters import ParameterSweep
+    from hil.sweeps.points import Points
 
 
 def run_points(
@@ -51,20 +52,23 @@ def run_points(
     from rich.console import Console
     from rich.progress import Progress, TimeRemainingColumn
 
+    from hil.experiment import load_experiment
     from hil.files.outputs import check_output, write_output
-    from hil.pages.parameters import interval_of, parameter_page
-    from hil.sweeps.parameters import sweep_parameters
+    from hil.pages.parameters import parameter_page
+    from hil.sweeps.parameters import load_points, sweep_parameters
+    from hil.sweeps.shown import interval_of
 
     for path in (page, table):
         if path is not None:
             check_output(path, page=path is page)
+    experiments = load_points(lambda changes: load_experiment(experiment, [*sets, *changes]), points)
     begun = time.perf_counter()
     err = Console(stderr=True)
     shown = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
     with Progress(*shown, console=err, disable=not err.is_terminal) as bar:
         task = bar.add_task(f"{len(points.values)} points", total=runs * len(points.values))
         found = sweep_parameters(
-            experiment, points, sets=sets, runs=runs, first_seed=first_seed, workers=workers, folder=resume,
+            experiments, points, runs=runs, first_seed=first_seed, workers=workers, folder=resume,
             progress=lambda done: bar.update(task, completed=done),
         )  # fmt: skip
     if found.alone:
@@ -72,7 +76,7 @@ def run_points(
     if table is not None:
         write_output(table, csv_of(found))
     if page is not None and found.columns:
-        write_output(page, parameter_page(Path(experiment).stem, found, runs))
+        write_output(page, parameter_page(found))
     out: dict[str, Any] = {
         "experiment": experiment,
         "runs": runs,
@@ -145,7 +149,7 @@ def points_of(grids: Sequence[str], ranges: Sequence[str], count: int | None) ->
     Raises:
         HilError: for both kinds at once, a number of points without a range, or the reverse.
     """
-    from hil.sweeps.parameters import grid, latin_hypercube
+    from hil.sweeps.points import grid, latin_hypercube
 
     if grids and ranges:
         raise HilError("--grid and --range: one or the other; a grid takes all combinations, ranges a Latin hypercube")

@@ -5,24 +5,24 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from design.monte_carlo.confidence import Interval, mean_interval
+from design.monte_carlo.confidence import Interval
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table
 from hil.pages.html.page import render_page
-from hil.sweeps.parameters import ParameterSweep, with_space
+from hil.sweeps.parameters import ParameterSweep
+from hil.sweeps.points import numbers_of
+from hil.sweeps.shown import interval_of
 
 
-def parameter_page(name: str, sweep: ParameterSweep, runs: int) -> str:
+def parameter_page(sweep: ParameterSweep) -> str:
     """Return the page.
 
     Args:
-        name: of the experiment.
         sweep: what was found.
-        runs: at each point.
     """
+    runs = max((columns["seed"].size for columns in sweep.columns), default=0)
     sections = []
     for quantity in sweep.quantities:
         found = [interval_of(columns[quantity.name]) for columns in sweep.columns]
@@ -34,12 +34,8 @@ def parameter_page(name: str, sweep: ParameterSweep, runs: int) -> str:
         ("points", str(len(sweep.columns))), ("runs of each", str(runs)), ("stopped by safety", str(stopped)),
         ("seeds", "the same at every point: equal network laws meet equal delays"),
     )  # fmt: skip
-    return render_page(f"{name} over {', '.join(sweep.points.keys)}", sections, subtitle="sweep over parameters", facts=facts)
-
-
-def interval_of(values: NDArray[np.float64]) -> Interval:
-    """Return the mean over the runs that have a number, and its 95 % interval."""
-    return mean_interval(values[np.isfinite(values)])
+    title = f"{sweep.experiment} over {', '.join(sweep.points.keys)}"
+    return render_page(title, sections, subtitle="sweep over parameters", facts=facts)
 
 
 def _pictures(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> list[Block]:
@@ -80,21 +76,6 @@ def _lines(key: str, axis: tuple[str, ...], groups: dict[str, list[Interval]], q
         title=f"{label}: mean, 95 % interval", series=tuple(series), bands=tuple(bands), x_label=key, x_unit=unit,
         y_label=quantity.title, y_unit=quantity.unit, sync=None,
     )  # fmt: skip
-
-
-def numbers_of(axis: tuple[str, ...]) -> tuple[NDArray[np.float64] | None, str]:
-    """Return the numbers of an axis and their unit, no numbers where they are words or have several units.
-
-    >>> numbers_of(("10 ms", "25ms"))
-    (array([10., 25.]), 'ms')
-    """
-    parts = [with_space(text).partition(" ") for text in axis]
-    try:
-        x = np.array([float(number) for number, _, _ in parts])
-    except ValueError:
-        return None, ""
-    units = {unit for _, _, unit in parts}
-    return (x, units.pop()) if len(units) == 1 and np.isfinite(x).all() else (None, "")
 
 
 def _ends(interval: Interval) -> tuple[float, float]:

@@ -9,11 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from hil.notebook import Result, data_frame
 from hil.pages.html.figures import Bars, Figure, Histogram
 from hil.reproduce.judgement import VERDICTS, Row
 from hil.reproduce.statements import Statement, judge
+
+if TYPE_CHECKING:
+    import pandas
+
+SHOWN: Final = ("item", "printed", "computed", "rule", "verdict")
+"""What a table shows of a row."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +118,7 @@ class Kept(Protocol):
 Progress = Callable[[Step], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Reproduction:
     """Everything of one chapter."""
 
@@ -127,6 +134,22 @@ class Reproduction:
     def to_json(self) -> dict[str, object]:
         """Title, rows and a count per verdict, as a dictionary that ``json.dumps`` takes."""
         return {"title": self.title, "rows": [row.to_json() for row in self.rows], "counts": self.counts}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a row per statement: what it is of, what is printed, what is computed, its rule and its verdict.
+
+        Raises:
+            HilError: if pandas is not installed.
+        """
+        return data_frame({name: [str(getattr(row, name)) for row in self.rows] for name in SHOWN})
+
+    def _repr_html_(self) -> str:
+        rows = [[str(getattr(row, name)) for name in SHOWN] for row in self.rows]
+        return Result(line=repr(self)[1:-1], columns=SHOWN, rows=rows).html()
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
+        return f"<Reproduction of {self.title}: {len(self.rows)} rows, {counts}>"
 
 
 def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Kept | None = None) -> Reproduction:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +13,18 @@ from numpy.typing import NDArray
 from design.monte_carlo.confidence import Interval, difference_interval, ratio_interval
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity
+from hil.measure.names import unknown_name
+from hil.measure.signals import with_unit
+from hil.notebook import Result, data_frame
 from hil.sweeps.seeds import here, quantities_in, run_sweep
+from hil.sweeps.shown import asked, interval_of, paint_distributions, within
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Comparison:
     """What a comparison has found.
 
@@ -39,6 +49,8 @@ class Comparison:
         return difference_interval(*self._pairs(name, quantity))
 
     def _pairs(self, name: str, quantity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if name not in self.values:
+            raise unknown_name("experiment", name, self.values)
         a, b = (self.values[each][quantity] for each in (self.first, name))
         both = np.isfinite(a) & np.isfinite(b)
         return a[both], b[both]
@@ -69,6 +81,52 @@ class Comparison:
             return f"{name} against {self.first}: no difference is shown: {numbers}"
         better = (gap.value < 0.0) == (judged.better == "lower")
         return f"{name} is {'better' if better else 'worse'} than {self.first}: {numbers}"
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a row per run: experiment, seed, whether safety stopped it, every quantity; the units are in ``attrs``.
+
+        Raises:
+            HilError: if pandas is not installed.
+        """
+        columns = ["seed", "stopped", *(q.name for q in self.quantities)]
+        table: dict[str, Any] = {"experiment": np.repeat(list(self.values), [v["seed"].size for v in self.values.values()])}
+        table |= {name: np.concatenate([values[name] for values in self.values.values()]) for name in columns}
+        table |= {name: table[name].astype(np.int64) for name in ("seed", "stopped")}
+        return data_frame(table, {q.name: q.unit for q in self.quantities})
+
+    def plot(
+        self, quantity: str | None = None, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0
+    ) -> Figure:
+        """Draw the distribution of a quantity over the runs of each; write it to a file where one is named.
+
+        Args:
+            quantity: its name; without one the first of which it is known which values are better.
+            path: ends in .svg, .pdf or .png.
+            width_mm, height_mm: of the figure as it is printed.
+
+        Raises:
+            HilError: no such quantity, or the figure cannot be drawn or written.
+        """
+        return self._result(quantity).plot(path, width_mm, height_mm)
+
+    def _result(self, quantity: str | None = None) -> Result:
+        rows: list[list[Any]] = []
+        for each in self.quantities:
+            for name, values in self.values.items():
+                found, gap = interval_of(values[each.name]), self.difference(name, each.name)
+                told = (None, None) if name == self.first or gap.n < 2 else (gap.value, within(gap))
+                rows.append([with_unit(each.name, each.unit), name, found.n, found.value if found.n else None, *told])
+        heads = ("quantity", "experiment", "runs", "mean", f"difference to {self.first}", "95 % interval")
+        answer = [*map(self.verdict, list(self.values)[1:]), *(f"{name}: {said}" for name, said in self.cautions.items())]
+        paint = paint_distributions(self.values, asked(self.quantities, quantity))
+        return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=rows, paint=paint)
+
+    def _repr_html_(self) -> str:
+        return self._result().html()
+
+    def __repr__(self) -> str:
+        said = "; ".join(map(self.verdict, list(self.values)[1:]))
+        return f"<Comparison of {len(self.values)} experiments, {self.runs} runs of each{said and ': '}{said}>"
 
     def _verdict_on_stops(self, name: str) -> str | None:
         """What follows from the runs that safety stopped, None if there are none: McNemar's exact test on the pairs."""

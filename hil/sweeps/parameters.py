@@ -2,50 +2,38 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from design.monte_carlo.confidence import Interval, difference_interval
 from design.monte_carlo.parallel import Workers
 from hil.errors import HilError
-from hil.experiment import Experiment, load_experiment
+from hil.experiment import Experiment
 from hil.measure.measure import Quantity
+from hil.measure.signals import with_unit
+from hil.notebook import Result, data_frame
 from hil.sweeps.comparison import common_quantities
+from hil.sweeps.points import Points, numbers_of
 from hil.sweeps.seeds import columns_of, quantities_in, run_sweep
+from hil.sweeps.shown import asked, interval_of, mean_and_interval, paint_points, within
 from hil.sweeps.store import SweepStore
 
-MOST_POINTS = 10_000
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Points:
-    """Where an experiment is run.
-
-    Args:
-        keys: paths of the fields that change.
-        values: one row per point: what each field is set to, in TOML notation.
-        axes: the values of each key, where the points are a grid; nothing otherwise.
-    """
-
-    keys: tuple[str, ...]
-    values: tuple[tuple[str, ...], ...]
-    axes: tuple[tuple[str, ...], ...] = ()
-
-    def changes(self, point: int) -> list[str]:
-        """Return what a point changes, as ``--set`` takes it."""
-        return [f"{key}={value}" for key, value in zip(self.keys, self.values[point])]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ParameterSweep:
     """What a sweep over parameters has found.
 
     Args:
+        experiment: its name.
         points: where it was run.
         columns: per point that was done, column to one entry per seed: ``seed``, ``stopped`` and every quantity.
         quantities: what every point measures.
@@ -53,120 +41,117 @@ class ParameterSweep:
         alone: which measures kept the runs from being computed at once, nothing where none did.
     """
 
+    experiment: str
     points: Points
     columns: tuple[Mapping[str, NDArray[np.float64]], ...]
     quantities: tuple[Quantity, ...]
     interrupted: int = 0
     alone: str = ""
 
+    def intervals(self, quantity: str) -> list[Interval]:
+        """Return the mean of a quantity at every point that was done, and its 95 % interval."""
+        return [interval_of(columns[quantity]) for columns in self.columns]
 
-def grid(asked: Sequence[str]) -> Points:
-    """Return all combinations of the values of several keys, the last key changing first.
+    def best(self, quantity: str) -> int | None:
+        """Return the point whose mean is best; None where no value is better, or the mean is undefined everywhere."""
+        better = asked(self.quantities, quantity).better
+        means = [i.value for i in self.intervals(quantity)]
+        if not better or not np.isfinite(means).any():
+            return None
+        return int(np.nanargmin(means) if better == "lower" else np.nanargmax(means))
 
-    Args:
-        asked: ``key=a,b,c`` each; commas within brackets, braces and quotes belong to a value.
+    def difference(self, point: int, against: int, quantity: str) -> Interval:
+        """Return the mean difference of a point against another over the seeds that both have, and its 95 % interval."""
+        a, b = self.columns[against][quantity], self.columns[point][quantity]
+        both = np.isfinite(a) & np.isfinite(b)
+        return difference_interval(a[both], b[both])
 
-    Raises:
-        HilError: for another form, a key that is named twice, or too many points.
+    def answer(self, quantity: str) -> str:
+        """Return in words which point is best, and from how many others a paired difference tells it."""
+        best, asked_for = self.best(quantity), asked(self.quantities, quantity)
+        if best is None:
+            return f"{quantity}: no measure states which value is better"
+        others = [p for p in range(len(self.columns)) if p != best]
+        gaps = [self.difference(p, best, quantity) for p in others]
+        clear = sum(g.n > 1 and (g.low > 0.0 or g.high < 0.0) for g in gaps)
+        told = f"best point: {', '.join(self.points.changes(best))}; {mean_and_interval(self.columns[best][quantity], asked_for)}"
+        if not others:
+            return told
+        stopped = int(self.columns[best]["stopped"].sum())
+        safety = f"; safety stopped {stopped} of its {self.columns[best]['stopped'].size} runs" if stopped else ""
+        return f"{told}; {clear} of {len(others)} other points differ on the same seeds (95 % interval each){safety}"
 
-    >>> grid(["period=10 ms,20 ms", "plant.gain=150,170"]).values
-    (('10 ms', '150'), ('10 ms', '170'), ('20 ms', '150'), ('20 ms', '170'))
-    """
-    keys, axes = [], []
-    for text in asked:
-        key, equal, listed = text.partition("=")
-        values = split_values(listed)
-        if not equal or not key.strip() or not all(values):
-            raise HilError(f"--grid {text!r:.60}: expected key=a,b,c, such as period=10ms,25ms")
-        if key.strip() in keys:
-            raise HilError(f"--grid {key.strip()}: named twice")
-        keys.append(key.strip())
-        axes.append(tuple(map(with_space, values)))
-    count = int(np.prod([len(axis) for axis in axes], dtype=np.float64))
-    if count > MOST_POINTS:
-        raise HilError(f"--grid: {count} points; at most {MOST_POINTS}")
-    return Points(keys=tuple(keys), values=tuple(itertools.product(*axes)), axes=tuple(axes))
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a row per run: what was changed, the seed, whether safety stopped it, every quantity.
 
+        Raises:
+            HilError: if pandas is not installed.
+        """
+        sizes = [columns["seed"].size for columns in self.columns]
+        table: dict[str, Any] = {
+            key: np.repeat([row[i] for row in self.points.values[: len(sizes)]], sizes) for i, key in enumerate(self.points.keys)
+        }
+        names = ["seed", "stopped", *(q.name for q in self.quantities)]
+        table |= {name: np.concatenate([columns[name] for columns in self.columns]) for name in names if self.columns}
+        for name in {"seed", "stopped"} & table.keys():
+            table[name] = table[name].astype(np.int64)
+        return data_frame(table, {q.name: q.unit for q in self.quantities})
 
-def latin_hypercube(asked: Sequence[str], count: int, seed: int = 0) -> Points:
-    """Return points that fill a box evenly: every key takes one value in each of ``count`` equal parts of its range.
+    def plot(
+        self, quantity: str | None = None, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0
+    ) -> Figure:
+        """Draw the mean of a quantity at every point, with its 95 % interval; write it to a file where one is named.
 
-    Args:
-        asked: ``key=low:high`` each, with one unit for both where there is one: ``period=10ms:50ms``.
-        count: number of points.
-        seed: of the points, not of the runs.
+        Args:
+            quantity: its name; without one the first of which it is known which values are better.
+            path: ends in .svg, .pdf or .png.
+            width_mm, height_mm: of the figure as it is printed.
 
-    Raises:
-        HilError: for another form, a key that is named twice, or too many points.
+        Raises:
+            HilError: no such quantity, or the figure cannot be drawn or written.
+        """
+        return self._result(quantity).plot(path, width_mm, height_mm)
 
-    Reference: M. McKay, R. Beckman, W. Conover, Technometrics 21 (1979) 239-245.
-    """
-    from scipy.stats import qmc
+    def _result(self, quantity: str | None = None) -> Result:
+        of, keys = asked(self.quantities, quantity), self.points.keys
+        found, best = self.intervals(of.name), self.best(of.name)
+        rows: list[list[Any]] = []
+        for point, interval in enumerate(found):
+            gap = None if best is None or point == best else self.difference(point, best, of.name)
+            told = "best" if point == best else within(gap) if gap is not None and gap.n > 1 else None
+            rows.append([*self.points.values[point], interval.n, interval.value, within(interval), told])
+        heads = (*keys, "runs", with_unit(f"mean {of.name}", of.unit), "95 % interval", "difference to the best, paired")
+        paint = self._paint(of, found)
+        return Result(line=repr(self)[1:-1], answer=[self.answer(of.name)], columns=heads, rows=rows, paint=paint)
 
-    if not 1 <= count <= MOST_POINTS:
-        raise HilError(f"--points: {count}; expected 1 to {MOST_POINTS}")
-    keys, lows, highs, units = [], [], [], []
-    for text in asked:
-        key, _, span = text.partition("=")
-        ends = [with_space(end).partition(" ") for end in span.split(":")]
-        try:
-            low, high = (float(number) for number, _, _ in ends)
-        except ValueError:
-            raise HilError(f"--range {text!r:.60}: expected key=low:high, such as plant.gain=100:200") from None
-        unit = ends[1][2]
-        if not (np.isfinite((low, high)).all() and low < high) or ends[0][2] not in ("", unit):
-            raise HilError(f"--range {text!r:.60}: expected two finite numbers, the lower first, in one unit")
-        if key.strip() in keys or not key.strip():
-            raise HilError(f"--range {text!r:.60}: the key is missing or repeated")
-        keys.append(key.strip())
-        lows.append(low)
-        highs.append(high)
-        units.append(unit)
-    drawn = qmc.scale(qmc.LatinHypercube(d=len(keys), rng=np.random.default_rng(seed)).random(count), lows, highs)
-    rows = [tuple(f"{value:.6g}{f' {unit}' if unit else ''}" for value, unit in zip(row, units)) for row in drawn.tolist()]
-    return Points(keys=tuple(keys), values=tuple(rows))
+    def _paint(self, of: Quantity, found: list[Interval]) -> Callable[[Figure], None]:
+        points, done = self.points, self.points.values[: len(found)]
+        if len(points.keys) == 1 or len(points.axes) == 2:
+            lines: dict[str, list[int]] = {}
+            for number, row in enumerate(done):
+                lines.setdefault(f"{points.keys[0]} {row[0]}" if len(row) == 2 else "", []).append(number)
+            axis = [done[p][-1] for p in next(iter(lines.values()))]
+            x, unit = numbers_of(axis)
+            whole = {name: [found[p] for p in members] for name, members in lines.items() if len(members) == len(axis)}
+            return paint_points(x, axis, with_unit(points.keys[-1], unit), whole, of)
+        labels = [str(number + 1) for number in range(len(found))]
+        return paint_points(None, labels, f"point ({', '.join(points.keys)})", {"": found}, of)
 
+    def _repr_html_(self) -> str:
+        return self._result().html()
 
-def split_values(text: str) -> list[str]:
-    """Return the values of a list without brackets.
-
-    >>> split_values("1, [2, 3],'a,b'")
-    ['1', '[2, 3]', "'a,b'"]
-    """
-    found, depth, quote, start = [], 0, "", 0
-    for i, c in enumerate(text):
-        if quote:
-            quote = "" if c == quote else quote
-        elif c in "\"'":
-            quote = c
-        elif c in "[{":
-            depth += 1
-        elif c in "]}":
-            depth -= 1
-        elif c == "," and depth == 0:
-            found.append(text[start:i].strip())
-            start = i + 1
-    return [*found, text[start:].strip()]
-
-
-def with_space(text: str) -> str:
-    """Return a number that stands against its unit with a space between them; anything else as it is.
-
-    >>> with_space("10ms"), with_space("1e-3"), with_space("markov")
-    ('10 ms', '1e-3', 'markov')
-    """
-    stripped = text.strip()
-    number = stripped.rstrip("abcdefghijklmnopqrstuvwxyz").rstrip()
-    unit = stripped[len(number) :].strip()
-    try:
-        float(number)
-    except ValueError:
-        return stripped
-    return f"{number} {unit}" if unit else number
+    def __repr__(self) -> str:
+        runs = max((columns["seed"].size for columns in self.columns), default=0)
+        over = ", ".join(self.points.keys)
+        return f"<ParameterSweep {self.experiment} over {over}: {len(self.columns)} points, {runs} runs at each>"
 
 
-def load_points(source: str | Path, points: Points, sets: Sequence[str] = ()) -> list[Experiment]:
+def load_points(load: Callable[[list[str]], Experiment], points: Points) -> list[Experiment]:
     """Return the experiment at every point, all checked before anything runs.
+
+    Args:
+        load: reads the experiment with some changes, as ``--set`` takes them.
+        points: where.
 
     Raises:
         HilError: if a point is no valid experiment; the message names its changes.
@@ -174,17 +159,16 @@ def load_points(source: str | Path, points: Points, sets: Sequence[str] = ()) ->
     found = []
     for number in range(len(points.values)):
         try:
-            found.append(load_experiment(source, [*sets, *points.changes(number)]))
+            found.append(load(points.changes(number)))
         except HilError as error:
             raise HilError(f"{', '.join(points.changes(number))}: {error}") from error
     return found
 
 
 def sweep_parameters(
-    source: str | Path,
+    experiments: Sequence[Experiment],
     points: Points,
     *,
-    sets: Sequence[str] = (),
     runs: int,
     first_seed: int = 0,
     workers: Workers,
@@ -194,9 +178,8 @@ def sweep_parameters(
     """Run an experiment at every point for the same seeds, so that points with the same network laws meet the same delays.
 
     Args:
-        source: shipped name or TOML file.
+        experiments: one for every point, as `load_points` returns them.
         points: where.
-        sets: changes of all points, made first.
         runs: at each point; seeds ``first_seed``, ``first_seed + 1``, ...
         first_seed: the first of them.
         workers: where the runs are computed.
@@ -204,9 +187,8 @@ def sweep_parameters(
         progress: told how many runs of all have been done.
 
     Raises:
-        HilError: if a point is no valid experiment or cannot be composed, or the folder holds something else.
+        HilError: if a point cannot be composed, or the folder holds something else.
     """
-    experiments = load_points(source, points, sets)
     quantities = common_quantities([quantities_in(e) for e in experiments])
     done: list[Mapping[str, NDArray[np.float64]]] = []
     if folder is not None:
@@ -215,6 +197,12 @@ def sweep_parameters(
         except OSError as error:
             raise HilError(f"--resume: {folder}: {error.strerror}") from error
     alone = ""
+
+    def made(**ended: Any) -> ParameterSweep:
+        return ParameterSweep(
+            experiment=experiments[0].name, points=points, columns=tuple(done), quantities=quantities, **ended
+        )
+
     for number, experiment in enumerate(experiments):
         before = number * runs
         name = sha256("\n".join(points.changes(number)).encode()).hexdigest()[:16]
@@ -233,7 +221,7 @@ def sweep_parameters(
             if store is not None:
                 store.close()
         if found.interrupted:
-            return ParameterSweep(points=points, columns=tuple(done), quantities=quantities, interrupted=found.interrupted)
+            return made(interrupted=found.interrupted)
         done.append(found.values)
         alone = alone or found.alone
-    return ParameterSweep(points=points, columns=tuple(done), quantities=quantities, alone=alone)
+    return made(alone=alone)

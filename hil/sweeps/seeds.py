@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from design.monte_carlo.confidence import Interval, StopRule
+from design.monte_carlo.confidence import StopRule
 from design.monte_carlo.parallel import Workers, spread
 from hil.compose.fourth_moments import caution
 from hil.compose.loop import Loop, compose
@@ -20,12 +19,14 @@ from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.measure.many import ManyView, MeasureOfMany
 from hil.measure.measure import Quantity, measures_of, quantities_of
+from hil.measure.names import Named
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.session import refuse_unsound_measures, simulate
 from hil.sweeps.lockstep import chunk_runs, in_lockstep, measured_alone, measures_in_lockstep, run_together, view_of_many
 from hil.sweeps.same_numbers import copied, foreign_parts, refuse_other_numbers
 from hil.sweeps.store import SweepStore
+from hil.sweeps.sweep import Sweep
 
 WORTH_WORKERS = 3_000_000
 """Slots of a sweep in lockstep, some 1 s, up to which starting processes takes longer than the sweep."""
@@ -107,33 +108,13 @@ def _row(run: Run, experiment: Experiment, names: Sequence[str], seed: int) -> d
     return row | {"seed": seed, "stopped": float(any(e["kind"] == "safety" for e in run.events))}
 
 
-class Sweep(NamedTuple):
-    """What a sweep has found.
-
-    Args:
-        values: ``seed``, ``stopped`` and every metric, one entry per run in the order of the seeds.
-        interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; the values are those of the runs that were done.
-        interval, reached: with a stopping rule, its interval (None before the first look) and whether it is narrow enough.
-        caution: what is to be said beside the numbers, nothing where all is well: the first run withdrew the certificate, or a
-            mean of squared errors does not converge; see `hil.compose.fourth_moments`.
-        alone: which measures kept the runs from being computed at once, nothing where none did.
-    """
-
-    values: dict[str, NDArray[np.float64]]
-    interrupted: int
-    interval: Interval | None = None
-    reached: bool = False
-    caution: str = ""
-    alone: str = ""
-
-
 def sweep(
     experiment: Experiment,
     seeds: Sequence[int],
     *,
     jobs: int = -1,
     progress: Callable[[int], None] = lambda done: None,
-) -> dict[str, NDArray[np.float64]]:
+) -> Mapping[str, NDArray[np.float64]]:
     """Run an experiment for every seed on this machine; as `run_sweep`, but only its values."""
     return run_sweep(experiment, seeds, workers=here(jobs), progress=progress).values
 
@@ -204,7 +185,11 @@ def run_sweep(
         refuse_other_numbers(loop, alone, rows[0])
     unseen = interrupted or not rows or (together and alone is None)
     said = "" if unseen else withdrawal(simulate(loop, int(rows[0]["seed"]), (EVENTS_TOPIC,))) or ""
-    return Sweep(values, interrupted, interval, reached, "; ".join(filter(None, (said, caution(loop)))), measured_alone(loop))
+    cautions = "; ".join(filter(None, (said, caution(loop))))
+    return Sweep(
+        Named("column", values), interrupted, interval, reached, cautions, measured_alone(loop), experiment.name,
+        quantities_in(experiment),
+    )  # fmt: skip
 
 
 def _parts(seeds: Sequence[int], workers: Workers, chunk: int | None) -> list[Sequence[int]]:
@@ -217,19 +202,3 @@ def _parts(seeds: Sequence[int], workers: Workers, chunk: int | None) -> list[Se
     most, parts = (25, 4 * count) if chunk is None else (chunk, 2 * count)
     size = max(1, min(most, -(-len(seeds) // parts)))
     return [seeds[i : i + size] for i in range(0, len(seeds), size)]
-
-
-def statistics(values: NDArray[np.float64]) -> dict[str, Any]:
-    """Return mean, standard deviation, standard error and percentiles of one metric over the runs that have it."""
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return {"n": 0, "mean": None, "sd": None, "se": None, "percentiles": {}}
-    sd = float(finite.std(ddof=1)) if finite.size > 1 else 0.0
-    points = (1, 5, 25, 50, 75, 95, 99)
-    return {
-        "n": int(finite.size),
-        "mean": float(finite.mean()),
-        "sd": sd,
-        "se": sd / float(np.sqrt(finite.size)),
-        "percentiles": {str(p): float(v) for p, v in zip(points, np.percentile(finite, points))},
-    }

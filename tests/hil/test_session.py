@@ -23,7 +23,8 @@ from hil.replay import compare as replay_compare
 from hil.replay import replay
 from hil.replay.replay import verify, what_if
 from hil.session import run_session, simulate
-from hil.sweeps.seeds import statistics, sweep
+from hil.sweeps.seeds import sweep
+from hil.sweeps.sweep import statistics
 from transport.packets import ControlPacket, decode, encode_control
 
 

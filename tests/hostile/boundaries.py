@@ -26,7 +26,7 @@ from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.files.arrays import numbers_from_file
 from hil.log.events import decode_event, encode_event
 from hil.log.read.signal_table import read_signal_table
-from hil.sweeps.parameters import grid, latin_hypercube
+from hil.sweeps.points import grid, latin_hypercube
 from hil.sweeps.store import SweepStore
 from tests.hostile.logs import foreign_log, motor, our_log, read_log
 from tests.hostile.mutation import OF_BYTES, OF_TEXT, Edit

@@ -1,8 +1,9 @@
-"""A session in a notebook and in a paper: tables of pandas and xarray, a figure, and the cell that shows it."""
+"""A run in a notebook and in a paper: tables of pandas and xarray, a figure, and the cell that shows it."""
 
 from __future__ import annotations
 
-import io
+from collections.abc import Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,21 +11,16 @@ from typing import TYPE_CHECKING, Any
 from hil.errors import HilError
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
+from hil.measure.measure import Quantity
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
+from hil.notebook.sheet import as_svg, drawn
 
 if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
 
-MM_PER_INCH = 25.4
-FORMATS = (".svg", ".pdf", ".png")
 TILES = 6
-PAPER_STYLE: Any = {
-    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
-    "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
-}  # fmt: skip
-"""What matplotlib is told for a figure that is printed in a column."""
 
 
 def tables(run: Run) -> dict[str, pandas.DataFrame]:
@@ -78,66 +74,59 @@ def figure(run: Run, path: str | Path | None = None, *, width_mm: float = 85.0, 
     Raises:
         HilError: if matplotlib is not installed, or for another ending.
     """
-    try:
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise HilError("plot: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
-    if path is not None and Path(path).suffix not in FORMATS:
-        raise HilError(f"plot: {str(path)!r}; expected a name that ends in {', '.join(FORMATS)}")
-    if not (10.0 <= width_mm <= 2000.0 and 10.0 <= height_mm <= 2000.0):
-        raise HilError(f"plot: {width_mm:g} mm x {height_mm:g} mm; expected 10 to 2000 mm")
+    return drawn(partial(_paint, run), path, width_mm, height_mm)
+
+
+def _paint(run: Run, sheet: Figure) -> None:
     view = view_of(run)
-    with rc_context(PAPER_STYLE):
-        drawn = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
-        outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
-        rows = drawn.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]
-        measurement, reference = run.arrays[MEASUREMENT], run.arrays.get(REFERENCE)
-        for axis, name in zip(rows, outputs):
-            if reference is not None:
-                axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
-            axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
-            axis.set_ylabel(_label(name, view.signals.outputs[name]))
-            axis.legend(frameon=False)
-        if applied is not None:
-            inputs = signal_names(run, APPLIED)
-            for number, name in enumerate(inputs):
-                axis = rows[-1]
-                axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
-            rows[-1].set_ylabel(_label(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
-            if len(inputs) > 1:
-                rows[-1].legend(frameon=False)
-        rows[-1].set_xlabel("time (s)")
-        if path is not None:
-            metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(Path(path).suffix)
-            drawn.savefig(path, dpi=300, metadata=metadata)
-    return drawn
+    outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
+    rows = sheet.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]
+    measurement, reference = run.arrays[MEASUREMENT], run.arrays.get(REFERENCE)
+    for axis, name in zip(rows, outputs):
+        if reference is not None:
+            axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
+        axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
+        axis.set_ylabel(_label(name, view.signals.outputs[name]))
+        axis.legend(frameon=False)
+    if applied is not None:
+        inputs = signal_names(run, APPLIED)
+        for number, name in enumerate(inputs):
+            axis = rows[-1]
+            axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
+        rows[-1].set_ylabel(_label(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
+        if len(inputs) > 1:
+            rows[-1].legend(frameon=False)
+    rows[-1].set_xlabel("time (s)")
 
 
-def cell(run: Run, summary: dict[str, Any], line: str) -> str:
+def cell(run: Run, summary: dict[str, Any], line: str, quantities: Sequence[Quantity] = ()) -> str:
     """Return a session as HTML: one line, its numbers as tiles, and the plot where matplotlib is installed.
 
     Args:
         run: what ran.
         summary: its summary.
         line: the session in one line.
+        quantities: what the numbers are, with the titles and shares that the page of the run has.
     """
+    known = {quantity.name: quantity for quantity in quantities}
     units = summary.get("units", {})
-    numbers = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]
+    found = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]
+    plain = {name: Quantity(name=name, title=name, unit=units.get(name, "")) for name, _ in found}
+    numbers = [_tile(known.get(name, plain[name]), value) for name, value in found]
     tiles = "".join(
         '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
-        f'<div style="font-size:80%;opacity:.7">{escape(name)}</div><b>{value:.5g}</b> {escape(units.get(name, ""))}</div>'
-        for name, value in numbers
+        f'<div style="font-size:80%;opacity:.7">{escape(title)}</div><b>{value:.5g}</b> {escape(unit)}</div>'
+        for title, value, unit in numbers
     )
-    picture = io.StringIO()
-    try:
-        drawn = figure(run, width_mm=160.0, height_mm=90.0)
-        drawn.savefig(picture, format="svg", metadata={"Date": None})
-    except HilError:  # no matplotlib: the numbers are there
-        picture = io.StringIO()
-    svg = picture.getvalue()
-    svg = svg[svg.find("<svg") :] if svg else ""
+    svg = as_svg(partial(_paint, run))
     return f'<div><p>{escape(line)}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
+
+
+def _tile(quantity: Quantity, value: float) -> tuple[str, float, str]:
+    """Return title, number and unit of a tile; a share is shown in per cent of what it is a share of."""
+    if quantity.share_of:
+        return quantity.title, 100.0 * value, f"% of {quantity.share_of}"
+    return quantity.title, value, quantity.unit
 
 
 def _units(run: Run, topic: str) -> dict[str, str]:

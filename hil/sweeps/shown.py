@@ -1,0 +1,103 @@
+"""Results of many runs as a notebook shows them: sentences, a table of every number, a plot of one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.monte_carlo.confidence import Interval, mean_interval
+from hil.measure.measure import Quantity
+from hil.measure.names import unknown_name
+from hil.measure.signals import with_unit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Values = Mapping[str, NDArray[np.float64]]
+
+
+def interval_of(values: NDArray[np.float64]) -> Interval:
+    """Return the mean over the runs that have a number, and its 95 % interval."""
+    return mean_interval(values[np.isfinite(values)])
+
+
+def asked(quantities: Sequence[Quantity], name: str | None) -> Quantity:
+    """Return a quantity by its name; without one the first of which it is known which values are better.
+
+    Raises:
+        UnknownName: there is none of that name.
+    """
+    if name is None:
+        return next((q for q in quantities if q.better), quantities[0])
+    for quantity in quantities:
+        if quantity.name == name:
+            return quantity
+    raise unknown_name("quantity", name, [q.name for q in quantities])
+
+
+def within(interval: Interval) -> str | None:
+    """Return an interval in words, None where it is infinitely wide."""
+    return f"{interval.low:.5g} to {interval.high:.5g}" if np.isfinite(interval.half_width) else None
+
+
+def mean_and_interval(values: NDArray[np.float64], quantity: Quantity) -> str:
+    """Return the mean of a quantity with its interval, in one line."""
+    found = interval_of(values)
+    if not found.n:
+        return f"{quantity.name} undefined in all runs"
+    unit = f" {quantity.unit}" if quantity.unit else ""
+    inner = within(found)
+    return f"mean {quantity.name} {found.value:.5g}{unit}" + (f", 95 % interval {inner}" if inner else "")
+
+
+def stopped_in_words(values: Values) -> str:
+    """Return how many of the runs safety stopped."""
+    count, runs = int(values["stopped"].sum()), values["stopped"].size
+    return f"safety stopped {count or 'none'} of {runs} runs"
+
+
+def paint_distributions(groups: Mapping[str, Values], quantity: Quantity) -> Callable[[Figure], None]:
+    """Return what draws the share of runs at or below each value, a line for each group."""
+
+    def paint(sheet: Figure) -> None:
+        axis = sheet.subplots()
+        for name, values in groups.items():
+            sample = values[quantity.name]
+            finite = np.sort(sample[np.isfinite(sample)])
+            if finite.size:
+                axis.step(finite, np.arange(1, finite.size + 1) / finite.size, where="post", label=name)
+        axis.set_xlabel(with_unit(quantity.title, quantity.unit))
+        axis.set_ylabel("share of runs at or below")
+        axis.set_ylim(0.0, 1.0)
+        if len(groups) > 1:
+            axis.legend(frameon=False)
+
+    return paint
+
+
+def paint_points(
+    x: NDArray[np.float64] | None, labels: Sequence[str], x_label: str, groups: Mapping[str, Sequence[Interval]],
+    quantity: Quantity,
+) -> Callable[[Figure], None]:  # fmt: skip
+    """Return what draws means with their intervals: over numbers where there are any, else over words."""
+
+    def paint(sheet: Figure) -> None:
+        axis = sheet.subplots()
+        at = np.arange(len(labels), dtype=np.float64) if x is None else x
+        order: Any = np.argsort(at, kind="stable")
+        for name, found in groups.items():
+            mean = np.array([i.value for i in found])
+            half = np.array([i.half_width if np.isfinite(i.half_width) else 0.0 for i in found])
+            line = "" if x is None else "-"
+            axis.errorbar(at[order], mean[order], yerr=half[order], marker="o", linestyle=line, capsize=3, label=name or None)
+        if x is None:
+            axis.set_xticks(at, labels)
+        axis.set_xlabel(x_label)
+        axis.set_ylabel(with_unit(quantity.title, quantity.unit))
+        if len(groups) > 1:
+            axis.legend(frameon=False)
+
+    return paint

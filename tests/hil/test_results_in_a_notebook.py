@@ -1,0 +1,181 @@
+"""Results of many runs, of a design and of a chapter: one line, answer, table, plot, and pandas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import hil
+from design.monte_carlo.confidence import mean_interval
+
+SHORT = {"runs": 4, "jobs": 1, "duration": 3}
+
+
+@pytest.fixture(scope="module")
+def sweep() -> hil.Sweep:
+    found = hil.sweep("dc-motor-hinf", **SHORT)
+    assert isinstance(found, hil.Sweep)
+    return found
+
+
+@pytest.fixture(scope="module")
+def over_gain() -> hil.ParameterSweep:
+    found = hil.sweep("dc-motor-hinf", grid={"plant.gain": [150, 170], "period": ["25 ms", "50 ms"]}, **SHORT)
+    assert isinstance(found, hil.ParameterSweep)
+    return found
+
+
+@pytest.fixture(scope="module")
+def comparison() -> hil.Comparison:
+    return hil.compare("dc-motor-hinf", "dc-motor-h2", **SHORT)
+
+
+@pytest.fixture(scope="module")
+def design() -> hil.DesignResult:
+    return hil.design("dc-motor", information="constant", starts=1)
+
+
+def well_formed(html: str) -> ElementTree.Element:
+    svg = html.find("<svg")
+    return ElementTree.fromstring(html[:svg] + "</div>" if svg >= 0 else html)
+
+
+@pytest.mark.parametrize("name", ["sweep", "over_gain", "comparison", "design"])
+def test_a_result_is_one_short_line_and_a_cell_with_answer_table_and_plot(name: str, request: pytest.FixtureRequest) -> None:
+    found = request.getfixturevalue(name)
+    line = repr(found)
+    assert "\n" not in line and len(line) < 300 and line[0] == "<" and line[-1] == ">" and "array(" not in line
+    html = found._repr_html_()
+    tree = well_formed(html)
+    assert tree.find("p/b") is not None and len(tree.findall(".//tbody/tr")) >= 3 and "<svg" in html
+
+
+def test_a_cell_needs_no_matplotlib(sweep: hil.Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    html = sweep._repr_html_()
+    assert "<table>" in html and "<svg" not in html
+    with pytest.raises(hil.HilError, match=r"plot: matplotlib is not installed; pip install 'hilrig\[notebook\]'"):
+        sweep.plot()
+
+
+def test_tables_of_pandas_hold_every_run_with_its_units(
+    sweep: hil.Sweep, over_gain: hil.ParameterSweep, comparison: hil.Comparison, design: hil.DesignResult
+) -> None:
+    pytest.importorskip("pandas", reason="pandas is not installed: pip install 'hilrig[notebook]'")
+    frame = sweep.to_pandas()
+    assert frame.shape[0] == 4 and frame.attrs["units"]["sse"] == "rad² s" and frame["seed"].tolist() == [0, 1, 2, 3]
+    assert np.array_equal(frame["sse"], sweep.values["sse"])
+    points = over_gain.to_pandas()
+    assert points.shape[0] == 16 and set(points["plant.gain"]) == {"150", "170"} and set(points["period"]) == {"25 ms", "50 ms"}
+    chosen = points[(points["plant.gain"] == "170") & (points["period"] == "25 ms")]
+    assert np.array_equal(chosen["sse"], over_gain.columns[2]["sse"])
+    both = comparison.to_pandas()
+    assert list(both["experiment"].unique()) == ["dc-motor-hinf", "dc-motor-h2"] and both.shape[0] == 8
+    assert np.array_equal(design.to_pandas()["gain"], design.gains.ravel())
+
+
+def test_plots_show_what_was_computed_and_are_written(
+    over_gain: hil.ParameterSweep, comparison: hil.Comparison, design: hil.DesignResult, tmp_path: Path
+) -> None:
+    (axis,) = over_gain.plot("sse", tmp_path / "points.svg").axes
+    assert axis.get_xlabel() == "period (ms)" and [t.get_text() for t in axis.get_legend().get_texts()] == [
+        "plant.gain 150", "plant.gain 170",
+    ]  # fmt: skip
+    marked = [line for line in axis.lines if line.get_marker() == "o"]
+    expected = [mean_interval(columns["sse"]).value for columns in over_gain.columns]
+    assert [y for line in marked for y in line.get_ydata()] == pytest.approx(expected)
+    assert (tmp_path / "points.svg").read_text().count("<svg") == 1
+    (axis,) = comparison.plot("sse").axes
+    assert np.array_equal(axis.lines[1].get_xdata(), np.sort(comparison.values["dc-motor-h2"]["sse"]))
+    assert design.plot().axes[0].get_ylabel() == "gain"
+
+
+def test_the_best_point_and_its_paired_differences(over_gain: hil.ParameterSweep) -> None:
+    means = [columns["sse"].mean() for columns in over_gain.columns]
+    best = over_gain.best("sse")
+    assert best == int(np.argmin(means)) and over_gain.answer("sse").startswith("best point: plant.gain=")
+    other = (best + 1) % 4
+    gap = over_gain.difference(other, best, "sse")
+    assert gap.value == pytest.approx(means[other] - means[best]) and gap.n == 4
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"grid": {"plant.gain": 150}}, r"plant.gain: 150; expected a list of values, such as \[150, 170\]"),
+        ({"grid": {}}, "no parameter is named"),
+        ({"grid": {"plant.gian": [1, 2]}}, "did you mean 'gain'"),
+        ({"range": {"plant.gain": (100, 200)}}, "range and points belong together"),
+        ({"range": {"plant.gain": (100, 150, 200)}, "points": 3}, "3 values; expected the lowest and the highest"),
+        ({"range": {"plant.gain": (200, 100)}, "points": 3}, "the lower first"),
+        ({"grid": {"plant.gain": [1]}, "range": {"plant.gain": (1, 2)}, "points": 2}, "one of them"),
+    ],
+)
+def test_points_that_are_none_are_refused(asked: dict[str, object], said: str) -> None:
+    with pytest.raises(hil.HilError, match=said):
+        hil.sweep("dc-motor-hinf", runs=2, jobs=1, duration=1, **asked)  # type: ignore[arg-type]
+
+
+def test_a_grid_takes_objects_and_ranges_take_points() -> None:
+    found = hil.sweep("dc-motor-hinf", range={"plant.gain": (150, 170)}, points=2, runs=2, jobs=1, duration=1, controller=-0.2)
+    assert isinstance(found, hil.ParameterSweep) and len(found.columns) == 2
+    assert "point (plant.gain)" in found.plot().axes[0].get_xlabel() or found.plot().axes[0].get_xlabel() == "plant.gain"
+
+
+def test_a_quantity_that_is_not_there_is_answered_with_those_that_are(sweep: hil.Sweep, comparison: hil.Comparison) -> None:
+    session = hil.run("dc-motor-hinf", duration=1)
+    for ask in (
+        lambda: session.metrics["settling_tme_s"], lambda: sweep.values["settling_tme_s"], lambda: sweep.plot("settling_tme_s"),
+        lambda: comparison.difference("dc-motor-h2", "settling_tme_s"),
+    ):  # fmt: skip
+        with pytest.raises(KeyError, match=r"did you mean 'settling_time_s'\? There are: ") as caught:
+            ask()
+        assert isinstance(caught.value, hil.HilError)
+    with pytest.raises(hil.HilError, match="no experiment is called 'dc-motor-h3'; did you mean"):
+        comparison.difference("dc-motor-h3", "sse")
+
+
+def test_a_tile_has_the_title_and_the_unit_of_the_page() -> None:
+    html = hil.run("dc-motor-hinf", seed=3, duration=10)._repr_html_()
+    assert "squared error after 5 s" in html and "sse_after_5s<" not in html and "% of the step" in html
+
+
+def test_pages_of_many_runs_are_written_once(comparison: hil.Comparison, over_gain: hil.ParameterSweep, tmp_path: Path) -> None:
+    for source in (comparison, over_gain):
+        page = tmp_path / f"{type(source).__name__}.html"
+        assert hil.report(source, output=page) == (page,) and page.read_text().lower().startswith("<!doctype html")
+        with pytest.raises(hil.HilError, match="force=True"):
+            hil.report(source, output=page)
+        hil.report(source, output=page, force=True)
+    with pytest.raises(hil.HilError, match=r"expected output='page.html'"):
+        hil.report(comparison)
+
+
+def test_a_log_is_replaced_only_when_asked(tmp_path: Path) -> None:
+    log = tmp_path / "a.mcap"
+    hil.run("dc-motor-hinf", duration=1, log=log)
+    before = log.read_bytes()
+    with pytest.raises(hil.HilError, match=r"exists already; choose another log=\.\.\., or add force=True"):
+        hil.run("dc-motor-hinf", duration=1, seed=1, log=log)
+    assert log.read_bytes() == before
+    hil.run("dc-motor-hinf", duration=1, seed=1, log=log, force=True)
+    assert log.read_bytes() != before
+
+
+def test_laws_and_designs_are_asked_without_a_run(design: hil.DesignResult, tmp_path: Path) -> None:
+    assert set(hil.laws("dc-motor-hinf")) == {"sc", "ca"} and hil.laws("dc-motor-hinf")["ca"].stationary
+    path = design.save(tmp_path / "gains.json")
+    with pytest.raises(hil.HilError, match="force=True"):
+        design.save(path)
+    session = hil.run("dc-motor-hinf", duration=1, controller={"kind": "designed", "file": str(path)})
+    assert session.summary["certificate"] and np.isfinite(session.metrics["sse"])
+
+
+def test_a_chapter_that_is_none_is_answered_with_those_that_are() -> None:
+    with pytest.raises(hil.HilError, match=r"no chapter is called 'ch9'.*ch7"):
+        hil.reproduce_chapter("ch9")
