@@ -21,7 +21,7 @@ from hil.experiment import Experiment
 from hil.log.events import DEPARTED, WITHDRAWN, decode_event, to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
-from hil.log.topics import CA, SC
+from hil.log.topics import CA, SC, channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
@@ -32,14 +32,12 @@ from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
 from hil.plugins.asked import told_of
-from hil.rig.can_frames import link_uri, said_identifiers
-from hil.rig.time_line import beyond_the_end
+from hil.rig.session_link import SessionLink, link_of, no_link
 from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
 from plants.errors import PlantError
 from transport.draws import REASONS
-from transport.links.who_commands import who_commands
 from transport.packets import SELECTIONS
 
 if TYPE_CHECKING:
@@ -125,7 +123,7 @@ class Session:
 
 def simulate(loop: Loop, seed: int, topics: Collection[str] | None = None) -> Run:
     """Run a loop in virtual time without a file, keeping only some topics: for sweeps and tests."""
-    sink = MemorySink(loop.channels(), topics)
+    sink = MemorySink(channels_of(loop), topics)
     rig = run_virtual(loop, seed, sink)
     return Run.from_memory(sink, summary=dict(rig.outcome()))
 
@@ -142,9 +140,9 @@ def rehearsal(loop: Loop, slots: int = 20) -> RunView:
     """Return the view of the first slots of a run, which ends in order where a plug-in fails."""
     experiment = loop.experiment
     short = msgspec.structs.replace(experiment, duration=min(slots, experiment.ticks) * experiment.period)
-    sink = MemorySink(loop.channels())
+    sink = MemorySink(channels_of(loop))
     run_virtual(replace(loop, experiment=short), 0, sink, failed=lambda error: not isinstance(error, KeyboardInterrupt))
-    return view_of(_run_of(sink, loop, 0), experiment)
+    return view_of(_run_of(sink, loop, 0), experiment, loop.rig)
 
 
 def _run_of(sink: MemorySink, loop: Loop, seed: int, **about: Any) -> Run:
@@ -169,13 +167,13 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     """
     begun = monotonic_ns()
     experiment = loop.experiment
-    sink = MemorySink(loop.channels())
+    sink = MemorySink(channels_of(loop))
     rig = run_virtual(loop, seed, sink)
     run = _run_of(sink, loop, seed, summary=dict(rig.outcome()))
-    summary = summarise(view_of(run, experiment)) | _gains(loop)
+    summary = summarise(view_of(run, experiment, loop.rig)) | _gains(loop)
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, sink.payloads.values())), "dropped": 0}
-    summary["problems"] = _told(run, {WITHDRAWN, DEPARTED}) | beyond_the_end(experiment)
+    summary["problems"] = _told(run, {WITHDRAWN, DEPARTED}) | _unreached(loop)
     status = LEFT if _kinds(run) & {WITHDRAWN, DEPARTED} else 3 if summary["safety"] else 0
     return Session(log=lambda: run, summary=summary, status=status, experiment=experiment)
 
@@ -209,7 +207,7 @@ def run_session(
     loop = compose(experiment, external=external)
     refuse_unsound_measures(loop)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are told now
-    uri = "memory:" if clock == "virtual" else link_uri(experiment, link)
+    on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.
     provenance = Provenance(
@@ -219,12 +217,12 @@ def run_session(
         certificate=loop.certificate,
         seed=experiment.seed,
         clock=clock,
-        link=uri,
+        link=on.uri,
         codes={"reason": REASONS, "selection": SELECTIONS},
-        channels=said_identifiers(experiment, uri),
+        channels=on.said(loop.rig),
         origins=experiment.origins(),
         session={} if clock == "virtual" else {
-            "started": wall_clock(), "external_controller": str(external), "who_commands": who_commands(uri),
+            "started": wall_clock(), "external_controller": str(external), "who_commands": on.traits.commanders,
         },
     )
 
@@ -232,14 +230,14 @@ def run_session(
     begun = monotonic_ns()
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
     keep = _summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
-    with McapSink(path, loop.channels(on_can=uri.startswith("can:")), provenance, now=now, index=index, keep=keep) as sink:
+    with McapSink(path, channels_of(loop, on_can=on.on_can), provenance, now=now, index=index, keep=keep) as sink:
         outcome: dict[str, Any] = {}
         if clock == "virtual":
             outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, Taps(taps)) if taps else sink)
         else:
-            outcome = _run_real(loop, uri, sink, external, taps)
+            outcome = _run_real(loop, on, sink, external, taps)
         sink.commit()
-        outcome |= beyond_the_end(loop.experiment)
+        outcome |= _unreached(loop)
         problems = {name: text for name, text in outcome.items() if text}
         if problems:
             sink.summary({"problems": problems})
@@ -263,8 +261,8 @@ def run_session(
             run = _kept(sink, provenance)
         else:
             run = _read_back(path, whole=sink.error is None, descriptor=log)
-        summary = _summary(run, loop.experiment, sink, outcome, wall_s)
-        summary |= {"who_commands": who_commands(uri)} | _gains(loop)
+        summary = _summary(run, loop, sink, outcome, wall_s)
+        summary |= {"who_commands": on.traits.commanders} | _gains(loop)
         summary["log"]["sha256"] = _sha256(log)
     finally:
         os.close(log)
@@ -273,15 +271,19 @@ def run_session(
     return Session(log=read, summary=summary, status=status, experiment=loop.experiment)
 
 
+def _unreached(loop: Loop) -> dict[str, str]:
+    return {"faults": loop.rig.unreached} if loop.rig.unreached else {}
+
+
 def _gains(loop: Loop) -> dict[str, Any]:
     return {"gains": None if loop.gains is None else loop.gains.to_json()}
 
 
 def _summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
     """Return what a summary needs of a log in virtual time, topic to fields (None: all); None where it needs raw frames."""
-    table = loop.channels()
+    table = channels_of(loop)
     keep: dict[str, Sequence[str] | None] = dict.fromkeys((MEASUREMENT, REFERENCE, APPLIED, TIMING))
-    for topic, laws in ((SC.name, [sensor.law for sensor in loop.sensors]), (CA.name, [loop.ca_law])):
+    for topic, laws in ((SC.name, loop.rig.laws[:-1]), (CA.name, loop.rig.laws[-1:])):
         counted = [name for name in table[topic].schema.dtype.names or () if name in ("mode", "node", "reason")]
         keep[topic] = counted if all(law.family == "age" for law in laws) else None
     wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics}
@@ -328,7 +330,7 @@ def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink) -> dict[str, Any
 
     def failed(error: BaseException) -> bool:
         """Keep what a plant, a controller or a law of somebody's own raised in mid-run: the log is closed with it."""
-        parts = (loop.experiment.plant, loop.controller, loop.ca_law, *(sensor.law for sensor in loop.sensors))
+        parts = (loop.experiment.plant, loop.controller, *loop.rig.laws)
         if isinstance(error, PlantError):
             out["plant_failed"] = str(error)
         elif not isinstance(error, KeyboardInterrupt) and (told := told_of(error, parts)) is not None:
@@ -353,12 +355,12 @@ def _interrupted(number: int, sink: Sink, t_ns: int) -> dict[str, Any]:
 
 
 def _run_real(
-    loop: Loop, uri: str, sink: McapSink, external: bool, taps: Mapping[str, Put] | None
+    loop: Loop, link: SessionLink, sink: McapSink, external: bool, taps: Mapping[str, Put] | None
 ) -> dict[str, Any]:
     from hil.runtime.real.supervisor import run_real
 
     try:
-        real = run_real(loop, loop.experiment.seed, uri, sink, external=external, taps=taps)
+        real = run_real(loop, loop.experiment.seed, link, sink, external=external, taps=taps)
     except HilError:  # nothing ran: nothing is left behind
         sink.discard()
         raise
@@ -397,9 +399,9 @@ def _run_real(
     return out
 
 
-def _summary(run: Run, experiment: Experiment, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
+def _summary(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
     failed: dict[str, str] = {}
-    summary: dict[str, Any] = summarise(view_of(run, experiment), failed)
+    summary: dict[str, Any] = summarise(view_of(run, loop.experiment, loop.rig), failed)
     if failed:
         outcome["measure_failed"] = "; ".join(failed.values())
     summary["wall_s"] = round(wall_s, 3)

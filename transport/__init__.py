@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from transport.links.link import Link, LinkCounters, Role, TransportError
     from transport.links.memory import MemoryLink, memory_pair
     from transport.links.opening import open_link
+    from transport.links.traits import CanFraming, LinkTraits, SaysTraits
     from transport.medium.independent import Impairment, impair
     from transport.packets import (
         EMPTY,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     )
 
 _HOMES: Final = {
+    "CanFraming": "transport.links.traits",
     "ConstantAge": "transport.laws.age",
     "ControlPacket": "transport.packets",
     "Draw": "transport.draws",
@@ -42,6 +44,7 @@ _HOMES: Final = {
     "Impairment": "transport.medium.independent",
     "Link": "transport.links.link",
     "LinkCounters": "transport.links.link",
+    "LinkTraits": "transport.links.traits",
     "MORE": "transport.packets",
     "MarkovAge": "transport.laws.age",
     "MemoryLink": "transport.links.memory",
@@ -50,6 +53,7 @@ _HOMES: Final = {
     "Role": "transport.links.link",
     "SELECTIONS": "transport.packets",
     "SemiMarkovAge": "transport.laws.semi_markov",
+    "SaysTraits": "transport.links.traits",
     "SensorPacket": "transport.packets",
     "TraceAge": "transport.laws.trace",
     "TransportError": "transport.links.link",
@@ -67,6 +71,7 @@ __all__ = [
     "MORE",
     "REASONS",
     "SELECTIONS",
+    "CanFraming",
     "ConstantAge",
     "ControlPacket",
     "Draw",
@@ -75,10 +80,12 @@ __all__ = [
     "Impairment",
     "Link",
     "LinkCounters",
+    "LinkTraits",
     "MarkovAge",
     "MemoryLink",
     "PacketLaw",
     "Role",
+    "SaysTraits",
     "SemiMarkovAge",
     "SensorPacket",
     "TraceAge",

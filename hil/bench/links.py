@@ -25,6 +25,7 @@ from hil.runtime.real.own_python import python_module
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link
+from transport.links.traits import LinkTraits, scheme_of, traits_of, without_options
 
 LINKS: Final = (
     "can:hil:bench-{pid}",
@@ -39,6 +40,8 @@ LINKS: Final = (
 _PEERS: Final[dict[str, Callable[[str, Role], Link]]] = {
     plain_socket.SCHEME: plain_socket.PlainSocket, plain_zenoh.SCHEME: plain_zenoh.PlainZenoh,
 }  # fmt: skip
+
+_PINNED: Final = LinkTraits(commanders="")  # where both ends run is said by the benchmark, not by their link
 
 FLOOR: Final = "C over UDP"
 PRIORITY: Final = 60
@@ -86,10 +89,10 @@ def bench_links(
         if floor:
             pairs.append(((FLOOR, "free"), _open(stack, lambda: _floor(folder, rate_hz))))
         for template in links:
-            for how in AFFINITIES if template.startswith("zenoh:") else AFFINITIES[:1]:
+            for how in AFFINITIES if _has_threads(template) else AFFINITIES[:1]:
                 (folder / how).mkdir(exist_ok=True)
                 uri = template.format(port=free_port(), pid=os.getpid(), folder=folder / how)
-                way = template.partition("?")[0].format(port="*", pid="*", folder="*"), how
+                way = without_options(template).format(port="*", pid="*", folder="*"), how
                 pairs.append((way, _open(stack, _python(uri, how, rate_hz))))
         taken: dict[Way, list[int]] = {way: [] for way, _ in pairs}
         for turn in range(slices + 1):
@@ -212,6 +215,14 @@ def _floor(folder: Path, rate_hz: float) -> _Pair:
     )
 
 
+def _has_threads(template: str) -> bool:
+    """Return whether packets of a link of ours pass through threads of its own, which may share a CPU with its ends."""
+    try:
+        return scheme_of(template) not in _PEERS and traits_of(template.format(port=1, pid=0, folder="")).own_threads
+    except TransportError:
+        return False  # opening it says so
+
+
 def free_port() -> int:
     """Return a port of this machine that nobody has."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -224,13 +235,13 @@ def free_port() -> int:
 
 
 def _end(uri: str, role: Role) -> Link:
-    return _PEERS.get(uri.partition(":")[0], open_link)(uri, role)
+    return _PEERS.get(scheme_of(uri), open_link)(uri, role)
 
 
 def echo(uri: str, affinity: Affinity) -> None:
     """Answer every packet with a control packet of the same sequence number (its lowest byte), until killed."""
     answers = [encode_control(ControlPacket(seq, 0, 0, 0, 1, ((1.0, 2.0), (3.0, 4.0)))) for seq in range(256)]
-    go_real_time(PRIORITY - 1, cpu_for(affinity, "controller", uri), awake=True)
+    go_real_time(PRIORITY - 1, cpu_for(affinity, "controller", _PINNED), awake=True)
     with _end(uri, "controller") as link:
         print("ready", flush=True)  # noqa: T201 (this is the process's interface)
         while True:
@@ -243,7 +254,7 @@ def drive(uri: str, affinity: Affinity, rate_hz: float) -> None:
     """Make as many round trips as each line of standard input says, and print how long each took, ns."""
     questions = [encode_sensor(SensorPacket(seq, 0, 0, (1.0,))) for seq in range(256)]
     # Before the link is opened, as in a session: its threads inherit priority and CPU.
-    go_real_time(PRIORITY, cpu_for(affinity, "rig", uri), awake=True)
+    go_real_time(PRIORITY, cpu_for(affinity, "rig", _PINNED), awake=True)
     with _end(uri, "rig") as link:
         limit = monotonic_ns() + MEETING_NS
         while _trip(link, questions, 0) < 0:

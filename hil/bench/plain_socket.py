@@ -8,6 +8,7 @@ from typing import Final
 
 from transport import Role
 from transport.links.link import Closing, LinkCounters
+from transport.links.traits import address_of
 
 SCHEME: Final = "plain-unix"
 """Scheme of its URIs, ``plain-unix:<path>``, which the benchmark alone knows."""
@@ -25,7 +26,7 @@ class PlainSocket(Closing):
 
     def __init__(self, uri: str, role: Role) -> None:
         self.uri, self.counters = uri, LinkCounters()
-        path = uri.partition(":")[2]
+        path = address_of(uri)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(f"{path}.{role}")
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _PATIENCE)

@@ -6,7 +6,8 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final
 
 from transport import Role
-from transport.links.link import Closing, LinkCounters, split_uri
+from transport.links.link import Closing, LinkCounters
+from transport.links.traits import address_of
 from transport.links.zenoh_link import config
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ class PlainZenoh(Closing):
 
         self.uri, self.counters = uri, LinkCounters()
         self._queue: SimpleQueue[bytes] = SimpleQueue()
-        self._session = zenoh.open(config(role, split_uri(uri)[1], {}))
+        self._session = zenoh.open(config(role, address_of(uri), {}))
         says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
         publisher = self._session.declare_publisher(
             f"hil/plain/{says}", express=True, priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP

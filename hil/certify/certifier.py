@@ -14,6 +14,7 @@ from design.verdict import Kind, Verdict
 from hil.certify.said import Said
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 from hil.rig.motion import motion_of
+from hil.rig.port import Port
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -38,6 +39,7 @@ class LoopToCertify:
         unmet: what of the network never happens, as its laws begin; empty: every mode of theirs may come.
         neglects: what the chains leave out; empty: nothing.
         chainless: what keeps the experiment from having a chain of ages on both links; empty: nobody looked, or nothing does.
+        port: force and position of a device under one force, None for another plant.
     """
 
     plant: Plant
@@ -55,6 +57,7 @@ class LoopToCertify:
     unmet: str = ""
     neglects: str = ""
     chainless: str = ""
+    port: Port | None = None
 
     @property
     def motion(self) -> LoopModel:

@@ -9,7 +9,6 @@ import numpy as np
 from design.controllers.rendered_wall import FollowsModel
 from design.verdict import Verdict
 from hil.certify.certifier import LoopToCertify, limited_to_model, undecided
-from hil.rig.port import port_of
 
 HANDS = tuple(product((0.0, 0.5, 2.0), (0.0, 10.0, 30.0), (0.0, 100.0, 800.0)))
 """Mass in kg, damping in N s/m and stiffness in N/m of the passive hands that are tried."""
@@ -20,7 +19,7 @@ def certify_model_following(loop: LoopToCertify) -> Verdict | None:
 
     A passive hand that destabilises it refutes the claim of a wall that is safe for every passive hand.
     """
-    controller, port = loop.controller, port_of(loop.plant)
+    controller, port = loop.controller, loop.port
     if not isinstance(controller, FollowsModel):
         return None
     if port is None:

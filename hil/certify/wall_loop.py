@@ -7,7 +7,6 @@ from dataclasses import replace
 from design.controllers.rendered_wall import RendersWall
 from design.verdict import Verdict
 from hil.certify.certifier import LoopToCertify, limited_to_model, undecided
-from hil.rig.port import port_of
 
 
 def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
@@ -15,12 +14,12 @@ def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
 
     Mass, damping and spring of device and hand are read from the plant's own model, x'' = -k/M x - b/M x' + u/M.
     """
-    controller, plant = loop.controller, loop.plant
+    controller = loop.controller
     if not isinstance(controller, RendersWall):
         return None
     if len(loop.model.nodes.names) > 1:
         return undecided(loop, "passivity", "no certificate covers a wall over several sensor nodes")
-    port = port_of(plant)
+    port = loop.port
     if port is None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
     from design.passivity.certificate import certify_wall

@@ -20,13 +20,13 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     """
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
-    from hil.rig.can_frames import link_uri
+    from hil.rig.session_link import link_of
     from hil.runtime.real.controller_process import serve
     from transport.links.opening import find_link
     from transport.links.zenoh_refusals import standard_output_is_free
 
     loop = compose(load_experiment(experiment, sets))
-    uri = link_uri(loop.experiment, link)
+    uri = link_of(loop.rig, link).uri
     find_link(uri)  # what cannot be a link is said first
     print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)
     standard_output_is_free()  # words go to standard error

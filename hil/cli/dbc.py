@@ -44,14 +44,15 @@ def command(
 
 def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> str:
     from hil.experiment import load_experiment
-    from hil.rig.can_frames import experiment_dbc
+    from hil.rig.frames_dbc import rig_dbc
+    from hil.rig.normal_form import rig_of
     from transport import dbc_path
     from transport.links.link import TransportError
 
     if experiment is None:
         return dbc_path().read_text(encoding="utf-8")
     try:
-        return experiment_dbc(load_experiment(experiment, sets), link)
+        return rig_dbc(rig_of(load_experiment(experiment, sets)), link)
     except (TransportError, ValueError) as error:
         raise HilError(f"{experiment}: {error}") from error
 

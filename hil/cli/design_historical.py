@@ -23,12 +23,12 @@ def experiment_over_history(subject: str) -> Experiment | None:
     """Return the experiment of a name with several sensor nodes, or with gains over historical data; None for any other name."""
     from hil.experiment import load_experiment
     from hil.plugins.registry import names
-    from hil.rig.sensor_list import sensors_of
+    from hil.rig.normal_form import rig_of
 
     if subject in names("hil.plants"):
         return None
     experiment = load_experiment(subject)
-    return experiment if len(sensors_of(experiment)) > 1 or isinstance(experiment.controller, OverHistory) else None
+    return experiment if len(rig_of(experiment).sensors) > 1 or isinstance(experiment.controller, OverHistory) else None
 
 
 def command(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from hil.cli.durations import Duration
-from hil.errors import HilError
 
 NOBODY = 1  # exit status: nobody is there
 
@@ -24,12 +23,9 @@ def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
 
     Exit status: 0 somebody is there, 1 nobody, 2 bad input.
     """
-    from transport.links.zenoh_discover import discover, own_endpoints
+    from transport.links.zenoh_discover import discover, endpoint_of, own_endpoints
 
-    for link in links:
-        if not link.startswith("zenoh:") or "/" not in link:
-            raise HilError(f"{link}: expected a link of zenoh, as in zenoh:tcp/127.0.0.1:7447")
-    endpoints = [link.removeprefix("zenoh:").partition("?")[0] for link in links] or own_endpoints()
+    endpoints = [endpoint_of(link) for link in links] or own_endpoints()
     found = [found for endpoint in endpoints for found in discover(endpoint, wait)]
     if as_json:
         click.echo(json.dumps(found))

@@ -14,13 +14,16 @@ from functools import partial
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import TextWrapper
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from hil.cli.terminal import visible
 from hil.plugins.own_packages import REMEDY, shadows
 from hil.vcan import what_would_run
+
+if TYPE_CHECKING:
+    from transport.links.traits import Certificates
 
 Check = tuple[str, bool, str, str]  # what, fine, finding, remedy
 CLEARLY: Final = 0.7
@@ -144,28 +147,26 @@ def _machine() -> tuple[bool, str, str]:
 
 
 def _who(uri: str | None) -> tuple[bool, str, str]:
-    from transport.links.who_commands import who_commands
+    from transport.links.traits import traits_of
 
     links = ("can:hil:rig0", "zenoh:") if uri is None else (uri,)
-    return True, "; ".join(f"over {link} {who_commands(link)}" for link in links), ""
+    return True, "; ".join(f"over {link} {traits_of(link).commanders}" for link in links), ""
 
 
-def _certificates(uri: str) -> tuple[bool, str, str]:
+def _certificates(shown: Certificates) -> tuple[bool, str, str]:
     """Say until when the certificates of a link are valid, or what is wrong with those that are here."""
     from transport.links.certificates import check_certificate
-    from transport.links.link import TransportError, split_uri
+    from transport.links.link import TransportError
 
-    options, found = split_uri(uri)[2], list[str]()
-    folder = options.get("keys", "")
-    for role in ("rig", "controller"):
-        ca = options.get("ca", f"{folder}/ca.pem")
-        cert = options.get("cert", f"{folder}/{options.get(role, role)}.pem").replace("{role}", role)
-        if "{role}" not in options.get("cert", "{role}") and found:
+    found = list[str]()
+    for role, name in shown.names.items():
+        cert = shown.own[role]
+        if found and cert == shown.own["rig"]:
             break  # one end's only
         if not Path(cert).exists():
             continue
         try:
-            ends = check_certificate(ca, cert, options.get(role, role))
+            ends = check_certificate(shown.ca, cert, name)
         except TransportError as error:
             return False, str(error), "hil keys renew DIR"
         found.append(f"{role} until {ends:%Y-%m-%d}")
@@ -184,9 +185,11 @@ def command(link: str | None, as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
     import json
 
-    tls = link is not None and link.startswith("zenoh:tls/")
+    from transport.links.traits import traits_of
+
     there = importlib.util.find_spec("zenoh") is not None
-    shown = [_ours("certificates", partial(_certificates, link or ""))] if tls else []
+    certificates = None if link is None else traits_of(link).certificates
+    shown = [] if certificates is None else [_ours("certificates", partial(_certificates, certificates))]
     checks = [_ours("who could command a rig", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), _own_vcan(), _zenoh(),
               *([_ours("zenoh round trip", _zenoh_cpus)] if there else []), _scheduler(), _idle(), _clock(), _cpus(),

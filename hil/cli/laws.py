@@ -27,15 +27,15 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
     from hil.compose.law_files import with_law_files
     from hil.experiment import load_experiment
-    from hil.rig.sensor_list import sensors_of
+    from hil.rig.normal_form import rig_of
     from transport.law_tests.analysis import analyse_law
     from transport.laws.modes import mode_transitions
 
     checked = with_law_files(load_experiment(experiment, sets))
     period_s = float(checked.period)
     deadline_s = checked.timing.deadline * period_s
-    sensors = sensors_of(checked)
-    networks = {sensor.name: sensor.law for sensor in sensors}
+    rig = rig_of(checked)
+    networks = {sensor.name: sensor.law for sensor in rig.sensors}
 
     def told(law: NetworkLaw) -> dict[str, Any]:
         matrix = mode_transitions(law)
@@ -43,14 +43,14 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
         return found | {"transition_matrix": None if matrix is None else matrix.tolist()}
 
     if as_json:
-        laws = {"sc": told(checked.links.sc.law), "ca": told(checked.links.ca.law)}
+        laws = {"sc": told(checked.links.sc.law), "ca": told(rig.ca_law)}
         nodes = {name: laws["sc"] if law is checked.links.sc.law else told(law) for name, law in networks.items()}
         said = {"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes}
         print(json.dumps(said, indent=2))
         return
     way = "sensor to controller (sc)"
-    titled = {way if len(sensors) == 1 else f"node {name}, {way}": law for name, law in networks.items()}
-    titled["controller to actuator (ca)"] = checked.links.ca.law
+    titled = {way if len(rig.sensors) == 1 else f"node {name}, {way}": law for name, law in networks.items()}
+    titled["controller to actuator (ca)"] = rig.ca_law
     _print(checked.name, period_s, {title: analyse_law(law, period_s, deadline_s) for title, law in titled.items()})
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from hil.log.topics import channels_of
+
 
 @click.command()
 @click.argument("viewer", type=click.Choice(["foxglove", "lichtblick", "plotjuggler"]))
@@ -29,7 +31,8 @@ def command(viewer: str, source: str, output: Path | None, force: bool) -> None:
     if Path(source).suffix == ".mcap":
         schemas = read_run(source).schemas
     else:
-        schemas = {topic: channel.schema for topic, channel in compose(load_experiment(source), certify=False).channels().items()}
+        loop = compose(load_experiment(source), certify=False)
+        schemas = {topic: channel.schema for topic, channel in channels_of(loop).items()}
     text = plotjuggler(schemas) if viewer == "plotjuggler" else foxglove(schemas) + "\n"
     if output is None:
         click.echo(text, nl=False)

@@ -117,9 +117,9 @@ def command(
     from hil.cli.run_summary import show
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
-    from hil.rig.can_frames import link_uri
+    from hil.rig.normal_form import rig_of
+    from hil.rig.session_link import link_of
     from hil.session import run_session
-    from transport.links.local import LOCAL
     from transport.links.opening import open_link
 
     if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
@@ -127,12 +127,13 @@ def command(
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
-    uri = link_uri(checked, link)
+    on = link_of(rig_of(checked), link) if clock == "real" else None
     # An external controller may be there already: do not let it meet this end.
-    if clock == "real" and not external and uri != LOCAL:
-        with open_link(uri, "rig"), open_link(uri, "controller"):  # what cannot be opened is said before anything starts
+    if on is not None and not external and not on.traits.in_process:
+        with open_link(on.uri, "rig"), open_link(on.uri, "controller"):  # what cannot be opened is said before anything starts
             pass
-    if external and sys.stderr is not None:
+    uri = None if on is None else on.uri
+    if external and uri is not None and sys.stderr is not None:
         print(f"waiting up to 120 s for your controller on {visible(uri)}", file=sys.stderr)
     signer = None
     if sign is not None:

@@ -1,4 +1,4 @@
-"""Whether what belongs together fits: tables and plant, a controller of the user's own and the loop, references and inputs."""
+"""Whether a controller fits its loop: one of the user's own what a loop asks, references what the inputs can hold."""
 
 from __future__ import annotations
 
@@ -8,36 +8,6 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.plugins.own_plugins import words
 from hil.plugins.protocols import NamesField
-from hil.rig.can_frames import can_faults
-from hil.rig.port import port_of
-from hil.rig.sensors import node_faults
-from hil.rig.time_line import time_line_faults
-
-
-def size_faults(e: Experiment) -> list[str]:
-    """Return where tables do not fit the plant, the nodes or the time line, each with its path."""
-    faults: list[str] = []
-    p, m, names = len(e.plant.outputs), len(e.plant.inputs), [s.name for s in e.plant.states]
-    for i, step in enumerate(e.reference):
-        if len(step.value) != p:
-            faults.append(f"reference[{i}].value: {len(step.value)} entries, but the plant has {p} outputs")
-    for i, pulse in enumerate(e.disturbance):
-        if len(pulse.value) != m:
-            faults.append(f"disturbance[{i}].value: {len(pulse.value)} entries, but the plant has {m} inputs")
-    if e.limits.input is not None and len(e.limits.input) != m:
-        faults.append(f"limits.input: {len(e.limits.input)} entries, but the plant has {m} inputs")
-    for name in e.limits.state:
-        if name not in names:
-            faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
-    if e.limits.passivity is not None:
-        port = port_of(e.plant)
-        if port is None or port.output is None:
-            taken, measured = ([f"{s.name} in {s.unit}" for s in signals] for signals in (e.plant.inputs, e.plant.outputs))
-            faults.append(
-                "limits.passivity: needs a device that takes one force and measures the position that it acts on; "
-                f"this plant takes {', '.join(taken)} and measures {', '.join(measured)}"
-            )
-    return faults + (node_faults(e) or can_faults(e)) + time_line_faults(e)
 
 
 def check_own(controller: Controller, model: LoopModel) -> None:

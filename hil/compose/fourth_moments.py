@@ -9,7 +9,7 @@ import numpy as np
 from design.controllers import GainTable, integrates
 from hil.compose.loop import Loop
 from hil.plugins.protocols import JumpPlant
-from hil.rig.delay_chains import delay_chains, gains_over
+from hil.rig.delay_chains import gains_over
 
 if TYPE_CHECKING:
     from design.jump_linear.fourth_moment import FourthMoments
@@ -28,7 +28,7 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
 
     if not isinstance(loop.controller, GainTable) or isinstance(loop.experiment.plant, JumpPlant):
         return None
-    sc, ca = delay_chains(loop.experiment)
+    sc, ca = loop.chains.sc, loop.chains.ca
     if sc is None or ca is None:
         return None
     model, controller = loop.model, loop.controller

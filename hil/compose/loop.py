@@ -8,7 +8,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -36,30 +36,21 @@ from hil.certify.historical_loop import delayed_plant_of, known_past, mask_fault
 from hil.certify.jump_plant import process_of, system_of
 from hil.certify.stated_controller import stated_by
 from hil.certify.watched import Watched, one_step
-from hil.compose.fit import check_own, check_references, size_faults
+from hil.compose.fit import check_own, check_references
 from hil.compose.law_files import with_law_files
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.absent import Absent
 from hil.experiment.table_check import fault_at
-from hil.log.records import Channel
-from hil.log.topics import Logged, channels
 from hil.plugins.own_modules import is_own
 from hil.plugins.protocols import Designer, GivesGains, JumpPlant, NamedController
 from hil.plugins.registry import OBJECT
-from hil.rig.delay_chains import delay_chains, initial_laws, node_chains, why_no_chain, within_reach, without_held
-from hil.rig.packet_ages import neglects
-from hil.rig.port import Port, port_of
-from hil.rig.sensor_list import Sensor, sensors_of
-from hil.rig.sensors import Shared, sensor_nodes, shared_media
+from hil.rig.delay_chains import Chains, chains_for, labels_of, within_reach, without_held
+from hil.rig.normal_form import rig_of
+from hil.rig.spec import RigSpec
 from plants.errors import PlantError
-from transport.laws.protocols import NetworkLaw, prepare
 from transport.packets import MAX_OUTPUTS
-
-if TYPE_CHECKING:
-    from design.processes.delay_chain import DelayChain
-
 
 NOT_COMPARED = "the plant keeps to its model beyond the test: in the run it is not compared"
 
@@ -72,30 +63,26 @@ class Loop:
         experiment: the checked description.
         model: what the controller knows of the plant, and the bounds of both delays.
         controller: controller parameters, with any design already solved.
-        ca_law: the network to the actuator, distributions tabulated: no process that keeps time computes them.
+        rig: what the experiment says of its rig, laws tabulated: no process that keeps time computes their distributions.
+        chains: the delay chains of its network, with the labels that the controller tells apart.
         rows: rows in one send-all packet.
         selection: how the actuator picks one of them.
         samples: samples that the controller takes from a node: the newest, and so many less one before it.
-        sensors: the sensor nodes, by number, their laws tabulated too.
-        media: what they share on their way to the controller.
         verdict: what is claimed of the closed loop, None if nobody asked.
         gains: where solved gains come from; None where the experiment itself has them.
-        port: force and position of a device under one force, None for another plant.
         watched: what the run is compared with; None where no claim rests on it.
     """
 
     experiment: Experiment
     model: LoopModel
     controller: Controller
-    ca_law: NetworkLaw
+    rig: RigSpec
+    chains: Chains
     rows: int
     selection: str
     samples: int
-    sensors: tuple[Sensor, ...]
-    media: tuple[Shared, ...]
     verdict: Verdict | None
     gains: Gains | None = None
-    port: Port | None = None
     watched: Watched | None = None
 
     def __post_init__(self) -> None:
@@ -110,20 +97,6 @@ class Loop:
     def start_controller(self) -> RunningController | FromSamples:
         """Return the control law, ready for slot 0."""
         return self.controller.start(self.model)
-
-    def channels(self, *, on_can: bool = False) -> dict[str, Channel]:
-        """Return the topics that a run of this loop logs.
-
-        Args:
-            on_can: the link of the session is a CAN link.
-        """
-        plant = self.experiment.plant
-        passivity = self.experiment.limits.passivity is not None
-        return channels(Logged(
-            states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=self.rows,
-            numbered=any(sensor.numbered for sensor in self.sensors), passivity=passivity,
-            on_can=on_can,
-        ))  # fmt: skip
 
     def reference(self) -> Callable[[int], tuple[float, ...]]:
         """Return the reference as a function of the slot."""
@@ -162,12 +135,15 @@ def _schedule(start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float
     return at
 
 
-def compose(experiment: Experiment, *, certify: bool = True, external: bool = False) -> Loop:
+def compose(
+    experiment: Experiment, *, certify: bool = True, external: bool = False, rig: RigSpec | None = None
+) -> Loop:
     """Make the loop of an experiment: check what belongs together, solve the design, certify the closed loop.
 
     Args:
         experiment: the checked description.
         certify: whether to say what can be claimed of the loop.
+        rig: of the experiment, where it is known already.
         external: somebody else's controller answers on the link: of its loop nothing is known.
 
     Raises:
@@ -175,7 +151,7 @@ def compose(experiment: Experiment, *, certify: bool = True, external: bool = Fa
             not set.
     """
     with _small_matrices():
-        return _compose(experiment, certify, external)
+        return _compose(experiment, certify, external, rig)
 
 
 def solved_gains(experiment: Experiment) -> tuple[NamedController, str] | None:
@@ -190,9 +166,9 @@ def solved_gains(experiment: Experiment) -> tuple[NamedController, str] | None:
     if not isinstance(asked, Designer) or (isinstance(asked, GivesGains) and asked.gains_given):
         return None
     with _small_matrices():
-        experiment, model = _modelled(experiment)
+        experiment, rig, model = _modelled(experiment)
         try:
-            task = _task(experiment, model)
+            task = _task(experiment, rig, chains_for(rig, asked), model)
             return asked.solve(task), problem_digest(asked, task)
         except (ValueError, DesignError) as e:
             raise ExperimentError(experiment.name, [fault_at("controller", e)]) from e
@@ -206,53 +182,56 @@ def _small_matrices() -> Iterator[None]:
         yield
 
 
-def _modelled(experiment: Experiment) -> tuple[Experiment, LoopModel]:
-    """Return the experiment with its laws' files read, and what the controller knows of its plant."""
+def _modelled(experiment: Experiment, known: RigSpec | None = None) -> tuple[Experiment, RigSpec, LoopModel]:
+    """Return the experiment with its laws' files read, its rig, and what the controller knows of its plant."""
     lost = [str(part.missing()) for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
-    faults = lost or size_faults(experiment)
-    if faults:
-        raise ExperimentError(experiment.name, faults)
+    if lost:
+        raise ExperimentError(experiment.name, lost)
     experiment = with_law_files(experiment)
-    plant, links = experiment.plant, experiment.links
     try:
-        discrete = plant.model().discretise(float(experiment.period))
+        rig = rig_of(experiment) if known is None else known
+        discrete = experiment.plant.model().discretise(float(experiment.period))
     except PlantError as e:
         raise ExperimentError(experiment.name, [f"period: {e}"]) from e
-    return experiment, LoopModel(
+    return experiment, rig, LoopModel(
         A=np.asarray(discrete.A),
         B=np.asarray(discrete.B),
         C=np.asarray(discrete.C),
         period_s=float(experiment.period),
-        tau_max=links.sc.max_age,
-        d_max=links.ca.max_age,
-        sensors=sensor_nodes(experiment),
+        tau_max=rig.at_controller.max_age,
+        d_max=rig.at_actuator.max_age,
+        sensors=rig.nodes,
     )
 
 
-def _compose(experiment: Experiment, certify: bool, external: bool) -> Loop:
-    experiment, model = _modelled(experiment)
-    plant, links = experiment.plant, experiment.links
-    controller: Controller
-    gains: Gains | None = None
+def _solved(experiment: Experiment, rig: RigSpec, model: LoopModel) -> tuple[Experiment, Gains | None, Chains | None]:
+    """Return the experiment with the controller that runs, where its gains come from, and the chains that they are for."""
+    if not isinstance(experiment.controller, Designer):
+        return experiment, None, None
+    chains = chains_for(rig, experiment.controller)
+    solved, gains = solve_controller(experiment, _task(experiment, rig, chains, model))
+    return replace(experiment, controller=solved, kinds={**experiment.kinds, "controller": solved.kind}), gains, chains
+
+
+def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSpec | None = None) -> Loop:
+    asked, rig, model = _modelled(experiment, known)
     try:
-        if isinstance(experiment.controller, Designer):  # a design problem: what runs is its solution
-            solved, gains = solve_controller(experiment, _task(experiment, model))
-            controller = solved
-            experiment = replace(experiment, controller=solved, kinds={**experiment.kinds, "controller": solved.kind})
-        else:
-            controller = experiment.controller
+        experiment, gains, chains = _solved(asked, rig, model)
+        controller: Controller = experiment.controller  # type: ignore[assignment]  # no design is left
         kind = experiment.kinds.get("controller", "")
         if is_own(kind) or kind.startswith(OBJECT):
             check_own(controller, model)
         running = controller.start(model)
-        sc, ca = delay_chains(experiment)
+        if chains is None or labels_of(controller) != labels_of(asked.controller):
+            chains = chains_for(rig, controller)
         samples = packet_samples(controller)
+        if samples != packet_samples(asked.controller):
+            rig = rig_of(experiment)  # one node sends as many samples as the controller takes
         check_references(experiment, controller, model)
-        sensors = tuple(sensor.prepared() for sensor in sensors_of(experiment))
-        if samples > 1 and (len(sensors) > 1 or sensors[0].buffer < samples):
+        if samples > 1 and (len(rig.sensors) > 1 or rig.sensors[0].buffer < samples):
             raise FieldError("samples", f"{samples} in one packet, but no node alone sends so many samples of every output")
-        if not 1 <= samples * len(plant.outputs) <= MAX_OUTPUTS:
-            raise FieldError("samples", f"{samples} of {len(plant.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
+        if not 1 <= samples * len(rig.outputs) <= MAX_OUTPUTS:
+            raise FieldError("samples", f"{samples} of {len(rig.outputs)} outputs, a packet carries 1 to {MAX_OUTPUTS} values")
     except (ValueError, DesignError) as e:
         raise ExperimentError(experiment.name, [fault_at("controller", e)]) from e
     if isinstance(controller, HistoryGains):
@@ -261,7 +240,7 @@ def _compose(experiment: Experiment, certify: bool, external: bool) -> Loop:
             raise ExperimentError(experiment.name, unknown)
     verdict, watched = None, None
     if certify:
-        judged = _judged(experiment, controller, model, sc, ca, running.selection)
+        judged = _judged(experiment, rig, chains, controller, model, running.selection)
         verdict = certified(judged)
         watched = _watched(judged, verdict, external)
         if watched is not None and watched.plant is None and watched.claimed:
@@ -274,23 +253,20 @@ def _compose(experiment: Experiment, certify: bool, external: bool) -> Loop:
         experiment=experiment,
         model=model,
         controller=controller,
-        ca_law=prepare(links.ca.law),
+        rig=rig.tabulated(),
+        chains=chains,
         rows=row_count(running.selection, model.d_max),
         selection=running.selection,
         samples=samples,
-        sensors=sensors,
-        media=shared_media(experiment),
         verdict=verdict,
         gains=gains,
-        port=port_of(plant),
         watched=watched,
     )
 
 
-def _task(e: Experiment, model: LoopModel) -> DesignTask:
+def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> DesignTask:
     """Return what a design has to solve: the loop with the plant's own matrices and rates."""
-    plant, (sc, ca) = e.plant, delay_chains(e)
-    chainless = why_no_chain(e)
+    plant, sc, ca, chainless = e.plant, chains.sc, chains.ca, chains.why_none
     if not isinstance(e.controller, IntegralAction):  # the designs of Chapter 7 state it; others have no packets in their theory
         sc, ca = without_held(sc), without_held(ca)
         chainless = chainless or "the theory of this design has no packet laws"
@@ -303,7 +279,7 @@ def _task(e: Experiment, model: LoopModel) -> DesignTask:
     delayed = delayed_plant_of(plant, model)
     initial = None if delayed is None else known_past(plant)[0]
     return DesignTask(
-        model=model, sc=sc, sc_nodes=node_chains(e) or (), ca=ca, folder=e.folder, delayed_plant=delayed, initial_state=initial,
+        model=model, sc=sc, sc_nodes=chains.nodes or (), ca=ca, folder=rig.folder, delayed_plant=delayed, initial_state=initial,
         chainless=chainless, **jumps,
     )  # fmt: skip
 
@@ -323,25 +299,25 @@ def _watched(judged: LoopToCertify, verdict: Verdict, external: bool) -> Watched
 
 
 def _judged(
-    e: Experiment, controller: Controller, model: LoopModel, sc: DelayChain | None, ca: DelayChain | None, selection: str
+    e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str
 ) -> LoopToCertify:
     """Return the loop of the controller that is named, as it is judged."""
     own, unmet, chainless, left = digest_of(e, controller, model), "", "", ""
-    begun = initial_laws(e)
+    begun, sc, ca = chains.initial(), chains.sc, chains.ca
     if not isinstance(controller, GainTable | LinearFeedback):
         sc, ca = without_held(sc), without_held(ca)
     if sc is None or ca is None:
-        chainless = why_no_chain(e) or "the theory of this controller has no packet laws"
+        chainless = chains.why_none or "the theory of this controller has no packet laws"
     elif begun is not None:
-        left = neglects(e)
+        left = chains.neglects()
         modes = sc.modes, ca.modes
         sc, ca = within_reach(sc, begun[0]), within_reach(ca, begun[1])
         if (sc.modes, ca.modes) != modes:
             never = sum(modes) - sc.modes - ca.modes
             unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
     return LoopToCertify(
-        plant=e.plant, controller=controller, model=model, sc=sc, ca=ca, digest=own,
-        damped=e.limits.passivity is not None, faults=len(e.fault),
+        plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca, digest=own,
+        damped=rig.passivity, faults=len(e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         unmet=unmet, chainless=chainless, neglects=left,
     )  # fmt: skip

@@ -67,22 +67,22 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:
         from hil.experiment import load_experiment
-        from hil.rig.delay_chains import delay_chain, node_chains
-        from hil.rig.packet_ages import actuator_of
-        from hil.rig.sensor_list import sensors_of
+        from hil.rig.delay_chains import chains_of
+        from hil.rig.normal_form import rig_of
 
         experiment = load_experiment(name)
-        if len(sensors_of(experiment)) > 1:
+        rig = rig_of(experiment)
+        if len(rig.sensors) > 1:
             raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
         plant = experiment.plant
         period = period_s if period_s is not None else float(experiment.period)
         try:
-            chains, ca_found = node_chains(experiment, sojourns), delay_chain(experiment.links.ca.law, at=actuator_of(experiment))
+            chains = chains_of(rig, sojourns)
         except ValueError as error:
             raise HilError(f"{name}: {error}") from None
-        if chains is None or ca_found is None:
+        if chains.sc is None or chains.ca is None:
             raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
-        (sc,), ca = chains, ca_found
+        sc, ca = chains.sc, chains.ca
         name = experiment.kinds.get("plant", name)
     if not (np.isfinite(period) and period > 0):
         raise HilError(f"--period: {period:g} s, expected a number > 0")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 from urllib.parse import quote
 
 import msgspec
 
-ZENOH: Final = "zenoh"
+from transport.links.traits import traits_of, with_options
 
 
 class Auth(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -58,14 +57,12 @@ def secured_uri(uri: str, folder: str, auth: Auth | None, tls: Tls | None, login
     >>> secured_uri("can:hil:rig0?fd=0", "/lab", Auth(key_file="frames.key"), None, None)
     'can:hil:rig0?fd=0&auth=/lab/frames.key'
     """
-    scheme, _, query = uri.partition("?")
-    said = {option.partition("=")[0] for option in query.split("&")}
     wanted = {"auth": auth.key_file} if auth else {}
-    if scheme.startswith(ZENOH + ":"):
-        if tls is not None and not said & {"keys", "ca", "cert", "key"}:
+    if tls is not None or login is not None:
+        traits = traits_of(uri)
+        if tls is not None and "tls" in traits.takes and not traits.names_certificates:
             named = {"keys": tls.keys, "ca": tls.ca, "cert": tls.cert, "key": tls.key}
             wanted |= {name: path for name, path in named.items() if path is not None}
-        if login is not None:
+        if login is not None and "login" in traits.takes:
             wanted["users"] = login.users
-    more = [f"{name}={quote(str(Path(folder) / path), safe='/{}')}" for name, path in wanted.items() if name not in said]
-    return "?".join(filter(None, (scheme, "&".join(filter(None, (query, *more))))))
+    return with_options(uri, {name: quote(str(Path(folder) / path), safe="/{}") for name, path in wanted.items()})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import typing
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import msgspec
 
@@ -17,7 +17,7 @@ from hil.experiment.table import Seconds, Table, not_negative
 from hil.plugins import registry
 from hil.plugins.own_modules import written_in
 from transport.links.link import TransportError
-from transport.links.opening import check_uri
+from transport.links.traits import KeyTable, traits_of
 
 __all__ = [
     "HIDDEN", "Direction", "Experiment", "Links", "Pulse", "Report", "Seconds", "Step",
@@ -126,13 +126,14 @@ class Links(Table, frozen=True, kw_only=True):
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         uri = values.get("uri", "memory:")
         yield from identifier_faults(values, "control_can_id")
-        for table in ("tls", "login"):
-            if values.get(table) is not None and not uri.startswith("zenoh:"):
-                yield f"{table}: the link {uri!r:.60} does not take it; only a zenoh link does"
         try:
-            check_uri(secured_uri(uri, ".", values.get("auth"), None, None))
+            takes = traits_of(secured_uri(uri, ".", values.get("auth"), None, None)).takes
         except TransportError as error:
             yield f"uri: {error}"
+            return
+        for table in get_args(KeyTable):
+            if values.get(table) is not None and table not in takes:
+                yield f"{table}: the link {uri!r:.60} does not take it; only a zenoh link does"
 
 
 Affinity = Literal["auto", "free", "pinned", "shared"]

@@ -12,6 +12,6 @@ def composed(view: RunView) -> Loop | None:
     if view.experiment is None:
         return None
     try:
-        return compose(view.experiment, certify=False)
+        return compose(view.experiment, certify=False, rig=view.rig)
     except HilError:
         return None

@@ -16,7 +16,6 @@ from hil.measure.network_load import loads, node_loads
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, RunView, matrix, signal_names
 from hil.plugins.protocols import HasCost
-from hil.rig.sensor_list import sensors_of
 
 
 class Cost:
@@ -60,8 +59,7 @@ class Cost:
             rows.append(_of_one(pieces(x), pieces(u), weights))
         found = {name: np.array([np.nan if row[name] is None else row[name] for row in rows]) for name in ("cost", "peak_input")}
         sent = np.zeros((0, len(rows)), dtype=np.int64) if view.packets is None else view.packets
-        sensors, outputs = sensors_of(view.experiment), len(view.experiment.plant.outputs)
-        per_node = [node_loads(sensors, outputs, column, len(view.t_s) * view.period_s) for column in sent.T.tolist()]
+        per_node = [node_loads(view.rig, column, len(view.t_s) * view.period_s) for column in sent.T.tolist()]
         found["packets_per_s"] = np.array([sum(load.packets_per_s for load in own) for own in per_node])
         found["bits_per_s"] = np.array([sum(load.bits_per_s for load in own) for own in per_node])
         return found

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from hil.experiment import Experiment
 from hil.measure.signals import Signals
+from hil.rig.spec import RigSpec
 
 Many: TypeAlias = npt.NDArray[np.float64]
 
@@ -28,6 +29,7 @@ class ManyView:
         signals: names and units of outputs and inputs, and which are tracked.
         disturbed_at_s: when the first input disturbance began, s; None without one.
         experiment: what ran.
+        rig: what it says of its rig.
         states: of the plant, one array (runs, slots) each; empty unless a measure names their topic.
         packets: how many each sensor node has sent, (nodes, runs); None unless a measure names the topic of the draws.
     """
@@ -40,6 +42,7 @@ class ManyView:
     signals: Signals
     disturbed_at_s: float | None
     experiment: Experiment
+    rig: RigSpec
     states: tuple[Many, ...] = ()
     packets: npt.NDArray[np.int64] | None = None
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from hil.log.growing import pieces
 from hil.log.topics import SC
-from hil.measure.network_paths import network_paths, run_sensors
+from hil.measure.network_paths import network_paths
 from hil.measure.view import MEASUREMENT, RunView
-from hil.rig.sensor_list import Sensor
+from hil.rig.spec import RigSpec
 from transport.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
 from transport.wire.layout import sensor_length
 
@@ -38,29 +38,27 @@ class Load:
 
 def loads(view: RunView) -> tuple[Load, ...]:
     """Return the load of every sensor node; empty where the run keeps no draws or cannot be made again here."""
-    draws, e = view.run.arrays.get(SC.name), view.experiment
-    if draws is None or e is None or not len(draws):
+    draws, rig = view.run.arrays.get(SC.name), view.rig
+    if draws is None or rig is None or not len(draws):
         return ()
     slots = len(view.run.arrays.get(MEASUREMENT, ())) or max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
     fates = [sent_packets(path.draws) for path in view.once(network_paths) if path.side == "sc" and path.draws is not None]
-    sensors, outputs = view.once(run_sensors), len(e.plant.outputs)
-    return node_loads(sensors, outputs, [sent for sent, _ in fates], slots * view.period_s, [lost for _, lost in fates])
+    return node_loads(rig, [sent for sent, _ in fates], slots * view.period_s, [lost for _, lost in fates])
 
 
 def node_loads(
-    sensors: Sequence[Sensor], outputs: int, packets: Sequence[int], seconds: float, lost: Sequence[int] = ()
+    rig: RigSpec, packets: Sequence[int], seconds: float, lost: Sequence[int] = ()
 ) -> tuple[Load, ...]:
     """Return the load of every sensor node from what it sent.
 
     Args:
-        sensors: the nodes.
-        outputs: how many the plant has.
+        rig: whose nodes they are.
         packets, lost: how many each node sent, and how many of them were lost.
         seconds: length of the run.
     """
     found = []
-    for sensor, sent, gone in zip(sensors, packets, lost or [0] * len(packets)):
-        bits = 8 * sensor_length(len(sensor.outputs) * sensor.buffer + outputs)
+    for sensor, sent, gone in zip(rig.sensors, packets, lost or [0] * len(packets)):
+        bits = 8 * sensor_length(len(sensor.outputs) * sensor.buffer + len(rig.outputs))
         found.append(
             Load(node=sensor.name, packets=sent, lost=gone, packets_per_s=sent / seconds, bits_per_s=sent * bits / seconds)
         )

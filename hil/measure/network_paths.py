@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log.growing import Growing, pieces
+from hil.log.run import Run
 from hil.log.topics import CA, SC
 from hil.measure.view import RunView
-from hil.rig.sensor_list import Sensor, sensors_of
 from transport.laws.protocols import NetworkLaw
 
 Draws = npt.NDArray[np.void]
@@ -36,17 +36,12 @@ class NetworkPath:
     draws: Draws | None
 
 
-def run_sensors(view: RunView) -> tuple[Sensor, ...]:
-    """Return the sensor nodes of a run: `view.once(run_sensors)`; none where its experiment cannot be made again here."""
-    return () if view.experiment is None else sensors_of(view.experiment)
-
-
 def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
     """Return the networks from the sensor nodes, by number, then the one to the actuator."""
-    e, arrays, links = view.experiment, view.run.arrays, view.run.resolved.get("links", {})
+    rig, arrays = view.rig, view.run.arrays
     sc, ca = arrays.get(SC.name), arrays.get(CA.name)
-    kinds = {side: str(links.get(side, {}).get("law", {}).get("kind", "?")) for side in ("sc", "ca")}
-    if e is None:
+    if rig is None:
+        kinds = law_kinds(view.run)
         return (
             NetworkPath(side="sc", node="sensor", law=None, kind=kinds["sc"], draws=sc),
             NetworkPath(side="ca", node="", law=None, kind=kinds["ca"], draws=ca),
@@ -57,10 +52,16 @@ def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
                 side="sc", node=sensor.name, law=sensor.law, kind=sensor.law_kind,
                 draws=None if sc is None else draws_of(sc, number),
             )
-            for number, sensor in enumerate(view.once(run_sensors))
+            for number, sensor in enumerate(rig.sensors)
         ),
-        NetworkPath(side="ca", node="", law=e.links.ca.law, kind=e.kinds.get("links.ca.law", kinds["ca"]), draws=ca),
+        NetworkPath(side="ca", node="", law=rig.ca_law, kind=rig.ca_kind, draws=ca),
     )  # fmt: skip
+
+
+def law_kinds(run: Run) -> dict[str, str]:
+    """Return the kind of the network law of each direction, as a log states it."""
+    links = run.resolved.get("links", {})
+    return {side: str(links.get(side, {}).get("law", {}).get("kind", "?")) for side in ("sc", "ca")}
 
 
 def draws_of(draws: Draws, number: int) -> Draws:

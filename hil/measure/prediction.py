@@ -20,9 +20,8 @@ from hil.measure.signals import signals_of
 from hil.measure.step_response import AFTER_S, target_of
 from hil.measure.tracking import squared_unit
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant
-from hil.rig.delay_chains import delay_chains, gains_over, initial_laws
+from hil.rig.delay_chains import gains_over
 from hil.rig.motion import motion_of
-from hil.rig.packet_ages import neglects, unheard
 
 if TYPE_CHECKING:
     from design.networked_loop.prediction import Prediction
@@ -92,12 +91,12 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     """
     from design.errors import DesignError
 
-    plant, chains = loop.experiment.plant, delay_chains(loop.experiment)
+    plant, chains = loop.experiment.plant, (loop.chains.sc, loop.chains.ca)
     if (
         not isinstance(loop.controller, GainTable)
         or None in chains
         or loop.experiment.fault
-        or neglects(loop.experiment)
+        or loop.chains.neglects()
         or isinstance(plant, JumpPlant)
         or (isinstance(plant, HasStateDelays) and np.any(plant.state_delays()))
         or not np.array_equal(feedforward(motion_of(plant, loop.model)), feedforward(loop.model))  # u* holds another plant
@@ -107,7 +106,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     r: Matrix = np.array([at(k) for k in range(slots)], dtype=np.float64)
     moves = np.hstack([r, motion[1], [at_w(k) for k in range(slots)]]).any(axis=1)
     rest = 0 if motion[0].any() else int(np.argmax(moves)) if moves.any() else slots
-    if unheard(loop.experiment, rest) > UNHEARD:
+    if loop.chains.arriving[0].silent(rest) > UNHEARD:
         return None
     goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
     columns = [list(signals.outputs).index(name) for name in signals.tracked]
@@ -202,7 +201,7 @@ def _moments(
     return predict_tracking(
         model.A, model.B, model.C, *chains, gains_over(controller, model, *chains), controller.selection, r,
         period_s=model.period_s, disturbance=np.array([at(k) for k in range(len(r))]), samples=loop.samples,
-        integral=integrates(controller), initial=initial_laws(loop.experiment), x0=x0, drive=drive, target=target,
+        integral=integrates(controller), initial=loop.chains.initial(), x0=x0, drive=drive, target=target,
         tracked=tracked, sums_from=sums_from,
     )  # fmt: skip
 

@@ -14,9 +14,10 @@ from hil.log.topics import SC
 from hil.measure.measure import measured, quantities_of, run_measures
 from hil.measure.network import network_metrics
 from hil.measure.network_load import loads
-from hil.measure.network_paths import network_paths
+from hil.measure.network_paths import law_kinds, network_paths
 from hil.measure.timing import timing_metrics
 from hil.measure.view import APPLIED, TIMING, RunView, view_of
+from hil.rig.spec import RigSpec
 from transport.draws import REASONS
 
 
@@ -91,7 +92,7 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
     if len(sensors) == 1:
         together = nodes[sensors[0].node]
     else:
-        kind = str(run.resolved.get("links", {}).get("sc", {}).get("law", {}).get("kind", "?"))
+        kind = law_kinds(run)["sc"]
         counted = network_metrics(run.arrays.get(SC.name), None, kind, reasons=reasons)
         together = {**counted, "mode_counts": [], "transition_counts": [], "p_value": None}
     load = {each.node: asdict(each) for each in view.once(loads)}
@@ -103,14 +104,15 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
     }
 
 
-def run_metrics(run: Run, experiment: Experiment | None = None) -> dict[str, Any]:
+def run_metrics(run: Run, experiment: Experiment | None = None, rig: RigSpec | None = None) -> dict[str, Any]:
     """Return the numbers of a run by name; see `hil.measure.measure.measured`.
 
     Args:
         run: needs the topics `/plant/measurement`, `/reference` and `/actuator/applied`.
         experiment: what ran, where it is known.
+        rig: of the loop that ran, where it is known.
     """
-    view = view_of(run, experiment)
+    view = view_of(run, experiment, rig)
     return measured(view, view.once(run_measures))
 
 

@@ -17,6 +17,9 @@ from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.measure.followed import Followed
 from hil.measure.signals import Signals, bare, tracked_among
+from hil.rig.normal_form import rig_of
+from hil.rig.spec import RigSpec
+from plants.errors import PlantError
 
 MEASUREMENT, REFERENCE = topics.MEASUREMENT.name, topics.REFERENCE.name
 APPLIED, TIMING = topics.APPLIED.name, topics.TIMING.name
@@ -53,6 +56,7 @@ class RunView:
         period_s: sample period, s.
         signals: outputs, tracked outputs and inputs, with their units.
         marks: what happened when: reference steps, disturbances, events, late packets.
+        known_rig: what the experiment says of its rig, where whoever ran it had it.
     """
 
     run: Run
@@ -60,6 +64,7 @@ class RunView:
     period_s: float
     signals: Signals
     marks: tuple[Mark, ...]
+    known_rig: RigSpec | None = None
     _made: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def once(self, make: Callable[[RunView], Made]) -> Made:
@@ -72,6 +77,11 @@ class RunView:
             self._made[make] = make(self)
         found: Made = self._made[make]
         return found
+
+    @property
+    def rig(self) -> RigSpec | None:
+        """The rig that ran, None where its experiment cannot be made again here."""
+        return self.once(_rig)
 
     def unit(self, topic: str, name: str) -> str:
         """Return the unit that the schema states for a field, nothing for a pure number."""
@@ -141,13 +151,23 @@ def _same_slots(a: npt.NDArray[np.void], b: npt.NDArray[np.void]) -> bool:
     return True
 
 
-def view_of(run: Run, experiment: Experiment | None = None) -> RunView:
+def _rig(view: RunView) -> RigSpec | None:
+    if view.known_rig is not None or view.experiment is None:
+        return view.known_rig
+    try:
+        return rig_of(view.experiment)
+    except (HilError, PlantError):
+        return None
+
+
+def view_of(run: Run, experiment: Experiment | None = None, rig: RigSpec | None = None) -> RunView:
     """Return the view of a run.
 
     Args:
         run: a log that was read, or a run kept in memory with the topics `/plant/measurement`, `/reference` and
             `/actuator/applied`.
         experiment: what ran, where it is known; else it is made again from what the log carries, once.
+        rig: of the composed loop that ran, where it is known.
     """
     known = experiment if experiment is not None else _experiment_of(run)
     outputs = {name: _unit(run, MEASUREMENT, name) for name in signal_names(run, MEASUREMENT)}
@@ -156,7 +176,9 @@ def view_of(run: Run, experiment: Experiment | None = None) -> RunView:
         inputs={name: _unit(run, APPLIED, name) for name in signal_names(run, APPLIED)},
         tracked=tracked_among(known.plant if known is not None else None, outputs),
     )
-    return RunView(run=run, experiment=known, period_s=_period_of(run, known), signals=signals, marks=_marks(run))
+    return RunView(
+        run=run, experiment=known, period_s=_period_of(run, known), signals=signals, marks=_marks(run), known_rig=rig
+    )  # fmt: skip
 
 
 def seconds(array: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:

@@ -23,12 +23,13 @@ from hil.experiment.absent import Absent
 from hil.log.growing import Growing, pieces, whole
 from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
-from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING
+from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING, channels_of
 from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
 from hil.replay.compare import BATCH, Comparison, near_frames
 from hil.replay.recorded import Heard, Woken, frames, recorded_wire
-from hil.rig.can_frames import link_uri
+from hil.rig.normal_form import rig_of
+from hil.rig.session_link import link_of
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
@@ -171,7 +172,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     ended = any(event["kind"] == "outcome" for event in run.events)
     slots = int(applied["tick"][-1]) + ended  # the last slot of a rig that was killed may be torn
     heard = Heard(run)
-    channels = loop.channels()
+    channels = channels_of(loop)
     compared = sorted(topic for topic in channels if topic != TIMING.name and topic in run.arrays)  # an older log may lack one
     again = Comparison(run, channels, compared, slots)
     began = Woken(run, experiment.period_ns).at
@@ -291,7 +292,7 @@ def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], 
         raise HilError("the log has no frames to play")
     errors = Growing(np.float64)
     if run.resolved.get("nodes"):  # each on its own CAN identifiers
-        uri = link_uri(experiment_of(run, "the log"), uri)
+        uri = link_of(rig_of(experiment_of(run, "the log")), uri).uri
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
         links = {"rig": rig, "controller": controller}
         clock = RealClock(monotonic_ns() + 100_000_000)

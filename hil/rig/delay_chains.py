@@ -1,8 +1,9 @@
-"""The network laws of an experiment as the delay chains over which its controller is designed, certified and predicted."""
+"""The network laws of a rig as the delay chains over which its controller is designed, certified and predicted."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import isqrt, prod
 from typing import TYPE_CHECKING
 
@@ -11,116 +12,158 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, ages_told, sojourns_told
 from design.errors import FieldError
-from hil.experiment import Experiment
-from hil.rig.packet_ages import Receiver, actuator_of, controller_of, packet_delays, states_at, why_no_ages
-from hil.rig.sensor_list import sensors_of
-from hil.rig.sensors import shared_media
-from transport.laws.delay_states import delay_states
-from transport.laws.protocols import NetworkLaw, PacketAges, SemiMarkovLaw
+from hil.rig.packet_ages import Received, received, why_no_ages
+from hil.rig.spec import RigSpec
+from transport.laws.delay_states import DelayStates, delay_states
+from transport.laws.protocols import NetworkLaw, SemiMarkovLaw
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
 
 
-def delay_chains(e: Experiment) -> tuple[DelayChain | None, DelayChain | None]:
-    """Return the delay chains of both directions, with the labels that the controller tells apart; None where there is none.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chains:
+    """The delay chains of a rig, with the labels that its controller tells apart.
+
+    Args:
+        arriving: the law of each sensor node, by number, as the controller meets it.
+        applied: the law to the actuator, as the actuator meets it.
+        nodes: the delay chain of each sensor node by its number. None where a law has no chain, where nodes take turns or may
+            keep silent, or where the chains of several nodes together have more modes than the theory computes with.
+        sc: the chain of all nodes together; None where `nodes` is.
+        ca: the chain of the actuator; None where its law has none.
+        why_none: what keeps the rig from having both, in words; empty where nothing does.
+    """
+
+    arriving: tuple[Received, ...]
+    applied: Received
+    nodes: tuple[DelayChain, ...] | None
+    sc: DelayChain | None
+    ca: DelayChain | None
+    why_none: str
+
+    def initial(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Return the distributions of the modes of both chains in slot 0, None where a law has no chain."""
+        ca, known = self.applied.states, [way.states.initial for way in self.arriving if way.states is not None]
+        if ca is None or len(known) < len(self.arriving):
+            return None
+        from design.processes.product_chain import kron_of
+
+        return kron_of(known), ca.initial
+
+    def neglects(self) -> str:
+        """Return what the chains leave out, in words; empty where they are exact."""
+        return next(filter(None, (way.neglects() for way in (*self.arriving, self.applied))), "")
+
+
+def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...]]:
+    """Return which lengths of stay and which ages a controller tells apart."""
+    return sojourns_told(controller), ages_told(controller)
+
+
+def chains_for(rig: RigSpec, controller: object) -> Chains:
+    """Return the delay chains of a rig, with the labels that a controller tells apart.
 
     Raises:
         ValueError: the controller asks for more than it can measure over this law.
     """
-    chains, ca = node_chains(e), delay_chain(e.links.ca.law, at=actuator_of(e))
-    if chains is None:
-        return None, ca
+    sojourns, ages = labels_of(controller)
+    return chains_of(rig, sojourns if len(rig.sensors) == 1 else (), ages)
+
+
+def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[int] = ()) -> Chains:
+    """Return the delay chains of a rig.
+
+    Args:
+        rig: its laws' files read.
+        sojourns: of one node: lengths of stay with labels of their own.
+        ages: of several nodes: how many ages of each are told apart; none: by the oldest sample alone.
+
+    Raises:
+        ValueError: lengths of stay that nobody can measure, or that say nothing over this law.
+    """
     from design.processes.product_chain import product_chain
 
-    return product_chain(chains, [sensor.outputs for sensor in sensors_of(e)], ages_told(e.controller)), ca
-
-
-def node_chains(e: Experiment, sojourns: int | Sequence[int] | None = None) -> tuple[DelayChain, ...] | None:
-    """Return the delay chain of each sensor node by its number.
-
-    None where a law has no chain, where nodes take turns or may keep silent, or where the chains of several nodes together have
-    more modes than the theory computes with.
-
-    Args:
-        e: checked, its laws loaded.
-        sojourns: of one node: lengths of stay with labels of their own; by default those that the controller tells apart.
-
-    Raises:
-        ValueError: the controller asks for more than it can measure over this law.
-    """
-    from design.processes.product_chain import MOST_MODES
-
-    sensors = sensors_of(e)
-    if shared_media(e) or any(sensor.trigger.kind != "every-slot" or sensor.clock.every > 1 for sensor in sensors):
-        return None
-    if sojourns is None:
-        sojourns = sojourns_told(e.controller) if len(sensors) == 1 else ()
-    chains = [delay_chain(sensor.law, sojourns, at=controller_of(e)) for sensor in sensors]
+    arriving = tuple(received(f"{sensor.path}.law", sensor.law, rig.at_controller) for sensor in rig.sensors)
+    applied = received("links.ca.law", rig.ca_law, rig.at_actuator)
+    silent = _why_silent(rig)
+    chains = () if silent else [_chain(way, sojourns) for way in arriving]
     known = tuple(chain for chain in chains if chain is not None)
-    if len(known) > 1 and any(chain.held is not None for chain in known):
-        return None
-    if len(known) < len(chains) or (len(known) > 1 and prod(chain.modes for chain in known) > MOST_MODES):
-        return None
-    return known
+    why_none = silent or _why_no_chain(rig, arriving)
+    nodes = None if why_none else known
+    ca = _chain(applied)
+    if not why_none and ca is None:
+        why_none = f"the law of links.ca {why_no_ages(applied.law, applied.at)}"
+    sc = None if nodes is None else product_chain(nodes, [sensor.outputs for sensor in rig.sensors], tuple(ages))
+    return Chains(arriving=arriving, applied=applied, nodes=nodes, sc=sc, ca=ca, why_none=why_none)
 
 
-def why_no_chain(e: Experiment) -> str:
-    """Return what keeps an experiment from having a chain of ages on both links, in words; empty where nothing does.
-
-    Args:
-        e: checked, its laws loaded.
-    """
-    from design.processes.product_chain import MOST_MODES
-
-    sensors = sensors_of(e)
-    if shared_media(e):
-        return f"nodes share {' and '.join(f'media.{medium.name}' for medium in shared_media(e))}, and take turns"
-    for sensor in sensors:
-        where = f"nodes.{sensor.name}"
+def _why_silent(rig: RigSpec) -> str:
+    """Return why a node may be silent in a slot, in words; empty where none may."""
+    if rig.media:
+        return f"nodes share {' and '.join(f'media.{medium.name}' for medium in rig.media)}, and take turns"
+    for sensor in rig.sensors:
         if sensor.trigger.kind != "every-slot":
-            return f"{where}.trigger ({sensor.trigger.kind}) lets a node keep silent"
+            return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
         if sensor.clock.every > 1:
-            return f"{where}.clock: a node sends in one of {sensor.clock.every} slots"
-        chain = delay_chain(sensor.law, at=controller_of(e))
-        if chain is None:
-            return f"the law of {where if e.nodes else 'links.sc'} {why_no_ages(sensor.law, controller_of(e))}"
-        if len(sensors) > 1 and chain.held is not None:
-            return f"{where}.law is a packet law, whose chain is known for one node alone"
-    modes = prod(chain.modes for sensor in sensors if (chain := delay_chain(sensor.law)) is not None)
-    if len(sensors) > 1 and modes > MOST_MODES:
-        return f"the chains of {len(sensors)} nodes together have {modes} modes, at most {MOST_MODES}"
-    if delay_chain(e.links.ca.law, at=actuator_of(e)) is None:
-        return f"the law of links.ca {why_no_ages(e.links.ca.law, actuator_of(e))}"
+            return f"{sensor.path}.clock: a node sends in one of {sensor.clock.every} slots"
     return ""
 
 
-def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = (), *, at: Receiver | None = None) -> DelayChain | None:
-    """Return the chain of the delay that the receiver measures under a network law, None where the law states no chain.
+def _why_no_chain(rig: RigSpec, arriving: Sequence[Received]) -> str:
+    """Return why nodes that send in every slot have no chain together, in words; empty where they have one."""
+    from design.processes.product_chain import MOST_MODES
+
+    for sensor, way in zip(rig.sensors, arriving):
+        if way.states is None:
+            return f"the law of {sensor.path} {why_no_ages(way.law, way.at)}"
+        if len(arriving) > 1 and way.of_packets:
+            return f"{sensor.path}.law is a packet law, whose chain is known for one node alone"
+    modes = prod(len(way.states.ages) for way in arriving if way.states is not None)
+    if len(arriving) > 1 and modes > MOST_MODES:
+        return f"the chains of {len(arriving)} nodes together have {modes} modes, at most {MOST_MODES}"
+    return ""
+
+
+def _chain(way: Received, sojourns: int | Sequence[int] = ()) -> DelayChain | None:
+    if way.of_packets:
+        _refuse_sojourns(way.law, sojourns)
+        return way.delays()
+    return delay_chain(way.law, sojourns, states=way.states)
+
+
+def _refuse_sojourns(law: NetworkLaw, sojourns: int | Sequence[int]) -> int:
+    """Return the most lengths of stay that are told apart."""
+    most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
+    if most > 1 and not isinstance(law, SemiMarkovLaw):
+        raise FieldError(
+            "sojourns", "only a semi-Markov law takes it; over any other law the sojourn time adds no information"
+        )
+    return most
+
+
+def delay_chain(
+    law: NetworkLaw, sojourns: int | Sequence[int] = (), *, states: DelayStates | None = None
+) -> DelayChain | None:
+    """Return the chain of the delay that the receiver measures under an age law, None where the law states no chain.
 
     A receiver keeps the newest packet: where the law's age may grow by more than one per slot it measures another delay.
 
     Args:
         law: the network law.
         sojourns: semi-Markov laws: so many lengths of stay get labels of their own, in all or per delay 0, 1, ...
-        at: who receives; a packet law has a chain at a receiver only.
+        states: of the law, where they are known.
 
     Raises:
         ValueError: lengths of stay that nobody can measure, or that say nothing over this law.
     """
     from design.processes.delay_chain import DelayChain
 
-    most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
-    stays = law if isinstance(law, SemiMarkovLaw) else None
-    if most > 1 and stays is None:
-        raise FieldError(
-            "sojourns", "only a semi-Markov law takes it; over any other law the sojourn time adds no information"
-        )
-    if at is not None and isinstance(law, PacketAges):
-        return packet_delays(law, at)
-    states = delay_states(law)
+    most = _refuse_sojourns(law, sojourns)
+    states = delay_states(law) if states is None else states
     if states is None:
         return None
+    stays = law if isinstance(law, SemiMarkovLaw) else None
     exact = np.array_equal(states.low, states.high)
     between, stay = (None, None) if exact else ((states.low, states.high), states.stays)
     if most == 1 or stays is None:
@@ -139,17 +182,6 @@ def delay_chain(law: NetworkLaw, sojourns: int | Sequence[int] = (), *, at: Rece
     first = np.concatenate([[0], np.cumsum(counts)])[delays]
     labels = first + np.minimum(slots, np.asarray(counts)[delays]) - 1
     return DelayChain(transition=states.matrix, delays=delays, labels=labels, between=between, stays=stay)
-
-
-def initial_laws(e: Experiment) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the distributions of the modes of both delay chains in slot 0, None where a law has no chain."""
-    ca, sensors, at = states_at(e.links.ca.law, actuator_of(e)), sensors_of(e), controller_of(e)
-    known = [states.initial for states in (states_at(sensor.law, at) for sensor in sensors) if states is not None]
-    if ca is None or len(known) < len(sensors):
-        return None
-    from design.processes.product_chain import kron_of
-
-    return kron_of(known), ca.initial
 
 
 def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:

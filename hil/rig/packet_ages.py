@@ -6,12 +6,11 @@ holds the input that it applied before.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hil.experiment import Experiment
-from hil.rig.sensor_list import sensors_of
 from transport.laws.delay_states import DelayStates, delay_states
 from transport.laws.protocols import AgeChain, NetworkLaw, PacketAges
 
@@ -28,32 +27,14 @@ class Receiver(NamedTuple):
     holds_input: bool
 
 
-def controller_of(e: Experiment) -> Receiver:
-    """Return how the controller of an experiment receives."""
-    return Receiver(float(e.period), e.timing.deadline * float(e.period), e.links.sc.max_age, holds_input=False)
-
-
-def actuator_of(e: Experiment) -> Receiver:
-    """Return how the actuator of an experiment receives."""
-    return Receiver(float(e.period), e.timing.deadline * float(e.period), e.links.ca.max_age, holds_input=True)
-
-
 def ages_of(law: NetworkLaw, at: Receiver) -> NetworkLaw | AgeChain:
     """Return the chain of the ages at a receiver under a packet law that has one, any other law as it is."""
     found = law.age_chain(at.period_s, at.deadline_s, at.max_age) if isinstance(law, PacketAges) else law
     return law if isinstance(found, str) else found
 
 
-def states_at(law: NetworkLaw, at: Receiver) -> DelayStates | None:
-    """Return the chain of the measured age, see `transport.laws.delay_states`."""
-    return delay_states(ages_of(law, at))
-
-
-def packet_delays(law: NetworkLaw, at: Receiver) -> DelayChain | None:
-    """Return the delay chain under a packet law at a receiver; None where the ages are no chain, or the law is another one."""
-    chain = ages_of(law, at)
-    if not isinstance(chain, AgeChain):
-        return None
+def delays_of(chain: AgeChain, at: Receiver) -> DelayChain:
+    """Return the delay chain of the ages at a receiver."""
     from design.processes.delay_chain import DelayChain
 
     ages = np.array(chain.mode_ages, dtype=np.int64)
@@ -70,33 +51,62 @@ def why_no_ages(law: NetworkLaw, at: Receiver) -> str:
     return f"states no chain: {said}" if isinstance(said, str) and said else "states no chain: it is a packet law or a trace"
 
 
-def neglects(e: Experiment) -> str:
-    """Return what the chains of an experiment leave out, in words; empty where they are exact."""
-    for name, law, at in (
-        *((f"nodes.{s.name}" if e.nodes else "links.sc", s.law, controller_of(e)) for s in sensors_of(e)),
-        ("links.ca", e.links.ca.law, actuator_of(e)),
-    ):
-        chain = ages_of(law, at)
-        if isinstance(chain, AgeChain) and chain.neglected:
-            return (
-                f"the latencies of {name}.law have no bound, and a packet is later than {chain.bound} slots with probability "
-                f"{chain.neglected:.2g}, which is neglected; discard_older = {max(0, chain.bound - 1)} makes it exact"
-            )
-    return ""
-
-
-def unheard(e: Experiment, slots: int = 0) -> float:
-    """Return the probability that the controller has heard nothing in so many slots, nor while the chain tells ages apart.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Received:
+    """A network law as its receiver meets it.
 
     Args:
-        e: checked, its laws loaded, with one sensor node.
-        slots: in which nothing moves.
+        path: of the law's table, for messages.
+        law: the law.
+        at: who receives.
+        ages: the chain of the ages at the receiver under a packet law that has one, any other law as it is.
+        states: the chain of the measured age, None where there is none; see `transport.laws.delay_states`.
     """
-    chain = ages_of(sensors_of(e)[0].law, controller_of(e))
-    if not isinstance(chain, AgeChain):
-        return 0.0
-    ages, weights = np.array(chain.mode_ages), chain.initial_law()
-    last = max(chain.bound, e.links.sc.max_age) + 1
-    for k in range(max(last, slots)):  # nothing has come by slot k: of age k + 1 is what stands for it
-        weights = np.where(ages >= min(k + 1, last), weights, 0.0) @ chain.transition_matrix()
-    return float(weights[ages >= last].sum())
+
+    path: str
+    law: NetworkLaw
+    at: Receiver
+    ages: NetworkLaw | AgeChain
+    states: DelayStates | None
+
+    @property
+    def of_packets(self) -> bool:
+        """Whether it is a packet law with a chain of ages."""
+        return isinstance(self.law, PacketAges) and isinstance(self.ages, AgeChain)
+
+    def delays(self) -> DelayChain | None:
+        """Return the delay chain of a packet law; None where the ages are no chain."""
+        return delays_of(self.ages, self.at) if isinstance(self.ages, AgeChain) else None
+
+    def neglects(self) -> str:
+        """Return what the chain leaves out, in words; empty where it is exact."""
+        chain = self.ages
+        if not isinstance(chain, AgeChain) or not chain.neglected:
+            return ""
+        return (
+            f"the latencies of {self.path} have no bound, and a packet is later than {chain.bound} slots with probability "
+            f"{chain.neglected:.2g}, which is neglected; discard_older = {max(0, chain.bound - 1)} makes it exact"
+        )
+
+    def silent(self, slots: int = 0) -> float:
+        """Return the probability that nothing has come in so many slots, nor while the chain tells ages apart."""
+        chain = self.ages
+        if not isinstance(chain, AgeChain):
+            return 0.0
+        ages, weights = np.array(chain.mode_ages), chain.initial_law()
+        last = max(chain.bound, self.at.max_age) + 1
+        for k in range(max(last, slots)):  # nothing has come by slot k: of age k + 1 is what stands for it
+            weights = np.where(ages >= min(k + 1, last), weights, 0.0) @ chain.transition_matrix()
+        return float(weights[ages >= last].sum())
+
+
+def received(path: str, law: NetworkLaw, at: Receiver) -> Received:
+    """Return a network law as a receiver meets it.
+
+    Args:
+        path: of the law's table, for messages.
+        law: the law, its files read.
+        at: who receives.
+    """
+    ages = ages_of(law, at)
+    return Received(path=path, law=law, at=at, ages=ages, states=delay_states(ages))

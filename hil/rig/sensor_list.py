@@ -1,15 +1,17 @@
-"""The sensor nodes of an experiment as one list of one or more; rig, controller, theory, measures and link read it."""
+"""The sensor nodes of an experiment as one list of one or more; `hil.rig.spec.RigSpec` has them for every room."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from design.controllers import packet_samples
 from hil.errors import ExperimentError
 from hil.experiment.nodes import ClockTable, TriggerTable
 from hil.experiment.tables import Experiment
-from hil.rig.sensor_order import first_identifiers, ordered_names
-from transport.laws.protocols import NetworkLaw, prepare
+from hil.rig.sensor_order import first_identifiers
+from transport.laws.protocols import NetworkLaw
+from transport.links.traits import CanFraming
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +30,8 @@ class Sensor:
         stream: name of the random stream of its channel.
         repeats: the newest packet goes to the controller again in a slot in which no new one has come.
         numbered: the log says of each draw that it is of this node.
-        can_id: CAN identifier of its first frame: the lower one wins on a medium with arbitration.
+        can_id: CAN identifier of its first frame on the experiment's link: the lower one wins on a medium with arbitration.
+        own_can_id: the one that the experiment sets; None for that of the link's base.
     """
 
     name: str
@@ -43,17 +46,16 @@ class Sensor:
     repeats: bool
     numbered: bool
     can_id: int
-
-    def prepared(self) -> Sensor:
-        """Return the same node, its law tabulated: no process that keeps time computes it."""
-        return replace(self, law=prepare(self.law))
+    own_can_id: int | None = None
 
 
-def sensors_of(e: Experiment) -> tuple[Sensor, ...]:
+def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tuple[Sensor, ...]:
     """Return the sensor nodes by number: the named ones, or the only one that `links.sc` stands for.
 
     Args:
         e: checked.
+        names: of the nodes, by number.
+        framing: of the experiment's link.
 
     Raises:
         ExperimentError: a node measures what the plant does not put out.
@@ -64,14 +66,15 @@ def sensors_of(e: Experiment) -> tuple[Sensor, ...]:
             Sensor(
                 name="sensor", path="links.sc", outputs=tuple(range(len(e.plant.outputs))), buffer=packet_samples(e.controller),
                 trigger=TriggerTable(), clock=ClockTable(), law=e.links.sc.law, law_kind=kind,
-                stream="link.sc", repeats=True, numbered=False, can_id=first_identifiers(e)[0],
+                stream="link.sc", repeats=True, numbered=False, can_id=first_identifiers([None], framing)[0],
             ),
         )  # fmt: skip
-    names, index = ordered_names(e), {s.name: i for i, s in enumerate(e.plant.outputs)}
+    index = {s.name: i for i, s in enumerate(e.plant.outputs)}
+    nodes = [e.nodes[name] for name in names]
     unknown = [
         f"nodes.{name}.outputs[{i}]: the plant has no output {output!r} (there are: {', '.join(index)})"
-        for name in names
-        for i, output in enumerate(e.nodes[name].outputs)
+        for name, node in zip(names, nodes)
+        for i, output in enumerate(node.outputs)
         if output not in index
     ]
     if unknown:
@@ -82,6 +85,7 @@ def sensors_of(e: Experiment) -> tuple[Sensor, ...]:
             trigger=node.trigger, clock=node.clock, law=e.links.sc.law if node.law is None else node.law,
             law_kind=kind if node.law is None else e.kinds.get(f"nodes.{name}.law", "?"),
             stream=f"link.sc.{name}", repeats=False, numbered=True, can_id=can_id,
+            own_can_id=node.can_id,
         )
-        for name, node, can_id in zip(names, map(e.nodes.__getitem__, names), first_identifiers(e), strict=True)
+        for name, node, can_id in zip(names, nodes, first_identifiers([n.can_id for n in nodes], framing), strict=True)
     )  # fmt: skip

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from hil.experiment.tables import Experiment
-from transport.links.can_identifiers import BASE, FRAGMENTS, base_of, derived
-from transport.links.link import TransportError, split_uri
+from transport.links.can_identifiers import FRAGMENTS, derived
+from transport.links.traits import CanFraming
 
 
 def ordered_names(e: Experiment) -> list[str]:
@@ -13,28 +15,14 @@ def ordered_names(e: Experiment) -> list[str]:
     return sorted(names, key=lambda name: names.index(name) if e.nodes[name].id is None else e.nodes[name].id)  # type: ignore[arg-type,return-value]
 
 
-def first_identifiers(e: Experiment, uri: str | None = None) -> list[int]:
-    """Return the CAN identifier of each node's first frame, by number: that of the experiment, else that of the link's base.
-
-    Where no node is named there is one all the same.
+def first_identifiers(given: Sequence[int | None], framing: CanFraming) -> list[int]:
+    """Return the CAN identifier of each node's first frame, by number.
 
     Args:
-        e: the experiment.
-        uri: of a link; the experiment's own by default. One that is no CAN link, or says no base, has the base 0x100.
+        given: of each node, that of the experiment; None for that of the link's base.
+        framing: of the link.
     """
-    base, fd = framing(e.links.uri if uri is None else uri)
-    given = [e.nodes[name].can_id for name in ordered_names(e)] or [None]
-    count = len(given)
-    below = derived(base, fd, count).sensors if count <= FRAGMENTS else [range(base + n, base + n + 1) for n in range(count)]
+    count, base = len(given), framing.base
+    many = count > FRAGMENTS
+    below = [range(base + n, base + n + 1) for n in range(count)] if many else derived(base, framing.fd, count).sensors
     return [own[0] if told is None else told for told, own in zip(given, below)]
-
-
-def framing(uri: str) -> tuple[int, bool]:
-    """Return a link's base and whether its frames are CAN FD; 0x100 and CAN FD for what is no CAN link."""
-    try:
-        scheme, _, options = split_uri(uri)
-        if scheme == "can":
-            return base_of(uri, options), options.get("fd", "1") == "1"
-    except TransportError:
-        pass  # opening the link says so
-    return BASE, True

@@ -9,8 +9,7 @@ from design.controllers import SensorNodes, Turns
 from hil.experiment import Experiment
 from hil.experiment.nodes import Medium
 from hil.rig.bus_schedule import bus_cycle
-from hil.rig.sensor_list import Sensor, sensors_of
-from hil.rig.sensor_order import ordered_names
+from hil.rig.sensor_list import Sensor
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import BoundedAge, NetworkLaw
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
@@ -71,9 +70,14 @@ def node_faults(e: Experiment) -> list[str]:
     return faults
 
 
-def shared_media(e: Experiment) -> tuple[Shared, ...]:
-    """Return the media on which nodes take turns."""
-    number = {name: i for i, name in enumerate(ordered_names(e))}
+def shared_media(e: Experiment, names: Sequence[str]) -> tuple[Shared, ...]:
+    """Return the media on which nodes take turns.
+
+    Args:
+        e: checked.
+        names: of the nodes, by number.
+    """
+    number = {name: i for i, name in enumerate(names)}
     return tuple(
         Shared(name=name, nodes=tuple(number[node] for node in medium.nodes), table=medium)
         for name, medium in e.media.items()
@@ -81,9 +85,13 @@ def shared_media(e: Experiment) -> tuple[Shared, ...]:
     )
 
 
-def sensor_nodes(e: Experiment) -> SensorNodes:
-    """Return the sensor nodes as a controller and the theory see them."""
-    sensors, shared = sensors_of(e), shared_media(e)
+def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[Shared]) -> SensorNodes:
+    """Return the sensor nodes as a controller and the theory see them.
+
+    Args:
+        sensors: the nodes, by number.
+        shared: media on which they take turns.
+    """
     mixed = len(shared) > 1 or any(set(medium.nodes) != set(range(len(sensors))) for medium in shared)
     on_bus = bool(shared) and not mixed and shared[0].table.kind == "can-arbitration"
     turns = _turns(shared[0], sensors) if shared and not mixed else None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hil.experiment import Experiment
 from hil.experiment.faults import RESTART, Fault
-from hil.rig.sensor_list import sensors_of
 from transport.medium.faulted import Spell
 
 
@@ -35,8 +35,8 @@ def time_line_faults(e: Experiment) -> list[str]:
     ]
 
 
-def beyond_the_end(e: Experiment) -> dict[str, str]:
-    """Return the problem of a run whose time line names what it never reaches; nothing where it reaches all.
+def beyond_the_end(e: Experiment) -> str:
+    """Return what of its time line a run never reaches, in words; empty where it reaches all.
 
     Args:
         e: a checked experiment.
@@ -44,22 +44,22 @@ def beyond_the_end(e: Experiment) -> dict[str, str]:
     >>> from hil.experiment import load_experiment
     >>> late = "fault=[{at=9,for=1,kind='cut',link='sc'}]"
     >>> beyond_the_end(load_experiment("dc-motor-hinf", ["duration=5", late]))
-    {'faults': 'fault[0].at: 9 s lies beyond the end of the run (5 s): the cut of links.sc for 1 s never happens'}
+    'fault[0].at: 9 s lies beyond the end of the run (5 s): the cut of links.sc for 1 s never happens'
     """
-    told_of = [
+    return "; ".join(
         f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {told(fault)} never happens"
         for i, fault in enumerate(e.fault)
         if fault.slots(float(e.period))[0] >= e.ticks
-    ]
-    return {"faults": "; ".join(told_of)} if told_of else {}
+    )
 
 
-def time_line(e: Experiment) -> TimeLine:
-    """Return the time line of a checked experiment.
+def time_line(e: Experiment, names: Sequence[str]) -> TimeLine:
+    """Return the time line of a checked experiment. A controller that is off the bus hears nothing either.
 
-    A controller that is off the bus hears nothing either.
+    Args:
+        e: the experiment.
+        names: of the sensor nodes, by number.
     """
-    names = [sensor.name for sensor in sensors_of(e)]
     nodes: list[list[Spell]] = [[] for _ in names]
     actuator: list[Spell] = []
     restarts = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hil.compose.loop import Loop
+from hil.log.topics import channels_of
 from hil.log.write.sinks import Sink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
@@ -52,7 +53,7 @@ def run_virtual(
     e = loop.experiment
     kernel = Kernel(VirtualClock())
     stoppable(kernel.stop)
-    rig = Rig(loop, seed, sink, loop.channels(), kernel.stop)
+    rig = Rig(loop, seed, sink, channels_of(loop), kernel.stop)
     node = ControlNode(loop)
     slot = Slot(rig, DirectExchange(node), lambda t_ns: sink.commit(), lambda: kernel.stopped)
     kernel.every(e.period_ns, e.ticks, slot.run)

@@ -43,7 +43,7 @@ class Heard:
 
 def channels_of_their_own(loop: Loop) -> bool:
     """Return whether what comes of every node follows from its law alone, for all runs at once."""
-    return not loop.media and all(told_at_once(s.law) and s.clock.every == 1 for s in loop.sensors)
+    return not loop.rig.media and all(told_at_once(s.law) and s.clock.every == 1 for s in loop.rig.sensors)
 
 
 def heard(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Heard:
@@ -55,11 +55,11 @@ def heard(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Heard:
         every_packet: whether arrivals and numbers of packets are wanted.
     """
     if not every_packet and channels_of_their_own(loop):
-        ways = [received(s.law, seeds, s.stream, loop.experiment) for s in loop.sensors]
+        ways = [received(s.law, seeds, s.stream, loop.experiment) for s in loop.rig.sensors]
         return Heard(newest=[w.newest for w in ways], known=np.logical_and.reduce([w.known for w in ways]))
     if len(seeds) > 1 and _certain(loop):
         return _repeated(heard(loop, seeds[:1], every_packet=every_packet), len(seeds))
-    e, nodes, runs = loop.experiment, len(loop.sensors), len(seeds)
+    e, nodes, runs = loop.experiment, len(loop.rig.sensors), len(seeds)
     newest = [np.full((e.ticks, runs), -1, dtype=np.int32) for _ in range(nodes)]
     packets, known = np.zeros((nodes, runs), dtype=np.int64), np.ones(runs, dtype=np.bool_)
     came: list[list[tuple[int, int, int]]] = [[] for _ in range(e.ticks)]
@@ -80,8 +80,8 @@ def _certain(loop: Loop) -> bool:
     """Return whether chance decides nothing of what is heard: a fixed order, constant delays, no losses."""
     return (
         None not in loop.model.nodes.delays
-        and all(shared.table.kind != "random" and shared.table.loss == 0.0 for shared in loop.media)
-        and not any(sensor.clock.drawn for sensor in loop.sensors)
+        and all(shared.table.kind != "random" and shared.table.loss == 0.0 for shared in loop.rig.media)
+        and not any(sensor.clock.drawn for sensor in loop.rig.sensors)
     )
 
 
@@ -105,7 +105,7 @@ def _one_run(
     e = loop.experiment
     period_s = float(e.period)
     medium = uplink_of(loop, seed, period_s, e.timing.deadline * period_s)
-    clocks = [clock_of(sensor, seed) for sensor in loop.sensors]
+    clocks = [clock_of(sensor, seed) for sensor in loop.rig.sensors]
     last = -1
     for k in range(e.ticks):
         for node, clock in enumerate(clocks):
@@ -132,10 +132,10 @@ class KnownSamples:
 
     def __init__(self, loop: Loop, heard: Heard, memory: int, runs: int) -> None:
         self._arrivals, self._memory, self._runs = heard.arrivals or (), memory, runs
-        self._buffers = np.array([sensor.buffer for sensor in loop.sensors])
+        self._buffers = np.array([sensor.buffer for sensor in loop.rig.sensors])
         self._node_of = nodes_of(loop)
-        self._have = np.zeros((memory + 1, len(loop.sensors), runs), dtype=np.bool_)
-        self._last = np.full((len(loop.sensors), runs), -1, dtype=np.int64)
+        self._have = np.zeros((memory + 1, len(loop.rig.sensors), runs), dtype=np.bool_)
+        self._last = np.full((len(loop.rig.sensors), runs), -1, dtype=np.int64)
         self._columns = np.arange(runs, dtype=np.intp)
 
     def at(self, k: int, outputs: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
@@ -172,4 +172,4 @@ class KnownSamples:
 
 def nodes_of(loop: Loop) -> list[int]:
     """Return the node that measures each output."""
-    return [node for _, node in sorted((output, i) for i, s in enumerate(loop.sensors) for output in s.outputs)]
+    return [node for _, node in sorted((output, i) for i, s in enumerate(loop.rig.sensors) for output in s.outputs)]

@@ -76,7 +76,7 @@ def in_lockstep(loop: Loop) -> bool:
     return (
         not e.fault
         and _sends_all(loop)
-        and told_at_once(loop.ca_law)
+        and told_at_once(loop.rig.ca_law)
         and _answers_together(loop)
         and isinstance(e.plant, PlantOfMany)
         and e.plant.start_many(1) is not None
@@ -87,14 +87,14 @@ def in_lockstep(loop: Loop) -> bool:
 def _answers_together(loop: Loop) -> bool:
     controller = loop.controller
     running = controller.start_many(loop.model, 1) if isinstance(controller, ControllerOfMany) else None
-    if isinstance(running, RunningControllersByNode) and any(sensor.clock.every > 1 for sensor in loop.sensors):
+    if isinstance(running, RunningControllersByNode) and any(sensor.clock.every > 1 for sensor in loop.rig.sensors):
         return False  # whether it waits for a node with a clock is its own affair
     return running is not None
 
 
 def _sends_all(loop: Loop) -> bool:
     """Return whether every output is measured, by nodes that wait for no event."""
-    sensors = loop.sensors
+    sensors = loop.rig.sensors
     measured = sorted(output for sensor in sensors for output in sensor.outputs)
     ordered = len(sensors) > 1 or sensors[0].outputs == tuple(measured)
     every = measured == list(range(len(loop.experiment.plant.outputs)))
@@ -145,7 +145,7 @@ class _Slots:
         self._slots, self._runs, self._period_ns = e.ticks, len(seeds), e.period_ns
         by_sample = controllers if isinstance(controllers, RunningControllersFromSamples) else None
         sc = heard(loop, seeds, every_packet=by_sample is not None or SC.name in topics)
-        ca = received(loop.ca_law, seeds, "link.ca", e)
+        ca = received(loop.rig.ca_law, seeds, "link.ca", e)
         self._sampled, self._held, self._packets, self._node_of = sc.newest, ca.newest, sc.packets, nodes_of(loop)
         self._samples = None if by_sample is None else KnownSamples(loop, sc, by_sample.memory, self._runs)
         self._states = np.empty((len(e.plant.states), e.ticks, self._runs)) if STATE.name in topics else None
@@ -245,6 +245,7 @@ def view_of_many(loop: Loop, runs: Together) -> ManyView:
         signals=signals_of(e.plant),
         disturbed_at_s=min((float(p.at) for p in e.disturbance), default=None),
         experiment=e,
+        rig=loop.rig,
         states=() if runs.states is None else tuple(np.ascontiguousarray(x[:, runs.known].T) for x in runs.states),
         packets=None if runs.packets is None else runs.packets[:, runs.known],
     )

@@ -18,7 +18,7 @@ from hil.sweeps.lockstep import in_lockstep, measures_in_lockstep
 
 def foreign_parts(loop: Loop) -> tuple[str, ...]:
     """Return the classes of plant, controller, network laws and measures that are not ours, by name."""
-    laws = (loop.ca_law, *(sensor.law for sensor in loop.sensors))
+    laws = loop.rig.laws
     parts = (loop.experiment.plant, loop.controller, *laws, *measures_of(loop.experiment))
     return tuple(dict.fromkeys(type(part).__qualname__ for part in parts if not is_ours(part)))
 

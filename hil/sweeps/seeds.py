@@ -17,6 +17,7 @@ from hil.compose.loop import Loop, compose
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
+from hil.log.topics import channels_of
 from hil.measure.many import ManyView, MeasureOfMany
 from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.names import Named
@@ -96,12 +97,12 @@ def run_one_by_one(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     """Run a loop seed by seed with the nodes of a session: what `run_seeds` is held to."""
     names = columns_of(loop.experiment)[1:]
     wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics}
-    topics = {EVENTS_TOPIC, *(wanted & loop.channels().keys())}
-    return [_row(simulate(loop, seed, topics), loop.experiment, names, seed) for seed in seeds]
+    topics = {EVENTS_TOPIC, *(wanted & channels_of(loop).keys())}
+    return [_row(simulate(loop, seed, topics), loop, names, seed) for seed in seeds]
 
 
-def _row(run: Run, experiment: Experiment, names: Sequence[str], seed: int) -> dict[str, float]:
-    found = run_metrics(run, experiment)
+def _row(run: Run, loop: Loop, names: Sequence[str], seed: int) -> dict[str, float]:
+    found = run_metrics(run, loop.experiment, loop.rig)
     for output, numbers in found.pop("outputs", {}).items():
         found |= {f"{name}.{output}": value for name, value in numbers.items()}
     row = {name: float("nan") if found[name] is None else float(found[name]) for name in names}

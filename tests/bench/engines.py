@@ -14,6 +14,7 @@ from typing import Any
 
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
+from hil.log.topics import channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
@@ -126,11 +127,12 @@ def _traced() -> int:
 def _virtual(loop: Loop, writer: str, path: Path, before_the_end: Callable[[], None] = lambda: None) -> None:
     about = Provenance(experiment="bench", experiment_text="", resolved={}, seed=0, clock="virtual", link="memory:")
     if writer == "none":
-        run_virtual(loop, 0, MemorySink(loop.channels(), []))
+        run_virtual(loop, 0, MemorySink(channels_of(loop), []))
         return
     sink: Sink
     ours: Index = "chunk" if writer == "chunk" else "full"
-    made = PlainSink(path, loop.channels(), about) if writer == "plain" else McapSink(path, loop.channels(), about, index=ours)
+    channels = channels_of(loop)
+    made = PlainSink(path, channels, about) if writer == "plain" else McapSink(path, channels, about, index=ours)
     with made as sink:
         run_virtual(loop, 0, sink)
         before_the_end()

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
+from hil.log.topics import channels_of
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import Put, Record
 from hil.runtime.real.own_python import python_module
@@ -81,7 +82,7 @@ def main() -> None:
     """Print both medians, us."""
     die_with_parent(os.getppid())
     loop = compose(load_experiment(EXPERIMENT, [f"duration={SLOTS / 1000!r}"]), certify=False)
-    channels = loop.channels()
+    channels = channels_of(loop)
     with ExitStack() as stack:
         sinks = []
         for _ in range(2):

@@ -34,7 +34,7 @@ from transport import ControlPacket, SensorPacket, dbc_path, decode, encode_cont
 from transport.laws.trace import read_ages
 from transport.links.authenticated_link import read_key
 from transport.links.link import TransportError, key_file
-from transport.links.who_commands import who_commands
+from transport.links.traits import traits_of
 from transport.links.zenoh_access import Access
 from transport.links.zenoh_discover import _json_object
 from transport.wire.tags import tag_of
@@ -194,7 +194,7 @@ def _sweep(path: Path) -> bool:
 
 def _uri(uri: str) -> bool:
     key_file(uri)
-    return bool(who_commands(uri))
+    return bool(traits_of(uri).commanders)
 
 
 SMALL = shipped()["dc-motor-local"].read_text()

@@ -11,7 +11,8 @@ import zenoh
 
 from hil.cli.discover import command
 from hil.experiment import load_experiment
-from hil.rig.can_frames import about_rig
+from hil.rig.frames_dbc import about_rig
+from hil.rig.normal_form import rig_of
 from tests.hil.cli.conftest import run_main
 from tests.ports import free_port
 from tests.waiting import until
@@ -54,7 +55,7 @@ def test_a_rig_and_its_controller_are_found_with_what_runs(
     with open_link("zenoh:?name=mine", "rig") as rig, open_link("zenoh:?name=mine", "controller") as controller:
         meet(rig, controller)
         assert isinstance(rig, Tells)
-        rig.tell(about_rig(load_experiment("multisensor-published")))
+        rig.tell(about_rig(rig_of(load_experiment("multisensor-published"))))
         assert run_main("discover", "--json", "--wait", "30") == 0
         [found] = json.loads(capsys.readouterr().out)
         assert found["name"] == "mine" and found["alive"] == ["controller", "rig"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any, Final
 
+from transport.links.link import TransportError, split_uri
 from transport.links.zenoh_link import config, zenoh_directory
 from transport.links.zenoh_package import require_zenoh
 
@@ -16,6 +17,18 @@ def own_endpoints() -> list[str]:
     """Return the endpoints of the ``zenoh:`` links of this user that are open on this machine."""
     folder = zenoh_directory()
     return [f"unixsock-stream/{path}" for path in sorted(folder.iterdir()) if path.is_socket()] if folder.is_dir() else []
+
+
+def endpoint_of(uri: str) -> str:
+    """Return the endpoint of a rig's link.
+
+    Raises:
+        TransportError: no link of zenoh, or one without an endpoint.
+    """
+    scheme, endpoint, _ = split_uri(uri)
+    if scheme != "zenoh" or not endpoint:
+        raise TransportError(f"{uri}: expected a link of zenoh, as in zenoh:tcp/127.0.0.1:7447")
+    return endpoint
 
 
 def discover(endpoint: str, wait_s: float) -> list[dict[str, Any]]:

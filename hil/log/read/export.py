@@ -39,8 +39,8 @@ from hil.log.read.npz import NpzFile
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
 from hil.log.topics import FRAME_TOPICS, SENSOR
-from hil.rig.can_frames import identifiers_of_link, identifiers_on
-from hil.rig.sensor_order import framing
+from hil.rig.normal_form import rig_of
+from hil.rig.session_link import no_link
 
 if TYPE_CHECKING:
     from transport.links.can_identifiers import Identifiers
@@ -200,14 +200,19 @@ def _framing(run: Run) -> tuple[bool, Identifiers]:
     """Whether a run's frames are CAN FD, and its identifiers; the default ones of its nodes for what is no CAN link."""
     from transport.links.can_identifiers import derived
     from transport.links.link import TransportError
+    from transport.links.traits import identifiers_on, traits_of
 
     uri = run.metadata.get("link", "")
     with suppress(TransportError, ValueError):  # no session could have run over it
-        if uri.startswith("can:"):
-            return framing(uri)[1], identifiers_of_link(uri)
+        framing = traits_of(uri).can
+        if framing is not None:
+            return framing.fd, identifiers_on(uri)
     if not run.resolved.get("nodes"):
         return True, derived()
-    return True, identifiers_on(experiment_from_resolved(run.resolved, run.experiment_text, "the log"), uri)
+    own = no_link(rig_of(experiment_from_resolved(run.resolved, run.experiment_text, "the log"))).identifiers
+    if own is None:
+        raise HilError("the log: a CAN link has no identifiers for so many nodes; export .csv instead")
+    return True, own
 
 
 class _BusOfPaper:

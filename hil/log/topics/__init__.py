@@ -27,6 +27,7 @@ from hil.log.topics.timing import TIMING as TIMING
 from hil.log.topics.topic import Curve as Curve
 from hil.log.topics.topic import Logged as Logged
 from hil.log.topics.topic import MissingTopic as MissingTopic
+from hil.log.topics.topic import RunsRig as RunsRig
 from hil.log.topics.topic import SignalLike as SignalLike
 from hil.log.topics.topic import Topic as Topic
 
@@ -63,6 +64,20 @@ def channels(logged: Logged) -> dict[str, Channel]:
             raise HilError(f"log topic {topic.name}: {error}; signals need names that differ") from None
         found[topic.name] = Channel(id=number, topic=topic.name, schema=schema)
     return found
+
+
+def channels_of(loop: RunsRig, *, on_can: bool = False) -> dict[str, Channel]:
+    """Return the topics that a run of a composed loop logs.
+
+    Args:
+        loop: the loop.
+        on_can: the link of the session is a CAN link.
+    """
+    rig = loop.rig
+    return channels(Logged(
+        states=rig.states, inputs=rig.inputs, outputs=rig.outputs, n_rows=loop.rows, numbered=rig.numbered,
+        passivity=rig.passivity, on_can=on_can,
+    ))  # fmt: skip
 
 
 def missing(topic: str, there: Sequence[str]) -> MissingTopic:

@@ -8,6 +8,7 @@ from typing import Any, Final, Protocol
 
 from hil.errors import HilError
 from hil.log.records import Field, field_name
+from hil.rig.spec import RigSpec
 
 
 class SignalLike(Protocol):
@@ -39,6 +40,16 @@ class Logged:
     numbered: bool = False
     passivity: bool = False
     on_can: bool = False
+
+
+class RunsRig(Protocol):
+    """A composed loop, as far as its log asks."""
+
+    @property
+    def rig(self) -> RigSpec: ...
+
+    @property
+    def rows(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

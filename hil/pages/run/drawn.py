@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 from hil.measure.measure import run_measures
-from hil.measure.network_paths import run_sensors
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Section
 from hil.pages.html.plain_section import plain_section
@@ -30,7 +29,7 @@ def drawing_plug_ins(view: RunView) -> tuple[DrawsSection, ...]:
     e = view.experiment
     parts: tuple[object, ...] = view.once(run_measures)
     if e is not None:
-        parts += (e.plant, e.controller, *(sensor.law for sensor in view.once(run_sensors)), e.links.ca.law)
+        parts += (e.plant, e.controller, *(() if view.rig is None else view.rig.laws))
     found = {id(part): part for part in parts if isinstance(part, DrawsSection)}
     return tuple(found.values())
 

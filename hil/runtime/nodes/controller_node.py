@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 from hil.compose.loop import Loop
-from hil.rig.time_line import time_line
 from hil.runtime.nodes.heard import heard_by
 from hil.runtime.nodes.questions import Questions, Refusals
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
@@ -30,7 +29,7 @@ class ControlNode:
     def __init__(self, loop: Loop) -> None:
         self._begin = partial(heard_by, loop)
         self._heard = self._begin()
-        self._restarts, self._to_come = time_line(loop.experiment).restarts, 0
+        self._restarts, self._to_come = loop.rig.time_line.restarts, 0
         self._period_ns = loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
         self._zeros = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows

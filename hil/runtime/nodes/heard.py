@@ -58,7 +58,7 @@ class NewestSample:
     """
 
     def __init__(self, loop: Loop, running: RunningController) -> None:
-        e, sensors = loop.experiment, loop.sensors
+        e, sensors = loop.experiment, loop.rig.sensors
         outputs = len(e.plant.outputs)
         self.watch = _watch(loop, running)
         self._rows = running.rows if self.watch is None else self.watch.rows
@@ -117,7 +117,7 @@ class EverySample:
         self.watch = _watch(loop, running)
         self._rows = running.rows if self.watch is None else self.watch.rows
         self._reference, self._period_ns = loop.reference(), loop.experiment.period_ns
-        self._assembly = Assembly(loop.sensors, running.memory)
+        self._assembly = Assembly(loop.rig.sensors, running.memory)
         self.sample_ns = -1
 
     def take(self, packet: SensorPacket) -> bool:

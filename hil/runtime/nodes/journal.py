@@ -11,7 +11,7 @@ from hil.log.records import Channel
 from hil.log.topics import APPLIED, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
 from hil.log.topics.topic import SlotRecord
 from hil.log.write.sinks import Sink, record_to, records_to
-from hil.rig.can_frames import FirstIdentifiers
+from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.port_damper import Injected
 from transport.draws import Draw

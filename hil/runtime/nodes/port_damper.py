@@ -93,9 +93,9 @@ def damper_of(loop: Loop) -> PortDamper | None:
         loop: the composed experiment.
     """
     asked, limits = loop.experiment.limits.passivity, loop.experiment.limits.input
-    if asked is None or loop.port is None:
+    if asked is None or loop.rig.port is None:
         return None
     return PortDamper(
-        period_s=loop.model.period_s, credit=loop.port.damping, largest=asked.damping_n_s_per_m, allowed_j=asked.energy_j,
+        period_s=loop.model.period_s, credit=loop.rig.port.damping, largest=asked.damping_n_s_per_m, allowed_j=asked.energy_j,
         trip_j=asked.trip_j, limit=math.inf if limits is None else limits[0],
     )  # fmt: skip

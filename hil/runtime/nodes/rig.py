@@ -15,7 +15,7 @@ from hil.compose.loop import Loop
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
-from hil.rig.can_frames import FirstIdentifiers
+from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answers import Answers
 from hil.runtime.nodes.fault_line import FaultLine
@@ -65,17 +65,17 @@ class Rig:
         deadline_s = e.timing.deadline * float(e.period)
         self._period_ns, self._woken = e.period_ns, woken
         self._plant = e.plant.start(rng_for(seed, "plant"))
-        self._samples = [sensor.buffer for sensor in loop.sensors]
-        self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.sensors)
+        self._samples = [sensor.buffer for sensor in loop.rig.sensors]
+        self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.rig.sensors)
         faults = FaultLine(loop, seed)
         self._faults = faults if e.fault else None
         self._uplink = faults.uplink(uplink_of(loop, seed, float(e.period), deadline_s))
-        self._downlink = faults.downlink(impair(loop.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s))
+        self._downlink = faults.downlink(impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s))
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
         safety = Safety(e.limits.input, limits, e.limits.watchdog_slots, e.period_ns)
-        self._port = loop.port.output if loop.port is not None and e.limits.passivity is not None else None
+        self._port = loop.rig.port.output if loop.rig.port is not None and e.limits.passivity is not None else None
         self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop))
-        numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.sensors)]
+        numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.rig.sensors)]
         self._journal = Journal(sink, channels, loop.rows * inputs, numbers, identifiers)
         self._wire = wire or VIRTUAL
         self._counter = 0

@@ -28,9 +28,9 @@ def uplink_of(loop: Loop, seed: int, period_s: float, deadline_s: float) -> Medi
         period_s: sample period T, s.
         deadline_s: seconds after the start of a slot at which it closes; packet laws only.
     """
-    channels = [impair(s.law, rng_for(seed, s.stream), period_s, deadline_s) for s in loop.sensors]
-    medium = _shared(loop, channels, seed) if loop.media else IndependentChannels(channels)
-    return medium if all(s.repeats for s in loop.sensors) else NewPackets(medium, [s.repeats for s in loop.sensors])
+    channels = [impair(s.law, rng_for(seed, s.stream), period_s, deadline_s) for s in loop.rig.sensors]
+    medium = _shared(loop, channels, seed) if loop.rig.media else IndependentChannels(channels)
+    return medium if all(s.repeats for s in loop.rig.sensors) else NewPackets(medium, [s.repeats for s in loop.rig.sensors])
 
 
 class NewPackets:
@@ -60,11 +60,11 @@ def _new(delivery: Delivery) -> Delivery:
 def _shared(loop: Loop, channels: Sequence[Impairment], seed: int) -> Medium:
     parts: list[tuple[Sequence[int], Medium]] = []
     turning = []
-    for shared in loop.media:
+    for shared in loop.rig.media:
         if shared.table.kind != "can-arbitration":
             turning.append(shared)
             continue
-        nodes = sorted(shared.nodes, key=lambda node: loop.sensors[node].can_id)  # a lower identifier wins
+        nodes = sorted(shared.nodes, key=lambda node: loop.rig.sensors[node].can_id)  # a lower identifier wins
         rng = rng_for(seed, f"medium.{shared.name}")
         parts.append((nodes, ArbitratedBus([channels[i] for i in nodes], shared.table.frames, shared.table.loss, rng)))
     on_a_bus = {node for nodes, _ in parts for node in nodes}

@@ -16,6 +16,7 @@ from functools import partial
 from types import FrameType
 
 from hil.compose.loop import Loop
+from hil.rig.session_link import SessionLink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.child import read_job
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
@@ -33,7 +34,7 @@ class Job:
     """What the controller process needs."""
 
     loop: Loop
-    uri: str
+    link: SessionLink
     parent: int
     counts_fd: int = -1  # where its counters go at its end
 
@@ -99,8 +100,8 @@ def main() -> None:
     try:
         stop_on_sigterm()
         die_with_parent(job.parent)
-        cpu = cpu_for(timing.affinity, "controller", job.uri)
-        serve(job.loop, job.uri, lambda: go_real_time(max(timing.priority - 1, 1), cpu), partial(_write, job.counts_fd))
+        cpu = cpu_for(timing.affinity, "controller", job.link.traits)
+        serve(job.loop, job.link.uri, lambda: go_real_time(max(timing.priority - 1, 1), cpu), partial(_write, job.counts_fd))
     except Stopped:
         leave_real_time()
 

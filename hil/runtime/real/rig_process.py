@@ -13,10 +13,11 @@ from dataclasses import asdict, dataclass
 from types import FrameType
 
 from hil.compose.loop import Loop
-from hil.log.topics import TIMING
+from hil.log.topics import TIMING, channels_of
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import record_to
-from hil.rig.can_frames import about_rig, session_identifiers
+from hil.rig.frames_dbc import about_rig
+from hil.rig.session_link import SessionLink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
@@ -30,7 +31,6 @@ from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
 from plants.errors import PlantError
 from transport.links.link import Link, Tells, TransportError
-from transport.links.local import LOCAL
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 
@@ -50,7 +50,7 @@ class Job:
     """What the rig process needs."""
 
     loop: Loop
-    uri: str
+    link: SessionLink
     seed: int
     parent: int
     log_fd: int
@@ -62,11 +62,11 @@ class RealLoop:
 
     def __init__(self, job: Job, link: Link, sink: PipeSink, wire: Wire) -> None:
         e = job.loop.experiment
-        identifiers = session_identifiers(e, job.uri)
-        channels = job.loop.channels(on_can=identifiers is not None)
+        channels = channels_of(job.loop, on_can=job.link.on_can)
         self.clock = RealClock(0)  # until the session begins
         self.kernel = Kernel(self.clock)
-        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire, identifiers, lambda t_ns: self._woken_ns)
+        first = job.link.first_identifiers()
+        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire, first, lambda t_ns: self._woken_ns)
         self.overruns = 0
         self._sink = sink
         self._period_ns = e.period_ns
@@ -121,26 +121,26 @@ def main() -> None:
             loop.kernel.stop()
 
     signal.signal(signal.SIGTERM, stop)
-    sink = PipeSink(job.log_fd, job.loop.channels(on_can=job.uri.startswith("can:")))
+    sink = PipeSink(job.log_fd, channels_of(job.loop, on_can=job.link.on_can))
     timing = job.loop.experiment.timing
     wire = session_wire(os.urandom(KEY_BYTES), job.loop.experiment.ticks)
-    local = job.uri == LOCAL
+    local = job.link.traits.in_process
     rehearsed = RehearsedRig(job.loop, session_wire(os.urandom(KEY_BYTES), REHEARSED), local).warm_up()
     # Behind the warm-up, which would keep the loops of other sessions from a CPU; before the link is opened, so that its threads
     # inherit the priority.
-    scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.uri), timing.idle == "awake")
+    scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.link.traits), timing.idle == "awake")
     standard_output_is_free()  # results leave through the pipe, words through standard error
     node = ControlNode(job.loop) if local else None
-    with LocalLink(node) if node is not None else open_link(job.uri, "rig") as link:
+    with LocalLink(node) if node is not None else open_link(job.link.uri, "rig") as link:
         if isinstance(link, Tells):
-            link.tell(about_rig(job.loop.experiment))
+            link.tell(about_rig(job.loop.rig))
         real = RealLoop(job, link, sink, wire)  # before the greeting: nothing stands between its last rehearsal and slot 0
         loops.append(real)
         greeter = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, rehearsed.run, real.pause)
         greeting = greeter.greet()
         if not greeting.answered:
             if greeting.foreign:
-                sys.stderr.write(f"hil: {greeting.foreign} frames that are no answer came on {job.uri} meanwhile\n")
+                sys.stderr.write(f"hil: {greeting.foreign} frames that are no answer came on {job.link.uri} meanwhile\n")
             sink.close()
             raise SystemExit(NOBODY)
         real.begin()

@@ -11,6 +11,7 @@ from contextlib import suppress
 from typing import Literal
 
 from hil.experiment.tables import Affinity
+from transport.links.traits import LinkTraits
 
 MCL_CURRENT, MCL_FUTURE, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 2, 1, 29
 
@@ -60,36 +61,37 @@ def leave_real_time() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def cpu_for(affinity: Affinity, role: Literal["rig", "controller"], uri: str) -> int | None:
+def cpu_for(affinity: Affinity, role: Literal["rig", "controller"], link: LinkTraits) -> int | None:
     """Return the CPU of a process, counted from the last; None leaves the choice to the scheduler.
 
     Args:
-        affinity: what the experiment asks for; ``auto`` is ``shared`` over zenoh, ``free`` over other links.
+        affinity: what the experiment asks for; ``auto`` is ``shared`` over a link with threads of its own, else ``free``.
         role: whose CPU.
-        uri: the link between the two.
+        link: the link between the two.
 
-    >>> [cpu_for("auto", "controller", uri) for uri in ("can:hil:rig0", "zenoh:")]
+    >>> from transport.links.traits import traits_of
+    >>> [cpu_for("auto", "controller", traits_of(uri)) for uri in ("can:hil:rig0", "zenoh:")]
     [None, 0]
-    >>> [cpu_for("pinned", role, "zenoh:") for role in ("rig", "controller")]
+    >>> [cpu_for("pinned", role, traits_of("zenoh:")) for role in ("rig", "controller")]
     [0, 1]
     """
     if affinity == "auto":
-        affinity = "shared" if uri.partition(":")[0] == "zenoh" else "free"
+        affinity = "shared" if link.own_threads else "free"
     if affinity == "free":
         return None
     return 1 if affinity == "pinned" and role == "controller" else 0
 
 
-def leave_to_loop(affinity: Affinity, uri: str) -> None:
+def leave_to_loop(affinity: Affinity, link: LinkTraits) -> None:
     """Keep the calling thread off the CPU that rig and controller share, where there is another one.
 
     A system call of a thread of any priority is not interrupted on many kernels: what writes the log would delay the loop.
 
     Args:
         affinity: what the experiment asks for.
-        uri: the link between rig and controller.
+        link: between rig and controller.
     """
-    rig, controller = cpu_for(affinity, "rig", uri), cpu_for(affinity, "controller", uri)
+    rig, controller = cpu_for(affinity, "rig", link), cpu_for(affinity, "controller", link)
     allowed = sorted(os.sched_getaffinity(0))
     if rig is not None and rig == controller and len(allowed) > rig + 1:
         with suppress(OSError):

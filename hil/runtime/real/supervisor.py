@@ -14,11 +14,12 @@ from pathlib import Path
 
 from hil.compose.loop import Loop
 from hil.errors import HilError
+from hil.log.topics import channels_of
 from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.rehearsal import rehearse
 from hil.log.write.sinks import Put, Sink
 from hil.plugins.registry import OBJECT
-from hil.rig.time_line import time_line
+from hil.rig.session_link import SessionLink
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.free_memory import FreeMemory
@@ -27,7 +28,6 @@ from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
 from transport.links.dead_channels import bus_directory, clear_dead_channels
-from transport.links.local import LOCAL
 
 POLL_S = 0.02
 HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0
@@ -50,7 +50,7 @@ class RealOutcome:
 def run_real(
     loop: Loop,
     seed: int,
-    uri: str,
+    link: SessionLink,
     sink: Sink,
     *,
     external: bool = False,
@@ -62,7 +62,7 @@ def run_real(
     Args:
         loop: the composed experiment.
         seed: seed of the run.
-        uri: the link between rig and controller.
+        link: between rig and controller.
         sink: takes every record, in this process.
         external: do not start a controller: somebody else's program answers on the link.
         hello_timeout_s: how long the rig waits for a first answer, s.
@@ -71,9 +71,9 @@ def run_real(
     Raises:
         HilError: if rig or controller ended before the run began, or no controller answered.
     """
-    if external and uri == LOCAL:
-        raise HilError(f"{LOCAL} runs our controller in the rig's process: an external one needs a link")
-    restarts = deque(first * loop.experiment.period_ns for first, _ in time_line(loop.experiment).restarts)
+    if external and link.traits.in_process:
+        raise HilError(f"{link.uri} runs our controller in the rig's process: an external one needs a link")
+    restarts = deque(first * loop.experiment.period_ns for first, _ in loop.rig.time_line.restarts)
     if external and restarts:
         raise HilError("fault: controller-restart: hil cannot restart an external controller; end and start it by hand")
     clear_dead_channels(bus_directory())
@@ -85,9 +85,9 @@ def run_real(
     stop_pump = threading.Event()
 
     def keep_log() -> None:
-        leave_to_loop(loop.experiment.timing.affinity, uri)
+        leave_to_loop(loop.experiment.timing.affinity, link.traits)
         go_ahead_of_others()
-        channels = loop.channels(on_can=uri.startswith("can:"))
+        channels = channels_of(loop, on_can=link.on_can)
         rehearse(channels)
         pump(read_fd, sink, channels, taps=taps, stop=stop_pump.is_set, report=outcome.pump)
 
@@ -95,7 +95,7 @@ def run_real(
     with StopSignals() as signals:
         try:
             job = rig_process.Job(
-                loop=loop, uri=uri, seed=seed, parent=parent, log_fd=write_fd,
+                loop=loop, link=link, seed=seed, parent=parent, log_fd=write_fd,
                 hello_timeout_s=hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S),
             )  # fmt: skip
             start = _starter(loop)
@@ -105,8 +105,8 @@ def run_real(
             write_fd = -1
             thread.start()
             controller = None
-            if not external and uri != LOCAL:
-                theirs = controller_process.Job(loop=loop, uri=uri, parent=parent, counts_fd=counted_fd)
+            if not external and not link.traits.in_process:
+                theirs = controller_process.Job(loop=loop, link=link, parent=parent, counts_fd=counted_fd)
                 controller = start("controller", "hil.runtime.real.controller_process", theirs, (counted_fd,))
                 children.append(controller)
             silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
@@ -141,7 +141,7 @@ def run_real(
     outcome.rig_status = children[0].poll()
     if signals.seen is None and not outcome.pump.records:
         if outcome.controller_lost is None and outcome.rig_status == rig_process.NOBODY:
-            raise HilError(f"no controller answered on {uri} within {job.hello_timeout_s:g} s")
+            raise HilError(f"no controller answered on {link.uri} within {job.hello_timeout_s:g} s")
         why = outcome.rig_silent or outcome.controller_lost or children[0].how()
         raise HilError(f"{why} before the run began; see its message above, if any")
     return outcome

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from hil.compose.loop import Loop
+from hil.log.topics import channels_of
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import ControlNode
@@ -51,7 +52,7 @@ class RehearsedRig:
     """
 
     def __init__(self, loop: Loop, wire: Wire, local: bool = False) -> None:
-        self._k, self._period_ns, channels = 0, loop.experiment.period_ns, loop.channels()
+        self._k, self._period_ns, channels = 0, loop.experiment.period_ns, channels_of(loop)
         self._sink = PipeSink(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), channels)
         rig = Rig(loop, 0, self._sink, channels, lambda: None, wire)
         exchange = DirectExchange(ControlNode(loop)) if local else Rehearsal(loop, wire)
@@ -77,7 +78,7 @@ def warm_up_controller(loop: Loop) -> None:
     """
     e, limit = loop.experiment, monotonic_ns() + round(MOST_S * 1e9)
     with suppress(Exception):  # a law that fails is to fail in the session, where it is reported
-        rig = Rig(loop, 0, MemorySink(loop.channels(), ()), loop.channels(), lambda: None, VIRTUAL)
+        rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, VIRTUAL)
         slot = Slot(rig, DirectExchange(ControlNode(loop)))
         for k in range(min(e.ticks, SLOTS)):
             if monotonic_ns() > limit:

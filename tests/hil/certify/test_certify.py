@@ -18,7 +18,6 @@ from hil.certify.certify import CERTIFIERS, certify, digest_of
 from hil.compose.loop import Loop, compose
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import load_experiment
-from hil.rig.delay_chains import delay_chains
 from hil.session import simulate
 
 
@@ -188,7 +187,7 @@ def test_everything_that_decides_is_in_the_digest_and_seed_and_schedule_are_not(
 
 
 def to_certify(loop: Loop) -> LoopToCertify:
-    sc, ca = delay_chains(loop.experiment)
+    sc, ca = loop.chains.sc, loop.chains.ca
     return LoopToCertify(
         plant=loop.experiment.plant, controller=loop.controller, model=loop.model, sc=sc, ca=ca,
         digest=digest_of(loop.experiment, loop.controller, loop.model),

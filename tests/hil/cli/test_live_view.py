@@ -7,6 +7,7 @@ from rich.text import Text
 from hil.cli.live_view import LiveView
 from hil.compose.loop import compose
 from hil.experiment import Experiment, load_experiment
+from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.runtime.virtual import run_virtual
 
@@ -24,7 +25,7 @@ def written(console: Console) -> str:
 def recorded() -> tuple[Experiment, MemorySink]:
     experiment = load_experiment("dc-motor-hinf", ['duration="20 s"'])
     loop = compose(experiment)
-    sink = MemorySink(loop.channels())
+    sink = MemorySink(channels_of(loop))
     run_virtual(loop, 0, sink)
     sink.event(19_000_000_000, "late", "no control packet before the deadline", tick=380, severity="warning")
     return experiment, sink
@@ -41,7 +42,7 @@ def test_view_shows_progress_error_delays_lateness_and_events(recorded: tuple[Ex
     console = terminal()
     view = LiveView(experiment, "real", link="can:hil:rig0", console=console)
     feed(view, sink)
-    pack = compose(experiment).channels()["/timing/tick"].schema.pack
+    pack = channels_of(compose(experiment))["/timing/tick"].schema.pack
     for k in range(100):
         view.update("/timing/tick", k, pack(20.0 + k, 140.0, 60.0, k, int(k == 7), 0))
     console.print(view.render())
@@ -92,14 +93,14 @@ def test_view_says_how_long_a_design_or_a_proof_takes(
 def test_view_of_many_outputs_keeps_names_whole_and_one_line_each_at_sixty_columns() -> None:
     experiment = load_experiment("vtol-fault", ['duration="0.2 s"'])
     loop = compose(experiment)
-    sink = MemorySink(loop.channels())
+    sink = MemorySink(channels_of(loop))
     run_virtual(loop, 0, sink)
     pictures = {}
     for width in (60, 110):
         console = terminal(width)
         view = LiveView(experiment, "real", console=console)
         feed(view, sink)
-        view.update("/timing/tick", 0, loop.channels()["/timing/tick"].schema.pack(20.0, 140.0, 60.0, 0, 0, 0))
+        view.update("/timing/tick", 0, channels_of(loop)["/timing/tick"].schema.pack(20.0, 140.0, 60.0, 0, 0, 0))
         console.print(view.render())
         pictures[width] = Text.from_ansi(written(console)).plain.splitlines()
     assert len(pictures[60]) == len(pictures[110])

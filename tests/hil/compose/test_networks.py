@@ -14,7 +14,6 @@ from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.measure.network import expected_frequencies, expected_transitions
 from hil.plugins.checks import check_law
-from hil.rig.delay_chains import delay_chains
 from hil.session import simulate
 from tests.hil.test_prediction import predicted_of
 from transport.law_tests.analysis import analyse_law
@@ -67,7 +66,7 @@ def test_the_age_that_is_measured_is_what_is_predicted():
     predicted = predicted_of(loop, loop.experiment.ticks, sums_from=(FROM,))
     assert predicted.sum_mean[0] == pytest.approx(0.035709, abs=2e-6)
     assert predicted.sum_sd[0] == pytest.approx(0.00834, abs=2e-5)
-    sc, _ = delay_chains(loop.experiment)
+    sc = loop.chains.sc
     assert sc.matrix.tolist() == [[0.5, 0.5, 0.0], [0.5, 0.3, 0.2], [0.5, 0.3, 0.2]]
 
 
@@ -82,7 +81,7 @@ def test_a_thousand_runs_have_the_predicted_error_and_not_that_of_the_law_as_dra
 def test_gaps_on_the_way_to_the_actuator_are_predicted_as_they_run():
     # the actuator keeps the newest packet too
     loop = compose(over(sc=ConstantAge(age=0), ca=IidAge(probabilities=(0.4, 0.0, 0.6), allow_gaps=True), controller=FLAT))
-    _, ca = delay_chains(loop.experiment)
+    ca = loop.chains.ca
     assert sorted(set(ca.delay.tolist())) == [0, 1, 2]
     run = simulate(loop, 5, ("/actuator/applied",))
     d = run.arrays["/actuator/applied"]["d"][50:]

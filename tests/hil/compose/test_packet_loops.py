@@ -16,7 +16,7 @@ from design.processes.delay_chain import DelayChain
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.prediction import predict
-from hil.rig.packet_ages import Receiver, packet_delays, unheard
+from hil.rig.packet_ages import Receiver, received
 from hil.sweeps.seeds import run_seeds
 from transport.laws.packet import GilbertElliott, PacketLaw
 
@@ -119,7 +119,7 @@ def test_radius_is_that_of_a_loop_packet_by_packet(longest: int, max_age: int, t
     shares = rng.dirichlet(np.ones(longest + 1))
     law = law_of(longest, shares, float(rng.uniform(0.1, 0.4)), waits=kind == "in order")
     K = -rng.uniform(0.1, 0.9, size=(1 if to_actuator else max_age + 1, 1, 1, 1))
-    chain = packet_delays(law, Receiver(T, DEADLINE, max_age, holds_input=to_actuator))
+    chain = received("law", law, Receiver(T, DEADLINE, max_age, holds_input=to_actuator)).delays()
     assert chain is not None
     links = (AT_ONCE, chain) if to_actuator else (chain, AT_ONCE)
     found = certify_loop(a, b, c, *links, K, "constant").mean_square_radius
@@ -131,7 +131,7 @@ def test_radius_over_bursts_of_loss(to_actuator: bool) -> None:
     a, b, c, K = (np.array([[v]]) for v in (1.05, 1.0, 1.0, -0.6))
     shares = np.array([0.7, 0.3])
     law = law_of(1, shares, GilbertElliott(p_gb=0.1, p_bg=0.4, loss_good=0.05, loss_bad=0.8), waits=False)
-    chain = packet_delays(law, Receiver(T, DEADLINE, 0, holds_input=to_actuator))
+    chain = received("law", law, Receiver(T, DEADLINE, 0, holds_input=to_actuator)).delays()
     assert chain is not None
     links = (AT_ONCE, chain) if to_actuator else (chain, AT_ONCE)
     found = certify_loop(a, b, c, *links, K[None, None], "constant").mean_square_radius
@@ -142,7 +142,7 @@ def test_a_linear_controller_is_the_table_of_one_gain() -> None:
     """xi of order 0: the loop of `dynamic_loop` and that of a table are two programs for one loop."""
     a, b, c = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]]), np.array([[1.0, 0.0]])
     law = law_of(1, np.array([0.6, 0.4]), 0.2, waits=False)
-    sc, ca = (packet_delays(law, Receiver(T, DEADLINE, 1, holds_input=side)) for side in (False, True))
+    sc, ca = (received("law", law, Receiver(T, DEADLINE, 1, holds_input=side)).delays() for side in (False, True))
     assert sc is not None
     assert ca is not None
     K = np.array([[-0.7]])
@@ -226,7 +226,8 @@ def test_what_runs_is_what_is_predicted(selection: str, order: str) -> None:
         f"links.sc={{max_age=2,law={law.replace('LOSS', '0.02')}}}", f"links.ca={{max_age=1,law={law.replace('LOSS', '0.3')}}}",
         f"controller={{kind='send-all',selection='{selection}',gains={gains}}}",
     )))  # fmt: skip
-    assert unheard(loop.experiment) > 1e-5 and unheard(loop.experiment, 6) < 1e-6  # at rest, zeros are its answers anyway
+    (way,) = loop.chains.arriving
+    assert way.silent() > 1e-5 and way.silent(6) < 1e-6  # at rest, zeros are its answers anyway
     foretold = predict(loop, loop.experiment.ticks)
     assert foretold is not None
     found = np.array([row["sse"] for row in run_seeds(loop, list(range(400)))])

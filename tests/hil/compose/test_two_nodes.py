@@ -17,7 +17,7 @@ from hil.design_questions.design_problem import tracking_target
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.replay.replay import verify
-from hil.rig.delay_chains import delay_chains, gains_over, initial_laws
+from hil.rig.delay_chains import gains_over
 from hil.session import run_session, simulate
 
 EARLY = 'reference=[{at="0.1 s", value=[3.0, 0.0]}]'
@@ -40,12 +40,12 @@ def test_it_is_designed_for_and_certified_over_all_ages(loop: Loop) -> None:
 
 def test_mean_and_spread_of_the_runs_are_those_predicted(loop: Loop) -> None:
     """Error rate 0.1 % over all slots together (Bonferroni); with 60 runs a mean off by one standard deviation is seen."""
-    sc, ca = delay_chains(loop.experiment)
+    sc, ca = loop.chains.sc, loop.chains.ca
     slots, runs = loop.experiment.ticks, 60
     r = np.array([loop.reference()(k) for k in range(slots)])
     told = predict_tracking(
         loop.model.A, loop.model.B, loop.model.C, sc, ca, gains_over(loop.controller, loop.model, sc, ca), "applied", r,  # type: ignore[arg-type]
-        period_s=loop.model.period_s, initial=initial_laws(loop.experiment),
+        period_s=loop.model.period_s, initial=loop.chains.initial(),
     )  # fmt: skip
     error = np.zeros((runs, slots, 2))
     for seed in range(runs):

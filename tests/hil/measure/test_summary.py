@@ -6,6 +6,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
+from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.measure.network import network_metrics
 from hil.measure.summary import run_metrics, run_timing, summarise
@@ -36,7 +37,7 @@ def test_published_gains_reach_the_error_of_the_reference_computation() -> None:
     loop = compose(experiment)
     found = []
     for seed in range(8):
-        sink = MemorySink(loop.channels(), ("/plant/measurement", "/reference", "/actuator/applied"))
+        sink = MemorySink(channels_of(loop), ("/plant/measurement", "/reference", "/actuator/applied"))
         run_virtual(loop, seed, sink)
         found.append(run_metrics(Run.from_memory(sink), experiment))
     assert np.mean([f["sse"] for f in found]) == pytest.approx(12.03, abs=5 * 0.41 / np.sqrt(8))

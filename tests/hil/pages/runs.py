@@ -7,6 +7,7 @@ import numpy as np
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
+from hil.log.topics import channels_of
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink
 from hil.runtime.virtual import run_virtual
@@ -17,11 +18,11 @@ def run_of(name: str, *sets: str, timed: bool = False) -> Run:
     """Return a finished run of a shipped experiment; `timed` adds what a real-time run measures of itself."""
     experiment = load_experiment(name, sets)
     loop = compose(experiment)
-    sink = MemorySink(loop.channels())
+    sink = MemorySink(channels_of(loop))
     rig = run_virtual(loop, experiment.seed, sink)
     if timed:
         rng = np.random.default_rng(0)
-        put, pack = sink.channel("/timing/tick"), loop.channels()["/timing/tick"].schema.pack
+        put, pack = sink.channel("/timing/tick"), channels_of(loop)["/timing/tick"].schema.pack
         assert put is not None
         lateness = 20.0 + rng.pareto(2.5, rig.k + 1) * 10.0
         for k in range(rig.k + 1):

@@ -13,10 +13,12 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment, parse_experiment, shipped
 from hil.experiment.schema import experiment_schema
 from hil.log.read.run import read_run
+from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.measure.view import view_of
 from hil.pages.run.sections.theory import section as theory_section
 from hil.replay.replay import verify
+from hil.rig.session_link import link_of
 from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.supervisor import run_real
@@ -144,7 +146,7 @@ def test_faults_of_the_table_are_told_by_their_path() -> None:
 def test_somebody_else_s_controller_is_not_restarted() -> None:
     loop = loop_of(faulty("controller-restart", ""))
     with pytest.raises(HilError, match="hil cannot restart an external controller"):
-        run_real(loop, 0, "can:hil:nobody", MemorySink(loop.channels()), external=True)
+        run_real(loop, 0, link_of(loop.rig, "can:hil:nobody"), MemorySink(channels_of(loop)), external=True)
 
 
 def test_a_fault_that_the_run_never_reaches_is_told(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.run import Run
+from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
@@ -84,8 +85,8 @@ def test_states_and_inputs_of_seed_0_are_those_of_the_first_release(name: str, e
 def test_a_slot_that_a_signal_cuts_off_is_counted_nowhere() -> None:
     """SIGTERM while slot 3 waits for its answer: rig, summary and the log's last complete slot say 3 slots."""
     loop = compose(load_experiment("dc-motor-hinf", duration=1))
-    sink = MemorySink(loop.channels())
-    rig = Rig(loop, 0, sink, loop.channels(), lambda: None)
+    sink = MemorySink(channels_of(loop))
+    rig = Rig(loop, 0, sink, channels_of(loop), lambda: None)
     slot = Slot(rig, DirectExchange(ControlNode(loop)), stopped=lambda: rig.k == 3)
     for k in range(4):
         slot.run(k * loop.experiment.period_ns)

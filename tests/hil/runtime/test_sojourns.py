@@ -13,7 +13,7 @@ from design.tracking.design_file import load_design
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
-from hil.rig.delay_chains import delay_chain, delay_chains
+from hil.rig.delay_chains import delay_chain
 from hil.session import simulate
 from transport.laws.age import MarkovAge
 from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
@@ -80,7 +80,7 @@ def test_log_shows_the_gain_of_the_slot() -> None:
 
 def test_shipped_design_is_for_the_law_that_it_runs_over() -> None:
     loop = compose(load_experiment("dc-motor-ours-bursty"))
-    sc, _ = delay_chains(loop.experiment)
+    sc = loop.chains.sc
     document = load_design(shipped()["dc-motor-ours-bursty"].parent / "designs" / "dc-motor-bursty-h2-sojourns.json").document
     assert loop.controller.sojourns == sc.sojourns == (3, 3, 2)
     np.testing.assert_allclose(document["problem"]["sc"]["transition"], sc.matrix, atol=1e-15)

@@ -204,7 +204,7 @@ LATE = "nodes.speed.law={kind='packet',latency={table=[[0,0],[1,'160 ms']]},loss
 )  # fmt: skip
 def test_several_nodes_are_heard_the_same(sets: tuple[str, ...]) -> None:
     loop = loop_of("dc-motor-two-nodes", *NODES, *sets)
-    assert in_lockstep(loop) and len(loop.sensors) == 2
+    assert in_lockstep(loop) and len(loop.rig.sensors) == 2
     same_bits(loop, range(4))
 
 

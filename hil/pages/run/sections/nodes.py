@@ -10,7 +10,6 @@ import numpy.typing as npt
 from hil.log.growing import pieces
 from hil.log.topics import SC
 from hil.measure.network_load import loads
-from hil.measure.network_paths import run_sensors
 from hil.measure.view import RunView
 from hil.pages.html.figures import Block, Cell, Figure, Section, Series, Table
 from hil.pages.run.curve import Records, curve, curve_of
@@ -39,10 +38,10 @@ def section(view: RunView) -> Section | None:
 
     A log that does not has one node, which the figures of the delays show.
     """
-    draws, e = view.run.arrays.get(SC.name), view.experiment
-    if e is None or draws is None or not len(draws) or "node" not in (draws.dtype.names or ()):
+    draws, rig = view.run.arrays.get(SC.name), view.rig
+    if rig is None or draws is None or not len(draws) or "node" not in (draws.dtype.names or ()):
         return None
-    marks, sensors, outputs = view.once(markers), view.once(run_sensors), [signal.name for signal in e.plant.outputs]
+    marks, sensors, outputs = view.once(markers), rig.sensors, [signal.name for signal in rig.outputs]
     names, slots = [sensor.name for sensor in sensors], max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
     t = np.asarray(np.arange(slots) * view.period_s, dtype=np.float64)
     spoke: list[Series] = []

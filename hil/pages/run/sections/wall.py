@@ -106,7 +106,7 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
 
 
 def _margin(loop: Loop, controller: RendersWall) -> Figure | None:
-    port = loop.port
+    port = loop.rig.port
     if port is None:
         return None
     from design.passivity.device import HeldDevice

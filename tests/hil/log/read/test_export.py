@@ -20,7 +20,8 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.export import export
 from hil.log.read.run import Run, read_run
-from hil.rig.can_frames import said_identifiers
+from hil.rig.normal_form import rig_of
+from hil.rig.session_link import link_of
 from hil.session import run_session
 from tests.hil.log.recording import record_chunks
 
@@ -139,7 +140,8 @@ def test_channels_of_frames_say_their_can_identifiers(tmp_path: Path) -> None:
     told = {channel.topic: channel.metadata for channel in summary.channels.values()}
     ids = {f"can_id.{name}": f"{0x100 + 16 * i:#x}-{0x10F + 16 * i:#x}" for i, name in enumerate(experiment.nodes)}
     assert told["/link/sensor"] == ids and told["/link/control"] == {"can_id.control": "0x140-0x17f"}
-    assert said_identifiers(load_experiment("dc-motor-hinf"), "can:hil:x?base=0x300")["/link/sensor"] == {
+    rig = rig_of(load_experiment("dc-motor-hinf"))
+    assert link_of(rig, "can:hil:x?base=0x300").said(rig)["/link/sensor"] == {
         "can_id.sensor": "0x300-0x33f"
     }
 

@@ -18,6 +18,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.events import decode_event
 from hil.log.read.run import Run, read_run
+from hil.log.topics import channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import commit
 from hil.log.write.sinks import MemorySink, TeeSink, record_to, records_to
@@ -193,7 +194,7 @@ def test_no_file_is_left_when_the_first_bytes_do_not_fit(tmp_path: Path) -> None
 @pytest.mark.parametrize("name", ["dc-motor-hinf", "dc-motor-packets", "vtol-h2"])
 def test_the_file_is_that_of_mcaps_own_writer_byte_for_byte(name: str, tmp_path: Path) -> None:
     loop = compose(load_experiment(name), certify=False)
-    table = loop.channels()
+    table = channels_of(loop)
     for sink in (PlainSink(tmp_path / "plain", table, provenance()), McapSink(tmp_path / "ours", table, provenance())):
         with sink:
             run_virtual(loop, 5, sink)

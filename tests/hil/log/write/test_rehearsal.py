@@ -8,6 +8,7 @@ import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.log.topics import channels_of
 from hil.log.write import rehearsal
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES
 from hil.log.write.pipe import PumpReport, pump
@@ -17,7 +18,7 @@ from hil.log.write.rehearsal import rehearse
 @pytest.mark.parametrize("name", ["dc-motor-1khz", "omni-1khz", "dc-motor-two-nodes"])
 @pytest.mark.parametrize("on_can", [True, False])
 def test_every_record_of_a_session_is_rehearsed(name: str, on_can: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    channels = compose(load_experiment(name), certify=False).channels(on_can=on_can)
+    channels = channels_of(compose(load_experiment(name), certify=False), on_can=on_can)
     reports, seen, files = [], set(), os.listdir("/proc/self/fd")
 
     def watched(fd, sink, table) -> PumpReport:
@@ -39,7 +40,7 @@ def test_every_record_of_a_session_is_rehearsed(name: str, on_can: bool, monkeyp
 
 def test_a_rehearsal_for_which_no_descriptor_is_left_costs_nothing() -> None:
     """It runs in the thread that keeps the log: what it raised would cost the log of the session."""
-    channels = compose(load_experiment("dc-motor-1khz"), certify=False).channels()
+    channels = channels_of(compose(load_experiment("dc-motor-1khz"), certify=False))
     before, files = resource.getrlimit(resource.RLIMIT_NOFILE), os.listdir("/proc/self/fd")
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(map(int, files)) + 8, before[1]))
     taken: list[int] = []

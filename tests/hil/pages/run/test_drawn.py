@@ -21,7 +21,7 @@ from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Ta
 from hil.pages.html.plain_section import plain_section
 from hil.pages.run.run_page import render_report
 from hil.pages.run.sections import sections_of
-from hil.rig import sensor_list
+from hil.rig import delay_chains, normal_form
 from plants.dc_motor import DCMotor
 
 MINE = """
@@ -125,11 +125,16 @@ def test_a_page_composes_once_and_asks_for_sensors_and_measures_once(monkeypatch
 
     counting(composed, "compose")
     counting(measure, "measures_of")
-    counting(network_paths, "sensors_of")
+    for name in ("sensors_of", "shared_media", "traits_of", "time_line", "port_of"):
+        counting(normal_form, name)
+    counting(delay_chains, "chains_of")
     counting(network_paths, "draws_of")
-    assert composing.compose is not composed.compose and sensor_list.sensors_of is not network_paths.sensors_of
+    assert composing.compose is not composed.compose
     hil.report(tmp_path / "run.mcap", figures=tmp_path / "figures")
-    assert asked == {"compose": 1, "measures_of": 1, "sensors_of": 1, "draws_of": 1}
+    assert asked == dict.fromkeys(asked, 1)
+    assert asked.keys() == {
+        "compose", "measures_of", "draws_of", "sensors_of", "shared_media", "traits_of", "time_line", "port_of", "chains_of",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

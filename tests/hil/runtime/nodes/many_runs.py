@@ -23,11 +23,11 @@ def states_of_many(loop: Loop, seeds: range, slots: int) -> Array:
     """
     plant, controller, nodes = loop.experiment.plant, loop.controller, loop.model.sensors
     assert isinstance(plant, DelayedStates) and isinstance(controller, HistoryGains) and nodes is not None
-    assert nodes.turns is not None and nodes.turns.transition and set(nodes.delays) == {0} and not loop.ca_law.age  # type: ignore[attr-defined]
+    assert nodes.turns is not None and nodes.turns.transition and set(nodes.delays) == {0} and not loop.rig.ca_law.age  # type: ignore[attr-defined]
     assert controller.uses == "current-packet" and all(len(own) == 1 for own in nodes.outputs)
     K, turns = controller.history(), nodes.turns
     n, runs = len(plant.A), len(seeds)
-    drawn = np.array([rng_for(seed, f"medium.{loop.media[0].name}").random(2 * slots) for seed in seeds])
+    drawn = np.array([rng_for(seed, f"medium.{loop.rig.media[0].name}").random(2 * slots) for seed in seeds])
     rows = [[a for matrix in (plant.A, *plant.delayed) for a in matrix[i]] for i in range(n)]
     past = [np.full(runs, v) for v in (*plant.initial_state, *[0.0] * (n * len(plant.delayed)))]
     shares, matrix = np.cumsum(turns.initial), np.cumsum(turns.transition, axis=1)

@@ -10,9 +10,10 @@ import pytest
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run, read_run
+from hil.log.topics import channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.sinks import MemorySink, Sink
-from hil.rig.can_frames import FirstIdentifiers, link_uri, session_identifiers
+from hil.rig.session_link import FirstIdentifiers, link_of
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.rig import Rig
@@ -27,15 +28,15 @@ SLOTS = 20
 
 def recorded(loop: Loop, uri: str, sink: Sink) -> None:
     """Record what a session over this link records, in virtual time."""
-    identifiers = session_identifiers(loop.experiment, uri)
-    rig = Rig(loop, 0, sink, loop.channels(on_can=identifiers is not None), lambda: None, None, identifiers)
+    link = link_of(loop.rig, uri)
+    rig = Rig(loop, 0, sink, channels_of(loop, on_can=link.on_can), lambda: None, None, link.first_identifiers())
     slot = Slot(rig, DirectExchange(ControlNode(loop)))
     for k in range(SLOTS):
         slot.run(k * loop.experiment.period_ns)
 
 
 def run_over(loop: Loop, uri: str) -> Run:
-    sink = MemorySink(loop.channels(on_can=uri.startswith("can:")))
+    sink = MemorySink(channels_of(loop, on_can=link_of(loop.rig, uri).on_can))
     recorded(loop, uri, sink)
     return Run.from_memory(sink)
 
@@ -48,15 +49,15 @@ def test_a_record_has_the_identifier_of_its_packet(uri: str, sensor: int, contro
 
 
 def test_every_node_has_its_own() -> None:
-    e = load_experiment("multisensor-published", ["duration=1"])
-    frames = run_over(compose(e), link_uri(e, "can:hil:a")).arrays["/link/sensor"]
+    loop = compose(load_experiment("multisensor-published", ["duration=1"]))
+    frames = run_over(loop, link_of(loop.rig, "can:hil:a").uri).arrays["/link/sensor"]
     nodes = np.array([node_of(bytes(data)) for data in frames["data"]])
     assert set(nodes) == {0, 1, 2, 3} and frames["can_id"].tolist() == [0x100 + 16 * node for node in nodes]
 
 
 def test_nothing_else_of_a_run_changes_and_no_other_link_has_the_field() -> None:
     loop = compose(load_experiment("dc-motor-hinf", [f"duration={SLOTS * 0.05}"]))
-    assert session_identifiers(loop.experiment, "zenoh:tcp/127.0.0.1:7447") is None
+    assert link_of(loop.rig, "zenoh:tcp/127.0.0.1:7447").first_identifiers() is None
     virtual, can = simulate(loop, 0), run_over(loop, "can:hil:a")
     for topic, records in virtual.arrays.items():
         names = records.dtype.names or ()
@@ -68,7 +69,7 @@ def test_nothing_else_of_a_run_changes_and_no_other_link_has_the_field() -> None
 def test_a_file_has_it_and_a_slot_that_is_packed_at_once_too(tmp_path: Path) -> None:
     loop = compose(load_experiment("dc-motor-hinf"))
     about = provenance(link="can:hil:a", experiment_text=loop.experiment.text, resolved=loop.experiment.resolved())
-    with McapSink(tmp_path / "run.mcap", loop.channels(on_can=True), about) as sink:
+    with McapSink(tmp_path / "run.mcap", channels_of(loop, on_can=True), about) as sink:
         recorded(loop, "can:hil:a", sink)
     run = read_run(tmp_path / "run.mcap")
     assert run.arrays["/link/control"]["can_id"].tolist() == [0x140] * SLOTS
@@ -79,7 +80,7 @@ def test_a_file_has_it_and_a_slot_that_is_packed_at_once_too(tmp_path: Path) -> 
 
 def test_a_mangled_number_names_nobody() -> None:
     loop = compose(load_experiment("multisensor-published", ["duration=1"]))
-    table = loop.channels(on_can=True)
+    table = channels_of(loop, on_can=True)
     sink = MemorySink(table)
     journal = Journal(sink, table, 1, [(i,) for i in range(4)], FirstIdentifiers((1, 2, 3, 4), 9))
     frame = bytes(loop_frame(loop))

@@ -20,7 +20,7 @@ from hil.compose.loop import Loop, compose
 from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.rig.sensors import sensor_nodes
+from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.assembly import Assembly
 from hil.session import simulate
 from transport.draws import DELIVERED
@@ -38,7 +38,7 @@ SETS = {
 def with_gains(which: str, *sets: str) -> Loop:
     """multisensor-ours under random gains on every sample that a round robin brings."""
     free = load_experiment("multisensor-ours", ["duration=2", "allow_uncertified=true", *SETS[which], *sets])
-    mask = mask_of(sensor_nodes(free), 5, "history")
+    mask = mask_of(rig_of(free).nodes, 5, "history")
     gains = np.random.default_rng(1).normal(size=mask.shape) * mask
     table = f"controller={{kind='historical', gains={gains[:, :, None, :].tolist()}}}"
     return compose(load_experiment("multisensor-ours", ["duration=2", *SETS[which], table, *sets]), certify=False)
@@ -93,7 +93,7 @@ def test_second_moments_are_those_of_all_paths_of_the_controller_that_runs() -> 
         said.append(S[:, :2, :2].sum(axis=0))
     law: Historical = historical_of(K, "history")
     model = LoopModel(A=A, B=B, C=np.eye(2), period_s=0.1, tau_max=0, d_max=0, sensors=nodes)
-    sensors = unstable(0.1).sensors
+    sensors = unstable(0.1).rig.sensors
     seen = np.zeros((slots + 1, 2, 2))
     for path in product((True, False), repeat=slots):
         share, x = float(np.prod([1.0 - loss if came else loss for came in path])), np.array([1.0, -2.0])

@@ -12,7 +12,7 @@ from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.rig.sensors import sensor_nodes
+from hil.rig.normal_form import rig_of
 from hil.session import simulate
 from transport.draws import DELIVERED
 
@@ -25,7 +25,7 @@ SETS = {
 def with_gains(which: str, length: int, *sets: str) -> Loop:
     """multisensor-ours under small random gains on the last packets."""
     free = load_experiment("multisensor-ours", ["duration=2", "allow_uncertified=true", *SETS[which]])
-    nodes = sensor_nodes(free)
+    nodes = rig_of(free).nodes
     assert nodes is not None and nodes.turns is not None
     mask = window_mask(nodes, PacketWindow(turns=nodes.turns, length=length), length + 1)
     gains = np.random.default_rng(length).normal(size=mask.shape) * mask

@@ -8,6 +8,7 @@ import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
@@ -18,7 +19,7 @@ from hil.runtime.slot import Slot
 @pytest.mark.parametrize("name", ["dc-motor-1khz", "dc-motor-packets"])
 def test_no_node_of_a_rig_grows_with_its_slots(name: str) -> None:
     loop = compose(load_experiment(name))
-    rig = Rig(loop, 0, MemorySink(loop.channels(), []), loop.channels(), lambda: None, session_wire(b"k" * 16))
+    rig = Rig(loop, 0, MemorySink(channels_of(loop), []), channels_of(loop), lambda: None, session_wire(b"k" * 16))
     node = ControlNode(loop)
 
     class Here:

@@ -12,6 +12,7 @@ import pytest
 
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
+from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
 from hil.runtime.nodes.answers import LOGGED
@@ -72,9 +73,9 @@ class Script:
 
 def drive(loop: Loop, answer: Callable[[int], bytes | None], ticks: int) -> MemorySink:
     """Run a rig whose controller is a function of the slot."""
-    sink = MemorySink(loop.channels())
+    sink = MemorySink(channels_of(loop))
     kernel = Kernel(VirtualClock())
-    rig = Rig(loop, 0, sink, loop.channels(), kernel.stop, VIRTUAL)
+    rig = Rig(loop, 0, sink, channels_of(loop), kernel.stop, VIRTUAL)
     kernel.every(loop.experiment.period_ns, ticks, Slot(rig, Script(loop, answer)).run)
     kernel.run()
     return sink
@@ -152,8 +153,8 @@ def test_late_answer_is_lost_and_logged_never_another_delay(loop: Loop) -> None:
 
 def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> None:
     rng = np.random.default_rng(0)
-    sink = MemorySink(loop.channels())
-    rig = Rig(loop, 0, sink, loop.channels(), lambda: None, VIRTUAL)
+    sink = MemorySink(channels_of(loop))
+    rig = Rig(loop, 0, sink, channels_of(loop), lambda: None, VIRTUAL)
     rig.sense(0)
     for _ in range(300):
         assert rig.hear(rng.bytes(int(rng.integers(0, 80)))) is False
@@ -186,8 +187,8 @@ def test_answer_to_a_slot_that_was_not_asked_is_never_applied_and_told(loop: Loo
 def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_of_it(loop: Loop) -> None:
     from hil.log.read.run import Run
 
-    sink = MemorySink(loop.channels())
-    rig = Rig(loop, 0, sink, loop.channels(), lambda: None, VIRTUAL)
+    sink = MemorySink(channels_of(loop))
+    rig = Rig(loop, 0, sink, channels_of(loop), lambda: None, VIRTUAL)
     frames = {0: [], 1: [control(0), control(0), b"junk", *[control(0, 0.1 * i) for i in range(100)], control(1)]}
     slot = Slot(rig, Script(loop, lambda k: frames[k]))
     for k in range(2):
@@ -228,8 +229,8 @@ def test_an_answer_to_other_frames_than_were_sent_is_never_applied_and_told(loop
 
     # without delays every slot has a fresh sample
     direct = compose(load_experiment("dc-motor-hinf", ["links.sc.law.matrix=[[1.0]]", "links.sc.law.kind=markov"]), certify=False)
-    sink = MemorySink(direct.channels())
-    rig = Rig(direct, 0, sink, direct.channels(), lambda: None, session_wire(b"k" * 16))
+    sink = MemorySink(channels_of(direct))
+    rig = Rig(direct, 0, sink, channels_of(direct), lambda: None, session_wire(b"k" * 16))
     slot = Slot(rig, Both())
     for k in range(30):
         slot.run(k * direct.experiment.period_ns)

@@ -24,7 +24,7 @@ from hil.measure.cost import Cost
 from hil.measure.network_load import loads
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.rig.sensor_list import sensors_of
+from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.assembly import Assembly
 from hil.runtime.nodes.heard import NewestSample
 from hil.runtime.nodes.triggers import DeadBand, Error, Magnitude
@@ -243,7 +243,7 @@ def test_one_node_has_no_key_of_nodes_and_several_have_theirs() -> None:
     several = compose(load_experiment("multisensor-published", ["duration=1"]))
     resolved = several.experiment.resolved()
     again = experiment_from_resolved(json.loads(json.dumps(resolved, sort_keys=True)), "", "log")  # as a log keeps it
-    assert [sensor.name for sensor in sensors_of(again)] == ["first", "second", "third", "fourth"]
+    assert [sensor.name for sensor in rig_of(again).sensors] == ["first", "second", "third", "fourth"]
     assert resolved["nodes"]["third"]["outputs"] == ["x3"] and resolved["media"]["bus"]["kind"] == "round-robin"
     run = simulate(several, 0)
     summary = summarise(view_of(run, several.experiment))
@@ -284,7 +284,7 @@ def test_a_controller_of_one_sensor_is_served_by_several_nodes() -> None:
 
 def test_a_controller_knows_what_has_arrived_newest_first_and_no_more_than_it_asked_for() -> None:
     loop = compose(load_experiment("multisensor-published"), certify=False)
-    assembly = Assembly(loop.sensors, 2)
+    assembly = Assembly(loop.rig.sensors, 2)
     assembly.take(0, 1, (1.0, 0.0, 99.0))  # what lies before slot 0 was never measured
     assert assembly.known(1) == (Sample(0, 1, (1.0,)), Sample(0, 0, (0.0,)))
     assembly.take(1, 2, (2.0, 1.0, 0.0))
@@ -335,8 +335,8 @@ def test_the_short_form_is_a_list_of_one_node() -> None:
     """One node by its name has the verdict of `links.sc`."""
     one = compose(load_experiment("dc-motor-hinf"))
     named = compose(load_experiment("dc-motor-hinf", ['nodes.motor={outputs=["angle"]}']))
-    assert [(s.name, s.outputs, s.stream, s.numbered) for s in one.sensors] == [("sensor", (0,), "link.sc", False)]
-    assert [(s.name, s.outputs, s.stream, s.numbered) for s in named.sensors] == [("motor", (0,), "link.sc.motor", True)]
+    assert [(s.name, s.outputs, s.stream, s.numbered) for s in one.rig.sensors] == [("sensor", (0,), "link.sc", False)]
+    assert [(s.name, s.outputs, s.stream, s.numbered) for s in named.rig.sensors] == [("motor", (0,), "link.sc.motor", True)]
     assert named.verdict is not None and one.verdict is not None and named.verdict.number == one.verdict.number
 
 

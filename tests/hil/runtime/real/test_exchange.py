@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from hil.log.topics import channels_of
 from hil.runtime.nodes.controller_node import HELLO
 from hil.runtime.nodes.wire import VIRTUAL, session_wire
 from hil.runtime.real.exchange import MOST_FRAMES, REHEARSALS, Greeter, LinkExchange
@@ -215,8 +216,8 @@ def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> No
     from hil.session import simulate
 
     loop, wire = compose(load_experiment("dc-motor-hinf", ["duration=3"])), session_wire(b"l" * 16)
-    sink = MemorySink(loop.channels())
-    rig = Rig(loop, 3, sink, loop.channels(), lambda: None, wire)
+    sink = MemorySink(channels_of(loop))
+    rig = Rig(loop, 3, sink, channels_of(loop), lambda: None, wire)
     with LocalLink(ControlNode(loop)) as link:
         clock = iter(range(10**9))
         greeting = Greeter(link, 1.0, lambda: False, lambda: next(clock), wire).greet()
@@ -249,12 +250,13 @@ def test_an_overrun_is_a_slot_that_ends_after_its_period() -> None:
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
     from hil.log.write.pipe import PipeSink
+    from hil.rig.session_link import no_link
     from hil.runtime.real.rig_process import Job, RealLoop
 
     loop = compose(load_experiment("dc-motor-hinf"))
     read, write = os.pipe()
-    job = Job(loop=loop, uri="memory:", seed=0, parent=os.getpid(), log_fd=write, hello_timeout_s=1.0)
-    real = RealLoop(job, MemoryLink(), PipeSink(write, loop.channels()), VIRTUAL)
+    job = Job(loop=loop, link=no_link(loop.rig), seed=0, parent=os.getpid(), log_fd=write, hello_timeout_s=1.0)
+    real = RealLoop(job, MemoryLink(), PipeSink(write, channels_of(loop)), VIRTUAL)
     period = loop.experiment.period_ns
     for end, overruns in ((period, 0), (period + 1, 1), (3 * period, 2)):
         real.clock = SimpleNamespace(now=lambda end=end: end)  # type: ignore[assignment]

@@ -11,6 +11,7 @@ import pytest
 
 from hil.experiment.tables import Affinity
 from hil.runtime.real.scheduling import leave_to_loop
+from transport.links.traits import traits_of
 
 LATENCY = "/dev/cpu_dma_latency"
 PROGRAM = """
@@ -33,7 +34,7 @@ def test_idle_cpus_are_kept_awake_for_as_long_as_the_process_lives() -> None:
 )
 def test_the_log_keeps_off_the_cpu_that_rig_and_controller_share(affinity: Affinity, uri: str, leaves: bool) -> None:
     def cpus() -> set[int]:
-        leave_to_loop(affinity, uri)
+        leave_to_loop(affinity, traits_of(uri))
         return os.sched_getaffinity(0)  # of this thread
 
     allowed = os.sched_getaffinity(0)

@@ -10,6 +10,7 @@ import pytest
 
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
+from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, Wire, session_wire
@@ -25,7 +26,7 @@ def loop() -> Loop:
 
 @pytest.mark.parametrize("wire", [VIRTUAL, session_wire(bytes(16))])
 def test_every_rehearsed_slot_is_answered_with_the_echo_of_the_session(loop: Loop, wire: Wire) -> None:
-    rig = Rig(loop, 0, MemorySink(loop.channels(), ()), loop.channels(), lambda: None, wire)
+    rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, wire)
     slot = Slot(rig, Rehearsal(loop, wire))
     for k in range(10):
         slot.run(k * loop.experiment.period_ns)

@@ -1,0 +1,82 @@
+"""From what a file says of its rig to the rig: checked once, every fault reported with its path, then in normal form."""
+
+from __future__ import annotations
+
+from hil.errors import ExperimentError
+from hil.experiment import Experiment
+from hil.experiment.absent import Absent
+from hil.rig.can_frames import can_faults
+from hil.rig.packet_ages import Receiver
+from hil.rig.port import Port, port_of
+from hil.rig.sensor_list import sensors_of
+from hil.rig.sensor_order import ordered_names
+from hil.rig.sensors import node_faults, sensor_nodes, shared_media
+from hil.rig.spec import RigSpec
+from hil.rig.time_line import beyond_the_end, time_line, time_line_faults
+from transport.links.traits import CanFraming, traits_of
+
+
+def rig_of(e: Experiment) -> RigSpec:
+    """Return the rig of an experiment. A plant that a log cannot make again is not compared with the tables beside it.
+
+    Args:
+        e: the experiment, its laws' files read.
+
+    Raises:
+        ExperimentError: tables that do not fit the plant, the nodes, the link or the time line, each with its path.
+        PlantError: the plant has no model.
+    """
+    plant, links = e.plant, e.links
+    absent = isinstance(plant, Absent)
+    port = None if absent else port_of(plant)
+    faults, nodes = ([], []) if absent else (_size_faults(e) + _port_faults(e, port), node_faults(e))
+    if nodes:
+        raise ExperimentError(e.name, faults + nodes + time_line_faults(e))
+    names, period_s = ordered_names(e), float(e.period)
+    traits = traits_of(links.secured(e.folder))
+    framing = traits.can or CanFraming()
+    sensors, media = sensors_of(e, names, framing), shared_media(e, names)
+    deadline_s = e.timing.deadline * period_s
+    rig = RigSpec(
+        name=e.name, folder=e.folder, period_ns=e.period_ns, slots=e.ticks,
+        states=tuple(plant.states), inputs=tuple(plant.inputs), outputs=tuple(plant.outputs),
+        port=port, passivity=e.limits.passivity is not None,
+        sensors=sensors, media=media, nodes=sensor_nodes(sensors, media),
+        ca_law=links.ca.law, ca_kind=e.kinds.get("links.ca.law", "?"),
+        at_controller=Receiver(period_s, deadline_s, links.sc.max_age, holds_input=False),
+        at_actuator=Receiver(period_s, deadline_s, links.ca.max_age, holds_input=True),
+        time_line=time_line(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
+        links=links, framing=framing,
+    )  # fmt: skip
+    faults += ([] if absent else can_faults(rig, traits)) + time_line_faults(e)
+    if faults:
+        raise ExperimentError(e.name, faults)
+    return rig
+
+
+def _size_faults(e: Experiment) -> list[str]:
+    """Return where tables do not fit the plant, each with its path."""
+    faults: list[str] = []
+    p, m, names = len(e.plant.outputs), len(e.plant.inputs), [s.name for s in e.plant.states]
+    for i, step in enumerate(e.reference):
+        if len(step.value) != p:
+            faults.append(f"reference[{i}].value: {len(step.value)} entries, but the plant has {p} outputs")
+    for i, pulse in enumerate(e.disturbance):
+        if len(pulse.value) != m:
+            faults.append(f"disturbance[{i}].value: {len(pulse.value)} entries, but the plant has {m} inputs")
+    if e.limits.input is not None and len(e.limits.input) != m:
+        faults.append(f"limits.input: {len(e.limits.input)} entries, but the plant has {m} inputs")
+    for name in e.limits.state:
+        if name not in names:
+            faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
+    return faults
+
+
+def _port_faults(e: Experiment, port: Port | None) -> list[str]:
+    if e.limits.passivity is None or (port is not None and port.output is not None):
+        return []
+    taken, measured = ([f"{s.name} in {s.unit}" for s in signals] for signals in (e.plant.inputs, e.plant.outputs))
+    return [
+        "limits.passivity: needs a device that takes one force and measures the position that it acts on; "
+        f"this plant takes {', '.join(taken)} and measures {', '.join(measured)}"
+    ]

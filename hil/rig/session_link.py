@@ -1,0 +1,97 @@
+"""The link of a session: what it is, with the keys and CAN identifiers that the experiment names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil.errors import ExperimentError
+from hil.rig.can_frames import CONTROL, can_faults, own_identifiers, ranges_of
+from hil.rig.spec import RigSpec
+from transport.links.can_identifiers import Identifiers, said
+from transport.links.traits import LinkTraits, identifiers_on, traits_of, with_options
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionLink:
+    """The link of a session: what it is, and the CAN identifiers of a rig's packets on it.
+
+    Args:
+        uri: with the keys and identifiers that the experiment names.
+        traits: what the link says that it is.
+        identifiers: of the packets on a CAN link; on any other those of a CAN link by default, as an export has them. None where
+            the rig has more nodes than a CAN link has identifiers for.
+    """
+
+    uri: str
+    traits: LinkTraits
+    identifiers: Identifiers | None
+
+    @property
+    def on_can(self) -> bool:
+        """Whether it is a CAN link."""
+        return self.traits.can is not None
+
+    def first_identifiers(self) -> FirstIdentifiers | None:
+        """Return with which identifier each packet begins, None where it is no CAN link."""
+        own = self.identifiers
+        return FirstIdentifiers(tuple(ids[0] for ids in own.sensors), own.control[0]) if self.on_can and own else None
+
+    def said(self, rig: RigSpec) -> dict[str, dict[str, str]]:
+        """Return what the log says of its frames: topic to the CAN identifiers of each talker, as ``hil dbc`` has them too."""
+        own = self.identifiers
+        if own is None:
+            return {}
+        told = {f"can_id.{sensor.name}": said(ids) for sensor, ids in zip(rig.sensors, own.sensors, strict=True)}
+        return {"/link/sensor": told, "/link/control": {"can_id.control": said(own.control)}}
+
+
+@dataclass(frozen=True, slots=True)
+class FirstIdentifiers:
+    """The CAN identifier with which each packet begins.
+
+    Args:
+        sensors: of each sensor node, by number.
+        control: of the control packets.
+    """
+
+    sensors: tuple[int, ...]
+    control: int
+
+
+def link_of(rig: RigSpec, uri: str | None = None) -> SessionLink:
+    """Return a link with the keys and identifiers that a rig names; what its URI says itself is kept.
+
+    Args:
+        rig: the rig.
+        uri: another link than its own.
+
+    Raises:
+        ExperimentError: two nodes with one CAN identifier, or one of more than 11 bits.
+        TransportError: no link has this URI.
+    """
+    uri = rig.links.secured(rig.folder, uri)
+    traits = traits_of(uri)
+    framing = traits.can
+    if framing is None:
+        return SessionLink(uri=uri, traits=traits, identifiers=_by_default(rig))
+    if not framing.names_nodes and (len(rig.sensors) > 1 or own_identifiers(rig)):
+        faults = can_faults(rig, traits)
+        if faults:
+            raise ExperimentError(rig.name, faults)
+        own, more = ranges_of(rig, framing, traits.keyed), {"nodes": f"{len(rig.sensors)}"}
+        if own_identifiers(rig):
+            more = {"ids": ",".join(said(each) for path, each in own.items() if path != CONTROL), "control": said(own[CONTROL])}
+        uri = with_options(uri, more)
+    return SessionLink(uri=uri, traits=traits, identifiers=identifiers_on(uri))
+
+
+def no_link(rig: RigSpec) -> SessionLink:
+    """Return the link of a session in virtual time: there is none, and the log says the default identifiers of its frames."""
+    return SessionLink(uri="memory:", traits=traits_of("memory:"), identifiers=_by_default(rig))
+
+
+def _by_default(rig: RigSpec) -> Identifiers | None:
+    try:
+        return link_of(rig, "can:hil:none").identifiers
+    except ExperimentError:
+        return None  # more nodes than a CAN link has identifiers for

@@ -1,0 +1,73 @@
+"""What a link says of itself by its URI alone: ours, and a plug-in's."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, EntryPoints
+
+import pytest
+
+from transport import CanFraming, Link, LinkTraits, Role, TransportError
+from transport.links.traits import traits_of
+
+
+@pytest.mark.parametrize(
+    ("uri", "commanders"),
+    [
+        ("memory:", "nobody else: one process"),
+        ("local:", "nobody else: one process"),
+        ("can:virtual:x", "nobody else: one process"),
+        ("can:hil:rig0", "any process of this user"),
+        ("can:socketcan:can0", "anyone on the CAN bus can0"),
+        ("can:udp_multicast:239.74.163.2", "any process on this machine"),
+        ("can:udp_multicast:239.74.163.2?hop_limit=1", "anyone on the local network"),
+        ("can:socketcan:can0?auth=keys/frames.key", "holders of the key keys/frames.key"),
+        ("zenoh:", "any process of this user"),
+        ("zenoh:tcp/10.0.0.1:7447?lan=1", "anyone who reaches 10.0.0.1:7447"),
+        ("zenoh:tls/10.0.0.1:7447?keys=keys", "holders of a certificate of keys/ca.pem that is called controller"),
+    ],
+)
+def test_a_link_says_who_could_command_a_rig(uri: str, commanders: str) -> None:
+    assert traits_of(uri).commanders == commanders
+
+
+def test_a_link_says_whether_it_has_frames_threads_keys_and_another_process() -> None:
+    can, zenoh, local = (traits_of(uri) for uri in ("can:hil:a?fd=0&base=0x200&ids=0x201", "zenoh:", "local:"))
+    assert can.can == CanFraming(base=0x200, fd=False, names_nodes=True) and can.can.frame_bytes == 8
+    assert (zenoh.can, zenoh.own_threads, zenoh.takes) == (None, True, {"tls", "login"})
+    assert (can.own_threads, can.in_process, can.takes, local.in_process) == (False, False, frozenset(), True)
+
+
+@pytest.mark.parametrize("uri", ["can:hil", "zenoh:127.0.0.1", "cam:hil:a", "nonsense", "can:hil:a?base=7", "can:hil:a?auth="])
+def test_what_is_no_link_has_no_traits(uri: str) -> None:
+    with pytest.raises(TransportError, match="link '"):
+        traits_of(uri)
+
+
+class Bus:
+    """A plug-in that opens links and says what they are."""
+
+    def __call__(self, uri: str, role: Role) -> Link:
+        raise TransportError(uri)
+
+    def traits(self, uri: str) -> LinkTraits:
+        return LinkTraits(commanders="whoever holds the cable", can=CanFraming(base=0x300), own_threads=True)
+
+
+class Liar(Bus):
+    def traits(self, uri: str) -> LinkTraits:
+        return "CAN"  # type: ignore[return-value]
+
+
+def test_a_plug_in_says_what_its_links_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {"bus": Bus(), "liar": Liar(), "mute": print}
+    points = EntryPoints(EntryPoint(name, f"nowhere:{name}", "hil.links") for name in (*found, "gone"))
+    load = EntryPoint.load
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
+    monkeypatch.setattr(EntryPoint, "load", lambda point: found[point.name] if point.name in found else load(point))
+    said = traits_of("bus:7")
+    assert (said.commanders, said.can, said.own_threads) == ("whoever holds the cable", CanFraming(base=0x300), True)
+    for name in ("mute", "gone"):
+        assert traits_of(f"{name}:7") == LinkTraits(commanders=f"unknown: the link {name!r} does not say whom it lets in")
+    with pytest.raises(TransportError, match=r"traits gave 'CAN', expected transport\.LinkTraits"):
+        traits_of("liar:7")
+    assert traits_of("bus:7?auth=frames.key").commanders == "holders of the key frames.key"

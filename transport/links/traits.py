@@ -1,0 +1,204 @@
+"""What a link says of itself by its URI alone, before anything is opened. Nobody else reads the text of a URI.
+
+Our schemes say it here. A plug-in says it where what opens its links, the object of its entry point, also has `traits`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final, Literal, Protocol, get_args, runtime_checkable
+
+from transport.links.can_identifiers import BASE, Identifiers, base_of, identifiers_of
+from transport.links.link import TransportError, key_file, split_uri
+from transport.links.opening import find_link
+from transport.links.who_commands import NO_ONE_ELSE, on_can, on_zenoh, on_zenoh_certificates
+
+KeyTable = Literal["tls", "login"]
+"""Tables of an experiment's `[links]` that not every link takes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanFraming:
+    """How packets are cut into CAN frames.
+
+    Args:
+        base: first identifier, a multiple of 0x100.
+        fd: CAN FD, or classic frames.
+        names_nodes, names_control: whether the URI itself says the identifiers of the nodes, and of the control packets.
+    """
+
+    base: int = BASE
+    fd: bool = True
+    names_nodes: bool = False
+    names_control: bool = False
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes that one frame carries."""
+        return 64 if self.fd else 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkTraits:
+    """What a link is.
+
+    Args:
+        commanders: who could make the rig apply an input, in one line.
+        can: how packets become CAN frames with identifiers; None for a link of whole datagrams.
+        in_process: whether the controller runs in the rig's process, so that there is no way between them that takes time.
+        own_threads: whether packets pass through threads of the link's own at each end.
+        takes: tables of keys that its URI has options for, beside the key of `auth=`, which every link takes.
+        keyed: whether every packet has a message authentication code.
+        names_certificates: whether the URI itself says where certificates stand.
+        certificates: by which files both ends know each other; None where they show no certificates.
+    """
+
+    commanders: str
+    can: CanFraming | None = None
+    in_process: bool = False
+    own_threads: bool = False
+    takes: frozenset[KeyTable] = frozenset()
+    keyed: bool = False
+    names_certificates: bool = False
+    certificates: Certificates | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificates:
+    """The files by which both ends of a link know each other.
+
+    Args:
+        ca: certificate of the authority.
+        own: role to the certificate of that end.
+        names: role to the name that its certificate must have.
+    """
+
+    ca: str
+    own: Mapping[str, str]
+    names: Mapping[str, str]
+
+
+@runtime_checkable
+class SaysTraits(Protocol):
+    """What opens links and says what they are."""
+
+    def traits(self, uri: str) -> LinkTraits:
+        """Return what the link of a URI is; it opens nothing.
+
+        Raises:
+            TransportError: a URI of another form than the scheme's.
+        """
+        ...
+
+
+def traits_of(uri: str) -> LinkTraits:
+    """Return what the link of a URI is; nothing is opened.
+
+    Args:
+        uri: scheme, colon, address.
+
+    Raises:
+        TransportError: no such scheme, or a URI of another form than the scheme's.
+
+    >>> traits_of("can:hil:rig0?base=0x200&fd=0").can
+    CanFraming(base=512, fd=False, names_nodes=False, names_control=False)
+    >>> traits_of("zenoh:").can is None, traits_of("local:").in_process
+    (True, True)
+    """
+    ours = _OURS.get(uri.partition(":")[0]) if ":" in uri else None
+    found = _foreign(uri) if ours is None else ours(uri)
+    keyed = key_file(uri)
+    return found if keyed is None else replace(found, keyed=True, commanders=f"holders of the key {keyed}")
+
+
+def scheme_of(uri: str) -> str:
+    """Return the scheme of a URI, without its colon."""
+    return uri.partition(":")[0]
+
+
+def address_of(uri: str) -> str:
+    """Return what stands between the scheme of a URI and its options.
+
+    Raises:
+        TransportError: options that are not name=value.
+    """
+    return split_uri(uri)[1]
+
+
+def without_options(uri: str) -> str:
+    """Return a URI without its options, as a name."""
+    return uri.partition("?")[0]
+
+
+def identifiers_on(uri: str) -> Identifiers:
+    """Return the identifiers of the packets on a CAN link, as its URI says them, or those of one node.
+
+    Raises:
+        TransportError: options that say none.
+    """
+    options = split_uri(uri)[2]
+    return identifiers_of(uri, options, options.get("fd", "1") == "1")
+
+
+def with_options(uri: str, options: Mapping[str, str]) -> str:
+    """Return a URI with options beside its own; what it says itself is kept.
+
+    >>> with_options("can:hil:rig0?fd=0", {"fd": "1", "nodes": "2"})
+    'can:hil:rig0?fd=0&nodes=2'
+    """
+    address, _, query = uri.partition("?")
+    said = {option.partition("=")[0] for option in query.split("&")}
+    more = [f"{name}={value}" for name, value in options.items() if name not in said]
+    return "?".join(filter(None, (address, "&".join(filter(None, (query, *more))))))
+
+
+def _can(uri: str) -> LinkTraits:
+    _, address, options = split_uri(uri)
+    framing = CanFraming(
+        base=base_of(uri, options), fd=options.get("fd", "1") == "1", names_nodes=bool(options.keys() & {"nodes", "ids"}),
+        names_control="control" in options,
+    )  # fmt: skip
+    return LinkTraits(can=framing, commanders=on_can(*address.partition(":")[::2], hops=options.get("hop_limit", "0")))
+
+
+def _zenoh(uri: str) -> LinkTraits:
+    _, endpoint, options = split_uri(uri)
+    shown: Certificates | None = None
+    if endpoint.startswith("tls/"):
+        folder, names = options.get("keys", ""), {role: options.get(role, role) for role in ("rig", "controller")}
+        own = {role: options.get("cert", f"{folder}/{name}.pem").replace("{role}", role) for role, name in names.items()}
+        shown = Certificates(ca=options.get("ca") or f"{folder}/ca.pem", own=own, names=names)
+    commanders = on_zenoh(endpoint, options) if shown is None else on_zenoh_certificates(shown.ca, shown.names["controller"])
+    return LinkTraits(
+        commanders=commanders, own_threads=True, takes=frozenset(get_args(KeyTable)), certificates=shown,
+        names_certificates=bool(options.keys() & {"keys", "ca", "cert", "key"}),
+    )  # fmt: skip
+
+
+def _local(uri: str) -> LinkTraits:
+    return LinkTraits(commanders=NO_ONE_ELSE, in_process=True)
+
+
+def _memory(uri: str) -> LinkTraits:
+    return LinkTraits(commanders=NO_ONE_ELSE)
+
+
+_OURS: Final[Mapping[str, Callable[[str], LinkTraits]]] = {
+    "can": _can, "local": _local, "memory": _memory, "zenoh": _zenoh,
+}  # fmt: skip
+
+
+def _foreign(uri: str) -> LinkTraits:
+    plugin = find_link(uri)
+    unknown = LinkTraits(commanders=f"unknown: the link {plugin.name!r} does not say whom it lets in")
+    try:
+        opener = plugin.load()
+    except (ImportError, AttributeError):
+        return unknown  # opening it says so
+    if not isinstance(opener, SaysTraits):
+        return unknown
+    said = opener.traits(uri)
+    if not isinstance(said, LinkTraits):
+        raise TransportError(f"link {uri!r}: plug-in {plugin.value}: traits gave {said!r:.60}, expected transport.LinkTraits")
+    return said
