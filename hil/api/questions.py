@@ -57,13 +57,13 @@ def laws(source: Source, **changes: Any) -> dict[str, LawAnalysis]:
         HilError: if the experiment cannot be read.
     """
     from hil.compose.law_files import with_law_files
-    from hil.rig.sensor_list import sensors_of
+    from hil.rig.normal_form import rig_of
     from transport.law_tests.analysis import analyse_law
 
     checked = with_law_files(checked_experiment(source, None, None, changes))
     period_s = float(checked.period)
-    sensors = sensors_of(checked)
-    named = {sensor.name if len(sensors) > 1 else "sc": sensor.law for sensor in sensors} | {"ca": checked.links.ca.law}
+    rig = rig_of(checked)
+    named = {sensor.name if len(rig.sensors) > 1 else "sc": sensor.law for sensor in rig.sensors} | {"ca": rig.ca_law}
     return {name: analyse_law(law, period_s, checked.timing.deadline * period_s) for name, law in named.items()}
 
 
