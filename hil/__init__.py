@@ -34,9 +34,7 @@ Importing this package costs nothing: each name brings its module when it is fir
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Final
-
+TYPE_CHECKING = False  # as typing has it, whose import takes longer than all of this: a signal may come meanwhile
 if TYPE_CHECKING:
     from hil.api.assertions import assert_law, assert_probability
     from hil.api.design_result import DesignResult
@@ -52,7 +50,7 @@ if TYPE_CHECKING:
     from hil.sweeps.parameters import ParameterSweep
     from hil.sweeps.sweep import Sweep
 
-_HOMES: Final = {
+_HOMES = {
     "Comparison": "hil.sweeps.comparison",
     "DesignResult": "hil.api.design_result",
     "Experiment": "hil.experiment",
@@ -108,6 +106,8 @@ if not TYPE_CHECKING:  # a type checker shall tell a name that is not there
     def __getattr__(name: str) -> object:
         if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
         import_module("hil.plugins.own_packages").require_own_packages()
         return getattr(import_module(_HOMES[name]), name)
 

@@ -112,7 +112,7 @@ def cli() -> None:
 
 
 def main(args: list[str] | None = None) -> Any:
-    """Entry point of the console command ``hil``; turns errors that the user can mend into a message and status 2."""
+    """Run the command line; turn errors that the user can mend into a message and status 2."""
     # Our matrices are small: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")

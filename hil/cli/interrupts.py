@@ -13,11 +13,12 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final, NoReturn
 
+from hil.first_instants import ENDING, leave_at_once
+
 LONGEST_IMPORT_S: Final = 0.8
 """After so long a signal is raised inside an import also: within a second, everything stops."""
 
 _AGAIN_S: Final = 0.005
-_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 _held: Final[list[int]] = []
 
@@ -42,8 +43,8 @@ def signals_as_exceptions() -> Iterator[None]:
         KeyboardInterrupt: SIGINT came.
         Terminated: SIGTERM, SIGHUP or SIGQUIT came.
     """
-    plain = (signal.SIG_DFL, signal.default_int_handler)  # nohup ignores SIGHUP, and & ignores SIGINT
-    ours = {n: h for n in _ENDING if (h := signal.getsignal(n)) in plain}
+    plain = (signal.SIG_DFL, signal.default_int_handler, leave_at_once)  # nohup ignores SIGHUP, and & ignores SIGINT
+    ours = {n: h for n in ENDING if (h := signal.getsignal(n)) in plain}
     for number in ours:
         signal.signal(number, _see)
     try:
@@ -62,7 +63,7 @@ def signals_later() -> Iterator[None]:
     The handlers wait, as a mask would hold for one thread only, and the libraries of linear algebra have threads of their own.
     """
     came: list[int] = []
-    theirs = {number: handler for number in _ENDING if callable(handler := signal.getsignal(number))}
+    theirs = {number: handler for number in ENDING if callable(handler := signal.getsignal(number))}
     for number in theirs:
         signal.signal(number, lambda number, _frame: came.append(number))
     try:

@@ -34,7 +34,7 @@ def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
 
 
 @contextmanager
-def open_regular(path: str | Path, what: str) -> Iterator[BinaryIO]:
+def open_regular(path: str | Path, what: str, *, follow: bool = True) -> Iterator[BinaryIO]:
     """Open a regular file for reading.
 
     The type is asked of the open file, so that nobody can put a pipe in its place between the question and the reading; it
@@ -43,12 +43,13 @@ def open_regular(path: str | Path, what: str) -> Iterator[BinaryIO]:
     Args:
         path: the file.
         what: what it should be, for the message, with its article.
+        follow: whether the path may be a symbolic link.
 
     Raises:
         HilError: it cannot be opened, or is a folder, a pipe or a device.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (0 if follow else os.O_NOFOLLOW))
     except (OSError, ValueError) as e:  # ValueError: a name with a zero byte
         raise HilError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from e
     try:

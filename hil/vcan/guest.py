@@ -57,7 +57,8 @@ def first_process(
     quote = shlex.quote
     return f"""#!/bin/sh
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
-off() {{ sync; echo o >/proc/sysrq-trigger && sleep 60; }}  # without /proc the end of PID 1 ends the kernel
+# The command may have taken /proc away; without it the end of PID 1 ends the kernel.
+off() {{ sync; mount -t proc proc /proc; echo o >/proc/sysrq-trigger && sleep 60; }}
 trap off EXIT
 set -ex  # up to the command; the last line in the kernel's log says how far it came
 

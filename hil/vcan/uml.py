@@ -18,12 +18,13 @@ import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.files.regular import read_regular
+from hil.files.regular import open_regular, read_regular
 from hil.vcan import guest
 from hil.vcan.kernel import Kernel
 from hil.vcan.supervise import RUNNER_FAILED, RunnerError, die_with_parent, say, unshare
@@ -168,7 +169,7 @@ def _status(work: Path) -> int:
         said = read_regular(work / "status", 8, "the status of a command")
     except HilError:
         say("the guest died; its last words:")
-        with open(work / "kernel.log", "rb") as log:
+        with suppress(HilError, OSError), open_regular(work / "kernel.log", "the log of a kernel", follow=False) as log:
             log.seek(max(log.seek(0, os.SEEK_END) - 4000, 0))
             sys.stderr.write(log.read(4000).decode(errors="replace"))
         return RUNNER_FAILED

@@ -137,7 +137,7 @@ class HilBus(can.BusABC):
             data: of a length that such a frame has.
 
         Returns:
-            Whether everybody on the bus had room for it.
+            Whether anybody took it, or nobody is there; False if all who are there had no room.
         """
         if self._is_shutdown:
             raise can.CanOperationError(f"{self.channel_info} is shut down")

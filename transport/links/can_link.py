@@ -86,7 +86,8 @@ def _frames_of(bus: can.BusABC, fd: bool) -> _Frames:
 class CanLink(Closing):
     """One end of a link on a CAN bus.
 
-    A packet counts as dropped where a listener, be it a logger, had no room for it (`can:hil` says so), and where we had none.
+    A packet counts as dropped where nobody who listens had room for it (`can:hil` says so), and where we had none: one that never
+    reads, be it a logger or a flooder, does not make it so.
 
     Args:
         uri: for messages.

@@ -30,8 +30,8 @@ class LinkCounters:
     Attributes:
         sent: packets handed to the medium.
         received: packets handed to the owner.
-        dropped: packets that this end could not hand over or hold: queue full (also a listener's, where the medium says so),
-            no such peer, link closed or down.
+        dropped: packets that this end could not hand over or hold: queue full (also those of all listeners, where the medium
+            says so), no such peer, link closed or down.
         malformed: frames that belong to this link but are no packet: remote frames, fragments out of order.
         errors: error frames and faults of the medium (interface down, buffer full).
         refused: packets that are not authentic (forged, replayed, without a code), and peers of another name than the one

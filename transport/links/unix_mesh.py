@@ -183,17 +183,18 @@ class Mesh(Closing):
             wait_s: how long to wait for room in a full queue, s.
 
         Returns:
-            Whether everyone who is still there had room for it.
+            Whether anybody took it, or nobody is there; False if all who are there had no room.
         """
         if self._mark() != self._seen:
             self._admit()
-        heard = True
+        taken, full = False, False
         for peer in self._peers:
             try:
                 peer.offer(datagram)
+                taken = True
             except OSError as error:
-                heard &= self._not_sent(peer, datagram, error, wait_s)
-        return heard
+                full |= not self._not_sent(peer, datagram, error, wait_s)
+        return taken or not full
 
     def _not_sent(self, peer: Peer, datagram: bytes, error: OSError, wait_s: float) -> bool:
         """Try again or count it; return False if the participant is there and had no room."""

@@ -78,8 +78,7 @@ def run_real(
         raise HilError("fault: controller-restart: hil cannot restart an external controller; end and start it by hand")
     clear_dead_channels(bus_directory())
     outcome = RealOutcome()
-    read_fd, write_fd = os.pipe()
-    counts_fd, counted_fd = os.pipe()
+    (read_fd, write_fd), (counts_fd, counted_fd) = _two_pipes()
     parent = os.getpid()
     children: list[Child] = []
     stop_pump = threading.Event()
@@ -145,6 +144,17 @@ def run_real(
         why = outcome.rig_silent or outcome.controller_lost or children[0].how()
         raise HilError(f"{why} before the run began; see its message above, if any")
     return outcome
+
+
+def _two_pipes() -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return two pipes, or none: without a descriptor for the second the first is closed."""
+    first = os.pipe()
+    try:
+        return first, os.pipe()
+    except OSError:
+        for fd in first:
+            os.close(fd)
+        raise
 
 
 def _starter(loop: Loop) -> Callable[..., Child]:

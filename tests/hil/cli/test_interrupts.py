@@ -7,9 +7,12 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
+
+import hil.__main__
 
 SWALLOWS = """
 import time
@@ -57,3 +60,34 @@ def test_an_import_without_an_end_is_ended(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         assert process.stdout.readline() == "swallowed\n"  # it was raised there, where this one passes over it
         process.kill()
+
+
+BEFORE_THE_COMMAND_LINE = """
+import os, runpy, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "click":
+            os.kill(os.getpid(), {number})
+sys.meta_path.insert(0, Finder())
+sys.argv = ["hil", "vcan", "--", "true"]
+runpy.run_module("hil", run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_a_signal_while_the_command_line_is_imported_ends_it_without_a_word(number: int) -> None:
+    program = BEFORE_THE_COMMAND_LINE.format(number=int(number))
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, b"", b"")
+
+
+def test_a_signal_that_is_ignored_stays_so_while_the_command_line_is_imported() -> None:
+    program = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)" + BEFORE_THE_COMMAND_LINE.format(number=2)
+    program = program.replace('"vcan", "--", "true"', '"list"')
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_the_console_command_heeds_signals_first() -> None:
+    [command] = [each for each in entry_points(group="console_scripts") if each.name == "hil"]
+    assert command.load() is hil.__main__.main

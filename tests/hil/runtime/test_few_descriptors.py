@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from hil.runtime.real.supervisor import _two_pipes
 
 RUN = """
 import resource, sys
@@ -31,3 +34,21 @@ def test_a_run_without_descriptors_is_one_message_with_status_2(tmp_path: Path, 
         (tmp_path / "run.mcap").unlink(missing_ok=True)
         statuses.append(done.returncode)
     assert 2 in statuses
+
+
+def test_where_the_second_pipe_is_not_to_be_had_the_first_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[int, int]] = []
+    real = os.pipe
+
+    def once() -> tuple[int, int]:
+        if made:
+            raise OSError(24, "Too many open files")
+        made.append(real())
+        return made[0]
+
+    monkeypatch.setattr(os, "pipe", once)
+    with pytest.raises(OSError, match="Too many open files"):
+        _two_pipes()
+    for fd in made[0]:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(fd)

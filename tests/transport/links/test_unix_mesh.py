@@ -249,7 +249,7 @@ def test_who_never_leaves_is_gone_with_the_interpreter_without_a_word(directory:
     assert not [path for path in directory.glob("*.sock") if path.is_socket()]
 
 
-def test_sending_says_whether_everybody_had_room(directory: Path) -> None:
+def test_sending_says_whether_anybody_had_room(directory: Path) -> None:
     datagram = HEAD.pack(0.0, 0) + bytes(70)
     with Mesh(directory) as sender:
         assert sender.send(datagram)  # nobody is there
@@ -257,3 +257,14 @@ def test_sending_says_whether_everybody_had_room(directory: Path) -> None:
             said = [sender.send(datagram) for _ in range(3 * QUEUE_LIMIT)]
             assert said[:QUEUE_LIMIT] == [True] * QUEUE_LIMIT and said.count(False) == sender.dropped > 0
         assert sender.send(datagram)  # it has left
+
+
+def test_one_who_never_reads_does_not_make_what_others_take_unsent(directory: Path) -> None:
+    """A flooder joins, and never reads: what the controller gets was sent."""
+    datagram = HEAD.pack(0.0, 0) + bytes(70)
+    with Mesh(directory) as sender, Mesh(directory), Mesh(directory) as reader:
+        said = []
+        for _ in range(3 * QUEUE_LIMIT):
+            said.append(sender.send(datagram))
+            assert reader.receive(1.0) is not None
+        assert all(said) and sender.dropped > 0
