@@ -5,8 +5,12 @@ from __future__ import annotations
 import os
 import sys
 
+TYPE_CHECKING = False  # the import of typing takes longer than all of this
+if TYPE_CHECKING:
+    from typing import Any
 
-def main() -> object:
+
+def main() -> Any:
     """Entry point of the console command ``hil``."""
     try:
         from hil.first_instants import heed_signals
