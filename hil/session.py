@@ -18,7 +18,7 @@ import msgspec
 from hil.compose.loop import Loop, compose
 from hil.errors import DiskFull, HilError
 from hil.experiment import Experiment
-from hil.log.events import DEPARTED, WITHDRAWN, decode_event, to_json
+from hil.log.events import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, decode_event, to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import CA, SC, channels_of
@@ -31,12 +31,12 @@ from hil.measure.names import Named
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
-from hil.plugins.asked import told_of
 from hil.rig.session_link import SessionLink, link_of, no_link
+from hil.runtime.nodes.failures import failure_of
+from hil.runtime.real.exit_statuses import FAILED
 from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
-from plants.errors import PlantError
 from transport.draws import REASONS
 from transport.packets import SELECTIONS
 
@@ -330,18 +330,17 @@ def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink) -> dict[str, Any
 
     def failed(error: BaseException) -> bool:
         """Keep what a plant, a controller or a law of somebody's own raised in mid-run: the log is closed with it."""
-        parts = (loop.experiment.plant, loop.controller, *loop.rig.laws)
-        if isinstance(error, PlantError):
-            out["plant_failed"] = str(error)
-        elif not isinstance(error, KeyboardInterrupt) and (told := told_of(error, parts)) is not None:
-            out["plug_in_failed"] = told
+        failure = failure_of(loop, error)
+        if failure is not None:
+            out[failure[0]] = failure[1]
         return bool(out) or isinstance(error, Forced)
 
     with StopSignals(stop, FORCE_S) as signals:
         rig = run_virtual(loop, loop.experiment.seed, sink, stoppable=stops.append, failed=failed)
     end_ns = max(rig.k, 0) * loop.experiment.period_ns
-    for name, told in out.items():
-        sink.event(end_ns, name.replace("_", " "), told, severity="error")
+    for kind, told in out.items():
+        sink.event(end_ns, kind, told, severity="error")
+    out = {kind.replace(" ", "_"): told for kind, told in out.items()}
     if signals.seen is not None:
         out |= _interrupted(signals.seen, sink, end_ns)
     sink.event(end_ns, "outcome", "rig ended", **rig.outcome())
@@ -371,7 +370,9 @@ def _run_real(
         raise HilError("no free file descriptor to start rig and controller; raise the limit: ulimit -n 64") from error
     sink.drop(real.pump.dropped)
     out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes}
-    if real.controller_lost:
+    if real.controller_failed is not None:
+        sink.event(real.controller_lost_ns, PLUG_IN_FAILED, real.controller_failed, severity="error")
+    elif real.controller_lost:
         out["controller_lost"] = real.controller_lost
         sink.event(real.controller_lost_ns, "controller lost", real.controller_lost, severity="error")
     counts: dict[str, Any] = dict(real.controller_counts)
@@ -389,7 +390,7 @@ def _run_real(
     elif real.rig_silent is not None:
         out["rig_lost"] = real.rig_silent
         sink.event(real.pump.last_ns, "rig lost", real.rig_silent, severity="error")
-    elif real.rig_status != 0:
+    elif real.rig_status not in (0, FAILED):
         out["rig_lost"] = (
             f"the rig process was killed by {signal.Signals(-real.rig_status).name}"
             if real.rig_status is not None and real.rig_status < 0
@@ -411,7 +412,7 @@ def _summary(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wall
         "messages": sink.messages,
         "dropped": sink.dropped,
     }
-    problems = _told(run, {*INTRUSIONS, "plant failed", WITHDRAWN, DEPARTED})
+    problems = _told(run, {*INTRUSIONS, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, DEPARTED})
     summary["link_counters"] = link_counters(run)
     summary["controller_counters"] = controller_counters(run)
     refused = (summary["link_counters"] or {}).get("refused", 0)
@@ -445,9 +446,9 @@ def controller_counters(run: Run) -> dict[str, int] | None:
 def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
     if "interrupted" in outcome:
         return 128 + int(signal.Signals[outcome["interrupted"]])
-    if outcome.keys() & {"rig_lost", "log_lost", "plant_failed", "plug_in_failed", "measure_failed"} or sink.error is not None:
-        return 1
     kinds = _kinds(run)
+    if outcome.keys() & {"rig_lost", "log_lost", "measure_failed"} or kinds & {PLANT_FAILED, PLUG_IN_FAILED} or sink.error:
+        return 1
     if "second controller" in kinds:
         return INTRUSIONS["second controller"]  # whatever it led to: the run is not that of our controller
     if kinds & {WITHDRAWN, DEPARTED}:

@@ -23,6 +23,11 @@ WITHDRAWN: Final = "certificate withdrawn"
 DEPARTED: Final = "part departed"
 """The same where no certificate rests on it."""
 
+PLANT_FAILED: Final = "plant failed"
+"""Kind of the event that says that a plant could not go on."""
+PLUG_IN_FAILED: Final = "plug in failed"
+"""The same of a part of the user's own that raised what no plant raises, with file and line."""
+
 _NUMBERS: Final = struct.Struct("<dq")
 _LENGTH: Final = struct.Struct("<I")
 _MAX_TEXT = 2000

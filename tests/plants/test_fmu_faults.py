@@ -196,6 +196,6 @@ def test_in_real_time_a_unit_that_crashes_ends_the_session_in_order(tmp_path: Pa
         (tmp_path / "go").touch()
         out, err = process.communicate(timeout=120)
     summary = json.loads(out)
-    assert process.returncode == 1 and "SIGSEGV" in err and "Traceback" not in err
+    assert process.returncode == 1 and "Traceback" not in err
     assert "killed by SIGSEGV" in next(e["message"] for e in read_run(log).events if e["kind"] == "plant failed")
     assert "SIGSEGV" in summary["problems"]["plant_failed"] and not left(temporary)

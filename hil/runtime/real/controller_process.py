@@ -18,6 +18,7 @@ from types import FrameType
 from hil.compose.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.failures import failure_of
 from hil.runtime.real.child import read_job
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import warm_up_controller
@@ -55,14 +56,15 @@ def stop_on_sigterm() -> None:
 
 def serve(
     loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None,
-    at_end: Callable[[dict[str, int], tuple[int, str] | None], object] = lambda counts, departed: None,
+    at_end: Callable[[dict[str, int], tuple[int, str] | None, str | None], object] = lambda counts, departed, failed: None,
 ) -> None:  # fmt: skip
     """Answer sensor frames on a link until stopped.
 
     Args:
         loop: the composed experiment.
         uri: the link.
-        at_end: given what the controller and its link counted, and in which slot its answers left its table, by how much.
+        at_end: given what the controller and its link counted, in which slot its answers left its table, by how much, and what
+            a control law of the user's own raised.
         before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
 
     Raises:
@@ -71,25 +73,35 @@ def serve(
     warm_up_controller(loop)
     node = ControlNode(loop)
     before_open()
+    failed: str | None = None
     with open_link(uri, "controller") as link:
         try:
-            while True:
+            while failed is None:
                 data = link.receive(IDLE_S)
                 if data is not None:
-                    answer = node.hear(data, monotonic_ns())
+                    answer = None
+                    try:
+                        answer = node.hear(data, monotonic_ns())
+                    except Stopped:
+                        raise
+                    except BaseException as error:  # whatever a control law of the user's own raises
+                        said = failure_of(loop, error)
+                        if said is None:
+                            raise
+                        failed = said[1]
                     if answer is not None:
                         link.send(answer)
                 elif isinstance(link, OneOfARole):  # whom the rig does not hear takes no packet
                     link.check_alone()
         finally:
             counters, counts = asdict(link.counters), asdict(node.counts)
-            at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}, node.departed)
+            at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}, node.departed, failed)
 
 
-def _write(fd: int, counts: dict[str, int], departed: tuple[int, str] | None) -> None:
+def _write(fd: int, counts: dict[str, int], departed: tuple[int, str] | None, failed: str | None) -> None:
     if fd >= 0:
         with suppress(OSError):
-            os.write(fd, json.dumps({"counts": counts, "departed": departed}).encode())
+            os.write(fd, json.dumps({"counts": counts, "departed": departed, "failed": failed and failed[:2000]}).encode())
 
 
 def main() -> None:

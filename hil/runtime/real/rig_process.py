@@ -19,17 +19,18 @@ from hil.log.write.sinks import record_to
 from hil.rig.frames_dbc import about_rig
 from hil.rig.session_link import SessionLink
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.failures import failure_of
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.child import read_job
 from hil.runtime.real.exchange import Greeter, LinkExchange
+from hil.runtime.real.exit_statuses import FAILED, NOBODY
 from hil.runtime.real.local_link import LocalLink
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import RehearsedRig
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
-from plants.errors import PlantError
 from transport.links.link import Link, Tells, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
@@ -41,8 +42,6 @@ SETTLE_NS = 1_000_000
 """From the end of the rehearsals to slot 0: no longer than between two slots, so that caches and threads stay awake."""
 REHEARSED = 1000
 """Slots that are rehearsed at most."""
-
-NOBODY = 3  # exit status: no controller answered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,15 +145,18 @@ def main() -> None:
         real.begin()
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
         sink.commit()
-        failure: PlantError | None = None
+        failed = False
         if not stopped:
             try:
                 real.kernel.run()
                 if not stopped:
                     real.rig.compare(None if node is None else node.departed)
-            except PlantError as error:
-                failure = error
-                sink.event(max(real.rig.k, 0) * job.loop.experiment.period_ns, "plant failed", str(error), severity="error")
+            except BaseException as error:  # whatever a part of the user's own raises
+                failure = failure_of(job.loop, error)
+                if failure is None:
+                    raise
+                failed = True
+                sink.event(max(real.rig.k, 0) * job.loop.experiment.period_ns, *failure, severity="error")
         sink.event(
             max(real.rig.k, 0) * job.loop.experiment.period_ns,
             "outcome",
@@ -166,12 +168,12 @@ def main() -> None:
         )
         sink.close()
         leave_real_time()
-        if failure is not None:
-            raise failure
+        if failed:
+            raise SystemExit(FAILED)
 
 
 if __name__ == "__main__":
     try:
         main()
-    except (TransportError, PlantError) as e:
+    except TransportError as e:
         sys.exit(f"hil: {e}")

@@ -22,6 +22,7 @@ from hil.plugins.registry import OBJECT
 from hil.rig.session_link import SessionLink
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
+from hil.runtime.real.exit_statuses import NOBODY
 from hil.runtime.real.free_memory import FreeMemory
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
 from hil.runtime.real.silence import Silence
@@ -43,6 +44,7 @@ class RealOutcome:
     rig_silent: str | None = None  # why the rig was given up
     controller_lost: str | None = None
     controller_lost_ns: int = 0  # session time
+    controller_failed: str | None = None  # what it says that it raised, where that was the control law
     controller_departed: tuple[int, str] | None = None  # the slot in which its answers left its table, and by how much
     controller_counts: dict[str, int] = field(default_factory=dict)  # what it and its link counted, once it has ended in order
 
@@ -129,7 +131,7 @@ def run_real(
         finally:
             end_all(children)
             os.close(counted_fd)
-            outcome.controller_counts, outcome.controller_departed = _counts(counts_fd)
+            outcome.controller_counts, outcome.controller_departed, outcome.controller_failed = _counts(counts_fd)
             if write_fd >= 0:
                 os.close(write_fd)
             stop_pump.set()
@@ -139,9 +141,9 @@ def run_real(
     outcome.interrupted = signals.seen
     outcome.rig_status = children[0].poll()
     if signals.seen is None and not outcome.pump.records:
-        if outcome.controller_lost is None and outcome.rig_status == rig_process.NOBODY:
+        if outcome.controller_lost is None and outcome.rig_status == NOBODY:
             raise HilError(f"no controller answered on {link.uri} within {job.hello_timeout_s:g} s")
-        why = outcome.rig_silent or outcome.controller_lost or children[0].how()
+        why = outcome.rig_silent or outcome.controller_failed or outcome.controller_lost or children[0].how()
         raise HilError(f"{why} before the run began; see its message above, if any")
     return outcome
 
@@ -166,13 +168,13 @@ def _starter(loop: Loop) -> Callable[..., Child]:
     return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path])
 
 
-def _counts(fd: int) -> tuple[dict[str, int], tuple[int, str] | None]:
-    """Return what a controller has written at its end, nothing if it could not, and where its answers left its table."""
+def _counts(fd: int) -> tuple[dict[str, int], tuple[int, str] | None, str | None]:
+    """Return what a controller has written at its end: what it counted, where its answers left its table, and what it raised."""
     with open(fd, "rb") as file:
         try:
             said = json.loads(file.read())
         except ValueError:  # killed, or stopped and then killed
-            return {}, None
+            return {}, None, None
     departed = said["departed"]
     counts = {str(name): int(number) for name, number in said["counts"].items()}
-    return counts, None if departed is None else (int(departed[0]), str(departed[1]))
+    return counts, None if departed is None else (int(departed[0]), str(departed[1])), said["failed"]

@@ -52,6 +52,7 @@ class RehearsedRig:
     """
 
     def __init__(self, loop: Loop, wire: Wire, local: bool = False) -> None:
+        self._failed = False
         self._k, self._period_ns, channels = 0, loop.experiment.period_ns, channels_of(loop)
         self._sink = PipeSink(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), channels)
         rig = Rig(loop, 0, self._sink, channels, lambda: None, wire)
@@ -60,7 +61,12 @@ class RehearsedRig:
 
     def run(self) -> None:
         """Run the next slot."""
-        self._slot.run(self._k * self._period_ns)
+        if self._failed:
+            return
+        try:
+            self._slot.run(self._k * self._period_ns)
+        except Exception:  # a part that fails is to fail in the session, where it is reported
+            self._failed = True
         self._k += 1
 
     def warm_up(self) -> RehearsedRig:

@@ -1,0 +1,22 @@
+"""What a run says of a part that failed in it: a plant, a controller or a law, ours or somebody's own."""
+
+from __future__ import annotations
+
+from hil.compose.loop import Loop
+from hil.log.events import PLANT_FAILED, PLUG_IN_FAILED
+from hil.plugins.asked import told_of
+from plants.errors import PlantError
+
+
+def failure_of(loop: Loop, error: BaseException) -> tuple[str, str] | None:
+    """Return the kind of the event that an exception is, and what it says; None for one that no part of the loop raised.
+
+    Args:
+        loop: what ran.
+        error: as it was caught.
+    """
+    if isinstance(error, PlantError):
+        return PLANT_FAILED, str(error)
+    parts = (loop.experiment.plant, loop.controller, *loop.rig.laws)
+    told = None if isinstance(error, KeyboardInterrupt) else told_of(error, parts)
+    return None if told is None else (PLUG_IN_FAILED, told)

@@ -1,0 +1,130 @@
+"""Parts of a user's own in real time: who breaks its word in the run loses the certificate, who raises is one message."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.log.read.run import read_run
+
+pytestmark = pytest.mark.realtime
+
+OWN = """
+from dataclasses import dataclass
+import math
+import numpy as np
+from plants import Signal, StateSpace
+
+
+@dataclass(frozen=True)
+class Tank:
+    inputs = (Signal("valve", "V"),)
+    outputs = (Signal("level", "m"),)
+    states = (Signal("level", "m"),)
+
+    def model(self):
+        return StateSpace(A=np.array([[-1.0]]), B=np.array([[1.0]]), C=np.array([[1.0]]))
+
+    def start(self, rng):
+        return Running()
+
+
+class Running:
+    def __init__(self):
+        self.state, self.applied, self.slots = (0.3,), (0.0,), 0
+
+    def measure(self):
+        return self.state
+
+    def advance(self, dt_ns, u, w=()):
+        if dt_ns:
+            self.slots += 1
+            a = -1.0
+            if self.slots > 250:
+                {plant}
+            grown = math.exp(a * dt_ns / 1e9)
+            self.state = (grown * self.state[0] + (grown - 1.0) / a * (u[0] + (w[0] if w else 0.0)),)
+            self.applied = tuple(u)
+
+
+@dataclass(frozen=True)
+class Gains:
+    selection = "constant"
+
+    def table(self, model):
+        return np.full((model.tau_max + 1, 1, 1, 1), -0.05)
+
+    def start(self, model):
+        return Answers()
+
+
+class Answers:
+    selection, asked = "constant", 0
+
+    def rows(self, k, tau, y, r):
+        self.asked += 1
+        gain = -0.05
+        if self.asked > 250:
+            {controller}
+        return ((gain * (y[0] - r[0]) + r[0],),)
+"""
+EXPERIMENT = """
+name = "own"
+period = "5 ms"
+duration = "1.6 s"
+seed = 1
+[plant]
+kind = "tank:Tank"
+[controller]
+kind = "tank:Gains"
+[links]
+uri = "local:"
+sc.law = { kind = "constant", age = 1 }
+ca.law = { kind = "constant", age = 0 }
+[limits]
+watchdog_slots = 300
+"""
+
+
+def real_time(folder: Path, link: str, **lies: str) -> tuple[int, dict[str, Any], str]:
+    """Exit status, problems and standard error of a run whose plant or controller is another one from slot 250 on."""
+    body = OWN.replace("{plant}", lies.get("plant", "pass")).replace("{controller}", lies.get("controller", "pass"))
+    (folder / "tank.py").write_text(body)
+    (folder / "own.toml").write_text(EXPERIMENT)
+    words = ["run", "own.toml", "--clock", "real", "--link", link, "--quiet", "--json", "-o", "a.mcap"]
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", *words], cwd=folder, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    return done.returncode, json.loads(done.stdout)["problems"], done.stderr
+
+
+@pytest.mark.parametrize(("part", "lie", "link"), [
+    ("plant", "a = 0.5", "local:"), ("controller", "gain = 0.4", "can:hil:{own}"),
+])  # fmt: skip
+def test_who_breaks_its_word_in_the_run_loses_the_certificate(tmp_path: Path, part: str, lie: str, link: str) -> None:
+    status, problems, errors = real_time(tmp_path, link.format(own=f"own{os.getpid()}"), **{part: lie})
+    what = {"plant": "the plant left its model at slot ", "controller": "the controller left its table at slot "}[part]
+    told = problems["certificate_withdrawn"]
+    assert told.startswith(f"certificate withdrawn: {what}") and "Traceback" not in errors
+    assert status == 7
+    assert [e["message"] for e in read_run(tmp_path / "a.mcap").events if e["kind"] == "certificate withdrawn"] == [told]
+
+
+@pytest.mark.parametrize(("part", "raises", "link"), [
+    ("plant", "raise KeyError('no such level')", "local:"), ("controller", "raise SystemExit(0)", "can:hil:{own}"),
+])  # fmt: skip
+def test_who_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: Path, part: str, raises: str, link: str) -> None:
+    status, problems, errors = real_time(tmp_path, link.format(own=f"own{os.getpid()}"), **{part: raises})
+    assert status == 1 and "Traceback" not in errors and "tank.py" not in errors
+    told = problems.pop("plug_in_failed")
+    assert told.startswith(raises[6:].partition("(")[0]) and f"{tmp_path}/tank.py, line " in told
+    assert not {"rig_lost", "controller_lost"} & problems.keys()
+    run = read_run(tmp_path / "a.mcap")
+    assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [told]
+    assert len(run.arrays["/plant/state"]) > 200 and any(e["kind"] == "outcome" for e in run.events)
