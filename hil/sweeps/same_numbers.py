@@ -18,8 +18,7 @@ from hil.sweeps.lockstep import in_lockstep, measures_in_lockstep
 
 def foreign_parts(loop: Loop) -> tuple[str, ...]:
     """Return the classes of plant, controller, network laws and measures that are not ours, by name."""
-    laws = loop.rig.laws
-    parts = (loop.experiment.plant, loop.controller, *laws, *measures_of(loop.experiment))
+    parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *measures_of(loop.experiment))
     return tuple(dict.fromkeys(type(part).__qualname__ for part in parts if not is_ours(part)))
 
 
