@@ -21,7 +21,7 @@ from hil.experiment import Experiment
 from hil.log.events import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, decode_event, to_json
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
-from hil.log.topics import CA, SC, channels_of
+from hil.log.topics import BUS, CA, SC, channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
@@ -287,7 +287,7 @@ def _summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
         counted = [name for name in table[topic].schema.dtype.names or () if name in ("mode", "node", "reason")]
         keep[topic] = counted if all(law.family == "age" for law in laws) else None
     wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics}
-    keep |= dict.fromkeys(wanted & table.keys())
+    keep |= dict.fromkeys((wanted | {BUS.name}) & table.keys())
     return None if any(table[topic].schema.raw for topic in keep) else keep
 
 

@@ -41,6 +41,15 @@ def show(summary: dict[str, Any]) -> None:
             f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}"
             + "".join(f", {fate} {n['fates'][fate]}" for fate in BROKEN if n["fates"].get(fate)),
         )
+    bus = summary["network"].get("bus")
+    if bus is not None:
+        row("bus", f"{bus['name']}, {bus['bitrate']:,} bit/s: load {100 * bus['load']:.1f} %, {bus['frames']} frames, "
+            f"{bus['errors']} destroyed")  # fmt: skip
+        for each in bus["messages"]:
+            if each["node"] in bus["own_nodes"]:
+                row(f"  {each['name']}", f"{each['can_id']:#x}, waited {number(each['waited_ms'])} ms, at most "
+                    f"{number(each['waited_worst_ms'])}; response at most {number(each['response_worst_ms'])} ms, "
+                    f"bound {number(each['bound_ms'])}")  # fmt: skip
     if summary["clock"] == "real":
         for name, value in timing_rows(summary["timing"]):
             row(name, value, "red" if value.startswith("NOT VALID") else None)

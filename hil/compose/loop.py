@@ -49,6 +49,7 @@ from hil.plugins.registry import OBJECT
 from hil.rig.delay_chains import Chains, chains_for, labels_of, within_reach, without_held
 from hil.rig.normal_form import rig_of
 from hil.rig.spec import RigSpec
+from hil.rig.traffic_file import with_traffic_file
 from plants.errors import PlantError
 from transport.packets import MAX_OUTPUTS
 
@@ -187,7 +188,7 @@ def _modelled(experiment: Experiment, known: RigSpec | None = None) -> tuple[Exp
     lost = [str(part.missing()) for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
     if lost:
         raise ExperimentError(experiment.name, lost)
-    experiment = with_law_files(experiment)
+    experiment = with_traffic_file(with_law_files(experiment))
     try:
         rig = rig_of(experiment) if known is None else known
         discrete = experiment.plant.model().discretise(float(experiment.period))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typing
 from typing import Any, Literal
 
+from hil.experiment.can_traffic import BufferName, TrafficTable, can_faults_of
 from hil.experiment.table import Table
 from transport.links.can_identifiers import LARGEST
 
@@ -117,28 +118,43 @@ class Medium(Table, frozen=True, kw_only=True):
     Args:
         kind: ``round-robin`` (one in a slot, in the order of ``nodes``, again and again), ``random`` (one in a slot, by chance),
             ``can-arbitration`` (the lowest CAN identifier wins; who loses waits, and its newer sample replaces the waiting
-            one) or ``independent`` (all in every slot).
+            one), ``can`` (a CAN bus in time: frames last as long as their bits) or ``independent`` (all in every slot).
         nodes: names of the nodes, for ``round-robin`` in the order of their turns (a node may have several).
         phase: ``round-robin``: position in the order in slot 0, from 0.
         probabilities: ``random``: probability of each node, independent in every slot; by default all are alike.
         matrix: ``random``: instead, Pr(next node | last node); slot 0 is drawn from ``probabilities``.
         frames: ``can-arbitration``: frames that the bus carries in a slot.
         loss: probability that what is sent is lost on the medium, independent in every slot, or of every frame.
+        bitrate: ``can``: nominal bit rate, bit/s.
+        dbitrate: ``can``: data bit rate; frames are CAN FD with bit-rate switch then.
+        buffer: ``can``: ``overwritten`` (a newer packet of a node replaces the one that waits) or ``fifo``.
+        control: ``can``: whether the control packets travel on this bus too.
+        bit_error_rate: ``can``: probability that a bit is disturbed, for all nodes alike.
+        traffic: ``can``: messages of other nodes.
+        traffic_file: ``can``: more of them, from a file beside the experiment: CSV, or a DBC with GenMsgCycleTime.
     """
 
-    kind: Literal["independent", "round-robin", "random", "can-arbitration"]
+    kind: Literal["independent", "round-robin", "random", "can-arbitration", "can"]
     nodes: tuple[str, ...]
     phase: int = 0
     probabilities: tuple[float, ...] = ()
     matrix: tuple[tuple[float, ...], ...] = ()
     frames: int = 1
     loss: float = 0.0
+    bitrate: int | None = None
+    dbitrate: int | None = None
+    buffer: BufferName = "overwritten"
+    control: bool = True
+    bit_error_rate: float = 0.0
+    traffic: tuple[TrafficTable, ...] = ()
+    traffic_file: str = ""
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         kind, nodes = values.get("kind"), values.get("nodes", ("",))
         if not nodes:
             yield "nodes: empty"
+        yield from can_faults_of(values)
         if not 0.0 <= values.get("loss", 0.0) < 1.0:
             yield f"loss: {values['loss']:g}, expected a probability below 1"
         if not 1 <= values.get("frames", 1) <= LONGEST_BUFFER:

@@ -11,6 +11,7 @@ from hil.experiment import Experiment
 from hil.log.events import WITHDRAWN
 from hil.log.run import Run
 from hil.log.topics import SC
+from hil.measure.bus_load import bus_summary
 from hil.measure.measure import measured, quantities_of, run_measures
 from hil.measure.network import network_metrics
 from hil.measure.network_load import loads
@@ -27,7 +28,8 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
     Keys: experiment, seed, clock, link, controller (see `controller_of`), ticks, duration_s;
     metrics (the numbers of the experiment's measures, see
     `hil.measure.measure.measured`) and units (of them, nothing for a pure number); network.sc and network.ca (see
-    `network_metrics`) and network.nodes (the same per sensor node, and its load; see `network_summary`); timing (see
+    `network_metrics`) and network.nodes (the same per sensor node, and its load; see `network_summary`), network.bus (where a CAN
+    bus takes time; see `hil.measure.bus_load.BusLoad`); timing (see
     `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or None); certificate (what the log
     carries of it, or None).
 
@@ -49,7 +51,7 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
         "duration_s": round(ticks * view.period_s, 9),
         "metrics": measured(view, measures, failed),
         "units": {q.name: q.unit for q in quantities_of(measures, view.signals)},
-        "network": network_summary(view, timing["late"]),
+        "network": network_summary(view, timing["late"]) | _bus(view),
         "timing": timing,
         "safety": safety_of(run),
         "certificate": certificate_of(run),
@@ -102,6 +104,11 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
         "ca": network_metrics(actuator.draws, actuator.law, actuator.kind, late=late, reasons=reasons),
         "nodes": {name: found | {key: load[name][key] for key in keys if name in load} for name, found in nodes.items()},
     }
+
+
+def _bus(view: RunView) -> dict[str, Any]:
+    found = bus_summary(view)
+    return {} if found is None else {"bus": found}
 
 
 def run_metrics(run: Run, experiment: Experiment | None = None, rig: RigSpec | None = None) -> dict[str, Any]:

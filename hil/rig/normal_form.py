@@ -5,6 +5,7 @@ from __future__ import annotations
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.experiment.absent import Absent
+from hil.rig.can_bus import can_bus_faults
 from hil.rig.can_frames import can_faults
 from hil.rig.packet_ages import Receiver
 from hil.rig.port import Port, port_of
@@ -48,7 +49,7 @@ def rig_of(e: Experiment) -> RigSpec:
         time_line=time_line(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
         links=links, framing=framing,
     )  # fmt: skip
-    faults += ([] if absent else can_faults(rig, traits)) + time_line_faults(e)
+    faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)]) + time_line_faults(e)
     if faults:
         raise ExperimentError(e.name, faults)
     return rig

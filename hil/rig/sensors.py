@@ -109,6 +109,8 @@ def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[Shared]) -> SensorN
 
 def _turns(shared: Shared, sensors: Sequence[Sensor]) -> Turns | str:
     table = shared.table
+    if table.kind == "can":
+        return "the theory knows no chain of the delays that a CAN bus in time makes"
     if table.kind == "can-arbitration":
         heard = bus_cycle([s.clock for s in sensors], table.frames, [s.can_id for s in sensors])
         return heard if isinstance(heard, str) else Turns(heard=heard, loss=table.loss)

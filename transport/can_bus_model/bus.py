@@ -107,15 +107,18 @@ class CanBus:
         """
         self._busy.add(node)
         old = self.nodes[node].waiting.queue(waiting)
-        sending = {id(each) for _, senders in self._now for _, each in senders}
-        return None if id(old) in sending else old
+        return None if old is None or self._sending(old) else old
 
-    def abort(self, node: int, tag: object) -> list[Waiting]:
-        """Take out a node's frames with a tag, unless one is being sent: that one is not sent again, and may get through."""
-        gone = self.nodes[node].waiting.drop(tag)
+    def _sending(self, waiting: Waiting) -> bool:
+        return any(each is waiting for _, senders in self._now for _, each in senders)
+
+    def abort(self, node: int, waiting: Waiting) -> bool:
+        """Take out a frame that waits; return False for one that is being sent, or was: it stays."""
+        if self._sending(waiting) or not self.nodes[node].waiting.remove(waiting):
+            return False
         if not self.nodes[node].waiting:
             self._busy.discard(node)
-        return gone
+        return True
 
     def advance(self, until: int) -> list[Transmission]:
         """Let time pass; return what ended, in order, up to that instant and at it.

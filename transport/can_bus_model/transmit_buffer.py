@@ -77,10 +77,3 @@ class TransmitBuffer:
             self._waiting.remove(which)
             return True
         return False
-
-    def drop(self, tag: object) -> list[Waiting]:
-        """Abort what has this tag; return it."""
-        gone = [each for each in self._waiting if each.tag == tag]
-        for each in gone:
-            self._waiting.remove(each)
-        return gone

@@ -15,6 +15,7 @@ from hil.errors import HilError
 from hil.log.records import Channel, Schema
 from hil.log.topics.actuator import APPLIED as APPLIED
 from hil.log.topics.actuator import PASSIVITY as PASSIVITY
+from hil.log.topics.bus import BUS as BUS
 from hil.log.topics.controller import ROWS as ROWS
 from hil.log.topics.link import CONTROL as CONTROL
 from hil.log.topics.link import SENSOR as SENSOR
@@ -76,7 +77,7 @@ def channels_of(loop: RunsRig, *, on_can: bool = False) -> dict[str, Channel]:
     rig = loop.rig
     return channels(Logged(
         states=rig.states, inputs=rig.inputs, outputs=rig.outputs, n_rows=loop.rows, numbered=rig.numbered,
-        passivity=rig.passivity, on_can=on_can,
+        passivity=rig.passivity, on_can=on_can, bus=any(shared.table.kind == "can" for shared in rig.media),
     ))  # fmt: skip
 
 

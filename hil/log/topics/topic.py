@@ -31,6 +31,7 @@ class Logged:
         numbered: what the network decided about a sensor packet says of which node it is.
         passivity: the rig has a passivity controller: what it measured and did is logged.
         on_can: the link of the session is a CAN link: frames have identifiers.
+        bus: the emulated network has a CAN bus that takes time.
     """
 
     states: Sequence[SignalLike] = ()
@@ -40,6 +41,7 @@ class Logged:
     numbered: bool = False
     passivity: bool = False
     on_can: bool = False
+    bus: bool = False
 
 
 class RunsRig(Protocol):

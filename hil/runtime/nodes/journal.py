@@ -8,12 +8,15 @@ from math import nan
 from typing import Any
 
 from hil.log.records import Channel
-from hil.log.topics import APPLIED, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
+from hil.log.topics import APPLIED, BUS, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
+from hil.log.topics.bus import EXTENDED, FD, REMOTE, SWITCH
 from hil.log.topics.topic import SlotRecord
 from hil.log.write.sinks import Sink, record_to, records_to
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.port_damper import Injected
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.bus import CanNode, Transmission
 from transport.draws import Draw
 from transport.medium.medium import Delivery
 from transport.packets import ControlPacket, node_of
@@ -49,6 +52,7 @@ class Journal:
         self._sensor = self._log[SENSOR.name]
         self._control = self._log[CONTROL.name]
         self._passivity = self._log.get(PASSIVITY.name)
+        self._bus = self._log.get(BUS.name)
         filled = [(TOPICS[topic].values, record) for topic, record in self._log.items() if topic in TOPICS]
         self._filled = [(values, record) for values, record in filled if values is not None and record is not None]
         self._sensed: tuple[Any, ...] = ()  # what was asked in the slot, where a topic is filled from it
@@ -160,6 +164,17 @@ class Journal:
             values = [v for row in packet.rows for v in row][: self._row_values]
             values += [nan] * (self._row_values - len(values))
             self._rows(t_ns, (*values, packet.sample_ns, packet.control_ns, k, packet.tau, packet.selection))
+
+    def bus(self, t_ns: int, k: int, ended: Transmission, node: CanNode) -> None:
+        """Record a frame that was on the emulated CAN bus, and got through or was destroyed."""
+        if self._bus:
+            frame, waiting, error = ended.waiting.frame, ended.waiting, ended.error_bit
+            flags = EXTENDED * frame.extended | REMOTE * frame.remote | FD * frame.fd | SWITCH * frame.bitrate_switch
+            instants = map(BitRates.ns, (waiting.queued, ended.start, ended.end, ended.idle))
+            number, broken = (-1, 0) if error is None else (error, 1)
+            self._bus(t_ns, (
+                *instants, k, frame.identifier, ended.node, waiting.lost, number, node.errors.tec, broken, flags, len(frame.data),
+            ))  # fmt: skip
 
     def late(self, t_ns: int, seq: int, data: bytes) -> None:
         """Record a control frame that came too late for the slot that it answers."""

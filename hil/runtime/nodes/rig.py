@@ -15,9 +15,11 @@ from hil.compose.loop import Loop
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
+from hil.rig.can_bus import can_bus_of
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answers import Answers
+from hil.runtime.nodes.can_network import CanNetwork
 from hil.runtime.nodes.fault_line import FaultLine
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.plant_watch import PlantWatch
@@ -28,9 +30,12 @@ from hil.runtime.nodes.triggers import trigger_of
 from hil.runtime.nodes.uplink import clock_of, uplink_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
+from transport.can_bus_model.bus import CanNode, Transmission
 from transport.medium.independent import impair
 from transport.medium.medium import Delivery
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
+
+STATES = {"active": "error active", "warning": "above the warning level", "passive": "error passive", "off": "off the bus"}
 
 _new = tuple.__new__  # a packet without its Python constructor
 
@@ -69,8 +74,10 @@ class Rig:
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.rig.sensors)
         faults = FaultLine(loop, seed)
         self._faults = faults if e.fault else None
-        self._uplink = faults.uplink(uplink_of(loop, seed, float(e.period), deadline_s))
-        self._downlink = faults.downlink(impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s))
+        bus = CanNetwork(loop, seed, self._on_bus, self._bus_status) if can_bus_of(loop.rig) is not None else None
+        self._uplink = faults.uplink(uplink_of(loop, seed, float(e.period), deadline_s, bus))
+        channel = impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
+        self._downlink = faults.downlink(channel if bus is None else bus.downlink(channel))
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
         safety = Safety(e.limits.input, limits, e.limits.watchdog_slots, e.period_ns)
         self._port = loop.rig.port.output if loop.rig.port is not None and e.limits.passivity is not None else None
@@ -200,6 +207,17 @@ class Rig:
             self._watch.take(self._x, self._y, self.actuator.u, self._w)
         if self._end is not None and k >= self._end:
             self._stop()
+
+    def _on_bus(self, ended: Transmission, node: CanNode) -> None:
+        self._journal.bus(max(self.k, 0) * self._period_ns, self.k, ended, node)
+
+    def _bus_status(self, at_ns: int, name: str, node: CanNode) -> None:
+        errors = node.errors
+        told = f"{name} is {STATES[errors.state]}: TEC {errors.tec}, REC {errors.rec}"
+        severity = "info" if errors.state == "active" else "warning"
+        self._journal.event(
+            max(self.k, 0) * self._period_ns, "bus status", told, tick=self.k, severity=severity, node=name, at_ns=at_ns
+        )
 
     def _note_trip(self, t_ns: int, reason: str) -> None:
         self._end = self.k + self._after_trip

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from hil.compose.loop import Loop
 from hil.rig.sensor_list import Sensor
 from hil.rig.sensors import Shared
+from hil.runtime.nodes.can_network import CanNetwork
 from hil.runtime.streams import rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.medium.arbitration import ArbitratedBus
@@ -19,7 +20,9 @@ from transport.medium.split import SplitMedium
 _CAME = frozenset((DELIVERED, DISORDERED, DUPLICATED))
 
 
-def uplink_of(loop: Loop, seed: int, period_s: float, deadline_s: float) -> Medium:
+def uplink_of(
+    loop: Loop, seed: int, period_s: float, deadline_s: float, bus: CanNetwork | None = None
+) -> Medium:  # fmt: skip
     """Return the medium between the sensor nodes and the controller; every node and every shared medium has its own stream.
 
     Args:
@@ -27,9 +30,10 @@ def uplink_of(loop: Loop, seed: int, period_s: float, deadline_s: float) -> Medi
         seed: seed of the run.
         period_s: sample period T, s.
         deadline_s: seconds after the start of a slot at which it closes; packet laws only.
+        bus: the CAN bus that takes time, where the experiment has one and the way back needs it too.
     """
     channels = [impair(s.law, rng_for(seed, s.stream), period_s, deadline_s) for s in loop.rig.sensors]
-    medium = _shared(loop, channels, seed) if loop.rig.media else IndependentChannels(channels)
+    medium = _shared(loop, channels, seed, bus) if loop.rig.media else IndependentChannels(channels)
     return medium if all(s.repeats for s in loop.rig.sensors) else NewPackets(medium, [s.repeats for s in loop.rig.sensors])
 
 
@@ -57,10 +61,14 @@ def _new(delivery: Delivery) -> Delivery:
     return draws, [(g, packet) for g, packet in arrivals if any(d.packet_tick == g and d.reason in _CAME for d in draws)]
 
 
-def _shared(loop: Loop, channels: Sequence[Impairment], seed: int) -> Medium:
+def _shared(loop: Loop, channels: Sequence[Impairment], seed: int, bus: CanNetwork | None) -> Medium:
     parts: list[tuple[Sequence[int], Medium]] = []
     turning = []
     for shared in loop.rig.media:
+        if shared.table.kind == "can":
+            own = sorted(shared.nodes)
+            parts.append((own, (bus or CanNetwork(loop, seed)).uplink([channels[i] for i in own])))
+            continue
         if shared.table.kind != "can-arbitration":
             turning.append(shared)
             continue

@@ -1,0 +1,32 @@
+"""What was on a CAN bus that takes time, in the words of FMI-LS-BUS 1.0: each frame from its Transmit to Confirm or Bus Error."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hil.log.topics.topic import TICK, Topic, i32, i64, u8
+
+OPERATIONS: Final = ("Confirm", "Bus Error")
+"""Names of ``/link/bus.operation``."""
+
+EXTENDED, REMOTE, FD, SWITCH = 1, 2, 4, 8
+"""Bits of ``/link/bus.flags``."""
+
+BUS = Topic(
+    name="/link/bus", order=11, schema="BusFrame", filled_by="rig, every frame on the emulated CAN bus", since="0.1.0",
+    paged=True, logged=lambda logged: logged.bus,
+    fields=lambda logged: (
+        i64("queued_ns", "ns", "session time of Transmit: since when it waited"),
+        i64("start_ns", "ns", "session time of its start of frame"),
+        i64("end_ns", "ns", "session time of the end of its EOF or of the error delimiter"),
+        i64("idle_ns", "ns", "session time at which the bus is idle again"), TICK,
+        i32("can_id", "1", "identifier, 11 or 29 bits"),
+        i32("node", "1", "number of the node that sent it: nodes of the rig, controller, actuator, others"),
+        i32("lost", "1", "arbitrations that it has lost (Arbitration Lost)"),
+        i32("error_bit", "1", "bit of the frame that was disturbed, -1 if none"),
+        i32("tec", "1", "transmit error counter of its node"),
+        u8("operation", "0 Confirm, 1 Bus Error"), u8("flags", "1 extended, 2 remote, 4 CAN FD, 8 bit-rate switch"),
+        u8("length", "bytes of data"),
+    ),
+)  # fmt: skip
+TOPICS = (BUS,)

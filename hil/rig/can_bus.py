@@ -1,0 +1,158 @@
+"""The CAN bus of a rig that takes time: who is on it, what travels on it, and how long that may take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from design.controllers import row_count
+from hil.experiment.can_traffic import TrafficTable
+from hil.experiment.nodes import Medium
+from hil.rig.can_frames import CONTROL, path_of
+from hil.rig.sensors import Shared
+from hil.rig.spec import RigSpec
+from transport.can_analysis.messages import PeriodicMessage
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.frame import CanFrame
+from transport.can_bus_model.traffic import Periodic
+from transport.links.can_identifiers import derived
+from transport.wire.fields import frame_length
+
+CONTROLLER, ACTUATOR = "controller", "actuator"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnPacket:
+    """What a node of the rig sends on the bus.
+
+    Args:
+        sender: its name on the bus.
+        path: where the experiment says its identifier.
+        first: identifier of the first frame.
+        values: 32-bit floats in a packet.
+        period_ns: from one packet to the next, at least.
+    """
+
+    sender: str
+    path: str
+    first: int
+    values: int
+    period_ns: int
+
+    def sizes(self, *, fd: bool) -> list[int]:
+        """Return the bytes of each of its frames."""
+        step = 64 if fd else 8
+        left = [min(step, 4 * self.values - at) for at in range(0, max(4 * self.values, 1), step)]
+        return [frame_length(size) if fd else size for size in left]
+
+
+def can_bus_of(rig: RigSpec) -> Shared | None:
+    """Return the CAN bus that takes time, None where there is none."""
+    return next((shared for shared in rig.media if shared.table.kind == "can"), None)
+
+
+def own_packets(rig: RigSpec, bus: Shared, rows: int | None = None) -> list[OwnPacket]:
+    """Return what the rig's own nodes send on the bus: its sensor nodes by number, then the controller.
+
+    Args:
+        rig: the rig.
+        bus: its bus.
+        rows: of a control packet; by default one for each age.
+    """
+    found = []
+    for sensor in (rig.sensors[number] for number in sorted(bus.nodes)):
+        values, period_ns = len(sensor.outputs) * sensor.buffer, sensor.clock.every * rig.period_ns
+        path = path_of(sensor)
+        found.append(OwnPacket(sender=sensor.name, path=path, first=sensor.can_id, values=values, period_ns=period_ns))
+    if bus.table.control:
+        given = rig.links.control_can_id
+        first = derived(rig.framing.base, rig.framing.fd).control[0] if given is None else given
+        values = len(rig.inputs) * (row_count("applied", rig.at_actuator.max_age) if rows is None else rows)
+        found.append(OwnPacket(sender=CONTROLLER, path=CONTROL, first=first, values=values, period_ns=rig.period_ns))
+    return found
+
+
+def bus_nodes(rig: RigSpec, bus: Shared) -> tuple[str, ...]:
+    """Return the names of all nodes on the bus by number: those that send packets of the rig, the actuator, and the others."""
+    own = [rig.sensors[number].name for number in sorted(bus.nodes)]
+    return (*own, CONTROLLER, ACTUATOR, *dict.fromkeys(message.sender for message in bus.table.traffic))
+
+
+def rates_of(medium: Medium) -> BitRates:
+    """Return the bit rates of a bus."""
+    return BitRates(medium.bitrate or 0, medium.dbitrate)
+
+
+def periodic(rig: RigSpec, bus: Shared) -> list[Periodic]:
+    """Return the background traffic, in the order of its table."""
+    medium, number = bus.table, {name: i for i, name in enumerate(bus_nodes(rig, bus))}
+    return [
+        Periodic(
+            node=number[message.sender], frame=frame_of(message, medium), period_ns=_ns(message.period),
+            offset_ns=_ns(message.offset), jitter_ns=_ns(message.jitter), random=message.data is None and message.length > 0,
+        )
+        for message in medium.traffic
+    ]  # fmt: skip
+
+
+def frame_of(message: TrafficTable, medium: Medium) -> CanFrame:
+    """Return a message as a frame."""
+    data = bytes(message.length) if message.data is None else bytes.fromhex(message.data)
+    switch = message.fd and medium.dbitrate is not None
+    return CanFrame(identifier=message.can_id, data=data, extended=message.extended, fd=message.fd, bitrate_switch=switch)
+
+
+def analysed(rig: RigSpec, bus: Shared, rows: int | None = None) -> list[PeriodicMessage]:
+    """Return everything that is sent again and again on the bus, for the analysis of its response times."""
+    medium = bus.table
+    fd = medium.dbitrate is not None
+    found = []
+    for packet in own_packets(rig, bus, rows):
+        for i, size in enumerate(packet.sizes(fd=fd)):
+            name = packet.sender if not i else f"{packet.sender}, frame {i + 1}"
+            found.append(
+                PeriodicMessage(
+                    name=name, identifier=packet.first + i, length=size, period_ns=packet.period_ns, fd=fd, bitrate_switch=fd
+                )
+            )  # fmt: skip
+    for message in medium.traffic:
+        frame = frame_of(message, medium)
+        found.append(
+            PeriodicMessage(
+                name=message.said, identifier=message.can_id, length=len(frame.data), period_ns=_ns(message.period),
+                jitter_ns=_ns(message.jitter), extended=message.extended, fd=message.fd, bitrate_switch=frame.bitrate_switch,
+            )
+        )  # fmt: skip
+    return found
+
+
+def can_bus_faults(rig: RigSpec) -> Iterator[str]:
+    """Yield what is wrong with the CAN bus of a rig, each with its path."""
+    buses = [shared.name for shared in rig.media if shared.table.kind == "can"]
+    yield from (f"media.{name}: media.{buses[0]} is a CAN bus already, an experiment has one" for name in buses[1:])
+    bus = can_bus_of(rig)
+    if bus is None:
+        return
+    at, medium, names = bus.name, bus.table, [sensor.name for sensor in rig.sensors]
+    owner: dict[tuple[bool, int], str] = {}
+    for packet in own_packets(rig, bus):
+        for i in range(len(packet.sizes(fd=medium.dbitrate is not None))):
+            taken = owner.setdefault((False, packet.first + i), packet.sender)
+            if taken != packet.sender:
+                yield f"{packet.path}: {packet.first + i:#x} is the identifier of {taken!r} already, on media.{at}"
+    sent: dict[tuple[bool, int], str] = {}
+    for i, message in enumerate(medium.traffic):
+        key = (message.extended, message.can_id)
+        path = f"media.{at}.traffic[{i}].can_id"
+        if key in owner:
+            yield f"{path}: {message.can_id:#x} is the identifier of {owner[key]!r} already"
+        elif sent.setdefault(key, message.said) != message.said:
+            yield f"{path}: {message.can_id:#x} is the identifier of {sent[key]!r} already"
+        if message.sender in (*names, CONTROLLER, ACTUATOR):
+            yield f"media.{at}.traffic[{i}].{'node' if message.node else 'name'}: {message.sender!r} is a node of the rig"
+        if message.fd and medium.dbitrate is None:
+            yield f"media.{at}.traffic[{i}].fd: the bus has no dbitrate, expected one for CAN FD"
+
+
+def _ns(seconds: float) -> int:
+    return round(float(seconds) * 1e9)

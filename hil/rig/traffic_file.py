@@ -1,0 +1,132 @@
+"""Background traffic from a file: a table as CSV, or a DBC whose messages say their cycle time (GenMsgCycleTime)."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+from msgspec.structs import replace
+
+from hil.errors import ExperimentError, HilError
+from hil.experiment.can_traffic import TrafficTable, can_faults_of
+from hil.experiment.table import Seconds
+from hil.experiment.tables import Experiment
+from hil.files.regular import open_regular
+
+LARGEST = 16_000_000
+_DURATIONS = ("period", "offset", "jitter")
+_FLAGS = {"": False, "0": False, "no": False, "false": False, "1": True, "yes": True, "true": True}
+
+
+def with_traffic_file(e: Experiment) -> Experiment:
+    """Return an experiment with the traffic of its file in its table: it needs nothing but itself then.
+
+    Raises:
+        ExperimentError: the file cannot be read, or is faulty.
+    """
+    media = dict(e.media)
+    for name, medium in e.media.items():
+        if medium.traffic_file:
+            try:
+                more = read_traffic(Path(e.folder) / medium.traffic_file)
+            except HilError as error:
+                raise ExperimentError(e.name, [f"media.{name}.traffic_file: {error}"]) from error
+            media[name] = replace(medium, traffic=(*medium.traffic, *more), traffic_file="")
+            fields = media[name].__struct_fields__
+            faults = list(can_faults_of({field: getattr(media[name], field) for field in fields}))
+            if faults:
+                raise ExperimentError(e.name, [f"media.{name}.{fault}" for fault in faults])
+    return replace(e, media=media)
+
+
+def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
+    """Return the messages of a file that ends in .csv or .dbc.
+
+    Args:
+        path: a CSV file has a head with the keys of a traffic table, ``can_id`` and ``period`` among them.
+
+    Raises:
+        HilError: it cannot be read, or says something that no message has; with the line or the name of the message.
+    """
+    if path.suffix not in (".csv", ".dbc"):
+        raise HilError(f"{path}: the ending {path.suffix!r} names no table of traffic, expected .csv or .dbc")
+    try:
+        with open_regular(path, "a table of traffic") as file:
+            text = file.read(LARGEST + 1).decode("utf-8" if path.suffix == ".csv" else "cp1252")
+    except (OSError, ValueError) as error:
+        raise HilError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    if len(text) > LARGEST:
+        raise HilError(f"{path}: more than {LARGEST} characters")
+    found = _of_csv(path, text) if path.suffix == ".csv" else _of_dbc(path, text)
+    if not found:
+        raise HilError(f"{path}: no message that is sent again and again")
+    return found
+
+
+def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
+    rows = csv.DictReader(text.splitlines())
+    unknown = set(rows.fieldnames or ()) - set(TrafficTable.__struct_fields__)
+    missing = {"can_id", "period"} - set(rows.fieldnames or ())
+    if unknown or missing:
+        known = ", ".join(TrafficTable.__struct_fields__)
+        said = f"no column {min(missing)!r}" if missing else f"an unknown column {min(unknown, key=str)!r}"
+        raise HilError(f"{path}: line 1: {said}, expected some of {known}")
+    found = []
+    for row in rows:
+        try:
+            found.append(_table({key: value.strip() for key, value in row.items() if value and value.strip()}))
+        except (ValueError, AttributeError, TypeError) as error:
+            raise HilError(f"{path}: line {rows.line_num}: {error}") from error
+    return tuple(found)
+
+
+def _table(said: dict[str, Any]) -> TrafficTable:
+    values: dict[str, Any] = {}
+    for key, value in said.items():
+        try:
+            if key in _DURATIONS:
+                values[key] = Seconds.parse(value if not value.replace(".", "", 1).isdigit() else float(value))
+            elif key in ("can_id", "length"):
+                values[key] = int(value, 0)
+            elif key in ("extended", "fd"):
+                values[key] = _FLAGS[value.lower()]
+            else:
+                values[key] = value
+        except (ValueError, KeyError) as error:
+            raise ValueError(f"{key}: {value!r:.60}, {error}") from error
+    return _sound(values)
+
+
+def _sound(values: dict[str, Any]) -> TrafficTable:
+    faults = list(TrafficTable.faults(values))
+    if faults:
+        raise ValueError("; ".join(faults))
+    try:
+        return TrafficTable(**values)
+    except TypeError as error:
+        raise ValueError(str(error)) from error
+
+
+def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
+    import cantools
+
+    try:
+        database: Any = cantools.database.load_string(text, "dbc", strict=False)
+    except Exception as error:  # of any kind, from whatever stands in the file
+        raise HilError(f"{path}: is no DBC: {str(error).splitlines()[0]:.200}") from error
+    found = []
+    for message in database.messages:
+        if message.cycle_time:
+            values = {
+                "name": message.name, "can_id": message.frame_id, "period": Seconds(message.cycle_time / 1000),
+                "length": message.length, "extended": message.is_extended_frame, "fd": bool(message.is_fd),
+                "node": message.senders[0] if message.senders else "",
+            }  # fmt: skip
+            try:
+                found.append(_sound(values))
+            except ValueError as error:
+                raise HilError(f"{path}: message {message.name}: {error}") from error
+    return tuple(found)
+
+

@@ -1,0 +1,89 @@
+"""The CAN bus of a run that takes time, with the rig's own nodes and the background traffic on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from hil.compose.loop import Loop
+from hil.rig.can_bus import bus_nodes, can_bus_of, own_packets, periodic, rates_of
+from hil.runtime.streams import rng_for
+from transport.can_bus_model.bus import CanBus, CanNode, Transmission
+from transport.can_bus_model.frame import CanFrame
+from transport.can_bus_model.noise import BitErrors
+from transport.can_bus_model.traffic import Traffic
+from transport.medium.independent import Impairment
+from transport.medium.timed_bus import BusInSlots, TimedBusDownlink, TimedBusUplink, value_frames
+from transport.packets import ControlPacket
+
+Seen = Callable[[Transmission, CanNode], None]
+Status = Callable[[int, str, CanNode], None]
+
+
+def _no_transmission(transmission: Transmission, node: CanNode) -> None: ...
+
+
+def _no_status(at_ns: int, name: str, node: CanNode) -> None: ...
+
+
+class CanNetwork:
+    """The bus of one run.
+
+    Args:
+        loop: the composed experiment, which has one.
+        seed: seed of the run.
+        seen: called with everything that ends on the bus, and who sent it.
+        status: called with (session time in ns, name, node) when the error state of a node has changed.
+    """
+
+    def __init__(self, loop: Loop, seed: int, seen: Seen = _no_transmission, status: Status = _no_status) -> None:
+        e = loop.experiment
+        shared = can_bus_of(loop.rig)
+        if shared is None:
+            raise ValueError("media: no CAN bus")
+        medium, name = shared.table, shared.name
+        rates, names = rates_of(medium), bus_nodes(loop.rig, shared)
+        self._fd = medium.dbitrate is not None
+        self._own = own_packets(loop.rig, shared, loop.rows)
+        self.carries_control = medium.control
+        noise = BitErrors(medium.bit_error_rate, rng_for(seed, f"medium.{name}")) if medium.bit_error_rate else None
+        nodes = [CanNode() for _ in names]
+        bus = CanBus(rates, nodes, noise, status=lambda at, i: status(rates.ns(at), names[i], nodes[i]))
+        sources = [
+            each.frames(rng_for(seed, f"medium.{name}.{message.said}"))
+            for each, message in zip(periodic(loop.rig, shared), medium.traffic, strict=True)
+        ]
+        self._slots = BusInSlots(
+            bus, Traffic(sources), len(self._own), overwrite=medium.buffer == "overwritten", period_ns=e.period_ns,
+            deadline_ns=round(e.timing.deadline * e.period_ns), seen=lambda ended: seen(ended, nodes[ended.node]),
+        )  # fmt: skip
+
+    def uplink(self, channels: Sequence[Impairment]) -> TimedBusUplink:
+        """Return the medium of the sensor nodes on the bus.
+
+        Args:
+            channels: behind the bus, of each node on it by number.
+        """
+        return TimedBusUplink(self._slots, channels, [self._sensor_frames(packet.first) for packet in self._own[: len(channels)]])
+
+    def downlink(self, channel: Impairment) -> Impairment:
+        """Return the way to the actuator: over the bus, or past it.
+
+        Args:
+            channel: behind the bus.
+        """
+        if not self.carries_control:
+            return channel
+        return TimedBusDownlink(self._slots, len(self._own) - 1, channel, self._control_frames)
+
+    def _sensor_frames(self, first: int) -> Callable[[object], list[CanFrame]]:
+        def frames(packet: object) -> list[CanFrame]:
+            if not isinstance(packet, tuple):
+                raise TypeError(f"packet: {type(packet).__name__}, expected the values of a sensor node")
+            return value_frames(first, packet, fd=self._fd)
+
+        return frames
+
+    def _control_frames(self, packet: object) -> list[CanFrame]:
+        if not isinstance(packet, ControlPacket):
+            raise TypeError(f"packet: {type(packet).__name__}, expected a control packet")
+        return value_frames(self._own[-1].first, [value for row in packet.rows for value in row], fd=self._fd)

@@ -1,0 +1,165 @@
+"""An experiment on a CAN bus that takes time: what it logs, what it sums up, what its page shows, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.compose.loop import compose
+from hil.errors import ExperimentError
+from hil.experiment import load_experiment
+from hil.log.records_digest import records_sha256
+from hil.measure.bus_load import bus_of
+from hil.measure.view import view_of
+from hil.pages.run.run_page import render_report
+from hil.session import simulate, simulated_session
+from hil.sweeps.lockstep import in_lockstep
+
+NAME = "dc-motor-busy-can"
+
+
+@pytest.fixture(scope="module")
+def session():  # type: ignore[no-untyped-def]
+    return simulated_session(compose(load_experiment(NAME, duration="4")), 0)
+
+
+def test_frames_never_overlap_and_the_lowest_identifier_that_waits_is_sent(session) -> None:  # type: ignore[no-untyped-def]
+    frames = session.run.arrays["/link/bus"]
+    assert len(frames) > 5000
+    assert (frames["start_ns"][1:] >= frames["idle_ns"][:-1]).all()
+    assert (frames["start_ns"] >= frames["queued_ns"]).all()
+    for i in range(2000):  # who was queued by the start of a frame and came later had a higher identifier
+        waiting = frames[i + 1 : i + 40]
+        waiting = waiting[waiting["queued_ns"] <= frames["start_ns"][i]]
+        assert (waiting["can_id"] > frames["can_id"][i]).all()
+
+
+def test_the_bus_makes_the_delay_and_no_response_is_beyond_its_bound(session) -> None:  # type: ignore[no-untyped-def]
+    found = bus_of(view_of(session.run, session.experiment))
+    assert found is not None and 0.7 < found.load < found.stated_load < 0.9
+    for message in found.messages:
+        assert message.bound_ms is not None and (message.response_worst_ms or 0.0) <= message.bound_ms
+    own = {each.name: each for each in found.messages if each.node in found.own_nodes}
+    assert set(own) == {"motor", "controller"} and own["motor"].frames == 80
+    ages = session.run.arrays["/controller/rows"]["tau"]
+    assert set(ages.tolist()) == {0, 1} and 0.1 < float(np.mean(ages)) < 0.6
+    assert session.summary["network"]["bus"]["frames"] == found.frames
+    assert session.summary["certificate"]["state"] == "undecided" and "media.bus" in session.summary["certificate"]["reason"]
+
+
+def test_the_page_shows_the_bus_its_messages_and_a_time_line(session) -> None:  # type: ignore[no-untyped-def]
+    page = render_report(view_of(session.run, session.experiment))
+    assert "CAN bus" in page and "Messages by priority" in page and "The bus around the longest wait" in page
+    assert "SAE 17" in page and "motor waits" in page
+
+
+def test_a_seed_is_a_run_bit_for_bit_and_another_seed_another_bus() -> None:
+    loop = compose(load_experiment(NAME, duration="1"), certify=False)
+    first = records_sha256(simulate(loop, 0))
+    assert records_sha256(simulate(loop, 0)) == first != records_sha256(simulate(loop, 1))
+
+
+def test_runs_of_a_sweep_are_not_computed_at_once() -> None:
+    loop = compose(load_experiment(NAME, duration="1"), certify=False)
+    assert not in_lockstep(loop)
+
+
+def test_disturbed_bits_are_sent_again_and_put_nodes_into_other_states() -> None:
+    experiment = load_experiment(NAME, duration="2", sets=["media.bus.bit_error_rate=0.002"])
+    run = simulate(compose(experiment, certify=False), 0)
+    frames = run.arrays["/link/bus"]
+    broken = frames[frames["operation"] == 1]
+    assert 0.05 < len(broken) / len(frames) < 0.4 and (broken["error_bit"] >= 0).all()
+    assert (frames["error_bit"][frames["operation"] == 0] == -1).all()
+    told = [event for event in run.events if event["kind"] == "bus status"]
+    assert told and all("TEC" in event["message"] for event in told)
+    found = bus_of(view_of(run, experiment))
+    assert found is not None and found.errors == len(broken) and all(each.bound_ms is None for each in found.messages)
+
+
+def test_a_bus_with_a_data_bit_rate_carries_can_fd() -> None:
+    run = simulate(compose(load_experiment(NAME, duration="1", sets=["media.bus.dbitrate=1000000"]), certify=False), 0)
+    frames = run.arrays["/link/bus"]
+    own = frames[np.isin(frames["can_id"], (0x100, 0x140))]
+    assert set(own["flags"].tolist()) == {12} and len(own) == 40
+
+
+def test_more_traffic_than_the_bus_carries_runs_and_the_motor_is_not_heard() -> None:
+    more = "media.bus.traffic=[{name='flood', can_id=1, length=8, period='0.9 ms'}]"
+    experiment = load_experiment(NAME, duration="1", sets=[more, "limits.watchdog_slots=1000"])
+    run = simulate(compose(experiment, certify=False), 0)
+    found = bus_of(view_of(run, experiment))
+    assert found is not None and found.stated_load > 1 and found.load > 0.99
+    assert {each.name: each.bound_ms is None for each in found.messages} == {"flood": True, "motor": True, "controller": True}
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("media.bus.bitrate=501000", "media.bus.bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is"),
+        ("media.bus.dbitrate=100000", "media.bus.dbitrate: 100000 bit/s, expected 125000 to 10000000"),
+        ("media.bus.bit_error_rate=2", "media.bus.bit_error_rate: 2, expected a probability"),
+        ("media.bus.loss=0.1", "media.bus.loss: a CAN bus repeats what was destroyed"),
+        ("media.bus.kind='round-robin'", "media.bus.bitrate: for a medium of kind 'can' only"),
+        ("media.bus.traffic=[{can_id=0x800, period=1}]", "traffic[0].can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
+        ("media.bus.traffic=[{can_id=1, period=0}]", "traffic[0].period: 0 s is not between 10 us and 1 h"),
+        ("media.bus.traffic=[{can_id=1, period=1, length=12}]", "traffic[0].length: 12 bytes, expected 0 to 8, or fd = true"),
+        ("media.bus.traffic=[{can_id=1, period=1, data='xy'}]", "traffic[0].data: 'xy', expected bytes in hexadecimal"),
+        ("media.bus.traffic=[{can_id=0x100, period=1}]", "traffic[0].can_id: 0x100 is the identifier of 'motor' already"),
+        ("media.bus.traffic=[{can_id=1, period=1}, {can_id=1, period=2, name='b'}]", "traffic[1].can_id: 0x1 is the identi"),
+        ("media.bus.traffic=[{name='motor', can_id=1, period=1}]", "traffic[0].name: 'motor' is a node of the rig"),
+        ("media.bus.traffic=[{can_id=1, period=1, fd=true}]", "traffic[0].fd: the bus has no dbitrate, expected one for CAN FD"),
+        ("media.bus.traffic_file='none.csv'", "media.bus.traffic_file: "),
+    ],
+)  # fmt: skip
+def test_what_no_bus_is_refused_with_its_path(override: str, said: str) -> None:
+    with pytest.raises(ExperimentError) as caught:
+        compose(load_experiment(NAME, sets=[override]))
+    assert said in str(caught.value)
+
+
+CSV = "name,can_id,period,length,jitter,extended\nspeed,0x123,10 ms,4,1 ms,\nlamp,0x18FF0000,0.5,1,,yes\n"
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: ECU
+BO_ 291 Speed: 4 ECU
+BO_ 292 Never: 4 ECU
+BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;
+BA_DEF_DEF_ "GenMsgCycleTime" 0;
+BA_ "GenMsgCycleTime" BO_ 291 20;
+"""
+
+
+def test_traffic_is_read_from_a_table_and_from_a_dbc_and_stands_in_the_resolved_experiment(tmp_path: Path) -> None:
+    (tmp_path / "more.csv").write_text(CSV)
+    (tmp_path / "car.dbc").write_text(DBC)
+    text = Path("hil/experiments", f"{NAME}.toml").read_text()
+    for file, names in (("more.csv", ["speed", "lamp"]), ("car.dbc", ["Speed"])):
+        (tmp_path / "own.toml").write_text(text.replace("bitrate = 125_000", f"bitrate = 125_000\ntraffic_file = '{file}'"))
+        loop = compose(load_experiment(tmp_path / "own.toml"), certify=False)
+        table = loop.experiment.resolved()["media"]["bus"]
+        assert table["traffic_file"] == "" and [each["name"] for each in table["traffic"][17:]] == names
+    lamp = compose(load_experiment(tmp_path / "own.toml"), certify=False).experiment.media["bus"].traffic[-1]
+    assert (lamp.can_id, float(lamp.period), lamp.length, lamp.node) == (291, 0.02, 4, "ECU")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name,can_id\nx,1\n", "line 1: no column 'period'"),
+        ("can_id,period,speed\n1,1,1\n", "line 1: an unknown column 'speed'"),
+        ("can_id,period\n0x800,1\n", "line 2: can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
+        ("can_id,period\n1,1\nx,1\n", "line 3: can_id: 'x'"),
+        ("can_id,period\n", "no message that is sent again and again"),
+    ],
+)
+def test_a_faulty_table_of_traffic_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "bad.csv").write_text(text)
+    experiment = Path("hil/experiments", f"{NAME}.toml").read_text()
+    (tmp_path / "own.toml").write_text(experiment.replace("bitrate = 125_000", "bitrate = 125_000\ntraffic_file = 'bad.csv'"))
+    with pytest.raises(ExperimentError) as caught:
+        compose(load_experiment(tmp_path / "own.toml"))
+    assert f"media.bus.traffic_file: {tmp_path}/bad.csv: {said}" in str(caught.value)

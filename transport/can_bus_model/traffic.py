@@ -1,0 +1,100 @@
+"""What other nodes send on the bus: messages that come again and again, or a recording, in the order in which they are queued."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from transport.can_bus_model.frame import CanFrame
+from transport.errors import FieldError
+
+
+class Due(NamedTuple):
+    """A frame that a node queues.
+
+    Attributes:
+        at_ns: when.
+        node: number of the node on the bus.
+        frame: what it sends.
+    """
+
+    at_ns: int
+    node: int
+    frame: CanFrame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Periodic:
+    """A message that comes again and again.
+
+    Args:
+        node: number of the node that sends it.
+        frame: what is sent; with ``random`` of that length.
+        period_ns: from one to the next.
+        offset_ns: when the first one is due.
+        jitter_ns: each is queued later by 0 to this, uniform and independent, and never before the one before it.
+        random: every frame has random bytes.
+
+    Raises:
+        ValueError: a time that is none; the message begins with its field.
+    """
+
+    node: int
+    frame: CanFrame
+    period_ns: int
+    offset_ns: int = 0
+    jitter_ns: int = 0
+    random: bool = False
+
+    def __post_init__(self) -> None:
+        if self.period_ns <= 0:
+            raise FieldError("period_ns", f"{self.period_ns}, expected more than 0")
+        if self.offset_ns < 0 or self.jitter_ns < 0:
+            raise FieldError("offset_ns", f"{self.offset_ns} with jitter {self.jitter_ns}, expected none below 0")
+
+    def frames(self, rng: np.random.Generator) -> Iterator[Due]:
+        """Yield every frame, in order.
+
+        Args:
+            rng: the stream of this message; nothing else may draw from it.
+        """
+        due, last, frame = self.offset_ns, 0, self.frame
+        while True:
+            late = int(rng.integers(self.jitter_ns + 1)) if self.jitter_ns else 0
+            last = max(last, due + late)
+            if self.random:
+                frame = CanFrame(
+                    identifier=frame.identifier, data=rng.bytes(len(frame.data)), extended=frame.extended, fd=frame.fd,
+                    bitrate_switch=frame.bitrate_switch,
+                )  # fmt: skip
+            yield Due(last, self.node, frame)
+            due += self.period_ns
+
+
+class Traffic:
+    """Everything that other nodes queue, in order of time.
+
+    Args:
+        sources: each yields frames in order of time; of one instant the earlier source comes first.
+    """
+
+    def __init__(self, sources: Iterable[Iterator[Due]]) -> None:
+        self._sources = list(sources)
+        firsts = ((i, next(source, None)) for i, source in enumerate(self._sources))
+        self._next = [(due.at_ns, i, due) for i, due in firsts if due is not None]
+        heapq.heapify(self._next)
+
+    def until(self, ns: int) -> Iterator[Due]:
+        """Yield what is queued up to an instant and at it."""
+        while self._next and self._next[0][0] <= ns:
+            _, i, due = self._next[0]
+            after = next(self._sources[i], None)
+            if after is None:
+                heapq.heappop(self._next)
+            else:
+                heapq.heapreplace(self._next, (after.at_ns, i, after))
+            yield due

@@ -1,0 +1,229 @@
+"""A CAN bus that takes time, as nodes and receivers see it slot by slot.
+
+Of slot k, sensor packets are queued at :math:`t_k`, what is complete by the deadline :math:`t_k + D` counts in slot k, the
+control packet is queued at the deadline, and what is complete by :math:`t_{k+1}` counts in slot k. A packet is complete with the
+last bit of EOF of its last frame; its frames hold its values as 32-bit floats, little endian, without a header.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import nan
+from struct import pack
+from typing import Final
+
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.bus import CanBus, Transmission
+from transport.can_bus_model.frame import CanFrame
+from transport.can_bus_model.traffic import Traffic
+from transport.can_bus_model.transmit_buffer import Waiting
+from transport.draws import NO_MODE, REPLACED, SUPERSEDED, Draw
+from transport.errors import FieldError
+from transport.medium.independent import Impairment
+from transport.medium.medium import Delivery
+from transport.wire.fields import frame_length
+
+REMEMBERED: Final = 4096
+"""Packets of a node whose slot of sampling is kept, for records about them."""
+
+
+def value_frames(identifier: int, values: Sequence[float], *, fd: bool) -> list[CanFrame]:
+    """Return the frames that carry values as 32-bit floats; the identifiers count up.
+
+    Args:
+        identifier: of the first frame, 11 bits.
+        values: any number of them; beyond the range of a float they become infinities.
+        fd: CAN FD with bit-rate switch.
+
+    >>> [(f.identifier, len(f.data)) for f in value_frames(0x100, (1.0, 2.0, 3.0), fd=False)]
+    [(256, 8), (257, 4)]
+    """
+    clipped = [value if abs(value) <= 3.4028234663852886e38 else value * float("inf") for value in values]
+    data, step = pack(f"<{len(clipped)}f", *clipped), 64 if fd else 8
+    parts = [data[i : i + step] for i in range(0, len(data), step)] or [b""]
+    padded = [part.ljust(frame_length(len(part)), b"\0") if fd else part for part in parts]
+    return [CanFrame(identifier=identifier + i, data=part, fd=fd, bitrate_switch=fd) for i, part in enumerate(padded)]
+
+
+@dataclass(slots=True, eq=False)
+class _Packet:
+    """A packet of the rig on the bus: whose, of which slot, and its frames that are not sent yet."""
+
+    sender: int
+    tick: int
+    content: object
+    frames: list[Waiting]
+    begun: bool = False
+
+
+class BusInSlots:
+    """The bus, its background traffic, and the packets of the rig's own nodes on it.
+
+    Args:
+        bus: the bus; its first nodes are the senders of the rig.
+        traffic: what the other nodes queue.
+        senders: how many nodes of the rig send.
+        overwrite: a newer packet of a sender takes the place of one that waits.
+        period_ns: T; slot k begins at k T.
+        deadline_ns: D.
+        seen: called with everything that ends on the bus.
+    """
+
+    def __init__(
+        self, bus: CanBus, traffic: Traffic, senders: int, *, overwrite: bool, period_ns: int, deadline_ns: int,
+        seen: Callable[[Transmission], None] = lambda transmission: None,
+    ) -> None:  # fmt: skip
+        self.period_ns, self.deadline_ns = period_ns, deadline_ns
+        self._bus, self._traffic, self._overwrite, self._seen = bus, traffic, overwrite, seen
+        self._waiting: list[list[_Packet]] = [[] for _ in range(senders)]
+        self._came: list[list[_Packet]] = [[] for _ in range(senders)]
+
+    def send(self, sender: int, tick: int, at_ns: int, content: object, frames: Sequence[CanFrame]) -> list[int]:
+        """Queue a packet at an instant; return the slots of the older ones whose place it takes.
+
+        An older packet of which a frame was sent, or is being sent, is not replaced.
+        """
+        self.until(at_ns)
+        waiting, replaced = self._waiting[sender], []
+        for old in [*waiting] if self._overwrite else ():
+            if not old.begun and self._bus.abort(sender, old.frames[0]):
+                for behind in old.frames[1:]:
+                    self._bus.abort(sender, behind)
+                waiting.remove(old)
+                replaced.append(old.tick)
+        packet = _Packet(sender, tick, content, [])
+        for frame in frames:
+            packet.frames.append(Waiting(frame, BitRates.units(at_ns), packet))
+            self._bus.queue(sender, packet.frames[-1])
+        waiting.append(packet)
+        return replaced
+
+    def until(self, ns: int) -> None:
+        """Let time pass up to an instant."""
+        for due in self._traffic.until(ns):
+            at = BitRates.units(due.at_ns)
+            self._take(self._bus.advance(at))
+            self._bus.queue(due.node, Waiting(due.frame, at))
+        self._take(self._bus.advance(BitRates.units(ns)))
+
+    def _take(self, ended: Sequence[Transmission]) -> None:
+        for transmission in ended:
+            self._seen(transmission)
+            packet = transmission.waiting.tag
+            if isinstance(packet, _Packet) and transmission.error_bit is None:
+                packet.begun = True
+                packet.frames.remove(transmission.waiting)
+                if not packet.frames:
+                    self._waiting[packet.sender].remove(packet)
+                    self._came[packet.sender].append(packet)
+
+    def came(self, sender: int) -> list[tuple[int, object]]:
+        """Return (slot, packet) of what has come of a sender since it was last asked, in order."""
+        found, self._came[sender] = self._came[sender], []
+        return [(packet.tick, packet.content) for packet in found]
+
+
+class _Behind:
+    """The channel behind the bus: it takes one packet a slot, the newest, and names it by the slot of its sample."""
+
+    def __init__(self, channel: Impairment) -> None:
+        self.channel = channel
+        self._ticks: dict[int, int] = {}
+        self._newest = -1
+        self._booked: list[Draw] = []
+
+    def replaced(self, k: int, ticks: Sequence[int]) -> None:
+        self._booked += [Draw(k, tick, NO_MODE, k - tick, nan, REPLACED) for tick in ticks]
+
+    def carry(self, k: int, came: Sequence[tuple[int, object]]) -> None:
+        fresh = [(tick, packet) for tick, packet in came if tick > self._newest]
+        newest = max(fresh, key=lambda each: each[0], default=None)
+        self._booked += [Draw(k, g, NO_MODE, k - g, nan, SUPERSEDED) for g, _ in came if newest is None or g != newest[0]]
+        if newest is None:
+            return
+        self._newest = newest[0]
+        self._ticks[k] = newest[0]
+        if len(self._ticks) > REMEMBERED:
+            del self._ticks[next(iter(self._ticks))]
+        self.channel.offer(k, newest)
+
+    def collect(self, k: int) -> Delivery:
+        draws, arrivals = self.channel.collect(k)
+        ticks, booked = self._ticks, self._booked
+        self._booked = []
+        named = [draw._replace(packet_tick=ticks.get(draw.packet_tick, draw.packet_tick)) for draw in draws]
+        return [*named, *booked], [packet for _, packet in arrivals]  # type: ignore[misc]
+
+
+class TimedBusUplink:
+    """Sensor nodes on a CAN bus that takes time; see `transport.medium.medium.Medium`.
+
+    Args:
+        bus: shared with the way back where both are on one bus.
+        channels: the emulated network of each node behind the bus.
+        frames: for each node what makes the frames of a packet.
+    """
+
+    def __init__(
+        self, bus: BusInSlots, channels: Sequence[Impairment], frames: Sequence[Callable[[object], Sequence[CanFrame]]]
+    ) -> None:  # fmt: skip
+        self._bus, self._frames = bus, tuple(frames)
+        self._behind = [_Behind(channel) for channel in channels]
+        self._next = 0
+
+    def may_send(self, node: int, k: int) -> bool:
+        """Return True: a node may queue in every slot, and waits for the bus."""
+        return True
+
+    def offer(self, node: int, k: int, packet: object) -> None:
+        """Queue a packet at the beginning of slot k, see `Medium.offer`.
+
+        Raises:
+            ValueError: slot k has been collected.
+        """
+        if k < self._next:
+            raise FieldError("k", f"slot {k} is offered a packet after it was collected")
+        replaced = self._bus.send(node, k, k * self._bus.period_ns, packet, self._frames[node](packet))
+        self._behind[node].replaced(k, replaced)
+
+    def collect(self, k: int) -> list[Delivery]:
+        """Return what each node's packets have become by the deadline of slot k, see `Medium.collect`."""
+        self._next = k + 1
+        self._bus.until(k * self._bus.period_ns + self._bus.deadline_ns)
+        for node, behind in enumerate(self._behind):
+            behind.carry(k, self._bus.came(node))
+        return [behind.collect(k) for behind in self._behind]
+
+
+class TimedBusDownlink:
+    """The way to the actuator over a CAN bus that takes time; see `transport.medium.independent.Impairment`.
+
+    Args:
+        bus: shared with the sensor nodes.
+        sender: number of the controller among the senders of the bus.
+        channel: the emulated network behind the bus.
+        frames: makes the frames of a packet.
+    """
+
+    def __init__(
+        self, bus: BusInSlots, sender: int, channel: Impairment, frames: Callable[[object], Sequence[CanFrame]]
+    ) -> None:  # fmt: skip
+        self._bus, self._sender, self._frames = bus, sender, frames
+        self._behind = _Behind(channel)
+
+    @property
+    def pending(self) -> int:
+        """Number of offered packets that may still arrive for the first time."""
+        return self._behind.channel.pending
+
+    def offer(self, k: int, packet: object) -> None:
+        """Queue a packet at the deadline of slot k, see `Impairment.offer`."""
+        at = k * self._bus.period_ns + self._bus.deadline_ns
+        self._behind.replaced(k, self._bus.send(self._sender, k, at, packet, self._frames(packet)))
+
+    def collect(self, k: int) -> Delivery:
+        """Return what has come by the end of slot k, see `Impairment.collect`."""
+        self._bus.until((k + 1) * self._bus.period_ns)
+        self._behind.carry(k, self._bus.came(self._sender))
+        return self._behind.collect(k)
