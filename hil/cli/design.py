@@ -66,6 +66,8 @@ class GainsOrWall(click.Command):
 @click.option("--local", type=click.Choice(["lqr", "lqg", "hinf"]),
               help="Design for the plant without a network, by python-control, and judge it over the network.")
 @click.option("--noise", type=NUMBER, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
+@click.option("--network", type=click.Path(path_type=Path),
+              help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves possible.")
 @click.option("--orders", is_flag=True, help="Gains over historical data: try every order of the nodes' turns.")
 @click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
 @click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
@@ -75,7 +77,7 @@ def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
     seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, spread: bool,
-    path: Path | None, force: bool, as_json: bool,
+    path: Path | None, force: bool, as_json: bool, network: Path | None,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -91,6 +93,7 @@ def command(
     from design.tracking.design_file import design_text, to_document
     from hil.cli.design_historical import command as historical
     from hil.cli.design_historical import experiment_over_history
+    from hil.cli.design_network import measured_network
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain
     from hil.files.outputs import check_output, write_output
@@ -108,6 +111,10 @@ def command(
     if path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
     target = tracking_target(subject, period, sojourns)
+    over = None
+    if network is not None:
+        over = measured_network(network, target)
+        target = over.target
     if local is not None:
         _local(target, local, input_weight, noise, as_json)
         return
@@ -133,6 +140,8 @@ def command(
         design, plant=target.plant, period_s=target.period_s, wall_s=wall_s, versions=package_versions()
     )
     document["verdict"] = verdict_on(target, design).to_json()
+    if over is not None:
+        document["network"] = over.document(design)
     if intervals:
         document["uncertainty"] = judge_uncertain(target, design, intervals).to_json()
     if path is not None:
@@ -199,6 +208,7 @@ def _show(design: Design, document: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from hil.cli.design_network import network_lines
     from hil.cli.terminal import visible
 
     console, c, problem = Console(), design.certificate, design.problem
@@ -236,6 +246,8 @@ def _show(design: Design, document: dict[str, Any]) -> None:
         if told["h2_norm"] is not None:
             lines.append(("guaranteed H2 norm", f"{told['h2_norm']:.6g}", ""))
             lines.append(("guaranteed H-infinity", f"{told['hinf_norm']:.6g}", ""))
+    if "network" in document:
+        lines += network_lines(document["network"])
     for name, value, note in lines:
         console.print(f"{name:>22}  {value:<12} {note}", highlight=False)
     if "file" in document:

@@ -1,4 +1,4 @@
-"""``hil identify``: what logs tell of a plant."""
+"""``hil identify``: what logs tell of a plant, and of a network."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.identify_law import law
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 @click.group()
 def command() -> None:
     """Estimate parameters from logs."""
+
+
+command.add_command(law)
 
 
 @command.command()

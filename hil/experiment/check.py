@@ -11,6 +11,7 @@ import msgspec
 
 from hil.errors import HilError
 from hil.experiment.absent import Absent
+from hil.experiment.law_file import names_law_file, read_law_file
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Links
@@ -145,6 +146,12 @@ class Checker:
 
     def _law(self, raw: Any, path: str, folder: str) -> Any:
         """Return a network law with the files that it names read, from where the experiment stands."""
+        if names_law_file(raw) and self._folder is not None:
+            try:
+                raw = read_law_file(raw["file"], folder)
+            except HilError as e:
+                self.faults.append(f"{path}.{e}")
+                return None
         law = self.plugin("hil.laws", raw, path)
         try:
             return load_files(law, folder)

@@ -24,6 +24,13 @@ FILE: dict[str, Any] = {
     "required": ["file"],
     "additionalProperties": False,
 }
+LAW_FILE: dict[str, Any] = {
+    "type": "object",
+    "description": "A file of a network law, as `hil identify law` writes one.",
+    "properties": {"file": {"type": "string"}},
+    "required": ["file"],
+    "additionalProperties": False,
+}
 OWN: dict[str, Any] = {
     "type": "object",
     "description": "module:Class of a Python file beside the experiment.",
@@ -71,9 +78,11 @@ def experiment_schema(plugins: Mapping[str, Mapping[str, type]] | None = None) -
         del experiment["properties"][hidden]
     experiment["properties"]["plant"] |= variants("hil.plants")
     experiment["properties"]["controller"] |= variants("hil.controllers")
-    definitions[Direction.__name__]["properties"]["law"] |= variants("hil.laws")
+    laws = variants("hil.laws")
+    laws["oneOf"].append(LAW_FILE)
+    definitions[Direction.__name__]["properties"]["law"] |= laws
     definitions[Direction.__name__]["required"] = ["law"]
-    definitions[Node.__name__]["properties"]["law"] |= variants("hil.laws")
+    definitions[Node.__name__]["properties"]["law"] |= laws
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "hilrig-experiment",

@@ -1,4 +1,4 @@
-"""A CAN log that another program wrote, frame by frame: candump's text, or Vector's BLF with a bound on what it unpacks to."""
+"""A CAN log that another program wrote, frame by frame: candump's or Vector's text, or BLF with a bound on what it unpacks to."""
 
 from __future__ import annotations
 
@@ -29,20 +29,22 @@ _PLAIN: Final = struct.Struct("<4sHHIIH6xL4x")
 
 
 def can_frames(path: Path) -> Iterator[can.Message]:
-    """Yield the frames of a file that ends in .log or .blf.
+    """Yield the frames of a file that ends in .log, .asc or .blf.
 
     Raises:
         HilError: it cannot be read, is no regular file, or is no such log.
     """
     from transport.links.python_can import can
 
-    if path.suffix not in (".log", ".blf"):
-        raise HilError(f"{path}: the ending {path.suffix!r} names no CAN log, expected .log or .blf (see `hil export`)")
+    if path.suffix not in (".log", ".asc", ".blf"):
+        raise HilError(f"{path}: the ending {path.suffix!r} names no CAN log, expected .log, .asc or .blf (see `hil export`)")
     try:
         with open_regular(path, "a CAN log") as file:
             if path.suffix == ".blf":
                 for part in _parts(file):
                     yield from can.BLFReader(io.BytesIO(part))
+            elif path.suffix == ".asc":
+                yield from can.ASCReader(_Lines(file))  # type: ignore[arg-type]
             else:
                 yield from can.CanutilsLogReader(_Lines(file))  # type: ignore[arg-type]
     except (OSError, ValueError, ArithmeticError, LookupError, EOFError, struct.error, zlib.error, can.CanError,
@@ -57,9 +59,13 @@ class _Lines(io.TextIOBase):
         self._file = file
 
     def __next__(self) -> str:  # type: ignore[override]
-        line = self._file.readline(LONGEST_LINE)
+        line = self.readline()
         if not line:
             raise StopIteration
+        return line
+
+    def readline(self, size: int | None = -1) -> str:  # type: ignore[override]
+        line = self._file.readline(LONGEST_LINE)
         if len(line) == LONGEST_LINE:
             raise ValueError(f"a line has more than {LONGEST_LINE} bytes")
         return line.decode()

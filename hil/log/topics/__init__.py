@@ -24,6 +24,7 @@ from hil.log.topics.network import SC as SC
 from hil.log.topics.plant import MEASUREMENT as MEASUREMENT
 from hil.log.topics.plant import REFERENCE as REFERENCE
 from hil.log.topics.plant import STATE as STATE
+from hil.log.topics.probe import PROBE as PROBE
 from hil.log.topics.timing import TIMING as TIMING
 from hil.log.topics.topic import Curve as Curve
 from hil.log.topics.topic import Logged as Logged

@@ -1,0 +1,151 @@
+"""A network as it was measured: the chains that are designed for, and the certificate over all that remains possible.
+
+The second moment is monotone in every transition probability: a radius below 1 at the upper bounds of all of them certifies every
+chain in the region, also one that changes from slot to slot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from design.processes.delay_chain import DelayChain
+from design.verdict import Verdict
+from hil.certify.send_all_loop import judge_gains
+from hil.design_questions.design_problem import TrackingTarget, digest_of_design, model_at
+from hil.errors import HilError
+from hil.experiment.load import parse_table
+from hil.rig.delay_chains import delay_chain
+from hil.rig.packet_ages import Receiver, packet_delays
+from transport.law_fit.region import AgeRegion, confidence_region
+from transport.laws.protocols import ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
+
+if TYPE_CHECKING:
+    from design.tracking.synthesis import Design
+    from transport.law_fit.law_fit import LawFit
+
+OLDEST_TOLD = 3
+"""Ages that gains tell apart, at most, where a measured latency may last longer."""
+MOST_TIMES = 1e6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """One direction: what was fitted, the law, and who receives."""
+
+    fit: LawFit
+    law: NetworkLaw
+    at: Receiver
+
+    def chain(self) -> DelayChain:
+        """Return the chain of the fitted law.
+
+        Raises:
+            HilError: it has none.
+        """
+        found = packet_delays(self.law, self.at) if isinstance(self.law, PacketAges) else delay_chain(self.law)
+        if found is None:
+            raise HilError(f"the law {self.fit.law_class!r} has no finite chain of ages")
+        return found
+
+    def region(self, factor: float) -> DelayChain | str:
+        """Return the chain with the bounds of its confidence region, or why there is none."""
+        found = confidence_region(self.fit, self.at.max_age, factor, share=0.5)  # both directions together 95 %
+        return found if isinstance(found, str) else _chain_of(found, self.at)
+
+
+def measured(fit: LawFit, *, holds_input: bool) -> Measured:
+    """Return a fitted direction as its receiver sees it.
+
+    Raises:
+        HilError: no class of law explains the record.
+    """
+    if fit.law_class == "none":
+        raise HilError("none of the laws explains the record; there is nothing to design for")
+    law: NetworkLaw = parse_table("hil.laws", fit.spec, "law")
+    at = Receiver(fit.period_s, fit.deadline_s, 0, holds_input)
+    if isinstance(law, PacketAges):
+        chain = law.age_chain(fit.period_s, fit.deadline_s)
+        if isinstance(chain, str):
+            raise HilError(chain)
+        return Measured(fit=fit, law=law, at=at._replace(max_age=min(OLDEST_TOLD, chain.bound)))
+    return Measured(fit=fit, law=law, at=at._replace(max_age=max(_ages(law))))
+
+
+def _ages(law: NetworkLaw) -> Sequence[int]:
+    if not isinstance(law, ChainLaw | SemiMarkovLaw):
+        raise HilError(f"the law {law.kind!r} states no ages")
+    return law.mode_ages
+
+
+def over_network(target: TrackingTarget, sc: Measured, ca: Measured) -> TrackingTarget:
+    """Return what is designed for, over measured laws."""
+    return target._replace(sc=sc.chain(), ca=ca.chain())
+
+
+def region_verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Measured) -> Verdict:
+    """Return the verdict over the whole confidence region, with the packets that would do where these do not.
+
+    Args:
+        target: from `over_network`.
+        design: what was designed for it.
+        sc, ca: both directions.
+    """
+    verdict = _verdict(target, design, sc, ca, 1.0)
+    digest = digest_of_design(target, design)
+    if isinstance(verdict, str):
+        return Verdict(kind="mean-square stability", state="undecided", reason=f"no confidence region: {verdict}",
+                       method="upper bounds of every transition", digest=digest)  # fmt: skip
+    packets = min(len(sc.fit.record.sent_s), len(ca.fit.record.sent_s))
+    if verdict.state == "certified":
+        said = f"mean-square stable for every chain of ages that {packets} packets leave possible, with 95 % confidence"
+        return replace(verdict, reason=f"{said} (second-moment radius at most {verdict.details['tail_radius']:.5g})")
+    enough = _enough(target, design, sc, ca, packets)
+    least = "more packets would not decide it" if enough is None else f"about {enough} packets in the same shares would do"
+    return replace(
+        verdict,
+        state="undecided",
+        reason=f"{packets} packets are too few to certify every chain that they leave possible: {least}",
+    )
+
+
+def _verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Measured, factor: float) -> Verdict | str:
+    chains = [each.region(factor) for each in (sc, ca)]
+    if isinstance(chains[0], str) or isinstance(chains[1], str):
+        return next(chain for chain in chains if isinstance(chain, str))
+    return judge_gains(
+        model_at(target), chains[0], chains[1], design.gains, design.selection, samples=design.problem.samples,
+        integral=bool(design.problem.integral), digest=digest_of_design(target, design),
+    )  # fmt: skip
+
+
+def _enough(target: TrackingTarget, design: Design, sc: Measured, ca: Measured, packets: int) -> int | None:
+    """Return how many packets certify the region, to 10 %; None where not even a million times as many do."""
+
+    def holds(factor: float) -> bool:
+        found = _verdict(target, design, sc, ca, factor)
+        return not isinstance(found, str) and found.state == "certified"
+
+    low, high = 1.0, 2.0
+    while not holds(high):
+        low, high = high, 4.0 * high
+        if high > MOST_TIMES:
+            return None
+    while high > 1.1 * low:
+        middle = (low * high) ** 0.5
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return int(np.ceil(packets * high))
+
+
+def _chain_of(region: AgeRegion, at: Receiver) -> DelayChain:
+    ages = np.array(region.ages)
+    if not region.open_ended:
+        return DelayChain(transition=region.matrix, delays=ages, between=(region.low, region.high))
+    oldest = at.max_age if at.holds_input else max(at.max_age, region.bound)
+    return DelayChain(
+        transition=region.matrix, delays=np.minimum(ages, oldest), labels=np.minimum(ages, at.max_age), held=ages > oldest,
+        between=(region.low, region.high),
+    )  # fmt: skip

@@ -1,0 +1,78 @@
+"""A fitted network law as the file that an experiment includes: the law, and beside it what it leans on."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from transport.law_fit.law_fit import LawFit
+from transport.law_fit.region import arrivals
+
+WORDS = {
+    "constant": "a constant latency",
+    "independent": "independent latencies",
+    "gilbert-elliott": "independent latencies, and losses in bursts (Gilbert-Elliott)",
+    "markov": "ages that are a Markov chain",
+    "semi-markov": "ages that are a semi-Markov chain",
+    "none": "none of the laws",
+}
+
+
+def toml_value(value: Any) -> str:
+    """Return a value as TOML writes it.
+
+    >>> toml_value({"dist": "gamma", "a": 2.0, "p": [1, True]})
+    '{ dist = "gamma", a = 2.0, p = [1, true] }'
+    """
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {toml_value(entry)}" for key, entry in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return repr(float(value)) if isinstance(value, float) else json.dumps(value)
+
+
+def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict[str, Any]:
+    """Return what was found of one direction as plain values.
+
+    Args:
+        fit: of it.
+        way: "sc", "ca" or "round trip".
+        source: the files.
+        notes: what was done about clocks.
+    """
+    tested, record = fit.tested, fit.record
+    said: dict[str, Any] = {
+        "source": source, "way": way, "class": fit.law_class, "packets": len(record.sent_s), "lost": int((~record.came).sum()),
+        "period_s": fit.period_s, "deadline_s": fit.deadline_s, "distribution": fit.latencies.name,
+        "p_neighbours": tested.neighbours, "p_lags": tested.lags, "largest_correlation": tested.largest,
+        "at_lag": tested.largest_lag, "p_slots": fit.in_slots, "p_shape": tested.shape, "notes": list(notes),
+    }  # fmt: skip
+    if fit.ages is not None:
+        said["intervals"] = {name: list(pair) for name, pair in fit.ages.intervals.items()}
+    else:
+        said["comes_at_age"] = [[share, *pair] for share, pair in arrivals(fit).shares()]
+        said["intervals"] = {name: list(pair) for name, pair in fit.losses.intervals.items()}
+    said["tried"] = [{"name": c.name, "fitted_to": c.fitted_to, "parameters": c.parameters, "bic": c.bic} for c in fit.candidates]
+    return said
+
+
+def law_text(fit: LawFit, said: dict[str, Any]) -> str:
+    """Return the file of a law.
+
+    Args:
+        fit: what was fitted.
+        said: from `fit_said`.
+    """
+    head = f"# {WORDS[fit.law_class]}: {said['packets']} packets of {' '.join(said['source'].split())} ({said['way']})\n"
+    head += '# In an experiment: law = { file = "NAME.toml" }\n'
+    law = "".join(f"{key} = {toml_value(value)}\n" for key, value in fit.spec.items())
+    rows = {key: value for key, value in said.items() if key != "tried"}
+    quoted = "".join(
+        f"{key} = {toml_value({json.dumps(k): v for k, v in value.items()} if isinstance(value, dict) else value)}\n"
+        for key, value in rows.items()
+    )
+    tried = "".join(
+        f"\n[[fit.tried]]\n{''.join(f'{key} = {toml_value(entry)}{chr(10)}' for key, entry in each.items())}"
+        for each in said["tried"]
+    )
+    return f"{head}\n{law}\n[fit]\n{quoted}{tried}"

@@ -1,0 +1,1 @@
+"""Network laws estimated from what was measured of packets: which class, which parameters, how sure, or none of these."""

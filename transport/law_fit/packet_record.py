@@ -1,0 +1,105 @@
+"""What was measured of packets: when each was sent, and how long it took; of one that has not come, by when it had not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transport.errors import FieldError
+from transport.laws.packet import SLOT_TOLERANCE
+
+Array = NDArray[np.float64]
+Ages = NDArray[np.int64]
+
+LEAST = 299
+"""Of fewer packets, what happens to one in 100 may not have been seen at all, with more than 5 %: 0.99^299 = 0.0495."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PacketRecord:
+    """Packets in the order in which they were sent, one in every slot.
+
+    Args:
+        sent_s: (n,) instants, s, not falling.
+        latency_s: (n,) time on the way, s, >= 0; NaN of a packet that has not come.
+        until_s: (n,) of a packet that has not come: its latency is not below this, s: a newer one came then, and the receiver
+            keeps no older one, or the record ended. Infinite: it would have been seen whenever it came, so it is lost. Default:
+            infinite.
+
+    Raises:
+        FieldError: names the field and the packet; too few packets name how many would do.
+    """
+
+    sent_s: Array
+    latency_s: Array
+    until_s: Array | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.sent_s)
+        if n < LEAST:
+            said = f"{n} packets, at least {LEAST}: of fewer, what happens to one in 100 is missed with more than 5 %"
+            raise FieldError("packets", said)
+        if self.latency_s.shape != (n,) or (self.until_s is not None and self.until_s.shape != (n,)):
+            raise FieldError("latency_s", f"{len(self.latency_s)} of them for {n} packets")
+        if not np.isfinite(self.sent_s).all():
+            raise FieldError(f"sent_s[{int(np.argmin(np.isfinite(self.sent_s)))}]", "not finite")
+        back = np.flatnonzero(np.diff(self.sent_s) < 0.0)
+        if len(back):
+            k = int(back[0]) + 1
+            step = self.sent_s[k] - self.sent_s[k - 1]
+            raise FieldError(f"sent_s[{k}]", f"time stamps run backwards, by {-step:.6g} s; expected packets as they were sent")
+        came = ~np.isnan(self.latency_s)
+        wrong = np.flatnonzero(came & ~((self.latency_s >= 0.0) & (self.latency_s < math.inf)))
+        if len(wrong):
+            k = int(wrong[0])
+            said = f"got {self.latency_s[k]:.6g} s, expected a latency >= 0; clocks that differ need both directions"
+            raise FieldError(f"latency_s[{k}]", said)
+        if not came.any():
+            raise FieldError("latency_s", "no packet came; expected a record of both ends")
+
+    @property
+    def came(self) -> NDArray[np.bool_]:
+        """(n,) whether the packet came."""
+        return ~np.isnan(self.latency_s)
+
+    @property
+    def censored_s(self) -> Array:
+        """(n,) by which latency a packet had not come; infinite where that says: lost."""
+        return np.full(len(self.sent_s), np.inf) if self.until_s is None else self.until_s
+
+    @property
+    def period_s(self) -> float:
+        """Median of the time between two packets, s."""
+        return float(np.median(np.diff(self.sent_s)))
+
+
+def delays_in_slots(record: PacketRecord, period_s: float, deadline_s: float) -> Ages:
+    """Return after how many slots every packet came, (n,), -1 for never: the smallest j >= 0 with L <= deadline + j T.
+
+    Args:
+        record: packets.
+        period_s, deadline_s: length T of a slot, and when it closes, s.
+    """
+    with np.errstate(invalid="ignore"):
+        slots = np.maximum(0.0, np.ceil((record.latency_s - deadline_s) / period_s - SLOT_TOLERANCE))
+    return np.where(record.came, np.nan_to_num(slots), -1.0).astype(np.int64)
+
+
+def ages_of(record: PacketRecord, period_s: float, deadline_s: float) -> Ages:
+    """Return the age of the newest packet that has come, slot by slot, from the first slot that has one on.
+
+    Args:
+        record: packets, one in every slot.
+        period_s, deadline_s: length of a slot, and when it closes, s.
+    """
+    delays = delays_in_slots(record, period_s, deadline_s)
+    packets = np.arange(len(delays))
+    newest = np.full(len(delays), -1, dtype=np.int64)
+    slots = packets + delays
+    inside = (delays >= 0) & (slots < len(delays))
+    np.maximum.at(newest, slots[inside], packets[inside])
+    newest = np.maximum.accumulate(newest)
+    return (packets - newest)[newest >= 0]
