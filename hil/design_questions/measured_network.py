@@ -19,9 +19,9 @@ from hil.design_questions.design_problem import TrackingTarget, digest_of_design
 from hil.errors import HilError
 from hil.experiment.load import parse_table
 from hil.rig.delay_chains import delay_chain
-from hil.rig.packet_ages import Receiver, packet_delays
+from hil.rig.packet_ages import Receiver, ages_of, delays_of
 from transport.law_fit.region import AgeRegion, confidence_region
-from transport.laws.protocols import ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
+from transport.laws.protocols import AgeChain, ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
@@ -46,7 +46,8 @@ class Measured:
         Raises:
             HilError: it has none.
         """
-        found = packet_delays(self.law, self.at) if isinstance(self.law, PacketAges) else delay_chain(self.law)
+        ages = ages_of(self.law, self.at)
+        found = delays_of(ages, self.at) if isinstance(ages, AgeChain) else delay_chain(self.law)
         if found is None:
             raise HilError(f"the law {self.fit.law_class!r} has no finite chain of ages")
         return found
