@@ -108,7 +108,7 @@ if not TYPE_CHECKING:  # a type checker shall tell a name that is not there
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from importlib import import_module
 
-        import_module("hil.plugins.own_packages").require_own_packages()
+        import_module("hil.plugins.shadowed_packages").refuse_shadowed_packages()
         return getattr(import_module(_HOMES[name]), name)
 
 

@@ -129,9 +129,9 @@ class Runner:
         Raises:
             hil.HilError: if the experiment cannot be run.
         """
-        from hil.plugins.own_packages import require_own_packages
+        from hil.plugins.shadowed_packages import refuse_shadowed_packages
 
-        require_own_packages()
+        refuse_shadowed_packages()
         from hil.api.experiment_source import load_experiment
         from hil.errors import HilError
         from hil.session import run_session
@@ -158,9 +158,9 @@ class Runner:
     def _shared(self, uri: str) -> str:
         if self._worker is None:
             return uri
-        from transport.links.own_channel import own_channel
+        from transport.links.worker_channel import worker_channel
 
-        return own_channel(uri, self._worker)
+        return worker_channel(uri, self._worker)
 
     def assert_probability(self, experiment: str | Path, holds: Callable[[Session], object], **options: Any) -> str:
         """Assert that a condition holds with at least some probability; see `hil.assert_probability`."""

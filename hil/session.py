@@ -25,7 +25,7 @@ from hil.log.topics import BUS, CA, SC, channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import MemorySink, Put, Sink, Taps, TeeSink
+from hil.log.write.sinks import MemorySink, PayloadWriter, RecordObservers, Sink, TeeSink
 from hil.measure.measure import measures_of, own_measures, quantities_of
 from hil.measure.names import Named
 from hil.measure.signals import signals_of
@@ -185,7 +185,7 @@ def run_session(
     link: str | None = None,
     path: Path,
     external: bool = False,
-    taps: Mapping[str, Put] | None = None,
+    taps: Mapping[str, PayloadWriter] | None = None,
     index: Index = "full",
 ) -> Session:
     """Run an experiment, log it, and sum it up.
@@ -222,7 +222,7 @@ def run_session(
         channels=on.said(loop.rig),
         origins=experiment.origins(),
         session={} if clock == "virtual" else {
-            "started": wall_clock(), "external_controller": str(external), "who_commands": on.traits.commanders,
+            "started": wall_clock(), "external_controller": str(external), "accepted_from": on.traits.commanders,
         },
     )
 
@@ -233,7 +233,7 @@ def run_session(
     with McapSink(path, channels_of(loop, on_can=on.on_can), provenance, now=now, index=index, keep=keep) as sink:
         outcome: dict[str, Any] = {}
         if clock == "virtual":
-            outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, Taps(taps)) if taps else sink)
+            outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(taps)) if taps else sink)
         else:
             outcome = _run_real(loop, on, sink, external, taps)
         sink.commit()
@@ -262,7 +262,7 @@ def run_session(
         else:
             run = _read_back(path, whole=sink.error is None, descriptor=log)
         summary = _summary(run, loop, sink, outcome, wall_s)
-        summary |= {"who_commands": on.traits.commanders} | _gains(loop)
+        summary |= {"accepted_from": on.traits.commanders} | _gains(loop)
         summary["log"]["sha256"] = _sha256(log)
     finally:
         os.close(log)
@@ -354,7 +354,7 @@ def _interrupted(number: int, sink: Sink, t_ns: int) -> dict[str, Any]:
 
 
 def _run_real(
-    loop: Loop, link: SessionLink, sink: McapSink, external: bool, taps: Mapping[str, Put] | None
+    loop: Loop, link: SessionLink, sink: McapSink, external: bool, taps: Mapping[str, PayloadWriter] | None
 ) -> dict[str, Any]:
     from hil.runtime.real.supervisor import run_real
 

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
         HasStateHistory,
         JumpPlant,
         MovesOtherwise,
-        NamesFiles,
         Plant,
         PlantRun,
+        ReferencesFiles,
     )
     from plants.parts.semi_markov import JumpProcess, TransitionRates
     from plants.parts.sensors import Encoder
@@ -75,7 +75,7 @@ _HOMES: Final = {
     "LinearPlant": "plants.state_space",
     "LinearRun": "plants.parts.linear",
     "LoadTorque": "plants.dc_motor",
-    "NamesFiles": "plants.parts.protocols",
+    "ReferencesFiles": "plants.parts.protocols",
     "Omni": "plants.omni",
     "Plant": "plants.parts.protocols",
     "PlantError": "plants.errors",
@@ -123,11 +123,11 @@ __all__ = [
     "LinearRun",
     "LoadTorque",
     "MovesOtherwise",
-    "NamesFiles",
     "Omni",
     "Plant",
     "PlantError",
     "PlantRun",
+    "ReferencesFiles",
     "RubbingAxis",
     "Signal",
     "StateSpace",

@@ -172,7 +172,7 @@ class DCMotor:
         """Return the motor at time 0. It draws nothing from ``rng``."""
         return DCMotorRun(self)
 
-    def start_many(self, runs: int) -> MotorRuns:
+    def start_batch(self, runs: int) -> MotorRuns:
         """Return so many motors at time 0."""
         axes: Axes = (
             RubbingAxes(self.gain, self.pole, self.friction)

@@ -156,7 +156,7 @@ class DelayedStates:
         run = DelayedStatesRun(self)
         return NoisyRun(run, self.noise_sd, rng) if any(self.noise_sd) else run
 
-    def start_many(self, runs: int) -> DelayedStatesRuns | None:
+    def start_batch(self, runs: int) -> DelayedStatesRuns | None:
         """Return so many plants at slot 0; None where noise is drawn."""
         if any(self.noise_sd):
             return None

@@ -119,7 +119,7 @@ class LinearPlant:
             rng = sensors
         return NoisyRun(run, self.measurement_noise, rng) if any(self.measurement_noise) else run
 
-    def start_many(self, runs: int) -> LinearRuns | None:
+    def start_batch(self, runs: int) -> LinearRuns | None:
         """Return so many of them at time 0; None where they saturate or draw random numbers."""
         if self.saturation or any(self.process_noise) or any(self.measurement_noise):
             return None

@@ -87,6 +87,6 @@ class TransferFunction:
         """Return the plant at time 0. It draws nothing from ``rng``."""
         return self._realised().start(rng)
 
-    def start_many(self, runs: int) -> LinearRuns | None:
+    def start_batch(self, runs: int) -> LinearRuns | None:
         """Return so many of them at time 0."""
-        return self._realised().start_many(runs)
+        return self._realised().start_batch(runs)

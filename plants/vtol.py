@@ -88,6 +88,6 @@ class VTOL:
         """Return the helicopter at time 0. It draws nothing from ``rng``."""
         return LinearRun(self.model(), self.initial_state)
 
-    def start_many(self, runs: int) -> LinearRuns:
+    def start_batch(self, runs: int) -> LinearRuns:
         """Return so many of them at time 0."""
         return LinearRuns(self.model(), self.initial_state, runs)

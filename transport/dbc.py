@@ -48,7 +48,7 @@ _FORMATS: Final = ",".join(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Talker:
+class BusNode:
     """Who sends packets of one shape.
 
     Args:
@@ -68,7 +68,7 @@ class Talker:
     sensor: bool = True
 
 
-def dbc_text(talkers: Sequence[Talker], *, fd: bool, title: str) -> str:
+def dbc_text(talkers: Sequence[BusNode], *, fd: bool, title: str) -> str:
     """Return a DBC.
 
     Args:
@@ -103,7 +103,7 @@ def dbc_text(talkers: Sequence[Talker], *, fd: bool, title: str) -> str:
     return "\n".join([*lines, "", *comments, *kinds, *defaults, *bus, *formats, *words, *floats, ""])
 
 
-def _messages(talker: Talker, fd: bool) -> Iterator[tuple[int, str, int, list[_Signal]]]:
+def _messages(talker: BusNode, fd: bool) -> Iterator[tuple[int, str, int, list[_Signal]]]:
     step = 64 if fd else 8
     values = len(talker.values)
     size = sensor_length(values) if talker.sensor else control_length(values)

@@ -110,7 +110,7 @@ class Known(NamedTuple):
 
 
 @runtime_checkable
-class FromSamples(Protocol):
+class MultiSampleController(Protocol):
     """A running controller that is told which node measured what and when; any number of nodes serves it."""
 
     selection: Selection
@@ -126,7 +126,7 @@ class FromSamples(Protocol):
 class Controller(Protocol):
     """Parameters of a controller: a frozen dataclass that an experiment's ``[controller]`` table fills."""
 
-    def start(self, model: LoopModel) -> RunningController | FromSamples:
+    def start(self, model: LoopModel) -> RunningController | MultiSampleController:
         """Return the controller, ready for slot 0.
 
         Raises:
@@ -141,7 +141,7 @@ class GainTable(Protocol):
 
     selection: Selection
 
-    def start(self, model: LoopModel) -> RunningController | FromSamples: ...
+    def start(self, model: LoopModel) -> RunningController | MultiSampleController: ...
 
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         """Return K[tau, row, m, p]."""
@@ -165,7 +165,7 @@ class HistoryGains(Protocol):
 
     uses: Uses
 
-    def start(self, model: LoopModel) -> FromSamples | RunningController: ...
+    def start(self, model: LoopModel) -> MultiSampleController | RunningController: ...
 
     def history(self) -> NDArray[np.float64]:
         """Return K[phase, j, m, p]; a phase is a turn of the cycle, or the node whose packet has just come."""
@@ -189,7 +189,7 @@ class IntegralAction(Protocol):
 
 
 @runtime_checkable
-class CountsSojourns(Protocol):
+class SojournDependent(Protocol):
     """A controller whose gains depend on how long the measured delay has lasted."""
 
     sojourns: int | Sequence[int]
@@ -220,5 +220,5 @@ def integrates(controller: object) -> bool:
 
 
 def sojourns_told(controller: object) -> int | Sequence[int]:
-    """Return which lengths of stay the controller tells apart, see `CountsSojourns`; none: an empty tuple."""
-    return controller.sojourns if isinstance(controller, CountsSojourns) else ()
+    """Return which lengths of stay the controller tells apart, see `SojournDependent`; none: an empty tuple."""
+    return controller.sojourns if isinstance(controller, SojournDependent) else ()

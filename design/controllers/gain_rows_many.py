@@ -54,7 +54,7 @@ def sojourn_ranges(sojourns: Sequence[int]) -> list[tuple[int, int]]:
     return [(first[tau], first[tau] + sojourns[tau] - 1) for tau in taken]
 
 
-class GainRowsOfMany:
+class BatchGainRows:
     """u = u* + K[tau, row] Y in many runs; see `GainRows`, whose sums these are, in the same order.
 
     Args:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import Known, LoopModel, Rows, Selection
-from design.controllers.historical_many import HistoricalOfMany
+from design.controllers.historical_many import BatchHistorical
 from design.controllers.packet_window import PacketWindow, window_of
 from design.controllers.sensor_nodes import SensorNodes, Turns, Uses, phase_at
 from design.errors import FieldError
@@ -71,11 +71,11 @@ class Historical:
         """
         return HistoricalRun(*self._fitting(model))
 
-    def start_many(self, model: LoopModel, runs: int) -> HistoricalOfMany | None:
+    def start_batch(self, model: LoopModel, runs: int) -> BatchHistorical | None:
         """Return so many of them, ready for slot 0; None where a packet comes later than the gains look back."""
         K, nodes, uses, window = self._fitting(model)
         delay = nodes.delays[0] or 0
-        return HistoricalOfMany(K, nodes.turns, uses, window, delay, runs) if uses == "history" or delay < K.shape[1] else None
+        return BatchHistorical(K, nodes.turns, uses, window, delay, runs) if uses == "history" or delay < K.shape[1] else None
 
     def _fitting(self, model: LoopModel) -> tuple[NDArray[np.float64], SensorNodes, Uses, PacketWindow | None]:
         K, nodes = self.history(), model.nodes
@@ -105,7 +105,7 @@ def phase_count(turns: Turns | None) -> int:
 
 
 class HistoricalRun:
-    """The controller while it runs, see `design.controllers.contract.FromSamples`."""
+    """The controller while it runs, see `design.controllers.contract.MultiSampleController`."""
 
     def __init__(self, K: NDArray[np.float64], nodes: SensorNodes, uses: Uses, window: PacketWindow | None = None) -> None:
         self._window = window
@@ -122,7 +122,7 @@ class HistoricalRun:
         ]
 
     def rows(self, k: int, known: Known) -> Rows:
-        """Return u(k) as the one row; see `FromSamples.rows`."""
+        """Return u(k) as the one row; see `MultiSampleController.rows`."""
         at: dict[int, dict[int, tuple[float, ...]]] = {}
         for node, slot, values in known.samples:
             at.setdefault(node, {})[slot] = values

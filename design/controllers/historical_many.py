@@ -15,7 +15,7 @@ Matrix = NDArray[np.float64]
 Integers = NDArray[np.intp]
 
 
-class HistoricalOfMany:
+class BatchHistorical:
     """u(k) = sum over j of K[phase, j] x(k - j) in many runs, in the order of the gains that are not zero.
 
     Args:

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import Known, LoopModel, Rows, RunningController, Selection
-from design.controllers.gain_rows_many import GainRowsOfMany, Matrix
+from design.controllers.gain_rows_many import BatchGainRows, Matrix
 
 
 class NodeGainRows:
-    r"""u = u* + K[(\tau_1, \ldots, \tau_q), row] (y - r), y the newest sample of every output; see `FromSamples`.
+    r"""u = u* + K[(\tau_1, \ldots, \tau_q), row] (y - r), y the newest sample of every output; see `MultiSampleController`.
 
     Until every node has been heard it answers zeros, as a controller of one node does before its first sample. A node that may
     keep silent by its trigger is not waited for: its outputs count as 0, its age as 0.
@@ -35,7 +35,7 @@ class NodeGainRows:
         self._width = model.C.shape[0]
 
     def rows(self, k: int, known: Known) -> Rows:
-        """Return the rows of slot k; see `FromSamples.rows`."""
+        """Return the rows of slot k; see `MultiSampleController.rows`."""
         y, age, heard = [0.0] * self._width, [0] * len(self._ages), set()
         for node, slot, values in known.samples:  # newest first
             if node not in heard:
@@ -59,7 +59,7 @@ class NodeGainRowsOfMany:
         ages: how many ages of each node have tables.
     """
 
-    def __init__(self, running: GainRowsOfMany, ages: Sequence[int]) -> None:
+    def __init__(self, running: BatchGainRows, ages: Sequence[int]) -> None:
         self._running, self._counts = running, tuple(ages)
         self.selection: Selection = running.selection
 

@@ -25,7 +25,7 @@ def product(rows: Sequence[Sequence[float]], x: Sequence[float]) -> list[float]:
     return [dot(row, x) for row in rows]
 
 
-def product_of_many(
+def product_of_batch(
     rows: Sequence[Sequence[float]], x: Sequence[NDArray[np.float64]] | NDArray[np.float64]
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return the products of a matrix (m, n) with many x (n, runs): (m, runs), each bit for bit as `product` gives it."""

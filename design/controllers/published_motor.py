@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, RunningController
-from design.controllers.gain_rows_many import GainRowsOfMany
+from design.controllers.gain_rows_many import BatchGainRows
 from design.controllers.send_all import GainRows
 from design.errors import FieldError
 
@@ -44,9 +44,9 @@ class PublishedHinf:
     def start(self, model: LoopModel) -> RunningController:
         return GainRows(self.table(model), self.selection, model)
 
-    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
+    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
         """Return so many of them, ready for slot 0."""
-        return GainRowsOfMany(self.table(model), self.selection, model, runs)
+        return BatchGainRows(self.table(model), self.selection, model, runs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +65,6 @@ class PublishedH2:
     def start(self, model: LoopModel) -> RunningController:
         return GainRows(self.table(model), self.selection, model)
 
-    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
+    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
         """Return so many of them, ready for slot 0."""
-        return GainRowsOfMany(self.table(model), self.selection, model, runs)
+        return BatchGainRows(self.table(model), self.selection, model, runs)

@@ -18,7 +18,7 @@ Matrix = tuple[tuple[float, ...], ...]
 
 
 @runtime_checkable
-class RendersWall(Protocol):
+class WallController(Protocol):
     """A controller that renders a wall through a coupler; over a device with a hand its loop can be certified passive."""
 
     wall: Wall
@@ -30,7 +30,7 @@ class RendersWall(Protocol):
 
 
 @runtime_checkable
-class FollowsModel(Protocol):
+class ModelFollower(Protocol):
     """A controller that renders a wall by following a model; in contact it is linear, one map per material."""
 
     wall: Wall

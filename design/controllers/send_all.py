@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers.contract import FromSamples, Gains, LoopModel, Rows, RunningController, Selection, row_count
-from design.controllers.gain_rows_many import GainRowsOfMany, feedforward, sojourn_ranges
+from design.controllers.contract import Gains, LoopModel, MultiSampleController, Rows, RunningController, Selection, row_count
+from design.controllers.gain_rows_many import BatchGainRows, feedforward, sojourn_ranges
 from design.controllers.node_gain_rows import NodeGainRows, NodeGainRowsOfMany
 from design.controllers.ordered import dot
 from design.errors import FieldError
@@ -142,15 +142,15 @@ class SendAll:
             raise FieldError("gains", f"{len(self.sojourns or K)} tables, but tau reaches {model.tau_max}")
         return K
 
-    def start(self, model: LoopModel) -> RunningController | FromSamples:
+    def start(self, model: LoopModel) -> RunningController | MultiSampleController:
         running = GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
         if len(self.ages) < 2:  # of one node, the age is tau itself
             return running
         return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max))
 
-    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany | NodeGainRowsOfMany:
+    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows | NodeGainRowsOfMany:
         """Return so many of them, ready for slot 0."""
-        running = GainRowsOfMany(self.table(model), self.selection, model, runs, self.integral, self.sojourns)
+        running = BatchGainRows(self.table(model), self.selection, model, runs, self.integral, self.sojourns)
         return running if len(self.ages) < 2 else NodeGainRowsOfMany(running, self.ages)
 
 
@@ -175,9 +175,9 @@ class Local:
     def start(self, model: LoopModel) -> RunningController:
         return GainRows(self.table(model), self.selection, model)
 
-    def start_many(self, model: LoopModel, runs: int) -> GainRowsOfMany:
+    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
         """Return so many of them, ready for slot 0."""
-        return GainRowsOfMany(self.table(model), self.selection, model, runs)
+        return BatchGainRows(self.table(model), self.selection, model, runs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

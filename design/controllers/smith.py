@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel, Rows, RunningController, Selection, feedforward
-from design.controllers.ordered import product, product_of_many
+from design.controllers.ordered import product, product_of_batch
 from design.errors import FieldError
 
 
@@ -34,9 +34,9 @@ class Smith:
             raise FieldError("gain", f"shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
         return _SmithRows(self.gain, model)
 
-    def start_many(self, model: LoopModel, runs: int) -> SmithOfMany:
+    def start_batch(self, model: LoopModel, runs: int) -> BatchSmith:
         """Return so many of them, ready for slot 0."""
-        return SmithOfMany(np.asarray(self.gain, dtype=float), model, runs)
+        return BatchSmith(np.asarray(self.gain, dtype=float), model, runs)
 
 
 class _SmithRows:
@@ -69,7 +69,7 @@ class _SmithRows:
         return tuple(rows)
 
 
-class SmithOfMany:
+class BatchSmith:
     """The predictor in many runs, each bit for bit what `_SmithRows` computes alone.
 
     Args:
@@ -93,9 +93,9 @@ class SmithOfMany:
     def rows(
         self, k: int, started: NDArray[np.bool_], tau: NDArray[np.intp], y: NDArray[np.float64], r: Sequence[float]
     ) -> NDArray[np.float64]:
-        """Return the rows of slot k, (rows, m, runs); see `GainRowsOfMany.rows`."""
-        self._x = np.where(self._ran, product_of_many(self._AB, (*self._x, *self._u)), self._x)
-        newer = np.concatenate((product_of_many(self._C, self._x)[None], self._past[:-1]))
+        """Return the rows of slot k, (rows, m, runs); see `BatchGainRows.rows`."""
+        self._x = np.where(self._ran, product_of_batch(self._AB, (*self._x, *self._u)), self._x)
+        newer = np.concatenate((product_of_batch(self._C, self._x)[None], self._past[:-1]))
         self._past = np.where(self._ran, newer, self._past)
         self._held = np.minimum(self._held + self._ran, 64)
         self._ran = started.copy()
@@ -103,9 +103,9 @@ class SmithOfMany:
         ref, star = np.asarray(r)[:, None], np.array(product(self._omega, r))[:, None]
         x, rows = self._x, []
         for _ in range(self._d_max + 1):
-            u = star + product_of_many(self._K, product_of_many(self._C, x) + bias - ref)
+            u = star + product_of_batch(self._K, product_of_batch(self._C, x) + bias - ref)
             rows.append(u)
             if len(rows) == 1:
                 self._u = np.where(started, u, self._u)
-            x = product_of_many(self._AB, (*x, *u))
+            x = product_of_batch(self._AB, (*x, *u))
         return np.stack(rows)

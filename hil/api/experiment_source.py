@@ -17,8 +17,8 @@ from hil.experiment import Experiment
 from hil.experiment import load_experiment as read_experiment
 from hil.experiment.load import parse_plugin
 from hil.experiment.objects import with_objects
-from hil.plugins.own_plugins import own_fault
 from hil.plugins.registry import group_of, kind_of_class
+from hil.plugins.user_plugins import own_fault
 from plants import LinearPlant, from_control
 
 Source = str | Path | Experiment

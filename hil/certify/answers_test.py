@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import FromSamples, Known, LoopModel, RunningController, Sample, SensorNodes
+from design.controllers import Known, LoopModel, MultiSampleController, RunningController, Sample, SensorNodes
 from hil.certify.motion_test import EQUAL
 
 Array = NDArray[np.float64]
-Running = RunningController | FromSamples
+Running = RunningController | MultiSampleController
 Start = Callable[[], Running]
 
 SLOTS = 120
@@ -126,7 +126,7 @@ def over_nodes(model: LoopModel, *, memory: int, slots: int = SLOTS) -> Question
 
 def answers(running: Running, asked: Question, size: float, nodes: SensorNodes) -> Array:
     """Return the rows of a controller in every slot, (slots, rows, m); it ends where they are not numbers."""
-    if isinstance(running, FromSamples):
+    if isinstance(running, MultiSampleController):
         return np.array(
             [running.rows(k, Known(_known(asked, i, k, size, nodes), asked.reference)) for i, k in enumerate(asked.slots)],
             dtype=float,

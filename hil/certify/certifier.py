@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LoopToCertify:
+class CertificationProblem:
     """The loop that will run, as far as a claim can rest on it.
 
     Args:
@@ -74,12 +74,12 @@ class LoopToCertify:
 class Certifier(Protocol):
     """Says what can be claimed of one kind of loop. The door asks them in order; the first that knows the kind answers."""
 
-    def __call__(self, loop: LoopToCertify) -> Verdict | None:
+    def __call__(self, loop: CertificationProblem) -> Verdict | None:
         """Return the verdict on a loop, None if loops of this kind are somebody else's."""
         ...
 
 
-def table_of(loop: LoopToCertify, controller: GainTable) -> NDArray[np.float64]:
+def table_of(loop: CertificationProblem, controller: GainTable) -> NDArray[np.float64]:
     """Return the gains that a controller states, K[tau, row, m, p], asked once: judge and test lean on the same ones."""
 
     def ask() -> NDArray[np.float64]:
@@ -88,7 +88,7 @@ def table_of(loop: LoopToCertify, controller: GainTable) -> NDArray[np.float64]:
     return loop.said.once("table", ask)
 
 
-def undecided(loop: LoopToCertify, kind: Kind, reason: str, details: Mapping[str, object] | None = None) -> Verdict:
+def undecided(loop: CertificationProblem, kind: Kind, reason: str, details: Mapping[str, object] | None = None) -> Verdict:
     """Return the verdict of a theory that does not know."""
     return Verdict(kind=kind, state="undecided", reason=reason, details=details or {}, digest=loop.digest)
 
@@ -114,7 +114,7 @@ def limited_to_model(
     return _undecide(verdict, f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}")
 
 
-def limited_to_undamped(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+def limited_to_undamped(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Return a verdict on a loop without its passivity controller as one on the loop: only a passive loop is what it was.
 
     Behind a controller that is certified passive with the damping of the model, the observed energy never exceeds 0, whatever the
@@ -129,7 +129,7 @@ def limited_to_undamped(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     )
 
 
-def limited_to_sound(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Return a verdict on a loop without the faults on its time line as one on the loop: no proof knows what they break."""
     if not loop.faults:
         return verdict
@@ -139,7 +139,7 @@ def limited_to_sound(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     )
 
 
-def limited_to_whole(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+def limited_to_whole(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Return a verdict on a loop without the packets that its chains leave out as one on the loop."""
     return _undecide(verdict, f"{verdict.state} but for what is left out: {loop.neglects}") if loop.neglects else verdict
 

@@ -16,7 +16,14 @@ from msgspec.structs import replace
 
 from design.controllers import Controller, LoopModel
 from design.verdict import Verdict, digest
-from hil.certify.certifier import Certifier, LoopToCertify, limited_to_sound, limited_to_undamped, limited_to_whole, undecided
+from hil.certify.certifier import (
+    CertificationProblem,
+    Certifier,
+    limited_to_sound,
+    limited_to_undamped,
+    limited_to_whole,
+    undecided,
+)
 from hil.certify.following_loop import certify_model_following
 from hil.certify.historical_loop import certify_historical
 from hil.certify.jump_loop import certify_jump_loop
@@ -45,7 +52,7 @@ def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) 
     return digest({**said, "control law": law, "A": model.A, "B": model.B, "C": model.C})
 
 
-def certify(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
+def certify(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
     """Return the verdict on a loop whose plant and controller were tested to be what they say: see `judge` and `tested`.
 
     Args:
@@ -73,7 +80,7 @@ def of_external(verdict: Verdict, named: str) -> Verdict:
     )  # fmt: skip
 
 
-def judge(loop: LoopToCertify, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
+def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
     """Return the verdict on what a loop says of itself: ``undecided`` where no certifier knows its kind, or no proof is computed.
 
     Args:

@@ -6,21 +6,21 @@ from itertools import product
 
 import numpy as np
 
-from design.controllers.rendered_wall import FollowsModel
+from design.controllers.rendered_wall import ModelFollower
 from design.verdict import Verdict
-from hil.certify.certifier import LoopToCertify, limited_to_model, undecided
+from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 
 HANDS = tuple(product((0.0, 0.5, 2.0), (0.0, 10.0, 30.0), (0.0, 100.0, 800.0)))
 """Mass in kg, damping in N s/m and stiffness in N/m of the passive hands that are tried."""
 
 
-def certify_model_following(loop: LoopToCertify) -> Verdict | None:
+def certify_model_following(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on a wall by model following: refused with a passive hand that it is unstable for; None for other loops.
 
     A passive hand that destabilises it refutes the claim of a wall that is safe for every passive hand.
     """
     controller, port = loop.controller, loop.port
-    if not isinstance(controller, FollowsModel):
+    if not isinstance(controller, ModelFollower):
         return None
     if port is None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from design.controllers import HistoryGains, LoopModel, SensorNodes
 from design.controllers.packet_window import window_of
 from design.verdict import Kind, Verdict
-from hil.certify.certifier import LoopToCertify, limited_to_model, undecided
+from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.plugins.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def mask_faults(controller: HistoryGains, nodes: SensorNodes) -> list[str]:
     return faults + ([f"controller.gains: {len(wrong) - 20} more entries of this kind"] if len(wrong) > 20 else [])
 
 
-def certify_historical(loop: LoopToCertify) -> Verdict | None:
+def certify_historical(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on gains over historical data: stable or not, exactly, and what the loop costs; None for other loops.
 
     The cost in the details is that of the run: from the plant's first state, in the schedule's first phase. `bound_full_state`

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from design.controllers import ModeSchedule
 from design.errors import DesignError
 from design.verdict import Kind, Verdict
-from hil.certify.certifier import LoopToCertify, limited_to_model, undecided
+from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.certify.jump_plant import process_of, system_of
 from hil.plugins.protocols import JumpPlant
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 KIND: Kind = "mean-square stability"
 
 
-def certify_jump_loop(loop: LoopToCertify) -> Verdict | None:
+def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on scheduled state feedback over a plant that jumps; None for any other loop.
 
     The state of the verdict is that of the loop as it runs: sampled at T, held, delayed by whole samples, its modes seen at the
@@ -82,7 +82,7 @@ def in_continuous_time(
 
 
 def _with_continuous_time(
-    loop: LoopToCertify,
+    loop: CertificationProblem,
     found: Verdict,
     system: JumpSystem | DelayedJumpSystem,
     gain: ScheduledGain,

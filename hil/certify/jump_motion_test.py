@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from design.verdict import State
-from hil.certify.certifier import LoopToCertify
+from hil.certify.certifier import CertificationProblem
 from hil.certify.motion_test import SEED, Array, random_inputs
 from hil.plugins.protocols import JumpPlant
 from plants.parts.jump import JumpModel, JumpRates
@@ -42,7 +42,7 @@ ENOUGH = 40.0
 NAME = "your plant is not the model that it tells"
 
 
-def jump_check(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+def jump_check(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
     """Return what a plant's motion says of its matrices and rates: a state and its reason, or None and what was found equal."""
     plant = cast(JumpPlant, loop.plant)
     system = loop.said.once("jump system", plant.jump_system)
@@ -65,7 +65,9 @@ def jump_check(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
     return None, (said, f"its modes change at the rates that it states: counted over {slots} slots at most")
 
 
-def _missed(loop: LoopToCertify, plant: JumpPlant, system: JumpModel, hidden: bool, size: float) -> tuple[str, int, set[int]]:
+def _missed(
+    loop: CertificationProblem, plant: JumpPlant, system: JumpModel, hidden: bool, size: float
+) -> tuple[str, int, set[int]]:
     """Return why the motion is not that of the modes, empty where it is; how many slots were compared, and the modes met."""
     A, B = np.array(system.A, dtype=float), np.array(system.B, dtype=float)
     n, m, modes = A.shape[1], B.shape[2], len(A)

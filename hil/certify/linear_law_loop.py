@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from design.controllers import LinearFeedback, LinearLaw, LoopModel
 from design.verdict import Verdict
-from hil.certify.certifier import LoopToCertify, limited_to_model, undecided
+from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.certify.send_all_loop import second_moment_verdict
 from hil.plugins.protocols import JumpPlant
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
 
 
-def certify_linear_law(loop: LoopToCertify) -> Verdict | None:
+def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on a linear controller, exact over the delay chains; None if it is no `LinearFeedback`.
 
     Reference: thesis Theorem 7.1, (7.17).

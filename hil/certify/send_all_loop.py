@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, integrates, packet_samples
 from design.verdict import Verdict
-from hil.certify.certifier import LoopToCertify, limited_to_model, table_of, undecided
+from hil.certify.certifier import CertificationProblem, limited_to_model, table_of, undecided
 from hil.plugins.protocols import JumpPlant
 from hil.rig.delay_chains import gains_within
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
 
 
-def certify_send_all(loop: LoopToCertify) -> Verdict | None:
+def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on a table of gains, exact over the delay chains; None if the controller is no `GainTable`.
 
     Over several sensor nodes the chain is that of all their ages, see `design.processes.product_chain`.

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from design.controllers import (
-    FromSamples,
     GainTable,
     HistoryGains,
     LinearFeedback,
     ModeSchedule,
+    MultiSampleController,
     OutputFeedback,
     SendAll,
     ages_told,
@@ -20,10 +20,10 @@ from design.controllers import (
     packet_samples,
     sojourns_told,
 )
-from design.controllers.rendered_wall import RendersWall
+from design.controllers.rendered_wall import WallController
 from design.verdict import State
 from hil.certify.answers_test import Answer, Question, Running, Start, compared, drifts, over_nodes, question
-from hil.certify.certifier import LoopToCertify, table_of
+from hil.certify.certifier import CertificationProblem, table_of
 from hil.certify.motion_test import ALIKE, EQUAL
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ SIZES = (1e-3, 1e3)
 NAME = "your controller is not the one that it tells"
 
 
-def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
     """Return what a controller's answers say of what it states: a state and its reason, or None and what was found equal."""
     controller, model = loop.controller, loop.model
     stated = stated_by(loop)
@@ -53,7 +53,7 @@ def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
 
     starts: tuple[Start, Start] = (own, lambda: twin.start(model))  # type: ignore[assignment]
     nodes = model.nodes
-    if isinstance(controller, RendersWall):
+    if isinstance(controller, WallController):
         return _wall(starts, asked, loop)
     try:
         apart = drifts(starts[0], _at_rest(asked), nodes)
@@ -73,7 +73,7 @@ def answers_of(loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str
     )
 
 
-def stated_by(loop: LoopToCertify) -> tuple[Controller, Question] | None:
+def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
     """Return what a controller says that it is, and what to ask it; None for one that states no gains."""
     controller, model = loop.controller, loop.model
     p = model.C.shape[0]
@@ -104,7 +104,7 @@ def stated_by(loop: LoopToCertify) -> tuple[Controller, Question] | None:
 
         gain = loop.said.once("schedule", controller.schedule_of_modes)
         return scheduled_by(gain), mode_question(model, gain)
-    if isinstance(controller, RendersWall):
+    if isinstance(controller, WallController):
         from design.controllers.virtual_wall import VirtualWall
         from hil.certify.mode_question import wall_question
 
@@ -126,7 +126,7 @@ def runs_as(running: Running, stated: Running) -> bool:
 
 def looks_back(running: Running) -> int | None:
     """Return the age in slots of the oldest sample that a running controller is handed; None where it gets the newest alone."""
-    return running.memory if isinstance(running, FromSamples) else None
+    return running.memory if isinstance(running, MultiSampleController) else None
 
 
 def handed(running: Running) -> str:
@@ -163,7 +163,9 @@ def _departed(found: list[Answer]) -> tuple[State, str] | None:
     return "refused", f"{NAME}: {told}"
 
 
-def _wall(starts: tuple[Start, Start], asked: Question, loop: LoopToCertify) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+def _wall(
+    starts: tuple[Start, Start], asked: Question, loop: CertificationProblem
+) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
     """A wall is no linear law: its forces themselves are compared."""
     from hil.certify.answers_test import answers
 

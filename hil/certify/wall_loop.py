@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from design.controllers.rendered_wall import RendersWall
+from design.controllers.rendered_wall import WallController
 from design.verdict import Verdict
-from hil.certify.certifier import LoopToCertify, limited_to_model, undecided
+from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 
 
-def certify_wall_loop(loop: LoopToCertify) -> Verdict | None:
+def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on a rendered wall: passive for every passive hand, or what decides otherwise; None for other loops.
 
     Mass, damping and spring of device and hand are read from the plant's own model, x'' = -k/M x - b/M x' + u/M.
     """
     controller = loop.controller
-    if not isinstance(controller, RendersWall):
+    if not isinstance(controller, WallController):
         return None
     if len(loop.model.nodes.names) > 1:
         return undecided(loop, "passivity", "no certificate covers a wall over several sensor nodes")

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from design.verdict import State, Verdict
-from hil.certify.certifier import LoopToCertify
+from hil.certify.certifier import CertificationProblem
 from hil.certify.free_motion import FreeMotion, free_motion
 from hil.certify.motion_test import ALIKE, EQUAL, SEED, SLOTS, Array, Departure, departure, drive, foretold, random_inputs
 from hil.certify.stated_controller import answers_of
@@ -28,7 +28,7 @@ Check = tuple[State, str] | tuple[None, tuple[str, ...]]
 """A state and its reason, or None and what was found equal, a phrase each."""
 
 
-def tested(loop: LoopToCertify, verdict: Verdict) -> Verdict:
+def tested(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Return a verdict on what plant and controller say as one on what they do.
 
     A plant that says itself what it is beyond its model leaves every loop undecided, and is not tested.
@@ -51,7 +51,7 @@ def tested(loop: LoopToCertify, verdict: Verdict) -> Verdict:
     return verdict if verdict.state == "undecided" else replace(verdict, assumptions=(*verdict.assumptions, *assumptions))
 
 
-def plant_check(loop: LoopToCertify) -> Check:
+def plant_check(loop: CertificationProblem) -> Check:
     """Return what the comparison of a plant's motion with its model says."""
     plant, model = loop.plant, loop.motion
     if isinstance(plant, JumpPlant):
@@ -87,7 +87,7 @@ def plant_check(loop: LoopToCertify) -> Check:
     return _moved(own, plant, found, unit)
 
 
-def _extent(loop: LoopToCertify, x: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _extent(loop: CertificationProblem, x: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the sizes of the inputs in their unit, and how far each state may go: as the limits of the run let them.
 
     Args:

@@ -13,7 +13,7 @@ import click
 
 from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
-from hil.plugins.own_packages import require_own_packages
+from hil.plugins.shadowed_packages import refuse_shadowed_packages
 
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",
@@ -66,7 +66,7 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         if cmd_name != "doctor":  # which tells of it
-            require_own_packages()
+            refuse_shadowed_packages()
         command: click.Command = importlib.import_module(f"hil.cli.{cmd_name.replace('-', '_')}").command
         return command
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rich.live import Live
 
     from hil.experiment import Experiment
-    from hil.log.write.sinks import Put
+    from hil.log.write.sinks import PayloadWriter
 
 REFRESH_HZ = 10
 RECENT = 2000
@@ -80,7 +80,7 @@ class LiveView:
         self._live: Live | None = None
 
     @property
-    def taps(self) -> Mapping[str, Put]:
+    def taps(self) -> Mapping[str, PayloadWriter]:
         """Topic to the function that takes its records; empty when there is no terminal to draw on."""
         if not self._on:
             return {}

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from hil.reproduce import Kept, Reproduction, Step
-    from hil.reproduce.kept import KeptStages
+    from hil.reproduce import Checkpoint, Reproduction, Step
+    from hil.reproduce.checkpoint import KeptStages
 
 ALL = "all"
 STATE = "reproduce.state"
@@ -41,7 +41,7 @@ def command(chapter: str, as_json: bool, output: Path | None, with_power: bool) 
     """
     from hil.files.outputs import write_output
     from hil.reproduce import chapters, power, power_in_words, reproduce
-    from hil.reproduce.kept import KeptStages
+    from hil.reproduce.checkpoint import KeptStages
     from hil.reproduce.pages import chapter_page, index_page
 
     if chapter not in (*chapters(), ALL):
@@ -127,7 +127,7 @@ class _Progress:
     The rest is told from the nominal lengths of the stages and from how long those that were computed here have taken.
     """
 
-    def __init__(self, names: Sequence[str], kept: Kept | None) -> None:
+    def __init__(self, names: Sequence[str], kept: Checkpoint | None) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

@@ -69,8 +69,8 @@ def show(summary: dict[str, Any]) -> None:
         row("gains", gains["origin"] + (f": {gains['note']}" if "note" in gains else ""))
     if summary.get("safety"):
         row("safety", summary["safety"], "red")
-    if "who_commands" in summary and summary["clock"] == "real":
-        row("could command", summary["who_commands"])
+    if "accepted_from" in summary and summary["clock"] == "real":
+        row("commands from", summary["accepted_from"])
     counted = summary.get("link_counters")
     if counted:
         row("link", ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in counted.items()))

@@ -6,8 +6,8 @@ from design.controllers import Controller, GainTable, LoopModel, held_exactly, i
 from design.errors import FieldError
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
-from hil.plugins.own_plugins import words
-from hil.plugins.protocols import NamesField
+from hil.plugins.protocols import FieldFault
+from hil.plugins.user_plugins import words
 
 
 def check_own(controller: Controller, model: LoopModel) -> None:
@@ -23,7 +23,7 @@ def check_own(controller: Controller, model: LoopModel) -> None:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever a stranger's controller does when it runs
-        if isinstance(error, HilError | NamesField):  # it says itself what does not fit
+        if isinstance(error, HilError | FieldFault):  # it says itself what does not fit
             raise
         raise FieldError("kind", f"check_controller: {words(error)}") from error
 

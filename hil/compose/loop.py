@@ -16,12 +16,12 @@ from threadpoolctl import threadpool_limits
 
 from design.controllers import (
     Controller,
-    FromSamples,
     GainTable,
     HistoryGains,
     IntegralAction,
     LinearFeedback,
     LoopModel,
+    MultiSampleController,
     RunningController,
     packet_samples,
     row_count,
@@ -29,7 +29,7 @@ from design.controllers import (
 from design.errors import DesignError, FieldError
 from design.requests.task import DesignTask
 from design.verdict import Verdict
-from hil.certify.certifier import LoopToCertify
+from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import certify as certified
 from hil.certify.certify import digest_of, of_external
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
@@ -41,11 +41,11 @@ from hil.compose.law_files import with_law_files
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
-from hil.experiment.absent import Absent
 from hil.experiment.table_check import fault_at
-from hil.plugins.own_modules import is_own
+from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.plugins.protocols import Designer, GivesGains, JumpPlant, NamedController
 from hil.plugins.registry import OBJECT
+from hil.plugins.user_modules import is_own
 from hil.rig.delay_chains import Chains, chains_for, labels_of, within_reach, without_held
 from hil.rig.normal_form import rig_of
 from hil.rig.spec import RigSpec
@@ -95,7 +95,7 @@ class Loop:
         """The verdict as JSON."""
         return None if self.verdict is None else self.verdict.to_json()
 
-    def start_controller(self) -> RunningController | FromSamples:
+    def start_controller(self) -> RunningController | MultiSampleController:
         """Return the control law, ready for slot 0."""
         return self.controller.start(self.model)
 
@@ -185,7 +185,7 @@ def _small_matrices() -> Iterator[None]:
 
 def _modelled(experiment: Experiment, known: RigSpec | None = None) -> tuple[Experiment, RigSpec, LoopModel]:
     """Return the experiment with its laws' files read, its rig, and what the controller knows of its plant."""
-    lost = [str(part.missing()) for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
+    lost = [str(part.missing()) for part in (experiment.plant, experiment.controller) if isinstance(part, UnavailablePlugin)]
     if lost:
         raise ExperimentError(experiment.name, lost)
     experiment = with_traffic_file(with_law_files(experiment))
@@ -285,7 +285,7 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
     )  # fmt: skip
 
 
-def _watched(judged: LoopToCertify, verdict: Verdict, external: bool) -> Watched | None:
+def _watched(judged: CertificationProblem, verdict: Verdict, external: bool) -> Watched | None:
     """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
 
     A controller that states itself, word for word, is not compared with itself.
@@ -301,7 +301,7 @@ def _watched(judged: LoopToCertify, verdict: Verdict, external: bool) -> Watched
 
 def _judged(
     e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str
-) -> LoopToCertify:
+) -> CertificationProblem:
     """Return the loop of the controller that is named, as it is judged."""
     own, unmet, chainless, left = digest_of(e, controller, model), "", "", ""
     begun, sc, ca = chains.initial(), chains.sc, chains.ca
@@ -316,7 +316,7 @@ def _judged(
         if (sc.modes, ca.modes) != modes:
             never = sum(modes) - sc.modes - ca.modes
             unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
-    return LoopToCertify(
+    return CertificationProblem(
         plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca, digest=own,
         damped=rig.passivity, faults=len(e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,

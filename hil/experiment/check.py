@@ -10,16 +10,16 @@ from typing import Any
 import msgspec
 
 from hil.errors import HilError
-from hil.experiment.absent import Absent
 from hil.experiment.law_file import names_law_file, read_law_file
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Links
+from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.plugins import registry
-from hil.plugins.own_modules import is_own
-from hil.plugins.own_plugins import in_own_words, own_fault
-from hil.plugins.protocols import NamesFiles
+from hil.plugins.protocols import ReferencesFiles
 from hil.plugins.registry import OBJECT
+from hil.plugins.user_modules import is_own
+from hil.plugins.user_plugins import in_own_words, own_fault
 from plants.errors import PlantError
 from transport.laws.protocols import BoundedAge, load_files
 
@@ -206,7 +206,7 @@ class Checker:
     def _filled(self, cls: type, kind: str, rest: dict[str, Any], path: str) -> Any:
         """Return an instance of a plug-in's class, with the files that it names found; None: what is faulty is kept."""
         made = self._tables.table(cls, rest, path, {})
-        if not isinstance(made, NamesFiles):
+        if not isinstance(made, ReferencesFiles):
             return made
         if self._folder is None:
             return self._absent(path, kind, rest)
@@ -216,7 +216,7 @@ class Checker:
             self.faults.append(fault_at(path, e))
             return None
 
-    def _absent(self, path: str, kind: str, said: dict[str, Any]) -> Absent | None:
+    def _absent(self, path: str, kind: str, said: dict[str, Any]) -> UnavailablePlugin | None:
         """Return what stands for something that a log cannot make again."""
         if self._folder is not None or path not in ("plant", "controller"):
             helps = "give the object in Python" + (" (hil.verify(..., laws={...}))" if path.endswith("law") else "")
@@ -225,7 +225,7 @@ class Checker:
             return None
         self.kinds[path] = kind
         why = f"{kind}, which the log does not hold"
-        return Absent(field=path, kind=kind, why=why, said=said)
+        return UnavailablePlugin(field=path, kind=kind, why=why, said=said)
 
     def _own_measures(self, experiment: Experiment, folder: str) -> None:
         for i, name in enumerate(experiment.report.measures):

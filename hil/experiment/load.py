@@ -102,8 +102,8 @@ def experiment_from_resolved(
 ) -> Experiment:
     """Check the resolved form that a log carries, so that what ran can run again.
 
-    A plant or a controller that was built in Python, or stands in a file of its own, is `Absent` unless it is given, or the
-    folder of its file is: no file is read, and no module run, because a log says so.
+    A plant or a controller that was built in Python, or stands in a file of its own, is `UnavailablePlugin` unless it is
+    given, or the folder of its file is: no file is read, and no module run, because a log says so.
 
     Args:
         resolved: the experiment with every default.

@@ -10,8 +10,8 @@ import msgspec
 from hil.errors import ExperimentError
 from hil.experiment.tables import Experiment
 from hil.plugins import registry
-from hil.plugins.own_plugins import own_fault
-from hil.plugins.protocols import NamesFiles
+from hil.plugins.protocols import ReferencesFiles
+from hil.plugins.user_plugins import own_fault
 from plants.errors import PlantError
 
 
@@ -33,7 +33,7 @@ def with_objects(experiment: Experiment, **objects: object) -> Experiment:
         group, cls = registry.group_of(path), type(made)
         installed = registry.kind_of_class(group, cls) if dataclasses.is_dataclass(cls) else None
         fault = own_fault(group, made) if installed is None else None
-        if isinstance(made, NamesFiles):
+        if isinstance(made, ReferencesFiles):
             try:
                 made = made.with_files(experiment.folder)
             except (ValueError, PlantError) as error:

@@ -8,13 +8,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hil.experiment.absent import Absent
 from hil.experiment.table import Seconds
+from hil.experiment.unavailable_plugin import UnavailablePlugin
 
 
 def plain(value: Any) -> Any:
     """Return a value of an experiment as JSON has it: numbers, text, lists and tables; an object of another kind by its class."""
-    if isinstance(value, Absent):
+    if isinstance(value, UnavailablePlugin):
         return dict(value.said)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}

@@ -15,7 +15,7 @@ import msgspec
 from hil.errors import HilError
 from hil.experiment.field_types import frame_of, holds_tables, table_for, tag_of
 from hil.experiment.tables import HIDDEN, Experiment, Seconds, Table
-from hil.plugins.protocols import NamesField
+from hil.plugins.protocols import FieldFault
 
 INFINITE = "is not a finite number"
 LARGEST, SMALLEST = 1e30, 1e-100
@@ -39,7 +39,7 @@ def fault_at(path: str, error: BaseException) -> str:
     >>> fault_at("plant", ValueError("is too large"))
     'plant: is too large'
     """
-    if isinstance(error, NamesField):
+    if isinstance(error, FieldFault):
         return f"{joined(path, error.field)}: {error.message}"
     return f"{path}: {error}" if path else str(error)
 
@@ -192,6 +192,6 @@ class TableCheck:
             at += where.rstrip("`")
             cause = e.__cause__  # what a class of its own said of its values
             self.faults.append(
-                fault_at(at, cause) if isinstance(cause, NamesField) else f"{at}: {message[0].lower()}{message[1:]}"
+                fault_at(at, cause) if isinstance(cause, FieldFault) else f"{at}: {message[0].lower()}{message[1:]}"
             )
             return None

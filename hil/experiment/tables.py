@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import msgspec
 
-from hil.experiment.absent import Absent
 from hil.experiment.faults import Fault
 from hil.experiment.limits import Limits
 from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from hil.experiment.nodes import Medium, Node, identifier_faults
 from hil.experiment.plain_form import plain
 from hil.experiment.table import Seconds, Table, not_negative
+from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.plugins import registry
-from hil.plugins.own_modules import written_in
+from hil.plugins.user_modules import written_in
 from transport.links.link import TransportError
 from transport.links.traits import KeyTable, traits_of
 
@@ -274,7 +274,7 @@ class Experiment(Table, frozen=True, kw_only=True):
             for part in path.split("."):
                 node[part] = node[part] if isinstance(node[part], dict) else {}  # an object that is no dataclass has no table
                 node, made = node[part], made[part] if isinstance(made, dict) else getattr(made, part)
-            node["kind"] = kind if isinstance(made, Absent) else registry.kind_of(registry.group_of(path), kind, made)
+            node["kind"] = kind if isinstance(made, UnavailablePlugin) else registry.kind_of(registry.group_of(path), kind, made)
         return out
 
     def origins(self) -> dict[str, str]:
@@ -285,7 +285,7 @@ class Experiment(Table, frozen=True, kw_only=True):
             for part in path.split("."):
                 made = made[part] if isinstance(made, dict) else getattr(made, part)
             said = self.kinds.get(path, "")
-            kind = said if isinstance(made, Absent) else registry.kind_of(registry.group_of(path), said, made)
+            kind = said if isinstance(made, UnavailablePlugin) else registry.kind_of(registry.group_of(path), said, made)
             own = written_in(type(made))
             if kind.startswith(registry.OBJECT):
                 found[path] = f"{kind} (not in the experiment file)"

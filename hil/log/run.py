@@ -9,8 +9,8 @@ from collections.abc import Iterator, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
+from hil.log.append_column import ROWS, pieces
 from hil.log.events import decode_events
-from hil.log.growing import ROWS, pieces
 from hil.log.read.arrays import StructuredArray, assemble
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.topics import missing

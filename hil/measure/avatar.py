@@ -11,8 +11,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers import FromSamples
-from design.controllers.rendered_wall import RendersWall
+from design.controllers import MultiSampleController
+from design.controllers.rendered_wall import WallController
 from hil.compose.loop import Loop
 from hil.log.topics import ROWS
 from hil.measure.composed import composed
@@ -24,7 +24,7 @@ MOST_ANSWERS = 200_000
 Array = npt.NDArray[np.float64]
 
 
-class InContact(Protocol):
+class ContactState(Protocol):
     """Where the avatar is."""
 
     avatar_m: float
@@ -32,11 +32,11 @@ class InContact(Protocol):
 
 
 @runtime_checkable
-class TouchesWall(Protocol):
+class HasContact(Protocol):
     """A running controller that says what it touches."""
 
     @property
-    def contact(self) -> InContact: ...
+    def contact(self) -> ContactState: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,11 +67,11 @@ def loop_of(view: RunView) -> Loop | None:
 def wall_loop_of(view: RunView) -> Loop | None:
     """Return the composed loop of a run if its controller renders a wall through a coupler, None for every other run."""
     loop = loop_of(view)
-    return loop if loop is not None and isinstance(loop.controller, RendersWall) else None
+    return loop if loop is not None and isinstance(loop.controller, WallController) else None
 
 
-def _touching(controller: object) -> TouchesWall | None:
-    return controller if isinstance(controller, TouchesWall) else None
+def _touching(controller: object) -> HasContact | None:
+    return controller if isinstance(controller, HasContact) else None
 
 
 def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
@@ -83,7 +83,7 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
     """
     controller = loop.start_controller()
     touching = _touching(controller)
-    if touching is None or isinstance(controller, FromSamples):
+    if touching is None or isinstance(controller, MultiSampleController):
         return None
     measured = view.run.arrays[MEASUREMENT][: MOST_ANSWERS + loop.model.tau_max + loop.samples]
     outputs = list(view.signals.outputs)

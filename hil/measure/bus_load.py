@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.growing import pieces
+from hil.log.append_column import pieces
 from hil.log.topics import BUS
 from hil.log.topics.bus import EXTENDED
 from hil.measure.view import RunView

@@ -13,11 +13,11 @@ from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.topics import TOPICS
-from hil.measure.many import MeasureOfMany
+from hil.measure.batch_measure import BatchMeasure
 from hil.measure.measure import Measure, Quantity, made_of, own_measures, quantities_of
 from hil.measure.view import RunView
 from hil.plugins.asked import asked, needs
-from hil.plugins.own_plugins import in_own_words
+from hil.plugins.user_plugins import in_own_words
 
 MEASURE: Final = {
     "title": "heading of its table",
@@ -70,10 +70,10 @@ def check_measure(measure: object, view: RunView) -> list[str]:
     if _numbers(measure, view, "a run") != _numbers(measure, view, "a run"):
         raise AssertionError("the same run must give the same numbers")
     said = [f"{name} is a Measure: its numbers stand in summary, page, sweep and comparison"]
-    if isinstance(measure, MeasureOfMany):
-        said.append(f"{name} is a MeasureOfMany: a sweep asks it for all runs at once")
+    if isinstance(measure, BatchMeasure):
+        said.append(f"{name} is a BatchMeasure: a sweep asks it for all runs at once")
     else:
-        said.append(f"{name} is no MeasureOfMany (no of_many): a sweep runs seed by seed")
+        said.append(f"{name} is no BatchMeasure (no of_batch): a sweep runs seed by seed")
     return said
 
 

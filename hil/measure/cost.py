@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.growing import pieces
+from hil.log.append_column import pieces
 from hil.log.topics import SC, SENSOR, STATE
-from hil.measure.many import Many, ManyView
+from hil.measure.batch_measure import BatchValues, BatchView
 from hil.measure.measure import Quantity
 from hil.measure.network_load import loads, node_loads
 from hil.measure.signals import Signals
@@ -50,8 +50,8 @@ class Cost:
             "bits_per_s": sum(load.bits_per_s for load in found) if found else None,
         }
 
-    def of_many(self, view: ManyView) -> Mapping[str, Many]:
-        """Return the numbers of many runs, see `MeasureOfMany.of_many`."""
+    def of_batch(self, view: BatchView) -> Mapping[str, BatchValues]:
+        """Return the numbers of many runs, see `BatchMeasure.of_batch`."""
         weights = _weights(view.experiment.plant, len(view.states), len(view.inputs))
         rows = []
         for run in range(len(view.inputs[0])):

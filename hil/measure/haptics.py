@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.log.growing import whole
+from hil.log.append_column import whole
 from hil.log.topics import STATE
 from hil.measure.measure import Quantity
 from hil.measure.signals import Signals

@@ -16,7 +16,7 @@ from hil.log.topics import NUMBER_TOPICS
 from hil.measure.signals import Signals
 from hil.measure.view import RunView
 from hil.plugins import registry
-from hil.plugins.own_plugins import in_own_words, words
+from hil.plugins.user_plugins import in_own_words, words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.growing import pieces
+from hil.log.append_column import pieces
 from transport.draws import REASONS
 from transport.law_tests.statistics import law_p_value, mode_counts, transition_counts
 from transport.laws.modes import mode_shares, mode_transitions

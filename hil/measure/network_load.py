@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.growing import pieces
+from hil.log.append_column import pieces
 from hil.log.topics import SC
 from hil.measure.network_paths import network_paths
 from hil.measure.view import MEASUREMENT, RunView

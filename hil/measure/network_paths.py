@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.growing import Growing, pieces
+from hil.log.append_column import AppendColumn, pieces
 from hil.log.run import Run
 from hil.log.topics import CA, SC
 from hil.measure.view import RunView
@@ -73,7 +73,7 @@ def draws_of(draws: Draws, number: int) -> Draws:
     """
     if "node" not in (draws.dtype.names or ()):
         return draws
-    own = Growing(draws.dtype)
+    own = AppendColumn(draws.dtype)
     for piece in pieces(draws):
         own.extend(piece[piece["node"] == number])
     return own.array()

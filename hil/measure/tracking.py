@@ -9,13 +9,13 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hil.measure.batch_measure import BatchValues, BatchView
+from hil.measure.batch_tracking import tracking_of_batch
 from hil.measure.followed import Followed
-from hil.measure.many import Many, ManyView
 from hil.measure.measure import Quantity
 from hil.measure.pairwise_sum import pairwise_sum
 from hil.measure.signals import Signals
 from hil.measure.step_response import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE
-from hil.measure.tracking_many import tracking_of_many
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 
 Array: TypeAlias = npt.NDArray[np.floating[Any]]
@@ -52,9 +52,9 @@ class Tracking:
         found = tracking_metrics(view.followed(), view.inputs(), view.period_s, disturbed_at_s=view.disturbed_at_s())
         return found | dict.fromkeys(without_sense(view.signals))
 
-    def of_many(self, view: ManyView) -> dict[str, Many]:
+    def of_batch(self, view: BatchView) -> dict[str, BatchValues]:
         """Return the numbers of many runs, (runs,) each, NaN where one is not defined."""
-        found = tracking_of_many(view)
+        found = tracking_of_batch(view)
         return found | {name: np.full_like(found[name], np.nan) for name in without_sense(view.signals)}
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.log import topics
-from hil.log.growing import ROWS, let_go, pieces, whole
+from hil.log.append_column import ROWS, pieces, release, whole
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.measure.followed import Followed
@@ -114,8 +114,8 @@ class RunView:
         def of(i: int, j: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
             y, r = measurement[i:j], reference[i:j]
             found = seconds(y), matrix(y, names), matrix(r, names)
-            let_go(measurement)
-            let_go(reference)
+            release(measurement)
+            release(reference)
             return found
 
         return Followed(slots=len(measurement), of=of)

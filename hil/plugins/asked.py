@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from hil.plugins.own_packages import OUR_FOLDERS
+from hil.plugins.shadowed_packages import OUR_FOLDERS
 
 
 def needs(made: object, what: str, names: Mapping[str, str]) -> None:

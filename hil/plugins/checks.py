@@ -13,12 +13,12 @@ import numpy as np
 
 from design.controllers import (
     Controller,
-    FromSamples,
     GainTable,
     HistoryGains,
     Known,
     LoopModel,
     ModeSchedule,
+    MultiSampleController,
     Sample,
     SeveralSamples,
     integrates,
@@ -101,7 +101,7 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
         out = []
         for k in range(60):
             y = tuple(map(float, rng.normal(size=(seen,))))
-            if isinstance(running, FromSamples):
+            if isinstance(running, MultiSampleController):
                 outputs = model.nodes.outputs
                 newest = [Sample(i, k - (k + i) % len(outputs), tuple(y[o] for o in own)) for i, own in enumerate(outputs)]
                 known = Known(tuple(s for s in newest if s.slot >= 0), (1.0,) * p)

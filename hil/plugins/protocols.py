@@ -17,22 +17,34 @@ from plants.parts.protocols import (
     HasStateHistory,
     JumpPlant,
     MovesOtherwise,
-    NamesFiles,
     Plant,
     PlantRun,
+    ReferencesFiles,
 )
 
 if TYPE_CHECKING:
     from design.requests.task import DesignTask
 
 __all__ = [
-    "BeyondModel", "Designer", "HasCost", "HasOwnInputs", "HasSensorNoise", "HasStateDelays", "HasStateHistory", "JumpPlant",
-    "MovesOtherwise", "NamedController", "NamesField", "NamesFiles", "Plant", "PlantRun",
+    "BeyondModel",
+    "Designer",
+    "FieldFault",
+    "HasCost",
+    "HasOwnInputs",
+    "HasSensorNoise",
+    "HasStateDelays",
+    "HasStateHistory",
+    "JumpPlant",
+    "MovesOtherwise",
+    "NamedController",
+    "Plant",
+    "PlantRun",
+    "ReferencesFiles",
 ]  # fmt: skip
 
 
 @runtime_checkable
-class NamesField(Protocol):
+class FieldFault(Protocol):
     """A ValueError that names the field at fault, so that it is shown with its path.
 
     `FieldError` of plants, transport and design is one; a plug-in may raise any of them, or its own.
@@ -74,7 +86,7 @@ class Designer(Protocol):
         """Return the controller that runs.
 
         Raises:
-            ValueError: a field that does not fit the loop; best one that `NamesField`.
+            ValueError: a field that does not fit the loop; best one that `FieldFault`.
             DesignError: no gains meet the request; the message has the number that decides it.
         """
         ...

@@ -1,6 +1,6 @@
 """Plug-ins by entry point: plants, controllers and network laws, ours through the same door as a user's.
 
-A kind with a colon is no entry point but a class of the user's own file, see :mod:`hil.plugins.own_modules`.
+A kind with a colon is no entry point but a class of the user's own file, see :mod:`hil.plugins.user_modules`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from importlib.metadata import Distribution, EntryPoint, distributions
 from typing import Final, Literal
 
 from hil.errors import HilError
-from hil.plugins.own_modules import is_own, load_own, written_in
+from hil.plugins.user_modules import is_own, load_own, written_in
 
 Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]
 

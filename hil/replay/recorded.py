@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import HilError
-from hil.log.growing import Growing, let_go, pieces
+from hil.log.append_column import AppendColumn, pieces, release
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR, TIMING
@@ -27,7 +27,7 @@ def frames(parts: Iterator[StructuredArray]) -> Iterator[tuple[int, bytes]]:
         yield from zip(piece["tick"].tolist(), map(bytes, piece["data"]))
 
 
-class Heard:
+class RecordedAnswers:
     """The control packets that arrived in time, asked for slot by slot.
 
     Args:
@@ -74,7 +74,7 @@ class Heard:
 
 def recorded_wire(run: Run) -> Wire:
     """Return the nonces of the recorded questions."""
-    slots, nonces = Growing(np.int64), Growing(np.uint64)
+    slots, nonces = AppendColumn(np.int64), AppendColumn(np.uint64)
     for piece in run.pieces(SENSOR.name, BATCH):
         asked = {tick: decode(bytes(data)) for tick, data in zip(piece["tick"].tolist(), piece["data"])}
         questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
@@ -100,8 +100,8 @@ class _Nonces:
             self._begin, self._end = k, k + BATCH
             first, last = np.searchsorted(self._slots, (self._begin, self._end))
             self._known = dict(zip(self._slots[first:last].tolist(), self._nonces[first:last].tolist()))
-            let_go(self._slots)
-            let_go(self._nonces)
+            release(self._slots)
+            release(self._nonces)
         return self._known.get(k, 0)
 
 

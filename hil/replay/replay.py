@@ -19,21 +19,21 @@ from design.controllers import Controller, packet_samples
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
-from hil.experiment.absent import Absent
-from hil.log.growing import Growing, pieces, whole
+from hil.experiment.unavailable_plugin import UnavailablePlugin
+from hil.log.append_column import AppendColumn, pieces, whole
 from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
 from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING, channels_of
 from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
 from hil.replay.compare import BATCH, Comparison, near_frames
-from hil.replay.recorded import Heard, Woken, frames, recorded_wire
+from hil.replay.recorded import RecordedAnswers, Woken, frames, recorded_wire
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.slot import Hear, Slot
+from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport.links.opening import open_link
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
@@ -83,7 +83,7 @@ def experiment_of(
     objects = {name: given for name, given in (("plant", plant), ("controller", controller)) if given is not None}
     objects |= laws or {}
     experiment = experiment_from_resolved(run.resolved, run.experiment_text, source, folder=folder, objects=objects)
-    absent = [part for part in (experiment.plant, experiment.controller) if isinstance(part, Absent)]
+    absent = [part for part in (experiment.plant, experiment.controller) if isinstance(part, UnavailablePlugin)]
     if absent:
         told = "; ".join(f"its {part.field} was {part.why}" for part in absent)
         asked = ", ".join(f"{part.field}=..." for part in absent if part.kind.startswith(OBJECT))
@@ -110,7 +110,7 @@ def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
     """Feed the recorded sensor frames to the loop's controller; give the slot and its answer."""
     node = ControlNode(loop)
     for tick, data in frames(run.pieces(SENSOR.name, BATCH)):
-        answer = node.hear(data)
+        answer = node.on_frame(data)
         if answer is not None:
             yield tick, answer
 
@@ -124,7 +124,7 @@ class Recorded:
         foreign: somebody else's controller answered; ours is not asked.
     """
 
-    def __init__(self, loop: Loop, heard: Heard, foreign: bool) -> None:
+    def __init__(self, loop: Loop, heard: RecordedAnswers, foreign: bool) -> None:
         self._node, self._heard, self._foreign = ControlNode(loop), heard, foreign
         self._period_ns = loop.experiment.period_ns
         self._answer: bytes | None = None
@@ -133,16 +133,16 @@ class Recorded:
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
         """Ask our controller."""
-        answers = [answer for answer in map(self._node.hear, frames) if answer is not None]
+        answers = [answer for answer in map(self._node.on_frame, frames) if answer is not None]
         self._answer = answers[-1] if answers else None
 
-    def answer(self, t_ns: int, hear: Hear) -> None:
+    def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         """Hand over what was recorded, and compare."""
         k = t_ns // self._period_ns
         recorded = self._heard.get(k)
         if recorded is None:
             return
-        hear(recorded)
+        on_frame(recorded)
         if not self._foreign and self._answer != recorded and _said(self._answer) != _said(recorded):
             text = f"control packet of slot {k}: {_words(recorded)} recorded, {_words(self._answer)} now"
             self.difference = self.difference or (k, text)
@@ -171,7 +171,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
         raise HilError(f"{source}: the log holds no slots")
     ended = any(event["kind"] == "outcome" for event in run.events)
     slots = int(applied["tick"][-1]) + ended  # the last slot of a rig that was killed may be torn
-    heard = Heard(run)
+    heard = RecordedAnswers(run)
     channels = channels_of(loop)
     compared = sorted(topic for topic in channels if topic != TIMING.name and topic in run.arrays)  # an older log may lack one
     again = Comparison(run, channels, compared, slots)
@@ -235,7 +235,7 @@ def what_if(
     d_max, selection = other.model.d_max, other.start_controller().selection
     d = array("i", whole(applied, "d").astype(np.int32).tobytes())
     answers, recent = _answers(other, run), _Recent(d_max + REMEMBERED)
-    rows = [Growing(np.float64) for _ in names]
+    rows = [AppendColumn(np.float64) for _ in names]
     for piece in pieces(applied, BATCH):
         found = []
         for k, g, status in zip(piece["tick"].tolist(), piece["packet_tick"].tolist(), piece["status"].tolist()):
@@ -290,7 +290,7 @@ def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], 
     begin = next(schedule, None)
     if begin is None:
         raise HilError("the log has no frames to play")
-    errors = Growing(np.float64)
+    errors = AppendColumn(np.float64)
     if run.resolved.get("nodes"):  # each on its own CAN identifiers
         uri = link_of(rig_of(experiment_of(run, "the log")), uri).uri
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:

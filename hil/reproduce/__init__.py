@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from hil.reproduce.chapter import Chapter, Kept, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
+from hil.reproduce.chapter import Chapter, Checkpoint, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
 from hil.reproduce.judgement import VERDICTS, Check, Row, Verdict
 from hil.reproduce.power import power, power_in_words
 from hil.reproduce.statements import Statement
@@ -19,7 +19,7 @@ __all__ = [
     "VERDICTS",
     "Chapter",
     "Check",
-    "Kept",
+    "Checkpoint",
     "Part",
     "Plot",
     "Progress",
@@ -44,12 +44,12 @@ def chapters() -> tuple[str, ...]:
     return tuple(sorted(f"ch{room.removeprefix('chapter')}" for room in rooms if room.startswith("chapter")))
 
 
-def reproduce(chapter: str, progress: Progress = lambda step: None, kept: Kept | None = None) -> Reproduction:
+def reproduce(chapter: str, progress: Progress = lambda step: None, kept: Checkpoint | None = None) -> Reproduction:
     """Compute a chapter, but for the stages that were kept. Raises KeyError if it is not one of ``chapters()``."""
     return compute(_asked(chapter), progress, chapter, kept)
 
 
-def seconds_left(chapter: str, kept: Kept | None = None) -> float:
+def seconds_left(chapter: str, kept: Checkpoint | None = None) -> float:
     """How long a chapter takes on two quiet cores, nominally, without the stages that were kept; s."""
     return sum(s.seconds for s in _asked(chapter).stages if kept is None or kept.get(chapter, s.title) is None)
 

@@ -103,7 +103,7 @@ class Step:
     left: float = 0.0
 
 
-class Kept(Protocol):
+class Checkpoint(Protocol):
     """Stages that were done before."""
 
     def get(self, chapter: str, stage: str, /) -> Part | None:
@@ -152,7 +152,7 @@ class Reproduction:
         return f"<Reproduction of {self.title}: {len(self.rows)} rows, {counts}>"
 
 
-def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Kept | None = None) -> Reproduction:
+def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Checkpoint | None = None) -> Reproduction:
     """Run every stage in order, but those that were kept.
 
     Args:

@@ -10,10 +10,10 @@ and, for a claim that we say is wrong, the *witness*: checks that refute it.
 
 There is one rule for each kind of number, and its kind stands beside it:
 
-    equality    a printed number, to half a unit of its last digit; a mean of runs, to four standard errors (`Near`)
+    equality    a printed number, to half a unit of its last digit; a mean of runs, to four standard errors (`Approximately`)
     one run     a printed run among ours: error rate 1 %, and power against runs of half or twice the size (`Drawn`)
-    one-sided   a limit or an interval (`Within`)
-    word        what a certificate or a search says, never one that we write down (`Is`)
+    one-sided   a limit or an interval (`Between`)
+    word        what a certificate or a search says, never one that we write down (`Equals`)
     untold      a number that is shown and not judged, because what it depends on is not at hand (`Untold`)
 
 A check is undecided, and so decides nothing, where the data cannot tell: a statistic whose interval lies across the limit, an
@@ -59,7 +59,7 @@ class Rule(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Near:
+class Approximately:
     """|value - printed| <= tolerance; ``scale`` is the size of what is compared where ``printed`` is 0."""
 
     kind: ClassVar[Kind] = "equality"
@@ -84,7 +84,7 @@ class Near:
 
 
 @dataclass(frozen=True, slots=True)
-class Within:
+class Between:
     """low < value < high."""
 
     kind: ClassVar[Kind] = "one-sided"
@@ -122,7 +122,7 @@ class Drawn:
 
 
 @dataclass(frozen=True, slots=True)
-class Is:
+class Equals:
     """The value is this word."""
 
     kind: ClassVar[Kind] = "word"
@@ -190,8 +190,8 @@ class Check:
             return replace(self, value=0.5 if passes else math.nan, interval=())
         if isinstance(self.value, str) or isinstance(self.rule, Untold):
             return None
-        zero = isinstance(self.rule, Near) and self.rule.printed == 0.0
-        size = self.rule.size if zero and isinstance(self.rule, Near) else abs(self.value)
+        zero = isinstance(self.rule, Approximately) and self.rule.printed == 0.0
+        size = self.rule.size if zero and isinstance(self.rule, Approximately) else abs(self.value)
         return replace(self, value=self.value + share * size, interval=())
 
     def __str__(self) -> str:

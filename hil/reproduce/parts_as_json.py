@@ -9,11 +9,14 @@ import numpy as np
 
 from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
 from hil.reproduce.chapter import Part, Plot
-from hil.reproduce.judgement import Check, Drawn, Is, Near, Row, Untold, Within
+from hil.reproduce.judgement import Approximately, Between, Check, Drawn, Equals, Row, Untold
 
 CLASSES: dict[str, Any] = {
     kind.__name__: kind
-    for kind in (Part, Plot, Row, Check, Near, Within, Drawn, Is, Untold, Figure, Series, Band, Marker, Bars, BarGroup, Histogram)
+    for kind in (
+        Part, Plot, Row, Check, Approximately, Between, Drawn, Equals, Untold,
+        Figure, Series, Band, Marker, Bars, BarGroup, Histogram,
+    )
 }
 KINDS = {"f": np.float64, "i": np.int64, "b": np.bool_}
 

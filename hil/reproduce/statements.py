@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from string import Formatter
 from typing import Any
 
-from hil.reproduce.judgement import Check, Is, Near, Row, Rule, Untold, Within, rank
+from hil.reproduce.judgement import Approximately, Between, Check, Equals, Row, Rule, Untold, rank
 
 ERRORS = 4.0
 """Standard errors that a Monte-Carlo mean may be off: two-sided error rate 6e-5 for a normal mean."""
@@ -101,18 +101,18 @@ def equal(what: str, name: str, printed: str, rounding: Number = 0.0) -> Claim:
     why = "half a unit of the last printed digit" + (", and the rounding of the printed gains" if rounding else "")
     slack = 1.0 + 1e-9  # 0.05 is no binary fraction
     half = 0.5 * last_digit(printed) * slack
-    return _claim(what, name, lambda v: Near(float(printed), half + named(v, rounding), why))
+    return _claim(what, name, lambda v: Approximately(float(printed), half + named(v, rounding), why))
 
 
 def exactly(what: str, name: str, target: Number, tolerance: float = 0.0, scale: Number = 1.0) -> Claim:
-    """The number is another one or a count; ``tolerance`` is that of the arithmetic, ``scale`` see `Near`."""
-    return _claim(what, name, lambda v: Near(float(named(v, target)), tolerance, "", float(named(v, scale))))
+    """The number is another one or a count; ``tolerance`` is that of the arithmetic, ``scale`` see `Approximately`."""
+    return _claim(what, name, lambda v: Approximately(float(named(v, target)), tolerance, "", float(named(v, scale))))
 
 
 def mean(what: str, name: str, printed: str, *, error: str, why: str) -> Claim:
     """A statistic of standard error ``error`` lies within four of them of the printed number."""
     said = f"{ERRORS:g} standard errors: {why}"
-    return _claim(what, name, lambda v: Near(float(printed), ERRORS * float(named(v, error)), said))
+    return _claim(what, name, lambda v: Approximately(float(printed), ERRORS * float(named(v, error)), said))
 
 
 def run(what: str, name: str, printed: str) -> Claim:
@@ -122,22 +122,22 @@ def run(what: str, name: str, printed: str) -> Claim:
 
 def below(what: str, name: str, limit: Number) -> Claim:
     """The number is less than a limit."""
-    return _claim(what, name, lambda v: Within(high=float(named(v, limit))))
+    return _claim(what, name, lambda v: Between(high=float(named(v, limit))))
 
 
 def above(what: str, name: str, limit: Number) -> Claim:
     """The number is greater than a limit."""
-    return _claim(what, name, lambda v: Within(low=float(named(v, limit))))
+    return _claim(what, name, lambda v: Between(low=float(named(v, limit))))
 
 
 def within(what: str, name: str, low: float, high: float) -> Claim:
     """The number lies between two limits."""
-    return _claim(what, name, lambda v: Within(low, high))
+    return _claim(what, name, lambda v: Between(low, high))
 
 
 def says(what: str, name: str, word: str) -> Claim:
     """A computation (a certificate, a search) says this word."""
-    return _claim(what, name, lambda v: Is(word))
+    return _claim(what, name, lambda v: Equals(word))
 
 
 def untold(what: str, name: str, why: str) -> Claim:

@@ -12,10 +12,10 @@ from transport.medium.sample_clock import SampleClock
 MOST_PHASES = 64
 """The theory takes one matrix per slot of the cycle, each on the stacked state."""
 
-Heard = tuple[tuple[tuple[int, int], ...], ...]
+BusCycle = tuple[tuple[tuple[int, int], ...], ...]
 
 
-def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> Heard | str:
+def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> BusCycle | str:
     """Return in every slot of the cycle, from slot 0, the (node, age) that the bus carries; or why there is no such cycle.
 
     The bus is run, by the rule that runs it in the rig, until what waits is as it was before. What is carried in the first slots

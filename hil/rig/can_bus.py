@@ -9,7 +9,7 @@ from design.controllers import row_count
 from hil.experiment.can_traffic import TrafficTable
 from hil.experiment.nodes import Medium
 from hil.rig.can_frames import CONTROL, path_of
-from hil.rig.sensors import Shared
+from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
 from transport.can_analysis.messages import PeriodicMessage
 from transport.can_bus_model.bit_rates import BitRates
@@ -46,12 +46,12 @@ class OwnPacket:
         return [frame_length(size) if fd else size for size in left]
 
 
-def can_bus_of(rig: RigSpec) -> Shared | None:
+def can_bus_of(rig: RigSpec) -> SharedMedium | None:
     """Return the CAN bus that takes time, None where there is none."""
     return next((shared for shared in rig.media if shared.table.kind == "can"), None)
 
 
-def own_packets(rig: RigSpec, bus: Shared, rows: int | None = None) -> list[OwnPacket]:
+def own_packets(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[OwnPacket]:
     """Return what the rig's own nodes send on the bus: its sensor nodes by number, then the controller.
 
     Args:
@@ -72,7 +72,7 @@ def own_packets(rig: RigSpec, bus: Shared, rows: int | None = None) -> list[OwnP
     return found
 
 
-def bus_nodes(rig: RigSpec, bus: Shared) -> tuple[str, ...]:
+def bus_nodes(rig: RigSpec, bus: SharedMedium) -> tuple[str, ...]:
     """Return the names of all nodes on the bus by number: those that send packets of the rig, the actuator, and the others."""
     own = [rig.sensors[number].name for number in sorted(bus.nodes)]
     return (*own, CONTROLLER, ACTUATOR, *dict.fromkeys(message.sender for message in bus.table.traffic))
@@ -83,7 +83,7 @@ def rates_of(medium: Medium) -> BitRates:
     return BitRates(medium.bitrate or 0, medium.dbitrate)
 
 
-def periodic(rig: RigSpec, bus: Shared) -> list[Periodic]:
+def periodic(rig: RigSpec, bus: SharedMedium) -> list[Periodic]:
     """Return the background traffic, in the order of its table."""
     medium, number = bus.table, {name: i for i, name in enumerate(bus_nodes(rig, bus))}
     return [
@@ -102,7 +102,7 @@ def frame_of(message: TrafficTable, medium: Medium) -> CanFrame:
     return CanFrame(identifier=message.can_id, data=data, extended=message.extended, fd=message.fd, bitrate_switch=switch)
 
 
-def analysed(rig: RigSpec, bus: Shared, rows: int | None = None) -> list[PeriodicMessage]:
+def analysed(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[PeriodicMessage]:
     """Return everything that is sent again and again on the bus, for the analysis of its response times."""
     medium = bus.table
     fd = medium.dbitrate is not None

@@ -6,7 +6,7 @@ from hil.errors import ExperimentError
 from hil.rig.can_frames import can_faults, most_rows
 from hil.rig.session_link import link_of
 from hil.rig.spec import RigSpec
-from transport.dbc import LONGEST_NAME, Talker, dbc_text
+from transport.dbc import LONGEST_NAME, BusNode, dbc_text
 from transport.links.link import TransportError
 from transport.links.traits import CanFraming, LinkTraits
 
@@ -33,7 +33,7 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
         outputs, name = [list(units)[i] for i in sensor.outputs], sensor.name if sensor.numbered else ""
         values = tuple((f"{output[: LONGEST_NAME - 4]}_{j}", units[output]) for j in range(sensor.buffer) for output in outputs)
         talkers.append(
-            Talker(
+            BusNode(
                 name=f"Sensor_{name if short else number}_" if name else "Sensor", identifiers=identifiers,
                 about=f"Node {number}{' ' + name if name else ''}: {', '.join(outputs)}, each with the number of slots before "
                 "the newest sample; then the references. EMPTY: no node is heard.",
@@ -43,7 +43,7 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
     inputs = [(signal.name, signal.unit) for signal in rig.inputs]
     rows = tuple((f"{name[: LONGEST_NAME - 5]}_{row}", unit) for row in range(most_rows(rig, framing)) for name, unit in inputs)
     talkers.append(
-        Talker(
+        BusNode(
             name="Control", identifiers=own.control, sensor=False, values=rows,
             about="Send-all packet that answers slot Seq: input, and the row behind its name; at most these rows.",
         )

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
-from hil.experiment.absent import Absent
+from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.rig.can_bus import can_bus_faults
 from hil.rig.can_frames import can_faults
+from hil.rig.fault_schedule import beyond_the_end, fault_schedule, fault_schedule_faults
 from hil.rig.packet_ages import Receiver
 from hil.rig.port import Port, port_of
 from hil.rig.sensor_list import sensors_of
 from hil.rig.sensor_order import ordered_names
 from hil.rig.sensors import node_faults, sensor_nodes, shared_media
 from hil.rig.spec import RigSpec
-from hil.rig.time_line import beyond_the_end, time_line, time_line_faults
 from transport.links.traits import CanFraming, traits_of
 
 
@@ -28,11 +28,11 @@ def rig_of(e: Experiment) -> RigSpec:
         PlantError: the plant has no model.
     """
     plant, links = e.plant, e.links
-    absent = isinstance(plant, Absent)
+    absent = isinstance(plant, UnavailablePlugin)
     port = None if absent else port_of(plant)
     faults, nodes = ([], []) if absent else (_size_faults(e) + _port_faults(e, port), node_faults(e))
     if nodes:
-        raise ExperimentError(e.name, faults + nodes + time_line_faults(e))
+        raise ExperimentError(e.name, faults + nodes + fault_schedule_faults(e))
     names, period_s = ordered_names(e), float(e.period)
     traits = traits_of(links.secured(e.folder))
     framing = traits.can or CanFraming()
@@ -46,10 +46,10 @@ def rig_of(e: Experiment) -> RigSpec:
         ca_law=links.ca.law, ca_kind=e.kinds.get("links.ca.law", "?"),
         at_controller=Receiver(period_s, deadline_s, links.sc.max_age, holds_input=False),
         at_actuator=Receiver(period_s, deadline_s, links.ca.max_age, holds_input=True),
-        time_line=time_line(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
+        fault_schedule=fault_schedule(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
         links=links, framing=framing,
     )  # fmt: skip
-    faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)]) + time_line_faults(e)
+    faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)]) + fault_schedule_faults(e)
     if faults:
         raise ExperimentError(e.name, faults)
     return rig

@@ -18,7 +18,7 @@ MOST_NODES = 255
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shared:
+class SharedMedium:
     """A medium on which some nodes take turns.
 
     Args:
@@ -70,7 +70,7 @@ def node_faults(e: Experiment) -> list[str]:
     return faults
 
 
-def shared_media(e: Experiment, names: Sequence[str]) -> tuple[Shared, ...]:
+def shared_media(e: Experiment, names: Sequence[str]) -> tuple[SharedMedium, ...]:
     """Return the media on which nodes take turns.
 
     Args:
@@ -79,13 +79,13 @@ def shared_media(e: Experiment, names: Sequence[str]) -> tuple[Shared, ...]:
     """
     number = {name: i for i, name in enumerate(names)}
     return tuple(
-        Shared(name=name, nodes=tuple(number[node] for node in medium.nodes), table=medium)
+        SharedMedium(name=name, nodes=tuple(number[node] for node in medium.nodes), table=medium)
         for name, medium in e.media.items()
         if medium.kind != "independent"
     )
 
 
-def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[Shared]) -> SensorNodes:
+def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[SharedMedium]) -> SensorNodes:
     """Return the sensor nodes as a controller and the theory see them.
 
     Args:
@@ -107,7 +107,7 @@ def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[Shared]) -> SensorN
     )
 
 
-def _turns(shared: Shared, sensors: Sequence[Sensor]) -> Turns | str:
+def _turns(shared: SharedMedium, sensors: Sequence[Sensor]) -> Turns | str:
     table = shared.table
     if table.kind == "can":
         return "the theory knows no chain of the delays that a CAN bus in time makes"

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 from design.controllers import SensorNodes
 from hil.experiment.tables import Links
+from hil.rig.fault_schedule import FaultSchedule
 from hil.rig.packet_ages import Receiver
 from hil.rig.port import Port
 from hil.rig.sensor_list import Sensor
-from hil.rig.sensors import Shared
-from hil.rig.time_line import TimeLine
+from hil.rig.sensors import SharedMedium
 from plants.parts.linear import Signal
 from transport.laws.protocols import NetworkLaw, prepare
 from transport.links.traits import CanFraming
@@ -34,7 +34,7 @@ class RigSpec:
         ca_law: the network to the actuator.
         ca_kind: name of its plug-in.
         at_controller, at_actuator: how the two receive.
-        time_line: what is broken when.
+        fault_schedule: what is broken when.
         unreached: what of the time line a run never reaches, in words; empty: nothing.
         links: the real link, as the file names it.
         framing: CAN frames of that link; of one that is no CAN link, those of a CAN link by default.
@@ -50,13 +50,13 @@ class RigSpec:
     port: Port | None
     passivity: bool
     sensors: tuple[Sensor, ...]
-    media: tuple[Shared, ...]
+    media: tuple[SharedMedium, ...]
     nodes: SensorNodes
     ca_law: NetworkLaw
     ca_kind: str
     at_controller: Receiver
     at_actuator: Receiver
-    time_line: TimeLine
+    fault_schedule: FaultSchedule
     unreached: str
     links: Links
     framing: CanFraming

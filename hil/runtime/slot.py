@@ -7,7 +7,7 @@ from typing import Protocol
 
 from hil.runtime.nodes.rig import Rig
 
-Hear = Callable[[bytes], bool]
+OnFrame = Callable[[bytes], bool]
 """Takes one frame that came back; true when it answers the current slot."""
 
 
@@ -23,7 +23,7 @@ class Exchange(Protocol):
         """
         ...
 
-    def answer(self, t_ns: int, hear: Hear) -> None:
+    def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         """Hand over what comes back, until one frame answers the slot or no more may come.
 
         Args:
@@ -66,7 +66,7 @@ class Slot:
         frames = rig.sense(t_ns)  # the plant reaches t_k and is measured; the network says what arrives
         exchange.ask(t_ns, frames)
         rig.record(t_ns, frames)  # while the controller computes
-        exchange.answer(t_ns, rig.hear)
+        exchange.answer(t_ns, rig.on_frame)
         if self._stopped():
             return
         rig.actuate(t_ns)

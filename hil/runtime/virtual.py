@@ -9,7 +9,7 @@ from hil.log.topics import channels_of
 from hil.log.write.sinks import Sink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.slot import Hear, Slot
+from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.time.clock import VirtualClock
 from hil.runtime.time.kernel import Kernel
 
@@ -29,12 +29,12 @@ class DirectExchange:
         """Keep the frames for :meth:`answer`."""
         self._frames = frames
 
-    def answer(self, t_ns: int, hear: Hear) -> None:
+    def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         """Let the node take every frame, and hand over what it answers."""
         for frame in self._frames:
-            answer = self._node.hear(frame)
+            answer = self._node.on_frame(frame)
             if answer is not None:
-                hear(answer)
+                on_frame(answer)
 
 
 def run_virtual(

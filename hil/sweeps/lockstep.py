@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from hil.compose.loop import Loop
 from hil.log.topics import SC, STATE
-from hil.measure.many import ManyView, MeasureOfMany
+from hil.measure.batch_measure import BatchMeasure, BatchView
 from hil.measure.measure import measures_of
 from hil.measure.signals import signals_of
-from hil.sweeps.delays_of_many import applied_rows, received, starved, told_at_once
-from hil.sweeps.heard_of_many import KnownSamples, heard, nodes_of
-from hil.sweeps.many import (
-    ControllerOfMany,
+from hil.sweeps.batch_delays import applied_rows, law_supports_batch, received, starved
+from hil.sweeps.batch_delivery import KnownSamples, delivered, nodes_of
+from hil.sweeps.batch_protocols import (
+    BatchController,
+    BatchPlant,
     Matrix,
-    PlantOfMany,
     Running,
     RunningControllers,
     RunningControllersByNode,
@@ -45,7 +45,7 @@ Answer = Callable[[int, NDArray[np.bool_], Sequence[NDArray[np.int32]], Matrix, 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Together:
+class BatchResult:
     """Runs that were computed at once.
 
     Args:
@@ -65,29 +65,29 @@ class Together:
     packets: NDArray[np.int64] | None
 
 
-def chunk_runs(loop: Loop) -> int:
+def runs_per_batch(loop: Loop) -> int:
     """Return how many runs of a loop are computed at once."""
     return max(1, min(MOST_RUNS, ENTRIES // loop.experiment.ticks))
 
 
-def in_lockstep(loop: Loop) -> bool:
+def supports_batch(loop: Loop) -> bool:
     """Return whether the runs of a loop can be computed at once: its plant, controller and network laws all serve."""
     e = loop.experiment
     return (
         not e.fault
         and not any(shared.table.kind == "can" for shared in loop.rig.media)  # its way back depends on what is sent
         and _sends_all(loop)
-        and told_at_once(loop.rig.ca_law)
+        and law_supports_batch(loop.rig.ca_law)
         and _answers_together(loop)
-        and isinstance(e.plant, PlantOfMany)
-        and e.plant.start_many(1) is not None
+        and isinstance(e.plant, BatchPlant)
+        and e.plant.start_batch(1) is not None
         and e.limits.passivity is None
     )
 
 
 def _answers_together(loop: Loop) -> bool:
     controller = loop.controller
-    running = controller.start_many(loop.model, 1) if isinstance(controller, ControllerOfMany) else None
+    running = controller.start_batch(loop.model, 1) if isinstance(controller, BatchController) else None
     if isinstance(running, RunningControllersByNode) and any(sensor.clock.every > 1 for sensor in loop.rig.sensors):
         return False  # whether it waits for a node with a clock is its own affair
     return running is not None
@@ -104,34 +104,34 @@ def _sends_all(loop: Loop) -> bool:
 
 def measures_in_lockstep(loop: Loop) -> bool:
     """Return whether all measures of an experiment can be computed for many runs at once."""
-    return all(isinstance(measure, MeasureOfMany) for measure in measures_of(loop.experiment))
+    return all(isinstance(measure, BatchMeasure) for measure in measures_of(loop.experiment))
 
 
 def measured_alone(loop: Loop) -> str:
     """Return which measures keep the runs of a loop from being computed at once, in a sentence; nothing where none does."""
     measures = dict(zip(loop.experiment.report.measures, measures_of(loop.experiment)))
-    alone = [name for name, measure in measures.items() if not isinstance(measure, MeasureOfMany)]
-    if not alone or not in_lockstep(loop):
+    alone = [name for name, measure in measures.items() if not isinstance(measure, BatchMeasure)]
+    if not alone or not supports_batch(loop):
         return ""
     runs = "runs" if len(alone) == 1 else "run"
     return (
         f"{len(measures) - len(alone)} of {len(measures)} measures run at once; {', '.join(alone)} {runs} alone: "
-        "without of_many(view) every run is simulated by itself"
+        "without of_batch(view) every run is simulated by itself"
     )
 
 
-def run_together(loop: Loop, seeds: Sequence[int], topics: Collection[str] | None = None) -> Together:
+def run_batch(loop: Loop, seeds: Sequence[int], topics: Collection[str] | None = None) -> BatchResult:
     """Run a loop for some seeds at once.
 
     Args:
-        loop: a loop of which `in_lockstep` says that it can.
+        loop: a loop of which `supports_batch` says that it can.
         seeds: one run each; memory grows with their number.
         topics: of which states and packets are kept; those of the experiment's measures by default.
     """
     wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics} if topics is None else topics
-    plants = loop.experiment.plant.start_many(len(seeds))  # type: ignore[attr-defined]
+    plants = loop.experiment.plant.start_batch(len(seeds))  # type: ignore[attr-defined]
     with np.errstate(all="ignore"):  # what overflows is not known
-        running = loop.controller.start_many(loop.model, len(seeds))  # type: ignore[attr-defined]
+        running = loop.controller.start_batch(loop.model, len(seeds))  # type: ignore[attr-defined]
         return _Slots(loop, seeds, plants, running, wanted).run()
 
 
@@ -145,7 +145,7 @@ class _Slots:
         self._loop, self._plants, self._controllers = loop, plants, controllers
         self._slots, self._runs, self._period_ns = e.ticks, len(seeds), e.period_ns
         by_sample = controllers if isinstance(controllers, RunningControllersFromSamples) else None
-        sc = heard(loop, seeds, every_packet=by_sample is not None or SC.name in topics)
+        sc = delivered(loop, seeds, every_packet=by_sample is not None or SC.name in topics)
         ca = received(loop.rig.ca_law, seeds, "link.ca", e)
         self._sampled, self._held, self._packets, self._node_of = sc.newest, ca.newest, sc.packets, nodes_of(loop)
         self._samples = None if by_sample is None else KnownSamples(loop, sc, by_sample.memory, self._runs)
@@ -156,7 +156,7 @@ class _Slots:
         self._ring = d_max + 2
         self._columns = np.arange(self._runs, dtype=np.intp)
 
-    def run(self) -> Together:
+    def run(self) -> BatchResult:
         """Move all plants from the first slot to the last."""
         loop, plants, runs, answer = self._loop, self._plants, self._runs, self._answers(self._controllers)
         begun = np.logical_and.reduce if self._samples is None else np.logical_or.reduce  # of every sample, any node will do
@@ -191,7 +191,7 @@ class _Slots:
             w = disturbance(k)
         targets = np.array([reference(k) for k in range(self._slots)])
         known = self._known & (peak < LARGEST) & self._allowed(top, inputs)
-        return Together(
+        return BatchResult(
             known=known, outputs=outputs, inputs=inputs, reference=targets, states=self._states, packets=self._packets
         )  # fmt: skip
 
@@ -208,7 +208,7 @@ class _Slots:
             return lambda k, started, sampled, y, r: controllers.rows(
                 k, started, k - _oldest(sampled), self._sample(y, sampled), r
             )
-        raise TypeError(f"{type(controllers).__name__} answers in none of the ways of hil.sweeps.many")
+        raise TypeError(f"{type(controllers).__name__} answers in none of the ways of hil.sweeps.batch_protocols")
 
     def _sample(self, outputs: Matrix, sampled: Sequence[NDArray[np.int32]]) -> Matrix:
         """What the newest sensor packets hold, newest sample first, (width, runs); several samples are of one node."""
@@ -232,12 +232,12 @@ def _oldest(sampled: Sequence[NDArray[np.int32]]) -> NDArray[np.intp]:
     return oldest.astype(np.intp)
 
 
-def view_of_many(loop: Loop, runs: Together) -> ManyView:
+def view_of_batch(loop: Loop, runs: BatchResult) -> BatchView:
     """Return the known runs as measures see them."""
     e = loop.experiment
     names = [signal.name for signal in e.plant.outputs]
     tracked = [names.index(name) for name in signals_of(e.plant).tracked]
-    return ManyView(
+    return BatchView(
         t_s=np.arange(e.ticks, dtype=np.int64) * e.period_ns / 1e9,
         outputs=tuple(np.ascontiguousarray(runs.outputs[c][:, runs.known].T) for c in tracked),
         reference=np.ascontiguousarray(runs.reference[:, tracked]),

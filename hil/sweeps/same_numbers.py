@@ -1,6 +1,6 @@
 """Whether a sweep has the numbers of single runs, where a part of the loop is not ours: of those the first run is made alone.
 
-That ours have them, bit for bit, tests hold. An own plant may inherit `start_many` from one of ours and move otherwise, or be
+That ours have them, bit for bit, tests hold. An own plant may inherit `start_batch` from one of ours and move otherwise, or be
 another one once it was pickled for a worker.
 """
 
@@ -12,8 +12,8 @@ from math import isnan
 from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.measure.measure import measures_of
-from hil.plugins.own_packages import is_ours
-from hil.sweeps.lockstep import in_lockstep, measures_in_lockstep
+from hil.plugins.shadowed_packages import is_ours
+from hil.sweeps.lockstep import measures_in_lockstep, supports_batch
 
 
 def foreign_parts(loop: Loop) -> tuple[str, ...]:
@@ -46,8 +46,8 @@ def refuse_other_numbers(loop: Loop, alone: Mapping[str, float], found: Mapping[
     for name, value in alone.items():
         other = found[name]
         if not (value == other or (isnan(value) and isnan(other))):
-            at_once = in_lockstep(loop) and measures_in_lockstep(loop)
-            why = "start_many(), ages_of_many() or of_many()" if at_once else "what is left of it when pickled"
+            at_once = supports_batch(loop) and measures_in_lockstep(loop)
+            why = "start_batch(), ages_of_batch() or of_batch()" if at_once else "what is left of it when pickled"
             raise HilError(
                 f"{', '.join(foreign_parts(loop))}: a sweep has other numbers than its runs: {name} of seed "
                 f"{alone['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; mend {why}"

@@ -18,13 +18,13 @@ from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.log.topics import channels_of
-from hil.measure.many import ManyView, MeasureOfMany
+from hil.measure.batch_measure import BatchMeasure, BatchView
 from hil.measure.measure import Quantity, measures_of, quantities_of
 from hil.measure.names import Named
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.session import refuse_unsound_measures, simulate
-from hil.sweeps.lockstep import chunk_runs, in_lockstep, measured_alone, measures_in_lockstep, run_together, view_of_many
+from hil.sweeps.lockstep import measured_alone, measures_in_lockstep, run_batch, runs_per_batch, supports_batch, view_of_batch
 from hil.sweeps.same_numbers import copied, foreign_parts, refuse_other_numbers
 from hil.sweeps.store import SweepStore
 from hil.sweeps.sweep import Sweep
@@ -61,19 +61,19 @@ def run_seeds(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
 
     Where the loop can be run in lockstep, all seeds are computed at once; the numbers are the same, bit for bit.
     """
-    if in_lockstep(loop) and measures_in_lockstep(loop):
-        size = chunk_runs(loop)
+    if supports_batch(loop) and measures_in_lockstep(loop):
+        size = runs_per_batch(loop)
         return [row for i in range(0, len(seeds), size) for row in _in_one_chunk(loop, seeds[i : i + size])]
     return run_one_by_one(loop, seeds)
 
 
 def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
-    together = run_together(loop, seeds)
-    view = view_of_many(loop, together)
+    together = run_batch(loop, seeds)
+    view = view_of_batch(loop, together)
     found: dict[str, NDArray[np.float64]] = {}
     if together.known.any():
         for measure in measures_of(loop.experiment):
-            if isinstance(measure, MeasureOfMany):
+            if isinstance(measure, BatchMeasure):
                 found |= _of_many(measure, view)
     columns = columns_of(loop.experiment)[1:]
     lists = [found[name].tolist() for name in columns] if found else [[]] * len(columns)
@@ -84,12 +84,12 @@ def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
     ]
 
 
-def _of_many(measure: MeasureOfMany, view: ManyView) -> dict[str, NDArray[np.float64]]:
-    found = dict(measure.of_many(view))
+def _of_many(measure: BatchMeasure, view: BatchView) -> dict[str, NDArray[np.float64]]:
+    found = dict(measure.of_batch(view))
     names = view.signals.tracked
     for c, name in enumerate(names if len(names) > 1 else ()):
         alone = replace(view, outputs=(view.outputs[c],), reference=view.reference[:, c : c + 1], signals=view.signals.only(name))
-        found |= {f"{key}.{name}": value for key, value in measure.of_many(alone).items()}
+        found |= {f"{key}.{name}": value for key, value in measure.of_batch(alone).items()}
     return found
 
 
@@ -155,7 +155,7 @@ def run_sweep(
     alone = run_one_by_one(replace(loop, watched=None), [seeds[0]])[0] if foreign_parts(loop) else None
     if alone is not None:
         refuse_other_numbers(loop, alone, run_seeds(copied(replace(loop, watched=None)), seeds[:2])[0])
-    together = in_lockstep(loop) and measures_in_lockstep(loop)
+    together = supports_batch(loop) and measures_in_lockstep(loop)
     if together and workers.backend == "loky" and len(seeds) * experiment.ticks <= WORTH_WORKERS:
         workers = Workers(backend="serial")
     try:
@@ -165,7 +165,7 @@ def run_sweep(
                 wanted = seeds[: until[1].runs(look)]
             progress(sum(seed in done for seed in wanted))
             missing = [seed for seed in wanted if seed not in done]
-            parts = _parts(missing, workers, chunk_runs(loop) if together else None)
+            parts = _parts(missing, workers, runs_per_batch(loop) if together else None)
             for rows in spread(partial(run_seeds, replace(loop, watched=None)), parts, workers):
                 if store:
                     store.add(rows)

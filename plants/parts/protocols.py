@@ -129,7 +129,7 @@ class HasSensorNoise(Protocol):
 
 
 @runtime_checkable
-class NamesFiles(Protocol):
+class ReferencesFiles(Protocol):
     """A plant that names files, which are told from where the experiment stands."""
 
     def with_files(self, folder: str) -> Self:

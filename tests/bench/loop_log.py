@@ -17,7 +17,7 @@ from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.pipe import PipeSink
-from hil.log.write.sinks import Put, Record
+from hil.log.write.sinks import PayloadWriter, Record
 from hil.runtime.real.own_python import python_module
 from hil.runtime.real.scheduling import die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
@@ -39,7 +39,7 @@ class _Calls:
         self.slots: list[list[Call]] = [[]]
         self._at_once = at_once
 
-    def channel(self, topic: str) -> Put | None:
+    def channel(self, topic: str) -> PayloadWriter | None:
         return None
 
     def records(self, topics: Sequence[str]) -> Record | None:

@@ -12,7 +12,7 @@ from hil.log.events import encode_event, to_json
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write.mcap_sink import FLUSH_BYTES, LIBRARY
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import Put
+from hil.log.write.sinks import PayloadWriter
 
 
 class PlainSink:
@@ -40,7 +40,7 @@ class PlainSink:
         self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "cdr", events)
         writer.flush()  # type: ignore[no-untyped-call]
 
-    def channel(self, topic: str) -> Put | None:
+    def channel(self, topic: str) -> PayloadWriter | None:
         """See `Sink`."""
         number = self._ids[topic]
 

@@ -8,7 +8,7 @@ from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.rig.delay_chains import gains_over
 from hil.session import simulate
-from hil.sweeps.lockstep import run_together
+from hil.sweeps.lockstep import run_batch
 
 QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the prediction knows nothing of it
 
@@ -65,7 +65,7 @@ def test_eighty_runs_lie_in_the_bands(name, ticks):
 def test_ten_thousand_runs_lie_in_the_bands():
     """Computed in lockstep, which has the bits of one run after another."""
     loop = compose(load_experiment("dc-motor-hinf"))
-    together = run_together(loop, range(10_000))
+    together = run_batch(loop, range(10_000))
     assert together.known.all()
     squares = (together.outputs[0] - together.reference[:, :1]).T ** 2
     assert_in_bands(squares, predicted_of(loop, 1000), 1000)

@@ -262,15 +262,15 @@ def test_somebody_else_on_the_link_has_an_exit_status_and_a_problem_of_its_own(
 
     ours = DirectExchange.answer
 
-    def answer(self: DirectExchange, t_ns: int, hear: Callable[[bytes], bool]) -> None:
+    def answer(self: DirectExchange, t_ns: int, on_frame: Callable[[bytes], bool]) -> None:
         def hear_and_more(data: bytes) -> bool:
             packet = decode(data)
             assert isinstance(packet, ControlPacket)
-            taken = hear(data)
+            taken = on_frame(data)
             if frames == "twice":
-                hear(encode_control(packet._replace(rows=((1.0,), (1.0,)))))
+                on_frame(encode_control(packet._replace(rows=((1.0,), (1.0,)))))
             for _ in range(100 if frames == "often" else 0):
-                hear(b"junk")
+                on_frame(b"junk")
             return taken
 
         ours(self, t_ns, hear_and_more)

@@ -82,7 +82,7 @@ def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None
         status, summary, _ = raided(tmp_path, uri)
     said = summary["problems"]["second_controller"]  # the latter: the first question was empty, and no sample had left
     assert status == 5 and ("answered twice, differently" in said or "which was never sent" in said), said
-    assert summary["who_commands"] == "any process on this machine"
+    assert summary["accepted_from"] == "any process on this machine"
 
 
 def test_with_a_key_who_races_our_controller_is_refused_counted_and_said(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_with_a_key_who_races_our_controller_is_refused_counted_and_said(tmp_pat
         status, summary, run = session(tmp_path, uri, experiment="mine.toml")
     assert status in (0, 3)  # 3: a machine so busy that the watchdog trips; nobody else commanded
     assert summary["link_counters"]["refused"] > 10 and "refused" in summary["problems"]
-    assert summary["who_commands"] == "holders of the key keys/frames.key"
+    assert summary["accepted_from"] == "holders of the key keys/frames.key"
     assert not (applied(run) == THEIRS).any() and not any(event["kind"] == "second controller" for event in run.events)
     assert np.abs(applied(run)).max() > 0.1  # our controller did
 
@@ -104,7 +104,7 @@ def test_over_tls_the_session_runs_and_says_who_could_command(tmp_path: Path) ->
     make_keys(tmp_path / "keys")
     status, summary, run = session(tmp_path, f"zenoh:tls/127.0.0.1:{free_port()}?keys=keys")
     assert status in (0, 3) and np.abs(applied(run)).max() > 0.1
-    assert summary["who_commands"] == "holders of a certificate of keys/ca.pem that is called controller"
+    assert summary["accepted_from"] == "holders of a certificate of keys/ca.pem that is called controller"
     assert summary["link_counters"]["refused"] == 0 and summary["link_counters"]["received"] > 20
 
 

@@ -67,14 +67,14 @@ class Wire:
         assert data is not None
         return data
 
-    def hear(self, end: AuthenticatedLink, data: bytes) -> bytes | None:
+    def on_frame(self, end: AuthenticatedLink, data: bytes) -> bytes | None:
         """What an end makes of bytes on the wire."""
         (self.rig_side if end is self.rig else self.controller_side).send(data)
         return end.receive(0)
 
     def begin(self, nonce: int = 7) -> None:
-        assert self.hear(self.controller, self.say(self.rig, hello(nonce))) is not None
-        assert self.hear(self.rig, self.say(self.controller, answer(HELLO, nonce))) is not None
+        assert self.on_frame(self.controller, self.say(self.rig, hello(nonce))) is not None
+        assert self.on_frame(self.rig, self.say(self.controller, answer(HELLO, nonce))) is not None
 
 
 def test_packets_arrive_whole_with_their_fields_and_a_code() -> None:
@@ -82,11 +82,11 @@ def test_packets_arrive_whole_with_their_fields_and_a_code() -> None:
     wire.begin()
     for k in range(5):
         asked = wire.say(wire.rig, question(k))
-        assert len(asked) == packet_size(asked) == 48 and wire.hear(wire.controller, asked) == asked
+        assert len(asked) == packet_size(asked) == 48 and wire.on_frame(wire.controller, asked) == asked
         packet = decode(asked)
         assert isinstance(packet, SensorPacket) and packet.y == (1.0,) and packet.nonce == 100 + k and len(packet.tag) == 8
         said = wire.say(wire.controller, answer(k))
-        assert len(said) == 64 and wire.hear(wire.rig, said) == said
+        assert len(said) == 64 and wire.on_frame(wire.rig, said) == said
         packet = decode(said)
         assert isinstance(packet, ControlPacket) and packet.rows == ((0.5,), (0.5,)) and packet.counter == k + 1
     assert wire.rig.counters.refused == wire.controller.counters.refused == 0
@@ -107,21 +107,21 @@ def test_a_forger_without_the_key_is_refused_and_counted() -> None:
             forged.append(bytes(flipped))
     assert len(forged) > 400
     for data in forged:
-        assert wire.hear(wire.rig, data) is None, data.hex()
+        assert wire.on_frame(wire.rig, data) is None, data.hex()
     assert wire.rig.counters.refused == len(forged)
-    assert wire.hear(wire.rig, honest) == honest
+    assert wire.on_frame(wire.rig, honest) == honest
 
 
 def test_a_replay_and_a_reflection_are_refused() -> None:
     wire = Wire()
     wire.begin()
     old = wire.say(wire.controller, answer(0))
-    assert wire.hear(wire.rig, old) == old
-    assert wire.hear(wire.rig, old) is None  # the same again
+    assert wire.on_frame(wire.rig, old) == old
+    assert wire.on_frame(wire.rig, old) is None  # the same again
     skipped, newer = wire.say(wire.controller, answer(1)), wire.say(wire.controller, answer(2))
-    assert wire.hear(wire.rig, newer) == newer and wire.hear(wire.rig, skipped) is None  # kept back, then sent
+    assert wire.on_frame(wire.rig, newer) == newer and wire.on_frame(wire.rig, skipped) is None  # kept back, then sent
     asked = wire.say(wire.rig, question(3))
-    assert wire.hear(wire.rig, asked) is None  # a question is no answer
+    assert wire.on_frame(wire.rig, asked) is None  # a question is no answer
     assert wire.rig.counters.refused == 3
 
 
@@ -133,10 +133,10 @@ def test_what_was_recorded_in_another_session_is_refused() -> None:
     old_hello = wire.say(wire.rig, hello(7))
     wire.clock.s += 2 * SILENCE_S
     wire.begin(8)  # the rig begins anew, with another nonce
-    assert all(wire.hear(wire.rig, data) is None for data in recorded)
-    assert all(wire.hear(wire.controller, data) is None for data in (*questions, old_hello))
+    assert all(wire.on_frame(wire.rig, data) is None for data in recorded)
+    assert all(wire.on_frame(wire.controller, data) is None for data in (*questions, old_hello))
     asked = wire.say(wire.rig, question(0))
-    assert wire.hear(wire.controller, asked) == asked
+    assert wire.on_frame(wire.controller, asked) == asked
 
 
 def test_a_controller_that_hears_its_rig_is_not_taken_away_by_an_old_question() -> None:
@@ -147,11 +147,11 @@ def test_a_controller_that_hears_its_rig_is_not_taken_away_by_an_old_question() 
     wire.begin(8)
     wire.clock.s += 0.9 * SILENCE_S
     asked = wire.say(wire.rig, question(0))
-    assert wire.hear(wire.controller, asked) == asked
+    assert wire.on_frame(wire.controller, asked) == asked
     wire.clock.s += 0.9 * SILENCE_S
-    assert wire.hear(wire.controller, old_hello) is None
+    assert wire.on_frame(wire.controller, old_hello) is None
     asked = wire.say(wire.rig, question(1))
-    assert wire.hear(wire.controller, asked) == asked
+    assert wire.on_frame(wire.controller, asked) == asked
 
 
 def test_a_flood_of_forgeries_does_not_hold_a_call() -> None:

@@ -74,7 +74,7 @@ class ConstantAge:
         state = (0, self.age)
         return AgePath(lambda: state)
 
-    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
+    def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
         """Return the ages that many processes draw, (slots, runs)."""
         return np.full((slots, runs), self.age, dtype=np.int32)
 
@@ -146,7 +146,7 @@ class IidAge:
         for u in uniforms(rng):
             yield states[bisect_right(row, u)]
 
-    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
+    def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
         """Return the ages that many processes draw, (slots, runs), each from its own stream."""
         rows = [self.probabilities] * len(self.probabilities)
         return chain_ages(self.probabilities, rows, self.mode_ages, uniforms_of_many(rngs, runs, slots))
@@ -257,7 +257,7 @@ class MarkovAge(ChainAge):
             yield states[mode]
             row = rows[mode]
 
-    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
+    def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
         """Return the ages that many processes draw, (slots, runs), each from its own stream."""
         first = tuple(self.initial_law().tolist())
         return chain_ages(first, self.matrix, self.mode_ages, uniforms_of_many(rngs, runs, slots))

@@ -17,7 +17,7 @@ from transport.draws import COPIED, LOST, NO_MODE, SENT, Draw
 from transport.errors import FieldError
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
 from transport.laws.packet_chain import PacketChain, packet_chain
-from transport.laws.packet_paths import SlotTimes, channel_modes, fives_of_many, in_order, newest_received, quantiles
+from transport.laws.packet_paths import SlotTimes, channel_modes, fives_of_batch, in_order, newest_received, quantiles
 from transport.laws.stochastic_matrix import BLOCK, cumulative, mean_holding, stationary_row
 
 SLOT_TOLERANCE = 1e-9
@@ -142,7 +142,7 @@ class PacketLaw:
             raise FieldError("deadline_s", f"got {deadline_s:g}, expected a number of seconds >= 0")
         return PacketDraws(self, rng, period_s, deadline_s)
 
-    def newest_of_many(
+    def newest_of_batch(
         self, rngs: Iterable[np.random.Generator], runs: int, slots: int, period_s: float, deadline_s: float
     ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
         """Return the slot of the newest packet that has come, one sent in every slot, (slots, runs); -1 before the first.
@@ -157,7 +157,7 @@ class PacketLaw:
         latencies, times = latency(self.latency), SlotTimes(
             period_s=period_s, deadline_s=deadline_s, tolerance=SLOT_TOLERANCE, latest=LATEST
         )  # fmt: skip
-        mode, loss, level, copy, copy_level = fives_of_many(rngs, runs, slots)
+        mode, loss, level, copy, copy_level = fives_of_batch(rngs, runs, slots)
         taken = in_order(latencies, level)
         if taken is None:
             return np.full((slots, runs), -1, dtype=np.int32), np.zeros(runs, dtype=np.bool_)

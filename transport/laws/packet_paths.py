@@ -68,7 +68,7 @@ def in_order(law: Latency, levels: Seconds) -> Seconds | None:
     return None if len(values) < len(levels) else np.broadcast_to(values[:, None], levels.shape)
 
 
-def fives_of_many(rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.float64]:
+def fives_of_batch(rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.float64]:
     """Return the five numbers of every slot of many streams, (5, slots, runs)."""
     drawn = np.empty((runs, slots, 5))
     for row, rng in zip(drawn, rngs, strict=True):

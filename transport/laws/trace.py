@@ -115,7 +115,7 @@ class TraceAge:
             yield from states
         raise FieldError("ages", f"the trace has {len(states)} entries, the run needs more (past_end = 'refuse')")
 
-    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.int32]:
+    def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.int32]:
         """Return the ages that many processes draw, (slots, runs): the trace, in every run."""
         ages = np.array(self.loaded().ages, dtype=np.int32)
         if slots > len(ages) and self.past_end == "refuse":

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal, Protocol, get_args, runtime_checkable
 
+from transport.links.access_control import NO_ONE_ELSE, on_can, on_zenoh, on_zenoh_certificates
 from transport.links.can_identifiers import BASE, Identifiers, base_of, identifiers_of
 from transport.links.link import TransportError, key_file, split_uri
 from transport.links.opening import find_link
-from transport.links.who_commands import NO_ONE_ELSE, on_can, on_zenoh, on_zenoh_certificates
 
 KeyTable = Literal["tls", "login"]
 """Tables of an experiment's `[links]` that not every link takes."""

@@ -19,7 +19,7 @@ _FATES: Final = {"bus-off": OFF_BUS, "cut": CUT, "corrupt": CORRUPTED}  # of two
 _ARRIVED: Final = frozenset((DELIVERED, DISORDERED, DUPLICATED, REPEATED))
 
 
-class Spell(NamedTuple):
+class FaultInterval(NamedTuple):
     """A time for which something is broken.
 
     Attributes:
@@ -41,7 +41,7 @@ class FaultyPath:
         spells: when what is broken; they may overlap.
     """
 
-    def __init__(self, spells: Sequence[Spell]) -> None:
+    def __init__(self, spells: Sequence[FaultInterval]) -> None:
         self._spells = tuple(spells)
         self._last: object = None
         self._lost: dict[int, int] = {}  # slot of sending to fate

@@ -1,6 +1,6 @@
 """The records of a topic as columns, gathered chunk by chunk: what is kept is numbers, not a Python object for each record.
 
-The columns of a long log grow in files without a name (`hil.log.growing`), so that memory does not grow with the log.
+The columns of a long log grow in files without a name (`hil.log.append_column`), so that memory does not grow with the log.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.log.growing import ROWS, Growing, let_go, pieces
+from hil.log.append_column import ROWS, AppendColumn, pieces, release
 from hil.log.read.arrays import StructuredArray, assemble, run_dtype
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT
 from hil.log.records import TIME_FIELD, Schema
@@ -36,8 +36,8 @@ class Columns:
         self._messages: list[bytes] = []
         self._dtype = run_dtype(schema)
         self._raw = schema.fields[-1].name if schema.raw else None
-        self._numbers = Growing([(name, self._dtype[name]) for name in self._dtype.names or () if name != self._raw], folder)
-        self._lengths, self._bytes = Growing(np.int64, folder), Growing(np.uint8, folder)
+        self._numbers = AppendColumn([(name, self._dtype[name]) for name in self._dtype.names or () if name != self._raw], folder)
+        self._lengths, self._bytes = AppendColumn(np.int64, folder), AppendColumn(np.uint8, folder)
 
     def add(self, messages: list[bytes]) -> None:
         """Take messages, framing included.
@@ -95,7 +95,7 @@ class Columns:
             at = int(ends[-1])
             yield out
             for column in (numbers, lengths, data):
-                let_go(column)
+                release(column)
 
     def array(self) -> StructuredArray:
         """Return all records as one array."""

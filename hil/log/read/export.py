@@ -32,7 +32,7 @@ import numpy as np
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved
 from hil.files.exclusive import written_whole
-from hil.log.growing import pieces
+from hil.log.append_column import pieces
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.measured_frames import measured_frames
 from hil.log.read.npz import NpzFile

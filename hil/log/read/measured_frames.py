@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
-from hil.log.growing import Growing, pieces
+from hil.log.append_column import AppendColumn, pieces
 from hil.log.read.run import Run
 from hil.log.records import TIME_FIELD
 from hil.log.topics import CONTROL, TIMING
@@ -72,7 +72,7 @@ def _farthest_behind(run: Run, topic: str, measured: Callable[[Ticks], Ticks]) -
 
 def _lateness(run: Run, topic: str) -> Callable[[Ticks], Ticks]:
     """Return how much after its nominal instant a frame of a slot came, ns; 0 for a slot that was not timed."""
-    slots, delays, last, ordered = Growing(np.int64), Growing(np.int64), -(1 << 62), True
+    slots, delays, last, ordered = AppendColumn(np.int64), AppendColumn(np.int64), -(1 << 62), True
     for piece in pieces(run.numbers(TIMING.name), TOGETHER):
         late_us = piece["lateness_us"] + (np.nan_to_num(piece["round_trip_us"]) if topic == CONTROL.name else 0.0)
         delays.extend(np.round(late_us * 1e3).astype(np.int64))

@@ -14,11 +14,11 @@ from typing import Any, Final
 from hil.errors import HilError
 from hil.log.events import encode_event, to_json
 from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
-from hil.log.write.kept import Keep, Kept
+from hil.log.write.column_buffer import ColumnBuffer, Keep
 from hil.log.write.mcap_writer import Index, McapWriter
 from hil.log.write.packed_records import Packed
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import Put, Record
+from hil.log.write.sinks import PayloadWriter, Record
 
 LIBRARY: Final = "hilrig"
 FLUSH_BYTES: Final = 1 << 16
@@ -41,7 +41,7 @@ class McapSink:
         provenance: what stands before the first record.
         now: monotonic seconds of a clock, in real time only.
         index: how much of an index the file has, see `McapWriter`.
-        keep: what is also kept as columns, see `Growing`: topic to the fields of its records, None for all of them.
+        keep: what is also kept as columns, see `AppendColumn`: topic to the fields of its records, None for all of them.
 
     Attributes:
         kept: what was kept of the chunks that were written.
@@ -76,7 +76,7 @@ class McapSink:
         self._closed = False
         self._ids: dict[str, int] = {}
         self._channels = channels
-        self.kept = Kept(channels, keep or {}, self.path.parent)
+        self.kept = ColumnBuffer(channels, keep or {}, self.path.parent)
         try:
             self._disk = _Disk(self.path)
         except OSError as error:
@@ -113,7 +113,7 @@ class McapSink:
         self.kept.number(self._ids)
         writer.flush()
 
-    def channel(self, topic: str) -> Put | None:
+    def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``; ``/events`` takes payloads that were encoded elsewhere."""
         if topic not in self._ids:
             return None

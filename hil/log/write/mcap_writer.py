@@ -34,7 +34,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from hil.log.growing import Growing, pieces
+from hil.log.append_column import AppendColumn, pieces
 from hil.log.write.compressor import Compressor
 from hil.log.write.open_chunk import Messages, OpenChunk
 from hil.log.write.packed_records import BEHIND, HEAD, MAGIC, Layouts, Packed
@@ -73,7 +73,7 @@ class McapWriter:
         profile, library: what the header says.
         index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
         chunk_ended: told every chunk that is written: its bytes, and where its messages stand in them.
-        folder: where the chunks' index of a long run is kept until the end, see `Growing`.
+        folder: where the chunks' index of a long run is kept until the end, see `AppendColumn`.
         room: bytes of the longest chunk, see `Compressor`.
 
     Attributes:
@@ -102,7 +102,7 @@ class McapWriter:
         self._metadata: list[MetadataIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._chunks = 0
-        self._chunk_indexes = Growing(np.uint8, folder, INDEX_WAITING)  # as they will stand in the summary
+        self._chunk_indexes = AppendColumn(np.uint8, folder, INDEX_WAITING)  # as they will stand in the summary
         self._counts: dict[int, int] = {}
         self._start: int | None = None
         self._end = 0

@@ -20,7 +20,7 @@ from typing import Any, Final
 from hil.log.events import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
 from hil.log.write.pipe_block import HEAD, PipeBlock, frames_in
-from hil.log.write.sinks import Dated, Put, Record, Sink
+from hil.log.write.sinks import Dated, PayloadWriter, Record, Sink
 
 PIPE_BYTES: Final = 1 << 20
 _EVENTS_ID: Final = 0
@@ -52,7 +52,7 @@ class PipeSink:
         os.set_blocking(fd, False)
         widen(fd)
 
-    def channel(self, topic: str) -> Put | None:
+    def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``."""
         if topic == EVENTS_TOPIC:
             number = _EVENTS_ID
@@ -199,7 +199,7 @@ def pump(
     sink: Sink,
     channels: Mapping[str, Channel],
     *,
-    taps: Mapping[str, Put] | None = None,
+    taps: Mapping[str, PayloadWriter] | None = None,
     stop: Callable[[], bool] = lambda: False,
     report: PumpReport | None = None,
     poll_s: float = 0.02,
@@ -256,11 +256,11 @@ def widen(fd: int) -> int:
         return 0  # no pipe: a socket or a file does as well
 
 
-_Taker = tuple[Put, int | None, int]
+_Taker = tuple[PayloadWriter, int | None, int]
 
 
 def _takers(
-    sink: Sink, channels: Mapping[str, Channel], taps: Mapping[str, Put], report: PumpReport
+    sink: Sink, channels: Mapping[str, Channel], taps: Mapping[str, PayloadWriter], report: PumpReport
 ) -> dict[int, _Taker]:
     takers: dict[int, _Taker] = {}
     for topic, number in chain([(EVENTS_TOPIC, _EVENTS_ID)], ((c.topic, c.id) for c in channels.values())):
@@ -321,7 +321,7 @@ def _ignore(t_ns: int, payload: bytes) -> None:
     """Take a record that nobody wants."""
 
 
-def _tapped(topic: str, put: Put, tap: Put, report: PumpReport) -> Put:
+def _tapped(topic: str, put: PayloadWriter, tap: PayloadWriter, report: PumpReport) -> PayloadWriter:
     on = True
 
     def put_and_tap(t_ns: int, payload: bytes) -> None:

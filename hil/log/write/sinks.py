@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 from hil.log.events import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
 
-Put = Callable[[int, bytes], None]
+PayloadWriter = Callable[[int, bytes], None]
 """Takes the nominal session time in ns and the payload of one record."""
 
 
@@ -23,7 +23,7 @@ Record = Callable[[int, Sequence[Any]], None]
 class Sink(Protocol):
     """Takes a session's records."""
 
-    def channel(self, topic: str) -> Put | None:
+    def channel(self, topic: str) -> PayloadWriter | None:
         """Function that takes the records of ``topic``; None if nobody wants them, so that nobody need pack them."""
 
     def event(
@@ -89,7 +89,7 @@ class MemorySink:
             if topics is None or topic in topics:
                 self.times[topic], self.payloads[topic] = [], []
 
-    def channel(self, topic: str) -> Put | None:
+    def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``."""
         if topic not in self.times:
             return None
@@ -123,7 +123,7 @@ class TeeSink:
     def __init__(self, *sinks: Sink) -> None:
         self.sinks = sinks
 
-    def channel(self, topic: str) -> Put | None:
+    def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``."""
         puts = [put for put in (sink.channel(topic) for sink in self.sinks) if put is not None]
         if len(puts) < 2:
@@ -148,17 +148,17 @@ class TeeSink:
             sink.commit()
 
 
-class Taps:
+class RecordObservers:
     """Hands records to functions by topic, for a live view.
 
     Args:
         taps: each gets time and payload of its topic's records.
     """
 
-    def __init__(self, taps: Mapping[str, Put]) -> None:
+    def __init__(self, taps: Mapping[str, PayloadWriter]) -> None:
         self._taps = taps
 
-    def channel(self, topic: str) -> Put | None:
+    def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``."""
         return self._taps.get(topic)
 

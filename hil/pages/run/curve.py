@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.growing import ROWS, pieces
+from hil.log.append_column import ROWS, pieces
 from hil.measure.view import seconds
 from hil.pages.html.decimation import Float, reduced
 from hil.pages.html.figures import LineStyle, Series

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.growing import pieces, whole
+from hil.log.append_column import pieces, whole
 from hil.log.run import Run
 from hil.log.topics import APPLIED, ROWS, TIMING
 from hil.measure.network import expected_frequencies, expected_transitions, mode_sequence

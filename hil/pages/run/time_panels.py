@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log import topics
-from hil.log.growing import pieces
+from hil.log.append_column import pieces
 from hil.log.run import Run
 from hil.log.topics import ROWS, STATE
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, signal_names

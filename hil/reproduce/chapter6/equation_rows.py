@@ -9,7 +9,7 @@ import numpy as np
 from design.as_printed.coupler import DELAY, LAMBDA, PERIOD_S
 from design.as_printed.haptic_conditions import printed_attenuation
 from design.controllers.coupler import wave_coupler
-from design.controllers.rendered_wall import RendersWall
+from design.controllers.rendered_wall import WallController
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import Patch, Pattern
 from design.jump_linear.bounded_real import hinf_norm
@@ -63,7 +63,7 @@ def _closed_loop(device: HeldDevice) -> dict[str, float]:
     """The rig that runs, beside the matrices of (6.4) to (6.6) with both delays."""
     experiment = load_experiment("omni-push", [])
     loop = compose(experiment)
-    if not isinstance(loop.controller, RendersWall):
+    if not isinstance(loop.controller, WallController):
         raise HilError("omni-push: renders no wall")
     run = simulate(loop, experiment.seed).arrays["/plant/state"]["position"]
     tau, d = loop.model.tau_max, loop.model.d_max

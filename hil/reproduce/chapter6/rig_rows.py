@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from design.controllers.rendered_wall import RendersWall
+from design.controllers.rendered_wall import WallController
 from design.controllers.wall import MATERIALS
 from design.identification.output_error import identify_axis
 from design.identification.record import Record
@@ -48,7 +48,7 @@ def slide() -> dict[str, Any]:
     view = view_of(run, experiment)
     loop = wall_loop_of(view)
     path = avatar_path(view, loop) if loop is not None else None
-    if path is None or loop is None or not isinstance(loop.controller, RendersWall):
+    if path is None or loop is None or not isinstance(loop.controller, WallController):
         raise HilError("omni-slide: renders no wall")
     compliance = loop.controller.coupler.static_compliance_m_per_n
     way = float(np.hypot(np.diff(path.y_m), np.diff(path.z_m)).sum())

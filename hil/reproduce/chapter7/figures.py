@@ -10,8 +10,8 @@ import numpy.typing as npt
 from design.networked_loop.prediction import predict_tracking
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
-from hil.measure.many import ManyView
-from hil.measure.tracking_many import tracking_of_many
+from hil.measure.batch_measure import BatchView
+from hil.measure.batch_tracking import tracking_of_batch
 from hil.pages.html.figures import Band, Figure, Marker, Series
 from hil.reproduce.chapter import Plot, ReportProgress
 from hil.reproduce.chapter7.all_cores import on_all_cores
@@ -158,8 +158,8 @@ def _marks_of(loop: Loop) -> Array:
     return numbers_of(loop, range(SMITH_RUNS), 3, _marks)
 
 
-def _marks(view: ManyView) -> tuple[Array, Array, Array]:
-    found = tracking_of_many(view)
+def _marks(view: BatchView) -> tuple[Array, Array, Array]:
+    found = tracking_of_batch(view)
     peak = np.abs(view.outputs[0][:, view.t_s >= 30.0] - 3.0).max(axis=1)
     return found["sse"], found["overshoot"], peak
 

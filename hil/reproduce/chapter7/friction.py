@@ -22,8 +22,8 @@ import numpy.typing as npt
 from design.monte_carlo.safe_path import safe_path
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
-from hil.measure.many import ManyView
-from hil.measure.tracking_many import tracking_of_many
+from hil.measure.batch_measure import BatchView
+from hil.measure.batch_tracking import tracking_of_batch
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.chapter7.many_runs import numbers_of
 from hil.reproduce.statements import Statement, run
@@ -84,8 +84,8 @@ def errors_of(loop: Loop, seeds: Sequence[int]) -> Array:
     return numbers_of(loop, seeds, 3, _errors)
 
 
-def _errors(view: ManyView) -> tuple[Array, Array, Array]:
-    found = tracking_of_many(view)
+def _errors(view: BatchView) -> tuple[Array, Array, Array]:
+    found = tracking_of_batch(view)
     settled = (view.t_s >= 20.0) & (view.t_s < 30.0)
     steady = 3.0 - view.outputs[0][:, settled].mean(axis=1)  # r - y, the usual sign: then both printed errors fit
     return found["sse"], found["sse_after_5s"], steady

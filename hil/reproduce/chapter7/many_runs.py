@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hil.compose.loop import Loop
-from hil.measure.many import Many, ManyView
-from hil.sweeps.lockstep import chunk_runs, run_together, view_of_many
+from hil.measure.batch_measure import BatchValues, BatchView
+from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch
 
-Numbers = Callable[[ManyView], Sequence[Many]]
+Numbers = Callable[[BatchView], Sequence[BatchValues]]
 
 
-def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers) -> Many:
+def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers) -> BatchValues:
     """Numbers of every run.
 
     Args:
@@ -26,9 +26,9 @@ def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers)
         (seeds, columns); infinite in runs that safety stops or that leave all bounds.
     """
     found = np.full((len(seeds), columns), np.inf)
-    size = chunk_runs(loop)
+    size = runs_per_batch(loop)
     for at in range(0, len(seeds), size):
-        together = run_together(loop, seeds[at : at + size])
+        together = run_batch(loop, seeds[at : at + size])
         if together.known.any():
-            found[at : at + size][together.known] = np.stack(numbers(view_of_many(loop, together)), axis=1)
+            found[at : at + size][together.known] = np.stack(numbers(view_of_batch(loop, together)), axis=1)
     return found

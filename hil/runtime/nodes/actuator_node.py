@@ -90,7 +90,7 @@ class ActuatorNode:
         reason = self._safety.check_state(state)
         return None if reason is None else self._latch(reason)
 
-    def feel(self, position: float, force: float) -> str | None:
+    def update_observer(self, position: float, force: float) -> str | None:
         """Let the passivity controller see what the motor did; return the reason when it trips.
 
         Args:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from design.controllers import FromSamples, Known, LoopModel, Rows
+from design.controllers import Known, LoopModel, MultiSampleController, Rows
 from design.controllers.contract import Controller
 from hil.certify.answers_test import Running
 from hil.certify.motion_test import EQUAL
@@ -36,7 +36,7 @@ class AnswerWatch:
         self, own: Running, controller: Controller, stated: Controller, model: LoopModel, *, aims: bool
     ) -> None:
         twin = stated.start(model)
-        self._by_samples = isinstance(own, FromSamples)
+        self._by_samples = isinstance(own, MultiSampleController)
         self._own: Callable[..., Rows] = own.rows
         self._twin: Callable[..., Rows] = twin.rows
         self._still: tuple[Callable[..., Rows], Callable[..., Rows]] | None = None
@@ -48,7 +48,7 @@ class AnswerWatch:
             self.departed = 0, f"what it is handed: it {handed(own)}, and what it states {handed(twin)}"
 
     def rows(self, *asked: Any) -> Rows:
-        """Return what the controller answers; see `RunningController.rows` and `FromSamples.rows`."""
+        """Return what the controller answers; see `RunningController.rows` and `MultiSampleController.rows`."""
         found = self._own(*asked)
         if self.departed is None:
             told = self._twin(*asked)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from hil.compose.loop import Loop
-from hil.runtime.nodes.heard import heard_by
+from hil.runtime.nodes.controller_input import controller_input
 from hil.runtime.nodes.questions import Questions, Refusals
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
 from transport.wire.tags import echo
@@ -27,9 +27,9 @@ class ControlNode:
     """
 
     def __init__(self, loop: Loop) -> None:
-        self._begin = partial(heard_by, loop)
+        self._begin = partial(controller_input, loop)
         self._heard = self._begin()
-        self._restarts, self._to_come = loop.rig.time_line.restarts, 0
+        self._restarts, self._to_come = loop.rig.fault_schedule.restarts, 0
         self._period_ns = loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
         self._zeros = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
@@ -37,7 +37,7 @@ class ControlNode:
         self._questions = Questions(self.counts, self._period_ns)
         self._counter = self._hellos = 0
 
-    def hear(self, data: bytes, now_ns: int = 0) -> bytes | None:
+    def on_frame(self, data: bytes, now_ns: int = 0) -> bytes | None:
         """Take one frame from the link; return the answer when it closes its slot.
 
         Args:

@@ -18,16 +18,16 @@ from hil.log.write.sinks import Sink
 from hil.rig.can_bus import can_bus_of
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import ActuatorNode
-from hil.runtime.nodes.answers import Answers
+from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.can_network import CanNetwork
-from hil.runtime.nodes.fault_line import FaultLine
+from hil.runtime.nodes.fault_injector import FaultInjector
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.plant_watch import PlantWatch
 from hil.runtime.nodes.port_damper import damper_of
 from hil.runtime.nodes.safety import Safety
+from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.nodes.sensor_node import SensorNode
 from hil.runtime.nodes.triggers import trigger_of
-from hil.runtime.nodes.uplink import clock_of, uplink_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
 from transport.can_bus_model.bus import CanNode, Transmission
@@ -72,10 +72,10 @@ class Rig:
         self._plant = e.plant.start(rng_for(seed, "plant"))
         self._samples = [sensor.buffer for sensor in loop.rig.sensors]
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.rig.sensors)
-        faults = FaultLine(loop, seed)
+        faults = FaultInjector(loop, seed)
         self._faults = faults if e.fault else None
         bus = CanNetwork(loop, seed, self._on_bus, self._bus_status) if can_bus_of(loop.rig) is not None else None
-        self._uplink = faults.uplink(uplink_of(loop, seed, float(e.period), deadline_s, bus))
+        self._uplink = faults.uplink(sensor_medium_of(loop, seed, float(e.period), deadline_s, bus))
         channel = impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
         self._downlink = faults.downlink(channel if bus is None else bus.downlink(channel))
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
@@ -86,7 +86,7 @@ class Rig:
         self._journal = Journal(sink, channels, loop.rows * inputs, numbers, identifiers)
         self._wire = wire or VIRTUAL
         self._counter = 0
-        self.answers = Answers(inputs, loop.model.d_max, self._journal, e.period_ns)
+        self.answers = AnswerMatcher(inputs, loop.model.d_max, self._journal, e.period_ns)
         self._reference, self._disturbance = loop.reference(), loop.disturbance()
         self._after_trip = round(e.limits.after_trip / e.period)
         self._end: int | None = None
@@ -174,15 +174,15 @@ class Rig:
             put_out, command = self._plant.applied[0], self.actuator.u[0]
             if put_out != command and self._put_out is None and not abs(put_out - command) <= EQUAL * abs(command):
                 self._put_out = k, f"what it says that it puts out, {put_out:.3g} for a command of {command:.3g}"
-            tripped = self.actuator.feel(self._y[self._port], put_out)
+            tripped = self.actuator.update_observer(self._y[self._port], put_out)
             if tripped is not None:
                 self._note_trip(t_ns, tripped)
 
-    def hear(self, data: bytes) -> bool:
+    def on_frame(self, data: bytes) -> bool:
         """Take one frame from the link; return True when it answers the current slot."""
         return self.answers.take(data)
 
-    def hear_late(self, data: bytes) -> None:
+    def on_late_frame(self, data: bytes) -> None:
         """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
         self.answers.take(data, "late")
 

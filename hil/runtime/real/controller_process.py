@@ -81,7 +81,7 @@ def serve(
                 if data is not None:
                     answer = None
                     try:
-                        answer = node.hear(data, monotonic_ns())
+                        answer = node.on_frame(data, monotonic_ns())
                     except Stopped:
                         raise
                     except BaseException as error:  # whatever a control law of the user's own raises

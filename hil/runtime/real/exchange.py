@@ -9,7 +9,7 @@ from typing import Protocol
 
 from hil.runtime.nodes.controller_node import HELLO
 from hil.runtime.nodes.wire import Wire
-from hil.runtime.slot import Hear
+from hil.runtime.slot import OnFrame
 from transport.links.link import Link
 from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
 from transport.wire.tags import echo
@@ -29,13 +29,13 @@ class Listener(Protocol):
         """Count frames that the link did not hand on: foreign, malformed, refused."""
         ...
 
-    def hear_late(self, data: bytes) -> None:
+    def on_late_frame(self, data: bytes) -> None:
         """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Greeting:
+class HandshakeResult:
     """What came of asking "is anybody there".
 
     Args:
@@ -49,7 +49,7 @@ class Greeting:
     foreign: int
 
 
-class Greeter:
+class Handshake:
     """Asks "is anybody there" until a controller answers, rehearses the exchange, and empties the link.
 
     The rehearsals make sure that slot 0 finds no cold link, no sleeping thread and no cold cache on its way.
@@ -75,7 +75,7 @@ class Greeter:
         self._due: set[int] = set()  # echoes of the answers that may still come
         self._nonce = wire.hello
 
-    def greet(self) -> Greeting:
+    def greet(self) -> HandshakeResult:
         """Return whether a controller answered, and what was counted."""
         answered = False
         while not answered and self._open(self._limit):
@@ -88,7 +88,7 @@ class Greeter:
                     break
                 self._pause()
             self._drain()
-        return Greeting(answered=answered, questions=self._questions, foreign=self._foreign)
+        return HandshakeResult(answered=answered, questions=self._questions, foreign=self._foreign)
 
     def _open(self, limit: int) -> bool:
         return not self._stopped() and self._now() < limit
@@ -162,7 +162,7 @@ class LinkExchange:
             self._link.send(frame)
         self._happened(self._sent_ns - t_ns)
 
-    def answer(self, t_ns: int, hear: Hear) -> None:
+    def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         """Wait for the answer until the deadline; what is read after it is never applied."""
         now = begin = self._now()
         deadline = max(t_ns, self._sent_ns) + self._deadline_ns
@@ -176,8 +176,8 @@ class LinkExchange:
             frames += 1
             self._happened(now - t_ns)
             if now > deadline:
-                self._listener.hear_late(data)
-            elif hear(data):
+                self._listener.on_late_frame(data)
+            elif on_frame(data):
                 self.round_trip_us = (now - self._sent_ns) / 1e3
                 break
         if not frames:

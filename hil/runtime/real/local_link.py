@@ -29,7 +29,7 @@ class LocalLink(Closing):
             self.counters.dropped += 1
             return
         self.counters.sent += 1
-        answer = self._node.hear(packet, monotonic_ns())
+        answer = self._node.on_frame(packet, monotonic_ns())
         if answer is not None:
             self._answers.append(answer)
 

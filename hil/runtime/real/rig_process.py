@@ -23,11 +23,11 @@ from hil.runtime.nodes.failures import failure_of
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.child import read_job
-from hil.runtime.real.exchange import Greeter, LinkExchange
+from hil.runtime.real.exchange import Handshake, LinkExchange
 from hil.runtime.real.exit_statuses import FAILED, NOBODY
 from hil.runtime.real.local_link import LocalLink
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
-from hil.runtime.real.warm_up import RehearsedRig
+from hil.runtime.real.warm_up import WarmUpRig
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
@@ -124,7 +124,7 @@ def main() -> None:
     timing = job.loop.experiment.timing
     wire = session_wire(os.urandom(KEY_BYTES), job.loop.experiment.ticks)
     local = job.link.traits.in_process
-    rehearsed = RehearsedRig(job.loop, session_wire(os.urandom(KEY_BYTES), REHEARSED), local).warm_up()
+    rehearsed = WarmUpRig(job.loop, session_wire(os.urandom(KEY_BYTES), REHEARSED), local).warm_up()
     # Behind the warm-up, which would keep the loops of other sessions from a CPU; before the link is opened, so that its threads
     # inherit the priority.
     scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.link.traits), timing.idle == "awake")
@@ -135,7 +135,7 @@ def main() -> None:
             link.tell(about_rig(job.loop.rig))
         real = RealLoop(job, link, sink, wire)  # before the greeting: nothing stands between its last rehearsal and slot 0
         loops.append(real)
-        greeter = Greeter(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, rehearsed.run, real.pause)
+        greeter = Handshake(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, rehearsed.run, real.pause)
         greeting = greeter.greet()
         if not greeting.answered:
             if greeting.foreign:

@@ -17,15 +17,15 @@ from hil.errors import HilError
 from hil.log.topics import channels_of
 from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.rehearsal import rehearse
-from hil.log.write.sinks import Put, Sink
+from hil.log.write.sinks import PayloadWriter, Sink
 from hil.plugins.registry import OBJECT
 from hil.rig.session_link import SessionLink
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.exit_statuses import NOBODY
 from hil.runtime.real.free_memory import FreeMemory
+from hil.runtime.real.heartbeat_timeout import HeartbeatTimeout
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
-from hil.runtime.real.silence import Silence
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
 from transport.links.dead_channels import bus_directory, clear_dead_channels
@@ -57,7 +57,7 @@ def run_real(
     *,
     external: bool = False,
     hello_timeout_s: float | None = None,
-    taps: Mapping[str, Put] | None = None,
+    taps: Mapping[str, PayloadWriter] | None = None,
 ) -> RealOutcome:
     """Run a loop in real time; return when it has ended and nothing of it is left.
 
@@ -75,7 +75,7 @@ def run_real(
     """
     if external and link.traits.in_process:
         raise HilError(f"{link.uri} runs our controller in the rig's process: an external one needs a link")
-    restarts = deque(first * loop.experiment.period_ns for first, _ in loop.rig.time_line.restarts)
+    restarts = deque(first * loop.experiment.period_ns for first, _ in loop.rig.fault_schedule.restarts)
     if external and restarts:
         raise HilError("fault: controller-restart: hil cannot restart an external controller; end and start it by hand")
     clear_dead_channels(bus_directory())
@@ -110,7 +110,7 @@ def run_real(
                 theirs = controller_process.Job(loop=loop, link=link, parent=parent, counts_fd=counted_fd)
                 controller = start("controller", "hil.runtime.real.controller_process", theirs, (counted_fd,))
                 children.append(controller)
-            silence = Silence(float(loop.experiment.period), job.hello_timeout_s)
+            silence = HeartbeatTimeout(float(loop.experiment.period), job.hello_timeout_s)
             free = FreeMemory(monotonic_ns())
             while rig.poll() is None and signals.seen is None:
                 now_ns = monotonic_ns()

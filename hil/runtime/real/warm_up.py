@@ -13,7 +13,7 @@ from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, Wire
-from hil.runtime.slot import Hear, Slot
+from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.time.clock import monotonic_ns
 from hil.runtime.virtual import DirectExchange
 from transport.packets import SELECTIONS, ControlPacket, encode_control
@@ -24,7 +24,7 @@ MOST_S = 0.5
 """Longest warm-up of a control law, s."""
 
 
-class Rehearsal:
+class WarmUpExchange:
     """A link without a link: every question is answered with zeros, so that no line of a controller runs in this process."""
 
     def __init__(self, loop: Loop, wire: Wire) -> None:
@@ -37,12 +37,12 @@ class Rehearsal:
         """Keep what an answer has to echo."""
         self._echo = echo(frames) if self._wire is not VIRTUAL else 0
 
-    def answer(self, t_ns: int, hear: Hear) -> None:
+    def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         """Answer with zeros."""
-        hear(encode_control(ControlPacket(t_ns // self._period_ns, -1, 0, 0, self._selection, self._rows, self._echo)))
+        on_frame(encode_control(ControlPacket(t_ns // self._period_ns, -1, 0, 0, self._selection, self._rows, self._echo)))
 
 
-class RehearsedRig:
+class WarmUpRig:
     """A rig that runs through slots without a link; its records go nowhere.
 
     Args:
@@ -56,7 +56,7 @@ class RehearsedRig:
         self._k, self._period_ns, channels = 0, loop.experiment.period_ns, channels_of(loop)
         self._sink = PipeSink(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), channels)
         rig = Rig(loop, 0, self._sink, channels, lambda: None, wire)
-        exchange = DirectExchange(ControlNode(loop)) if local else Rehearsal(loop, wire)
+        exchange = DirectExchange(ControlNode(loop)) if local else WarmUpExchange(loop, wire)
         self._slot = Slot(rig, exchange, lambda t_ns: self._sink.commit())
 
     def run(self) -> None:
@@ -69,7 +69,7 @@ class RehearsedRig:
             self._failed = True
         self._k += 1
 
-    def warm_up(self) -> RehearsedRig:
+    def warm_up(self) -> WarmUpRig:
         """Run so many slots that every table and cache is filled."""
         for _ in range(SLOTS):
             self.run()

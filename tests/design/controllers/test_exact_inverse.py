@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from design.controllers.exact_inverse import pseudo_inverse
-from design.controllers.ordered import dot, product, product_of_many
+from design.controllers.ordered import dot, product, product_of_batch
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (4, 4), (3, 5), (5, 3), (9, 9)])
@@ -36,7 +36,7 @@ def test_of_a_matrix_without_full_rank_it_is_the_pseudo_inverse() -> None:
 def test_products_are_summed_in_their_order() -> None:
     rng = np.random.default_rng(1)
     rows, x = rng.standard_normal((3, 5)).tolist(), rng.standard_normal((5, 7))
-    many = product_of_many(rows, x)
+    many = product_of_batch(rows, x)
     for run in range(7):
         one = product(rows, x[:, run].tolist())
         assert many[:, run].tolist() == one

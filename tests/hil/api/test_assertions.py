@@ -52,7 +52,7 @@ def test_numbers_that_mean_nothing_are_told_by_the_users_own_name(wrong: dict[st
 def test_a_session_of_it_has_the_numbers_of_a_run_with_a_log() -> None:
     loop = compose(hil.load_experiment("dc-motor-hinf", duration=3))
     light, logged = simulated_session(loop, 4), hil.run("dc-motor-hinf", seed=4, duration=3)
-    of_a_link = {"who_commands", "link_counters", "controller_counters"}  # there is none
+    of_a_link = {"accepted_from", "link_counters", "controller_counters"}  # there is none
     for key in set(logged.summary) - {"wall_s", "log"} - of_a_link:
         assert light.summary[key] == logged.summary[key], key
     assert light.status == logged.status and repr(light) == repr(logged)

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from design.controllers import LoopModel
 from design.requests.scheduled import RobustScheduled
 from design.verdict import Verdict
-from hil.certify.certifier import LoopToCertify
+from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import CERTIFIERS, certify, digest_of
 from hil.compose.loop import Loop, compose
 from hil.errors import ExperimentError, ForeignVerdict
@@ -167,7 +167,7 @@ def test_a_verdict_on_another_loop_is_refused() -> None:
     with pytest.raises(ForeignVerdict):
         dataclasses.replace(loop, controller=composed("dc-motor-hinf").controller)
 
-    def careless(loop: LoopToCertify) -> Verdict:
+    def careless(loop: CertificationProblem) -> Verdict:
         return Verdict(kind="mean-square stability", state="certified", reason="of something else", digest="0" * 64)
 
     with pytest.raises(ForeignVerdict):
@@ -186,9 +186,9 @@ def test_everything_that_decides_is_in_the_digest_and_seed_and_schedule_are_not(
         assert digest(change) != same, change
 
 
-def to_certify(loop: Loop) -> LoopToCertify:
+def to_certify(loop: Loop) -> CertificationProblem:
     sc, ca = loop.chains.sc, loop.chains.ca
-    return LoopToCertify(
+    return CertificationProblem(
         plant=loop.experiment.plant, controller=loop.controller, model=loop.model, sc=sc, ca=ca,
         digest=digest_of(loop.experiment, loop.controller, loop.model),
     )  # fmt: skip
@@ -197,7 +197,7 @@ def to_certify(loop: Loop) -> LoopToCertify:
 def test_a_further_kind_of_loop_gets_its_certificate_by_a_certifier_of_its_own() -> None:
     loop = to_certify(composed("dc-motor-smith"))
 
-    def passive(loop: LoopToCertify) -> Verdict | None:
+    def passive(loop: CertificationProblem) -> Verdict | None:
         return Verdict(kind="passivity", state="certified", reason="energy", number=0.1, digest=loop.digest)
 
     assert certify(loop).state == "undecided"

@@ -46,7 +46,7 @@ class Process:
         (("plants", "dc-motor"), "DCMotor is a Plant: a rig can run it"),
         (("controllers", "hinf"), "PublishedHinf is a GainTable: its loop over delay chains is certified exactly"),
         (("controllers", "designed"), "Designed is a Designer: "),
-        (("measures", "tracking"), "Tracking is a MeasureOfMany"),
+        (("measures", "tracking"), "Tracking is a BatchMeasure"),
         (("links", "can:hil:checked"), "CanLink is a Link: sessions in real time can run over it"),
     ],
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from hil.certify.certifier import LoopToCertify
+from hil.certify.certifier import CertificationProblem
 from plants import JumpModel, JumpRates, TransitionRates
 from tests.hil.compose.random_loops import Array, jump_loop, jump_matrices, radius, rates_of, rows
 
@@ -42,7 +42,7 @@ def delayed_radius(A: Array, Ad: Array, B: Array, K: Array, late: list[int], gen
     return radius(move, np.broadcast_to(np.eye(F.shape[1]), F.shape).copy())
 
 
-def delayed_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+def delayed_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]:
     n, cut = int(rng.integers(1, 3)), 4
     A, B, K = jump_matrices(rng, 2, n)
     Ad = rng.normal(scale=float(rng.choice([0.1, 0.5, 1.5])), size=A.shape)

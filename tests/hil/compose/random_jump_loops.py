@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.delay_chain import DelayChain
 from design.requests.scheduled import scheduled_of
-from hil.certify.certifier import LoopToCertify
+from hil.certify.certifier import CertificationProblem
 from plants import JumpModel, JumpRates, TransitionRates
 from tests.hil.compose.random_loops import Array, chain, held, jump_loop, jump_matrices, radius, rates_of, rows
 
@@ -56,7 +56,7 @@ def sampled_radius(A: Array, B: Array, K: Array, generator: Array, T: float, lat
     return radius(move, np.broadcast_to(np.eye(whole), (modes, whole, whole)).copy())
 
 
-def jump_case(rng: np.random.Generator, *, uncertain: bool = False) -> tuple[LoopToCertify, float]:
+def jump_case(rng: np.random.Generator, *, uncertain: bool = False) -> tuple[CertificationProblem, float]:
     modes, n, late = int(rng.integers(2, 5)), int(rng.integers(1, 5)), int(rng.integers(0, 3))
     if uncertain:
         modes, n, late = 2, min(n, 3), min(late, 1)
@@ -74,11 +74,11 @@ def jump_case(rng: np.random.Generator, *, uncertain: bool = False) -> tuple[Loo
     return jump_loop(rng, system, JumpRates(rates=table), K, T, late), worst
 
 
-def uncertain_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+def uncertain_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]:
     return jump_case(rng, uncertain=True)
 
 
-def fault_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+def fault_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]:
     n, late, T = int(rng.integers(1, 5)), int(rng.integers(0, 2)), float(rng.choice([0.01, 0.05]))
     A, B, K = jump_matrices(rng, 2, n)
     failure, seen = rates_of(rng, 2), [rates_of(rng, 2) for _ in range(2)]
@@ -133,7 +133,7 @@ def random_delay_radius(A: Array, B: Array, K: Array, generator: Array, T: float
     return radius(move, np.broadcast_to(np.eye(whole), (len(labels), whole, whole)).copy())
 
 
-def network_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+def network_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]:
     n, (taus, ds) = int(rng.integers(1, 3)), ((2, 1), (1, 2), (2, 2), (3, 1))[int(rng.integers(0, 4))]
     A, B, K = jump_matrices(rng, 2, n)
     Q, T = rates_of(rng, 2), float(rng.choice([0.05, 0.2]))
@@ -170,7 +170,7 @@ def sectioned_radius(A: Array, B: Array, K: Array, counts: list[int], generator:
     return radius(move, np.broadcast_to(np.eye(n), (modes * (last + 1), n, n)).copy())
 
 
-def sectioned_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+def sectioned_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]:
     modes, n = int(rng.integers(2, 4)), int(rng.integers(1, 4))
     A, B, K = jump_matrices(rng, modes, n)
     Q, T = rates_of(rng, modes), float(rng.choice([0.05, 0.2]))

@@ -14,7 +14,7 @@ from design.controllers import LoopModel
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.delay_chain import DelayChain
 from design.requests.scheduled import scheduled_of
-from hil.certify.certifier import LoopToCertify
+from hil.certify.certifier import CertificationProblem
 from plants import JumpModel, JumpRates, Signal, StateSpace
 
 Array = np.ndarray[Any, Any]
@@ -102,7 +102,9 @@ def rates_of(rng: np.random.Generator, modes: int) -> Array:
     return Q - np.diag(Q.sum(axis=1))
 
 
-def jump_loop(rng: np.random.Generator, system: JumpModel, process: JumpRates, K: Array, T: float, late: int) -> LoopToCertify:
+def jump_loop(
+    rng: np.random.Generator, system: JumpModel, process: JumpRates, K: Array, T: float, late: int
+) -> CertificationProblem:
     tau = int(rng.integers(0, late + 1))
     n = len(system.A[0])
     model = LoopModel(
@@ -111,4 +113,6 @@ def jump_loop(rng: np.random.Generator, system: JumpModel, process: JumpRates, K
     gain = ScheduledGain(gain=K[:, None], starts_s=np.zeros((len(K), 1)))
     constant = [DelayChain(transition=[[1.0]], delays=[delay]) for delay in (tau, late - tau)]
     plant = Jumping(system=system, process=process)
-    return LoopToCertify(plant=plant, controller=scheduled_of(gain), model=model, sc=constant[0], ca=constant[1], digest="study")
+    return CertificationProblem(
+        plant=plant, controller=scheduled_of(gain), model=model, sc=constant[0], ca=constant[1], digest="study"
+    )

@@ -10,14 +10,14 @@ from scipy.linalg import solve_discrete_are
 
 from design.controllers import LoopModel, SendAll, nested
 from design.processes.delay_chain import DelayChain
-from hil.certify.certifier import LoopToCertify
+from hil.certify.certifier import CertificationProblem
 from hil.rig.delay_chains import delay_chain
 from tests.hil.compose.random_loops import Array, Flat, chain, radius
 from transport.laws.semi_markov import SemiMarkovAge
 from transport.laws.sojourn import Table
 
 
-def send_all_draw(rng: np.random.Generator, taus: int, ds: int) -> tuple[LoopToCertify, Array]:
+def send_all_draw(rng: np.random.Generator, taus: int, ds: int) -> tuple[CertificationProblem, Array]:
     n = int(rng.integers(1, 5))
     A = rng.normal(size=(n, n))
     A *= rng.uniform(0.8, 1.5) / max(abs(np.linalg.eigvals(A)))
@@ -27,7 +27,7 @@ def send_all_draw(rng: np.random.Generator, taus: int, ds: int) -> tuple[LoopToC
     A = A + rng.normal(scale=0.08, size=A.shape)  # the plant is another than the gains were made for
     sc, ca = chain(rng, taus), chain(rng, ds)
     model = LoopModel(A=A, B=B, C=C, period_s=0.1, tau_max=taus - 1, d_max=ds - 1)
-    loop = LoopToCertify(
+    loop = CertificationProblem(
         plant=Flat(), controller=SendAll(gains=nested(K)), model=model, sc=DelayChain(transition=sc),
         ca=DelayChain(transition=ca), digest="study",
     )  # fmt: skip
@@ -57,14 +57,14 @@ def send_all_radius(A: Array, B: Array, K: Array, sc: Array, tau_of: list[int], 
     return radius(lambda M: np.einsum("ji,jab->iab", joint, F @ M @ F.transpose(0, 2, 1)), start)
 
 
-def send_all_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+def send_all_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]:
     taus, ds = int(rng.integers(1, 4)), int(rng.integers(1, 3))
     loop, K = send_all_draw(rng, taus, ds)
     assert loop.sc is not None and loop.ca is not None
     return loop, send_all_radius(loop.model.A, loop.model.B, K, loop.sc.matrix, list(range(taus)), loop.ca.matrix)
 
 
-def sojourn_case(rng: np.random.Generator) -> tuple[LoopToCertify, float]:
+def sojourn_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]:
     """A semi-Markov network law; the reference counts the slots that a stay still has, where the door counts those it had."""
     loop, K = send_all_draw(rng, 2, int(rng.integers(1, 3)))
     longest = 5

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from design.controllers import FromSamples, Known, Sample, SendAll
+from design.controllers import Known, MultiSampleController, Sample, SendAll
 from design.networked_loop.prediction import predict_tracking
 from hil.cli.run_summary import show
 from hil.compose.loop import Loop, compose
@@ -82,7 +82,7 @@ def test_the_input_is_the_gain_of_both_ages_times_what_both_nodes_said() -> None
 
 def test_until_both_nodes_have_been_heard_the_rows_are_zero() -> None:
     running = compose(load_experiment("dc-motor-two-nodes", [FIXED % GAINS])).start_controller()
-    assert isinstance(running, FromSamples)
+    assert isinstance(running, MultiSampleController)
     angle, speed = Sample(0, 2, (1.0,)), Sample(1, 1, (5.0,))
     assert running.rows(2, Known((speed,), (0.0, 0.0))) == ((0.0,),)
     assert running.rows(2, Known((angle, speed), (0.0, 0.0))) == ((pytest.approx(-0.05 - 5 * 0.006),),)

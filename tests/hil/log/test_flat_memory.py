@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from hil.log import growing
+from hil.log import append_column
 from hil.log.read.run import read_run
 from hil.log.write import mcap_sink, mcap_writer
 from hil.log.write.mcap_sink import McapSink
@@ -19,8 +19,8 @@ BYTES_PER_SLOT = 6.0
 
 @pytest.fixture(autouse=True)
 def short_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growing, "IN_MEMORY", 1 << 12)
-    monkeypatch.setattr(growing, "PENDING", 1 << 12)
+    monkeypatch.setattr(append_column, "IN_MEMORY", 1 << 12)
+    monkeypatch.setattr(append_column, "PENDING", 1 << 12)
 
 
 def write(path: Path, slots: int) -> float:
@@ -50,7 +50,7 @@ def test_writing_holds_no_more_for_a_longer_run(tmp_path: Path) -> None:
 def test_a_chunk_that_is_written_leaves_no_memory_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In real time a chunk ends every 50 ms: at 350 bytes each a session grew by 0.5 MB a minute."""
     monkeypatch.setattr(mcap_sink, "FLUSH_BYTES", 1)  # a chunk per slot
-    monkeypatch.setattr(growing, "IN_MEMORY", 2 << 20)
+    monkeypatch.setattr(append_column, "IN_MEMORY", 2 << 20)
     monkeypatch.setattr(mcap_writer, "INDEX_WAITING", 1 << 13)
     sink, held, few, many = McapSink(tmp_path / "run.mcap", TABLE, provenance()), {}, 500, 1_500
     state, pack = sink.channel("/plant/state"), TABLE["/plant/state"].schema.pack

@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from hil.log.growing import ROWS
+from hil.log.append_column import ROWS
 from hil.log.read.run import Run
 from hil.log.records import Field, Schema
 from hil.log.topics import STATE

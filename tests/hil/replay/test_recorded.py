@@ -9,7 +9,7 @@ import pytest
 from hil.errors import HilError
 from hil.log.read.run import Run
 from hil.replay import recorded as replay_recorded
-from hil.replay.recorded import Heard, recorded_wire
+from hil.replay.recorded import RecordedAnswers, recorded_wire
 from transport import SensorPacket, encode_sensor
 
 
@@ -24,7 +24,7 @@ def answers(slots: Sequence[int], late: Sequence[int] = ()) -> Run:
 def test_the_last_answer_of_a_slot_that_came_in_time_is_heard(slots: list[int]) -> None:
     late = [i for i in range(len(slots)) if i % 3 == 1]
     kept = {k: b"%d at %d" % (k, i) for i, k in enumerate(slots) if i not in late}
-    heard = Heard(answers(slots, late))
+    heard = RecordedAnswers(answers(slots, late))
     for end in (0, 2, 4, 4097, 10_000):
         assert heard.answered(end) == sum(k < end for k in kept)
     assert [heard.get(k) for k in range(5001)] == [kept.get(k) for k in range(5001)]
@@ -32,17 +32,17 @@ def test_the_last_answer_of_a_slot_that_came_in_time_is_heard(slots: list[int]) 
 
 def test_answers_out_of_order_are_sorted_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay_recorded, "MOST_SORTED", 100)
-    assert Heard(answers([*range(1, 100), 0])).get(0) == b"0 at 99"
-    assert Heard(answers(range(5000))).answered(5000) == 5000  # in order: no limit
+    assert RecordedAnswers(answers([*range(1, 100), 0])).get(0) == b"0 at 99"
+    assert RecordedAnswers(answers(range(5000))).answered(5000) == 5000  # in order: no limit
     with pytest.raises(HilError, match="/link/control: 101 packets that are out of order; hil sorts 100 at most"):
-        Heard(answers([*range(1, 101), 0]))
+        RecordedAnswers(answers([*range(1, 101), 0]))
 
 
 def test_asking_holds_no_more_for_a_longer_log() -> None:
     runs, held = [answers(range(n)) for n in (10_000, 40_000)], []
     for run in runs:
         tracemalloc.start()
-        heard = Heard(run)
+        heard = RecordedAnswers(run)
         assert heard.answered(1 << 40) == len(run.arrays["/link/control"])
         held.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from hil.reproduce import Check, Row
-from hil.reproduce.judgement import OFF, Drawn, Is, Near, Untold
+from hil.reproduce.judgement import OFF, Approximately, Drawn, Equals, Untold
 from hil.reproduce.power import turns
 
 FACTORS = (-1e6, -10.0, -1.0, 0.0, 0.1, 0.5, 0.9, 0.99, 1.01, 1.1, 2.0, 10.0, 1e6)
@@ -20,10 +20,10 @@ def others(check: Check) -> Iterator[Check]:
         yield from (replace(check, value=share, rule=Drawn(check.rule.tail), interval=()) for share in (0.0, 0.5, 1.0))
         return
     if isinstance(check.value, str):
-        words = (*WORDS, check.rule.word) if isinstance(check.rule, Is) else WORDS
+        words = (*WORDS, check.rule.word) if isinstance(check.rule, Equals) else WORDS
         yield from (replace(check, value=word, interval=()) for word in words if word != check.value)
         return
-    if isinstance(check.rule, Near) and check.rule.says(check.rule.printed) is None:  # wide: as it would be with more runs
+    if isinstance(check.rule, Approximately) and check.rule.says(check.rule.printed) is None:  # wide: as with more runs
         check = replace(check, rule=replace(check.rule, tolerance=0.25 * OFF * check.rule.size))
     start = check.value if math.isfinite(check.value) else 1.0
     limits = [float(v) for v in (getattr(check.rule, n, math.nan) for n in ("printed", "low", "high")) if math.isfinite(v)]

@@ -14,7 +14,7 @@ import pytest
 
 import hil.reproduce
 from hil.reproduce import VERDICTS, Check, Statement, chapters, power
-from hil.reproduce.judgement import OFF, Row, Within, rank, share_interval
+from hil.reproduce.judgement import OFF, Between, Row, rank, share_interval
 from hil.reproduce.power import power_in_words, turns
 from hil.reproduce.statements import Claim, above, below, equal, exactly, judge, last_digit, mean, run, says, untold, within
 from tests.hil.reproduce.judging import assert_equalities_turn, assert_every_number_decides
@@ -150,7 +150,7 @@ def test_few_runs_decide_nothing_and_enough_do() -> None:
         assert judged(few) == "undecided" and judged(many) == "not reproduced"
     inside = rank("share", np.arange(1000.0, 1500.0), 1250.0)
     assert inside.holds and judged(inside, rank("share", np.ones(60), 2.0)) == "undecided"
-    assert judged(replace(inside, rule=Within(high=0.1)), rank("share", np.ones(60), 2.0)) == "not reproduced"
+    assert judged(replace(inside, rule=Between(high=0.1)), rank("share", np.ones(60), 2.0)) == "not reproduced"
 
 
 def judged(*checks: Check) -> str:

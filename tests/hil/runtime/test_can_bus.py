@@ -15,7 +15,7 @@ from hil.measure.bus_load import bus_of
 from hil.measure.view import view_of
 from hil.pages.run.run_page import render_report
 from hil.session import simulate, simulated_session
-from hil.sweeps.lockstep import in_lockstep
+from hil.sweeps.lockstep import supports_batch
 
 NAME = "dc-motor-busy-can"
 
@@ -63,7 +63,7 @@ def test_a_seed_is_a_run_bit_for_bit_and_another_seed_another_bus() -> None:
 
 def test_runs_of_a_sweep_are_not_computed_at_once() -> None:
     loop = compose(load_experiment(NAME, duration="1"), certify=False)
-    assert not in_lockstep(loop)
+    assert not supports_batch(loop)
 
 
 def test_disturbed_bits_are_sent_again_and_put_nodes_into_other_states() -> None:

@@ -23,7 +23,7 @@ from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.supervisor import run_real
 from hil.session import run_session, simulate, simulated_session
-from hil.sweeps.lockstep import in_lockstep
+from hil.sweeps.lockstep import supports_batch
 from transport.packets import EMPTY, SensorPacket, decode, encode_sensor
 
 MOTOR = shipped()["dc-motor-hinf"].read_text().replace('duration = "50 s"', 'duration = "3 s"') + "watchdog_slots = 40\n"
@@ -74,7 +74,7 @@ def test_of_a_corrupted_frame_one_bit_is_wrong_and_the_controller_refuses_it() -
     run, other = simulate(loop, 0), simulate(loop, 1)
     node, wrong = ControlNode(loop), 0
     for tick, data in zip(run.arrays["/link/sensor"]["tick"].tolist(), run.arrays["/link/sensor"]["data"]):
-        node.hear(bytes(data))
+        node.on_frame(bytes(data))
         if decode(bytes(data)) is None:
             assert FIRST <= tick < END
             wrong += 1
@@ -104,7 +104,7 @@ def test_a_restart_forgets_the_newest_sample() -> None:
     """With `for` left out nothing is missed but what was known: zero rows until the next sample."""
     node = ControlNode(loop_of(faulty("controller-restart", "", lasts="")))
     period = 50_000_000
-    ask = lambda k, y: decode(node.hear(encode_sensor(SensorPacket(k, 0 if y else EMPTY, k * period if y else 0, y))) or b"")  # noqa: E731
+    ask = lambda k, y: decode(node.on_frame(encode_sensor(SensorPacket(k, 0 if y else EMPTY, k * period if y else 0, y))) or b"")  # noqa: E731
     for k in (FIRST - 1, FIRST, FIRST + 1):
         packet = ask(k, (1.0,) if k != FIRST else ())
         assert packet is not None and (packet.sample_ns < 0) == (k == FIRST)
@@ -117,7 +117,7 @@ def test_a_loop_with_faults_is_not_certified_computed_at_once_or_predicted() -> 
     loop = loop_of(faulty("cut", 'link = "sc"'))
     assert loop.verdict is not None and loop.verdict.state == "undecided"
     assert loop.verdict.digest != loop_of(MOTOR).verdict.digest  # type: ignore[union-attr]
-    assert in_lockstep(loop_of(MOTOR)) and not in_lockstep(loop)
+    assert supports_batch(loop_of(MOTOR)) and not supports_batch(loop)
     assert theory_section(view_of(simulate(loop, 0), loop.experiment)) is None
 
 

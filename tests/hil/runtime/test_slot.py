@@ -17,7 +17,7 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.slot import Hear, Slot
+from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.virtual import DirectExchange
 from hil.session import simulate
 
@@ -39,10 +39,10 @@ class Spy:
     def record(self, t_ns: int, frames: Sequence[bytes]) -> None:
         self.calls.append("record")
 
-    def answer(self, t_ns: int, hear: Hear) -> None:
-        hear(b"u")
+    def answer(self, t_ns: int, on_frame: OnFrame) -> None:
+        on_frame(b"u")
 
-    def hear(self, data: bytes) -> bool:
+    def on_frame(self, data: bytes) -> bool:
         self.calls.append(f"hear {data!r}")
         return True
 

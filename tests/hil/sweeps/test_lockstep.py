@@ -15,8 +15,8 @@ from design.historical_data.sensor_schedule import mask_of
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.sweeps import lockstep, seeds
-from hil.sweeps.delays_of_many import lawful
-from hil.sweeps.lockstep import in_lockstep, measures_in_lockstep, run_together
+from hil.sweeps.batch_delays import lawful
+from hil.sweeps.lockstep import measures_in_lockstep, run_batch, supports_batch
 from hil.sweeps.seeds import run_one_by_one, run_seeds
 from transport.laws.trace import TraceAge
 
@@ -73,7 +73,7 @@ def test_every_shipped_experiment_is_in_one_of_the_lists() -> None:
 @pytest.mark.parametrize("name", ["vtol-fault-published", "multisensor-event", "smjls-robust-published"])
 def test_what_is_not_served_is_run_seed_by_seed(name: str) -> None:
     loop = loop_of(name, "duration=1")
-    assert not (in_lockstep(loop) and measures_in_lockstep(loop))
+    assert not (supports_batch(loop) and measures_in_lockstep(loop))
     same_bits(loop, range(2))
 
 
@@ -87,14 +87,14 @@ SLOW = {  # their designs take 10 s
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in sorted(SERVED)])
 def test_a_shipped_experiment_has_the_bits_of_the_plain_engine(name: str) -> None:
     loop = loop_of(name, *([f"duration={SHORT[name]}"] if name in SHORT else []))
-    assert in_lockstep(loop) and measures_in_lockstep(loop)
+    assert supports_batch(loop) and measures_in_lockstep(loop)
     same_bits(loop, range(3))
 
 
 @pytest.mark.parametrize("law", STRANGE_LAWS)
 def test_every_age_law_draws_the_same_ages(law: str) -> None:
     loop = loop_of("dc-motor-hinf", "duration=10", law, "controller={kind='local',gain=[[-0.03]]}")
-    assert in_lockstep(loop)
+    assert supports_batch(loop)
     same_bits(loop, range(4))
 
 
@@ -112,7 +112,7 @@ PACKET_LAWS = {
 @pytest.mark.parametrize("law", PACKET_LAWS.values(), ids=PACKET_LAWS)
 def test_a_packet_law_delivers_the_same_packets(law: str, way: str) -> None:
     loop = loop_of("dc-motor-packets", "duration=10", f"links.{way}.law={{kind='packet',{law}}}", "limits.watchdog_slots=40")
-    assert in_lockstep(loop) and run_together(loop, range(6)).known.any()
+    assert supports_batch(loop) and run_batch(loop, range(6)).known.any()
     same_bits(loop, range(6))
 
 
@@ -127,7 +127,7 @@ def test_a_run_that_the_watchdog_stops_and_one_whose_queue_overflows_are_the_pla
                        "limits.watchdog_slots=5")  # fmt: skip
     full = loop_of("dc-motor-packets", "duration=10", "links.sc.law={kind='packet',latency={table=[[0,0],[1,0.4]]},queue=7}")
     for loop in (starving, full):
-        assert 0 < run_together(loop, range(12)).known.sum() < 12  # both kinds
+        assert 0 < run_batch(loop, range(12)).known.sum() < 12  # both kinds
         same_bits(loop, range(12))
 
 
@@ -162,7 +162,7 @@ def test_what_a_controller_remembers_is_the_same(sets: list[str]) -> None:
 )
 def test_a_motor_moves_the_same(plant: str) -> None:
     loop = loop_of("dc-motor-hinf", "duration=10", plant)
-    assert in_lockstep(loop)
+    assert supports_batch(loop)
     same_bits(loop, range(4))
 
 
@@ -175,20 +175,20 @@ def test_a_linear_plant_with_two_tracked_outputs_is_measured_the_same() -> None:
 @pytest.mark.parametrize("limits", ["input=[0.47]", "state={angle=4.45}"])
 def test_a_run_that_safety_stops_is_the_plain_engine_s(limits: str) -> None:
     loop = loop_of("dc-motor-hinf", "duration=10", f"limits={{{limits}}}")
-    known = run_together(loop, range(20)).known
+    known = run_batch(loop, range(20)).known
     assert 1 < known.sum() < 19  # both kinds
     same_bits(loop, range(20))
 
 
 def test_a_run_that_overflows_is_the_plain_engine_s() -> None:
     loop = loop_of("dc-motor-hinf", "controller={kind='local',gain=[[-50.0]]}", "limits={}", "duration=50")
-    assert not run_together(loop, range(3)).known.any()
+    assert not run_batch(loop, range(3)).known.any()
     same_bits(loop, range(3))
 
 
 def test_one_named_node_moves_the_same() -> None:
     loop = loop_of("vtol-h2", "duration=2", "nodes={velocity={outputs=['vertical_velocity'],buffer=2}}")
-    assert in_lockstep(loop)
+    assert supports_batch(loop)
     same_bits(loop, range(2))
 
 
@@ -204,7 +204,7 @@ LATE = "nodes.speed.law={kind='packet',latency={table=[[0,0],[1,'160 ms']]},loss
 )  # fmt: skip
 def test_several_nodes_are_heard_the_same(sets: tuple[str, ...]) -> None:
     loop = loop_of("dc-motor-two-nodes", *NODES, *sets)
-    assert in_lockstep(loop) and len(loop.rig.sensors) == 2
+    assert supports_batch(loop) and len(loop.rig.sensors) == 2
     same_bits(loop, range(4))
 
 
@@ -231,7 +231,7 @@ def test_gains_over_historical_data_take_the_same_samples(uses: str, phases: int
     elif "iid" not in law:
         K *= mask_of(nodes, 3, uses)[:, :, None]
     loop = loop_with(K)
-    assert in_lockstep(loop) and measures_in_lockstep(loop) and run_together(loop, range(3)).known.all()
+    assert supports_batch(loop) and measures_in_lockstep(loop) and run_batch(loop, range(3)).known.all()
     same_bits(loop, range(3))
 
 
@@ -241,11 +241,11 @@ def test_nodes_that_take_turns_or_have_clocks_are_heard_the_same_and_silent_ones
     clock = "nodes.angle.clock={every=3}"
     for change in (turns, clock):
         loop = loop_of("dc-motor-two-nodes", *NODES, oldest, "links.sc.max_age=3", "duration=3", change)
-        assert in_lockstep(loop)
+        assert supports_batch(loop)
         same_bits(loop, range(3))
-    assert not in_lockstep(loop_of("dc-motor-two-nodes", *NODES, EACH, clock))
+    assert not supports_batch(loop_of("dc-motor-two-nodes", *NODES, EACH, clock))
     silent = "nodes={velocity={outputs=['vertical_velocity'],trigger={kind='magnitude',threshold=0.1}}}"
-    assert not in_lockstep(loop_of("vtol-h2", "duration=2", "allow_uncertified=true", silent))
+    assert not supports_batch(loop_of("vtol-h2", "duration=2", "allow_uncertified=true", silent))
 
 
 class Liar(TraceAge):
@@ -288,4 +288,4 @@ def test_a_measure_without_a_batch_form_is_said_once() -> None:
     assert told.startswith("1 of 2 measures run at once; haptics runs alone") and not measures_in_lockstep(mine)
     assert lockstep.measured_alone(loop_of("dc-motor-hinf", "duration=1")) == ""
     silent = loop_of("vtol-fault", "duration=1", 'report.measures=["tracking", "haptics"]')
-    assert not in_lockstep(silent) and lockstep.measured_alone(silent) == "", "no measure is at fault where the loop is"
+    assert not supports_batch(silent) and lockstep.measured_alone(silent) == "", "no measure is at fault where the loop is"

@@ -13,7 +13,7 @@ from design.controllers import LoopModel, RunningController
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.errors import HilError
-from hil.sweeps.lockstep import in_lockstep
+from hil.sweeps.lockstep import supports_batch
 from hil.sweeps.same_numbers import foreign_parts
 from plants.dc_motor import DCMotor
 from tests.hil.compose.lying_plugins import Plant, Rowed, Table
@@ -25,7 +25,7 @@ class PlainMotor(DCMotor):
 
 
 class TurnedMotor(DCMotor):
-    """It starts elsewhere than ours, and forgets that it inherits `start_many`."""
+    """It starts elsewhere than ours, and forgets that it inherits `start_batch`."""
 
     def start(self, rng: np.random.Generator) -> Any:
         given = {f.name: getattr(self, f.name) for f in fields(DCMotor)}
@@ -39,8 +39,8 @@ def motor(cls: type[DCMotor]) -> DCMotor:
 
 def test_a_plant_that_inherits_start_many_and_moves_otherwise_is_refused() -> None:
     loop = compose(load_experiment("dc-motor-h2", plant=motor(TurnedMotor), duration=2))
-    assert in_lockstep(loop) and foreign_parts(loop) == ("TurnedMotor",)
-    said = r"TurnedMotor: a sweep has other numbers than its runs: sse of seed 0 is .* start_many"
+    assert supports_batch(loop) and foreign_parts(loop) == ("TurnedMotor",)
+    said = r"TurnedMotor: a sweep has other numbers than its runs: sse of seed 0 is .* start_batch"
     with pytest.raises(HilError, match=said):
         hil.sweep(loop.experiment, runs=3, jobs=1)
     with pytest.raises(HilError, match=said):
@@ -90,7 +90,7 @@ def test_ours_are_trusted_by_their_file_and_not_by_a_name() -> None:
 
 def test_a_run_at_once_is_compared_with_its_model_too() -> None:
     class Late(LateTable):
-        def start_many(self, model: LoopModel, runs: int) -> None:
+        def start_batch(self, model: LoopModel, runs: int) -> None:
             return None
 
     told = {"plant": Plant(), "controller": Late(), "duration": 20, "limits.state": {}, "allow_uncertified": True}

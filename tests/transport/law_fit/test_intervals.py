@@ -61,7 +61,7 @@ def test_intervals_of_a_channel_cover_in_93_to_97_percent(channel: GilbertElliot
 
 def test_intervals_of_a_markov_row_cover() -> None:
     law, hits = MarkovAge(matrix=((0.9, 0.1), (0.3, 0.7))), []
-    ages = law.ages_of_many([np.random.default_rng([5, i]) for i in range(150)], 150, 3000)
+    ages = law.ages_of_batch([np.random.default_rng([5, i]) for i in range(150)], 150, 3000)
     for run in range(150):
         low, high = fit_ages(ages[:, run].astype(np.int64))[0].intervals["matrix[0][1]"]
         hits.append(low <= 0.1 <= high)

@@ -18,7 +18,7 @@ from transport.errors import FieldError
 from transport.law_tests.analysis import analyse_law
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.packet_chain import PacketChain
-from transport.laws.packet_paths import channel_modes, fives_of_many
+from transport.laws.packet_paths import channel_modes, fives_of_batch
 from transport.laws.protocols import AgeChain, InitialLaw, PacketAges, prepare
 from transport.medium.independent import impair
 
@@ -49,10 +49,10 @@ def random_law(seed: int) -> PacketLaw:
 
 
 def counted(law: PacketLaw, chain: PacketChain, seed: int, runs: int, slots: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Transitions and first states of the packets that `newest_of_many` delivers, which is what runs."""
-    newest, told = law.newest_of_many([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots, T, DEADLINE)
+    """Transitions and first states of the packets that `newest_of_batch` delivers, which is what runs."""
+    newest, told = law.newest_of_batch([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots, T, DEADLINE)
     assert told.all()
-    levels = fives_of_many([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots)[0]
+    levels = fives_of_batch([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots)[0]
     channel = channel_modes(law.stationary().tolist(), law.transition_matrix().tolist(), levels)
     ages = np.minimum(np.arange(slots)[:, None] - newest, max(chain.mode_ages))
     number = states_of(law, chain)
@@ -194,7 +194,7 @@ def test_discarding_changes_no_draw() -> None:
         network.offer(k, k)
         newest = max([newest, *(g for g, _ in network.collect(k)[1])])
         ages.append(newest)
-    many, told = option.newest_of_many([np.random.default_rng(5)], 1, 2000, T, DEADLINE)
+    many, told = option.newest_of_batch([np.random.default_rng(5)], 1, 2000, T, DEADLINE)
     assert told.all()
     assert many[:, 0].tolist() == ages
 

@@ -7,7 +7,7 @@ import numpy as np
 from transport.draws import CORRUPTED, CUT, OFF_BUS
 from transport.laws.age import ConstantAge, MarkovAge
 from transport.laws.packet import PacketLaw
-from transport.medium.faulted import FaultedChannel, FaultKind, FaultyPath, Spell
+from transport.medium.faulted import FaultedChannel, FaultInterval, FaultKind, FaultyPath
 from transport.medium.independent import Impairment, impair
 
 SPELL = (5, 8)
@@ -26,7 +26,7 @@ def arrivals(link: Impairment, slots: int = 12) -> dict[int, list[tuple[int, obj
 
 
 def broken(kind: FaultKind, age: int = 1) -> tuple[dict[int, list[tuple[int, object]]], FaultyPath]:
-    path = FaultyPath([Spell(*SPELL, kind)])
+    path = FaultyPath([FaultInterval(*SPELL, kind)])
     return arrivals(FaultedChannel(channel(age), path)), path
 
 
@@ -48,7 +48,7 @@ def test_a_node_off_the_bus_sends_nothing_and_a_frozen_one_repeats_its_values() 
 def test_what_was_lost_is_not_the_newest_packet_afterwards() -> None:
     """In slot 3 the law says age 1 again and again: packet 2 arrives once, in the cut, and would be repeated."""
     ages = MarkovAge(matrix=((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), initial=(1.0, 0.0, 0.0))
-    path = FaultyPath([Spell(3, 4, "cut")])
+    path = FaultyPath([FaultInterval(3, 4, "cut")])
     link = FaultedChannel(impair(ages, np.random.default_rng(0), 0.05, 0.03), path)
     came = arrivals(link, 7)
     assert came[3] == came[4] == came[5] == [] and came[6] == [(6, "packet 6")]
@@ -56,7 +56,7 @@ def test_what_was_lost_is_not_the_newest_packet_afterwards() -> None:
 
 def test_a_second_copy_of_a_lost_packet_comes() -> None:
     law = PacketLaw(latency={"dist": "uniform", "loc": 0.0, "scale": 0.2}, duplication=1.0)
-    path = FaultyPath([Spell(5, 6, "cut")])
+    path = FaultyPath([FaultInterval(5, 6, "cut")])
     link = FaultedChannel(impair(law, np.random.default_rng(3), 0.05, 0.03), path)
     sound = arrivals(impair(law, np.random.default_rng(3), 0.05, 0.03))
     came = arrivals(link)
@@ -68,7 +68,7 @@ def test_a_second_copy_of_a_lost_packet_comes() -> None:
 def test_fates_say_which_fault_it_was_and_modes_stay_the_laws_own() -> None:
     law = MarkovAge(matrix=((0.6, 0.4), (0.7, 0.3)))
     for kind, code in (("cut", CUT), ("corrupt", CORRUPTED), ("bus-off", OFF_BUS)):
-        path = FaultyPath([Spell(*SPELL, kind)])
+        path = FaultyPath([FaultInterval(*SPELL, kind)])
         links = impair(law, np.random.default_rng(1), 0.05, 0.03), FaultedChannel(
             impair(law, np.random.default_rng(1), 0.05, 0.03), path
         )

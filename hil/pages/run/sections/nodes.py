@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.growing import pieces
+from hil.log.append_column import pieces
 from hil.log.topics import SC
 from hil.measure.network_load import loads
 from hil.measure.view import RunView

@@ -16,7 +16,7 @@ from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.pages.html.figures import Band, Block, Figure, Section, Series, Table
 from hil.session import simulate
-from hil.sweeps.lockstep import in_lockstep, run_together
+from hil.sweeps.lockstep import run_batch, supports_batch
 
 RUNS = 100
 TICKS = 120_000  # of emulation that a page may cost: some 3 s
@@ -112,8 +112,8 @@ def _emulate(loop: Loop, names: list[str], ticks: int) -> np.ndarray[Any, Any] |
     seeds = [1_000_000 + i for i in range(count)]
     columns = [[signal.name for signal in loop.experiment.plant.outputs].index(name) for name in names]
     found: dict[int, np.ndarray[Any, Any]] = {}
-    if in_lockstep(loop):
-        together = run_together(loop, seeds, topics=())
+    if supports_batch(loop):
+        together = run_batch(loop, seeds, topics=())
         errors = np.moveaxis(together.outputs[columns], 0, -1) - together.reference[:, None, columns]  # (slots, runs, outputs)
         found = {seed: errors[:ticks, i] for i, seed in enumerate(seeds) if together.known[i]}
     for seed in seeds:

@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers.rendered_wall import FollowsModel, RendersWall
+from design.controllers.rendered_wall import ModelFollower, WallController
 from design.controllers.wall import Wall
 from hil.compose.loop import Loop
-from hil.log.growing import whole
+from hil.log.append_column import whole
 from hil.log.topics import PASSIVITY, STATE
 from hil.measure.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
@@ -40,12 +40,12 @@ def section(view: RunView) -> Section | None:
         view: the run.
     """
     loop = loop_of(view)
-    if loop is not None and isinstance(loop.controller, FollowsModel):
+    if loop is not None and isinstance(loop.controller, ModelFollower):
         return Section(
             title="At the wall", place=110, blocks=tuple(_over_time(view, None)), columns=2,
             intro="The controller draws the device after a model of the wall: there is no coupler, and so no avatar behind it.",
         )  # fmt: skip
-    if loop is None or not isinstance(loop.controller, RendersWall):
+    if loop is None or not isinstance(loop.controller, WallController):
         return None
     path = avatar_path(view, loop)
     blocks: list[Block] = [*_over_time(view, path)]
@@ -105,7 +105,7 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
     return found
 
 
-def _margin(loop: Loop, controller: RendersWall) -> Figure | None:
+def _margin(loop: Loop, controller: WallController) -> Figure | None:
     port = loop.rig.port
     if port is None:
         return None

@@ -125,7 +125,7 @@ def test_a_page_composes_once_and_asks_for_sensors_and_measures_once(monkeypatch
 
     counting(composed, "compose")
     counting(measure, "measures_of")
-    for name in ("sensors_of", "shared_media", "traits_of", "time_line", "port_of"):
+    for name in ("sensors_of", "shared_media", "traits_of", "fault_schedule", "port_of"):
         counting(normal_form, name)
     counting(delay_chains, "chains_of")
     counting(network_paths, "draws_of")
@@ -133,7 +133,7 @@ def test_a_page_composes_once_and_asks_for_sensors_and_measures_once(monkeypatch
     hil.report(tmp_path / "run.mcap", figures=tmp_path / "figures")
     assert asked == dict.fromkeys(asked, 1)
     assert asked.keys() == {
-        "compose", "measures_of", "draws_of", "sensors_of", "shared_media", "traits_of", "time_line", "port_of", "chains_of",
+        "compose", "measures_of", "draws_of", "sensors_of", "shared_media", "traits_of", "fault_schedule", "port_of", "chains_of",
     }  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.normal_form import rig_of
-from hil.runtime.nodes.assembly import Assembly
+from hil.runtime.nodes.sample_history import SampleHistory
 from hil.session import simulate
 from transport.draws import DELIVERED
 
@@ -97,7 +97,7 @@ def test_second_moments_are_those_of_all_paths_of_the_controller_that_runs() -> 
     seen = np.zeros((slots + 1, 2, 2))
     for path in product((True, False), repeat=slots):
         share, x = float(np.prod([1.0 - loss if came else loss for came in path])), np.array([1.0, -2.0])
-        running, assembly = law.start(model), Assembly(sensors, 2)
+        running, assembly = law.start(model), SampleHistory(sensors, 2)
         for k, came in enumerate(path):
             seen[k] += share * np.outer(x, x)
             node = (k + 1) % 2

@@ -26,10 +26,10 @@ def test_no_node_of_a_rig_grows_with_its_slots(name: str) -> None:
         def ask(self, t_ns: int, frames: list[bytes]) -> None:
             self.frames = frames
 
-        def answer(self, t_ns: int, hear) -> None:  # type: ignore[no-untyped-def]
-            for data in map(node.hear, self.frames):
+        def answer(self, t_ns: int, on_frame) -> None:  # type: ignore[no-untyped-def]
+            for data in map(node.on_frame, self.frames):
                 if data is not None:
-                    hear(data)
+                    on_frame(data)
 
     slot = Slot(rig, Here())  # type: ignore[arg-type]
 

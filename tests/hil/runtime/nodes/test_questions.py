@@ -34,13 +34,13 @@ class RigSide:
 
     def greet(self, now_ns: int = 0, number: int = 1) -> bytes | None:
         hello = SensorPacket(HELLO, EMPTY, 0, (), nonce=self.wire.hello, counter=number)
-        return self.node.hear(encode_sensor(hello), now_ns)
+        return self.node.on_frame(encode_sensor(hello), now_ns)
 
     def ask(self, y: float = 0.5) -> tuple[bytes, bytes | None]:
         """Ask in the next slot; return question and answer."""
         self.k += 1
         data = question(self.wire, self.k, next(self._counter), y)
-        return data, self.node.hear(data, self.k * T)
+        return data, self.node.on_frame(data, self.k * T)
 
     def true_answers(self, slots: int) -> None:
         for _ in range(slots):
@@ -79,7 +79,7 @@ def test_no_forged_question_of_a_slot_that_has_not_begun_is_answered_used_or_out
     for _ in range(20):
         for data in forgeries(rig):
             tried += 1
-            assert rig.node.hear(data, rig.k * T) is None
+            assert rig.node.on_frame(data, rig.k * T) is None
         assert rig.ask() == alone.ask()  # to the byte: nothing of it reached the control law
     counts = rig.node.counts
     assert counts.refused + counts.contradicted + counts.malformed >= tried - 20 and counts.contradicted > 0
@@ -88,7 +88,7 @@ def test_no_forged_question_of_a_slot_that_has_not_begun_is_answered_used_or_out
 
 def test_one_forged_number_far_ahead_does_not_silence_the_controller(loop: Loop) -> None:
     rig = begun(loop)
-    assert rig.node.hear(question(rig.wire, 10**6, 2**32 - 1, FORGED, MORE, nonce=77), rig.k * T) is None
+    assert rig.node.on_frame(question(rig.wire, 10**6, 2**32 - 1, FORGED, MORE, nonce=77), rig.k * T) is None
     rig.true_answers(10)
     assert rig.node.counts.refused == 1
 
@@ -98,7 +98,7 @@ def test_a_forged_hello_neither_ends_the_session_nor_resets_the_control_law(loop
     for _ in range(20):
         for nonce in (rig.wire.hello, other.wire.hello, 0, rig.wire.nonce(rig.k)):
             hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=nonce, counter=9))
-            assert rig.node.hear(hello, rig.k * T) is None
+            assert rig.node.on_frame(hello, rig.k * T) is None
         assert rig.ask() == alone.ask()
     assert rig.node.counts.refused == 80
 
@@ -108,7 +108,7 @@ def test_hellos_of_others_before_the_session_do_not_keep_the_rig_from_it(loop: L
     for number in range(1, 22):
         assert rig.greet(number=number) is not None
     for nonce in range(1, 500):
-        rig.node.hear(encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=nonce, counter=1)))
+        rig.node.on_frame(encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=nonce, counter=1)))
     rig.true_answers(5)
 
 
@@ -116,7 +116,7 @@ def test_a_forged_frame_before_the_true_one_of_the_slot_shows_in_the_echo_and_is
     """Who hears the rig first can be faster: the rig then sees that other frames than its own were answered."""
     rig = begun(loop)
     k = rig.k + 1
-    first = rig.node.hear(question(rig.wire, k, 6, FORGED), k * T)
+    first = rig.node.on_frame(question(rig.wire, k, 6, FORGED), k * T)
     data, second = rig.ask()
     packet = decode(first or b"")
     assert isinstance(packet, ControlPacket) and packet.echo != echo([data])
@@ -128,15 +128,15 @@ def test_a_forged_frame_before_the_true_one_of_the_slot_shows_in_the_echo_and_is
 def test_frames_between_those_of_one_slot_never_count_unseen(ahead: int) -> None:
     two = compose(load_experiment("dc-motor-two-nodes"), certify=False)
     wire, node = session_wire(b"2" * 16), ControlNode(two)
-    node.hear(encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=wire.hello, counter=1)))
+    node.on_frame(encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=wire.hello, counter=1)))
 
     def frame(i: int, flags: int, y: float, counter: int) -> bytes:
         return encode_sensor(SensorPacket(0, flags, 0, (y,), i, 1, (3.0, 0.0), 2, wire.nonce(0), counter))
 
     true = [frame(0, MORE, 0.1, 1), frame(1, 0, 0.2, 2)]
-    assert node.hear(true[0]) is None
-    assert node.hear(frame(1, MORE, FORGED, 2 + ahead)) is None  # the number of the next one, or one beyond
-    answer = decode(node.hear(true[1]) or b"")
+    assert node.on_frame(true[0]) is None
+    assert node.on_frame(frame(1, MORE, FORGED, 2 + ahead)) is None  # the number of the next one, or one beyond
+    answer = decode(node.on_frame(true[1]) or b"")
     if ahead:  # beyond the frame that closes the slot: dropped, and the rest is the rig's
         assert isinstance(answer, ControlPacket) and answer.echo == echo(true)
     else:  # which of the two is the rig's cannot be told here

@@ -15,7 +15,7 @@ from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
-from hil.runtime.nodes.answers import LOGGED
+from hil.runtime.nodes.answer_matcher import LOGGED
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, session_wire
 from hil.runtime.slot import Slot
@@ -65,10 +65,10 @@ class Script:
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
         assert frames
 
-    def answer(self, t_ns: int, hear: Callable[[bytes], bool]) -> None:
+    def answer(self, t_ns: int, on_frame: Callable[[bytes], bool]) -> None:
         answer = self._answer(t_ns // self.period_ns)
         for data in [answer] if isinstance(answer, bytes) else answer or []:
-            hear(data)
+            on_frame(data)
 
 
 def drive(loop: Loop, answer: Callable[[int], bytes | None], ticks: int) -> MemorySink:
@@ -157,9 +157,9 @@ def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> Non
     rig = Rig(loop, 0, sink, channels_of(loop), lambda: None, VIRTUAL)
     rig.sense(0)
     for _ in range(300):
-        assert rig.hear(rng.bytes(int(rng.integers(0, 80)))) is False
+        assert rig.on_frame(rng.bytes(int(rng.integers(0, 80)))) is False
     assert rig.answers.malformed == 300
-    rig.hear(answer(0))
+    rig.on_frame(answer(0))
     rig.actuate(0)
     assert rig.outcome()["refused"] == 0
 
@@ -221,11 +221,11 @@ def test_an_answer_to_other_frames_than_were_sent_is_never_applied_and_told(loop
         def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
             self.said.append(echo(frames))
 
-        def answer(self, t_ns: int, hear: Callable[[bytes], bool]) -> None:
+        def answer(self, t_ns: int, on_frame: Callable[[bytes], bool]) -> None:
             k, true = t_ns // self.period_ns, self.said[-1]
             wrong = {0: 0, 1: true ^ 1, -1: self.said[-2]}[forged]
             for u, echoed in ((2.0, wrong), (0.0, true)):
-                hear(encode_control(ControlPacket(k, t_ns, 0, 0, 1, ((u,), (u,)), echoed)))
+                on_frame(encode_control(ControlPacket(k, t_ns, 0, 0, 1, ((u,), (u,)), echoed)))
 
     # without delays every slot has a fresh sample
     direct = compose(load_experiment("dc-motor-hinf", ["links.sc.law.matrix=[[1.0]]", "links.sc.law.kind=markov"]), certify=False)

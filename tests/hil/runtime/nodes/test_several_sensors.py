@@ -25,8 +25,8 @@ from hil.measure.network_load import loads
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.rig.normal_form import rig_of
-from hil.runtime.nodes.assembly import Assembly
-from hil.runtime.nodes.heard import NewestSample
+from hil.runtime.nodes.controller_input import NewestSample
+from hil.runtime.nodes.sample_history import SampleHistory
 from hil.runtime.nodes.triggers import DeadBand, Error, Magnitude
 from hil.session import simulate
 from plants.delayed_states import START_5_4
@@ -284,7 +284,7 @@ def test_a_controller_of_one_sensor_is_served_by_several_nodes() -> None:
 
 def test_a_controller_knows_what_has_arrived_newest_first_and_no_more_than_it_asked_for() -> None:
     loop = compose(load_experiment("multisensor-published"), certify=False)
-    assembly = Assembly(loop.rig.sensors, 2)
+    assembly = SampleHistory(loop.rig.sensors, 2)
     assembly.take(0, 1, (1.0, 0.0, 99.0))  # what lies before slot 0 was never measured
     assert assembly.known(1) == (Sample(0, 1, (1.0,)), Sample(0, 0, (0.0,)))
     assembly.take(1, 2, (2.0, 1.0, 0.0))
@@ -324,11 +324,11 @@ def test_the_controller_counts_frames_of_another_rig() -> None:
         fields: dict[str, Any] = {"seq": 4, "flags": 0, "sample_ns": 200_000_000, "y": (1.0, 1.0, 1.0), "node": 1, "samples": 3}
         return encode_sensor(SensorPacket(**(fields | {"nodes": 4} | given)))
 
-    assert node.hear(frame()) is not None
+    assert node.on_frame(frame()) is not None
     for given in ({"nodes": 5}, {"samples": 1}, {"sample_ns": 250_000_000}, {"sample_ns": 200_000_001}, {"y": (1.0,) * 6}):
-        assert node.hear(frame(**given)) is None
+        assert node.on_frame(frame(**given)) is None
     assert node.counts.malformed == 5
-    assert node.hear(frame(flags=EMPTY, y=(), samples=1)) is not None
+    assert node.on_frame(frame(flags=EMPTY, y=(), samples=1)) is not None
 
 
 def test_the_short_form_is_a_list_of_one_node() -> None:

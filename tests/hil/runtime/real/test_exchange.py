@@ -10,7 +10,7 @@ import pytest
 from hil.log.topics import channels_of
 from hil.runtime.nodes.controller_node import HELLO
 from hil.runtime.nodes.wire import VIRTUAL, session_wire
-from hil.runtime.real.exchange import MOST_FRAMES, REHEARSALS, Greeter, LinkExchange
+from hil.runtime.real.exchange import MOST_FRAMES, REHEARSALS, Handshake, LinkExchange
 from transport.links.memory import MemoryLink
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
 from transport.wire.tags import echo
@@ -65,11 +65,11 @@ class Ear:
         self.heard: list[bytes] = []
         self.late: list[bytes] = []
 
-    def hear(self, data: bytes) -> bool:
+    def on_frame(self, data: bytes) -> bool:
         self.heard.append(data)
         return data == b"answer"
 
-    def hear_late(self, data: bytes) -> None:
+    def on_late_frame(self, data: bytes) -> None:
         self.late.append(data)
 
 
@@ -89,7 +89,7 @@ def test_flood_never_holds_the_rig_beyond_the_deadline_or_the_most_frames(taking
     link.endless = b"junk"
     one = exchange(link, ear)
     one.ask(0, question())
-    one.answer(0, ear.hear)
+    one.answer(0, ear.on_frame)
     assert link.taken <= MOST_FRAMES
     assert link.t_ns <= 30 * MS + taking_ns  # the frame that was being taken at the deadline
     assert one.waited_ns == link.t_ns
@@ -99,7 +99,7 @@ def test_stop_is_seen_between_two_frames() -> None:
     link, ear = Bench(), Ear()
     link.endless = b"junk"
     one = exchange(link, ear, lambda: link.taken >= 5)
-    one.answer(0, ear.hear)
+    one.answer(0, ear.on_frame)
     assert link.taken == 5
 
 
@@ -110,7 +110,7 @@ def test_answer_in_time_is_found_behind_other_frames_and_one_after_the_deadline_
     for _ in range(20):
         link.arrive(MS, b"junk")
     link.arrive(10 * MS, b"answer")
-    one.answer(0, ear.hear)
+    one.answer(0, ear.on_frame)
     assert ear.heard[-1] == b"answer" and len(ear.heard) == 21 and not ear.late
     assert one.round_trip_us == pytest.approx(10_001)
 
@@ -118,7 +118,7 @@ def test_answer_in_time_is_found_behind_other_frames_and_one_after_the_deadline_
     one = exchange(link, ear)
     one.ask(0, question())
     link.arrive(29 * MS, b"answer")  # taken 1 ms after the deadline
-    one.answer(0, ear.hear)
+    one.answer(0, ear.on_frame)
     assert ear.heard == [] and ear.late == [b"answer"]
 
 
@@ -131,7 +131,7 @@ def hello(link: Bench | None = None) -> bytes:
 def test_controller_is_asked_once_then_rehearsed_and_the_link_is_empty_before_slot_0() -> None:
     link = Bench()
     link.on_question = lambda: link.arrive(MS, hello(link))
-    greeting = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
+    greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
     assert greeting.answered
     assert len(link.asked) == greeting.questions == 1 + REHEARSALS
     assert {q.seq for q in link.asked} == {HELLO}
@@ -149,7 +149,7 @@ def test_controller_that_joins_late_and_then_answers_everything_leaves_an_empty_
             link.arrive(MS, hello(link))
 
     link.on_question = answer_from_the_fourth_on
-    greeting = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
+    greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
     assert greeting.answered and not link.inbox
 
 
@@ -167,7 +167,7 @@ def test_nothing_lies_between_the_last_rehearsal_and_slot_0() -> None:
         link.t_ns += MS
 
     link.on_question = answer_from_the_fourth_on
-    greeter = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL, lambda: done.append("meanwhile"), pause)
+    greeter = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL, lambda: done.append("meanwhile"), pause)
     assert greeter.greet().answered
     assert done == ["asked"] * 4 + ["asked", "meanwhile", "paused"] * REHEARSALS
     begin = 3 * 50 * MS + 100 * MS  # three questions without an answer, and the wait for what may still come
@@ -182,7 +182,7 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
         link.arrive(i * 50 * MS, bytes(8))
     if answers:
         link.on_question = lambda: link.inbox.appendleft((link.t_ns + MS, hello(link)))
-    greeting = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
+    greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
     assert greeting.answered == answers
     assert link.t_ns <= (1_000 * MS if answers else 15_001 * MS)
     assert greeting.foreign > 0
@@ -191,17 +191,17 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
 def test_stranger_who_repeats_the_answer_for_ever_does_not_hold_the_session() -> None:
     link = Bench(taking_ns=MS)
     link.on_question = lambda: setattr(link, "endless", link.endless or hello(link))
-    greeting = Greeter(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
+    greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
     assert greeting.answered and link.t_ns < 400 * MS and greeting.foreign > 0
 
 
 def test_greeting_needs_the_echo_of_the_question() -> None:
     link, wire = Bench(), session_wire(b"n" * 16)
     link.on_question = lambda: link.arrive(MS, hello())
-    assert not Greeter(link, 1.0, lambda: False, link.now, wire).greet().answered
+    assert not Handshake(link, 1.0, lambda: False, link.now, wire).greet().answered
     link = Bench()
     link.on_question = lambda: link.arrive(MS, hello(link))
-    assert Greeter(link, 1.0, lambda: False, link.now, wire).greet().answered
+    assert Handshake(link, 1.0, lambda: False, link.now, wire).greet().answered
 
 
 def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> None:
@@ -220,7 +220,7 @@ def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> No
     rig = Rig(loop, 3, sink, channels_of(loop), lambda: None, wire)
     with LocalLink(ControlNode(loop)) as link:
         clock = iter(range(10**9))
-        greeting = Greeter(link, 1.0, lambda: False, lambda: next(clock), wire).greet()
+        greeting = Handshake(link, 1.0, lambda: False, lambda: next(clock), wire).greet()
         assert greeting.answered and greeting.questions == 1 + REHEARSALS and greeting.foreign == 0
         slot = Slot(rig, LinkExchange(link, rig, 30 * MS, lambda: False, lambda: next(clock)))
         for k in range(loop.experiment.ticks):
@@ -239,7 +239,7 @@ def test_the_deadline_runs_from_the_moment_the_question_left() -> None:
         talk = exchange(link, ear)
         talk.ask(0, question())
         link.arrive(after_ms * MS, b"answer")
-        talk.answer(0, ear.hear)
+        talk.answer(0, ear.on_frame)
         assert (b"answer" in ear.heard) is heard
 
 

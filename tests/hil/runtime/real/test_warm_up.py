@@ -15,7 +15,7 @@ from hil.log.write.sinks import MemorySink
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, Wire, session_wire
 from hil.runtime.real import warm_up
-from hil.runtime.real.warm_up import Rehearsal, RehearsedRig, warm_up_controller
+from hil.runtime.real.warm_up import WarmUpExchange, WarmUpRig, warm_up_controller
 from hil.runtime.slot import Slot
 
 
@@ -27,11 +27,11 @@ def loop() -> Loop:
 @pytest.mark.parametrize("wire", [VIRTUAL, session_wire(bytes(16))])
 def test_every_rehearsed_slot_is_answered_with_the_echo_of_the_session(loop: Loop, wire: Wire) -> None:
     rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, wire)
-    slot = Slot(rig, Rehearsal(loop, wire))
+    slot = Slot(rig, WarmUpExchange(loop, wire))
     for k in range(10):
         slot.run(k * loop.experiment.period_ns)
     assert rig.outcome()["late"] == rig.outcome()["foreign"] == 0
-    rehearsed = RehearsedRig(loop, wire).warm_up()
+    rehearsed = WarmUpRig(loop, wire).warm_up()
     for _ in range(3):
         rehearsed.run()
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from hil.compose.loop import Loop
 from hil.rig.sensor_list import Sensor
-from hil.rig.sensors import Shared
+from hil.rig.sensors import SharedMedium
 from hil.runtime.nodes.can_network import CanNetwork
 from hil.runtime.streams import rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
@@ -20,7 +20,7 @@ from transport.medium.split import SplitMedium
 _CAME = frozenset((DELIVERED, DISORDERED, DUPLICATED))
 
 
-def uplink_of(
+def sensor_medium_of(
     loop: Loop, seed: int, period_s: float, deadline_s: float, bus: CanNetwork | None = None
 ) -> Medium:  # fmt: skip
     """Return the medium between the sensor nodes and the controller; every node and every shared medium has its own stream.
@@ -33,11 +33,11 @@ def uplink_of(
         bus: the CAN bus that takes time, where the experiment has one and the way back needs it too.
     """
     channels = [impair(s.law, rng_for(seed, s.stream), period_s, deadline_s) for s in loop.rig.sensors]
-    medium = _shared(loop, channels, seed, bus) if loop.rig.media else IndependentChannels(channels)
-    return medium if all(s.repeats for s in loop.rig.sensors) else NewPackets(medium, [s.repeats for s in loop.rig.sensors])
+    medium = _shared_medium(loop, channels, seed, bus) if loop.rig.media else IndependentChannels(channels)
+    return medium if all(s.repeats for s in loop.rig.sensors) else NoRepeatMedium(medium, [s.repeats for s in loop.rig.sensors])
 
 
-class NewPackets:
+class NoRepeatMedium:
     """A medium whose nodes repeat nothing: what has arrived before does not arrive again in a slot in which nothing new came.
 
     Args:
@@ -61,7 +61,7 @@ def _new(delivery: Delivery) -> Delivery:
     return draws, [(g, packet) for g, packet in arrivals if any(d.packet_tick == g and d.reason in _CAME for d in draws)]
 
 
-def _shared(loop: Loop, channels: Sequence[Impairment], seed: int, bus: CanNetwork | None) -> Medium:
+def _shared_medium(loop: Loop, channels: Sequence[Impairment], seed: int, bus: CanNetwork | None) -> Medium:
     parts: list[tuple[Sequence[int], Medium]] = []
     turning = []
     for shared in loop.rig.media:
@@ -96,7 +96,7 @@ def clock_of(sensor: Sensor, seed: int) -> SampleClock | None:
     return SampleClock(every=table.every, phase=None if table.random_phase else table.phase, jitter=table.jitter, rng=rng)
 
 
-def _turns(shared: Shared, others: Sequence[int], seed: int) -> Turns:
+def _turns(shared: SharedMedium, others: Sequence[int], seed: int) -> Turns:
     table, rng = shared.table, rng_for(seed, f"medium.{shared.name}")
     nodes = [others.index(node) for node in shared.nodes]
     if table.kind == "round-robin":

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from design.controllers import FromSamples, Known, Rows, RunningController
+from design.controllers import Known, MultiSampleController, Rows, RunningController
 from hil.certify.stated_controller import runs_as
 from hil.compose.loop import Loop
 from hil.runtime.nodes.answer_watch import AnswerWatch
-from hil.runtime.nodes.assembly import Assembly
+from hil.runtime.nodes.sample_history import SampleHistory
 from transport.packets import SensorPacket
 
 
-class Heard(Protocol):
+class ControllerInput(Protocol):
     """A control law with what it has heard since slot 0."""
 
     sample_ns: int
@@ -30,13 +30,13 @@ class Heard(Protocol):
         ...
 
 
-def heard_by(loop: Loop) -> Heard:
+def controller_input(loop: Loop) -> ControllerInput:
     """Return a fresh control law and its memory: which of the two is the control law's own choice, for any number of nodes."""
     running = loop.start_controller()
-    return EverySample(loop, running) if isinstance(running, FromSamples) else NewestSample(loop, running)
+    return EverySample(loop, running) if isinstance(running, MultiSampleController) else NewestSample(loop, running)
 
 
-def _watch(loop: Loop, running: RunningController | FromSamples) -> AnswerWatch | None:
+def _watch(loop: Loop, running: RunningController | MultiSampleController) -> AnswerWatch | None:
     """Return what compares a control law with its table, None where nothing is to be compared."""
     if loop.watched is None or loop.watched.controller is None:
         return None
@@ -106,18 +106,18 @@ class NewestSample:
 
 
 class EverySample:
-    """Serves a `FromSamples`: what each node has sent, as far back as the control law looks.
+    """Serves a `MultiSampleController`: what each node has sent, as far back as the control law looks.
 
     Args:
         loop: the composed experiment.
         running: the control law.
     """
 
-    def __init__(self, loop: Loop, running: FromSamples) -> None:
+    def __init__(self, loop: Loop, running: MultiSampleController) -> None:
         self.watch = _watch(loop, running)
         self._rows = running.rows if self.watch is None else self.watch.rows
         self._reference, self._period_ns = loop.reference(), loop.experiment.period_ns
-        self._assembly = Assembly(loop.rig.sensors, running.memory)
+        self._assembly = SampleHistory(loop.rig.sensors, running.memory)
         self.sample_ns = -1
 
     def take(self, packet: SensorPacket) -> bool:

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hil.log.growing import Growing
+from hil.log.append_column import AppendColumn
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Channel
 from hil.log.write.open_chunk import Messages
 from hil.log.write.packed_records import BEHIND, HEAD, MESSAGE_OVERHEAD
@@ -17,13 +17,13 @@ StructuredArray: TypeAlias = np.ndarray[Any, np.dtype[np.void]]
 Keep: TypeAlias = Mapping[str, Sequence[str] | None]
 
 
-class Kept:
+class ColumnBuffer:
     """Columns of some topics, and all events, of the chunks of a log.
 
     Args:
         channels: the session's table.
         keep: topic to the fields that are kept, None for all; no topic with raw frames.
-        folder: where those of a long run are kept, see `Growing`.
+        folder: where those of a long run are kept, see `AppendColumn`.
 
     Attributes:
         schemas: of the topics, in full.
@@ -42,9 +42,9 @@ class Kept:
             topic: list((self.schemas[topic].dtype.names or ()) if fields is None else fields) for topic, fields in keep.items()
         }
         self._messages = {topic: self._message(topic) for topic in keep}
-        self._columns = {topic: Growing(self._dtype(topic), folder) for topic in keep}
+        self._columns = {topic: AppendColumn(self._dtype(topic), folder) for topic in keep}
         self._ids: Mapping[str, int] = {}
-        self._events, self._lengths = Growing(np.uint8, folder), Growing(np.int64, folder)
+        self._events, self._lengths = AppendColumn(np.uint8, folder), AppendColumn(np.int64, folder)
 
     def number(self, ids: Mapping[str, int]) -> None:
         """Say under which number a topic stands in the file."""
@@ -101,5 +101,5 @@ class Kept:
     def arrays(self) -> dict[str, StructuredArray]:
         """Return what was kept, topic to records; the columns are empty afterwards."""
         found = {topic: column.array() for topic, column in self._columns.items()}
-        self._columns = {topic: Growing(column.dtype) for topic, column in self._columns.items()}
+        self._columns = {topic: AppendColumn(column.dtype) for topic, column in self._columns.items()}
         return found

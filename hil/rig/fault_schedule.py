@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from hil.experiment import Experiment
 from hil.experiment.faults import RESTART, Fault
-from transport.medium.faulted import Spell
+from transport.medium.faulted import FaultInterval
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TimeLine:
+class FaultSchedule:
     """What is broken when.
 
     Args:
@@ -20,12 +20,12 @@ class TimeLine:
         restarts: first slot of each restart of the controller, and the one in which it may answer again.
     """
 
-    nodes: tuple[tuple[Spell, ...], ...]
-    actuator: tuple[Spell, ...]
+    nodes: tuple[tuple[FaultInterval, ...], ...]
+    actuator: tuple[FaultInterval, ...]
     restarts: tuple[tuple[int, int], ...]
 
 
-def time_line_faults(e: Experiment) -> list[str]:
+def fault_schedule_faults(e: Experiment) -> list[str]:
     """Return what is wrong with the time line, each with its path."""
     there = f"there are: {', '.join(e.nodes)}" if e.nodes else "no node is named: use link"
     return [
@@ -53,28 +53,28 @@ def beyond_the_end(e: Experiment) -> str:
     )
 
 
-def time_line(e: Experiment, names: Sequence[str]) -> TimeLine:
+def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
     """Return the time line of a checked experiment. A controller that is off the bus hears nothing either.
 
     Args:
         e: the experiment.
         names: of the sensor nodes, by number.
     """
-    nodes: list[list[Spell]] = [[] for _ in names]
-    actuator: list[Spell] = []
+    nodes: list[list[FaultInterval]] = [[] for _ in names]
+    actuator: list[FaultInterval] = []
     restarts = []
     for fault in e.fault:
         first, end = fault.slots(float(e.period))
         if fault.kind == RESTART:
             restarts.append((first, end))
             continue
-        spell = Spell(first, end, fault.kind)
+        spell = FaultInterval(first, end, fault.kind)
         if fault.link == "ca":
             actuator.append(spell)
         for i, name in enumerate(names):
             if fault.link == "sc" or fault.node == name or (fault.link == "ca" and fault.kind == "bus-off"):
                 nodes[i].append(spell)
-    return TimeLine(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
+    return FaultSchedule(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
 
 
 def told(fault: Fault) -> str:

@@ -7,13 +7,14 @@ from collections.abc import Callable
 import pytest
 
 from hil.runtime.real.child import GRACE_S, LAST_LOOK_S, end_all
-from hil.runtime.real.silence import START_S, Silence
+from hil.runtime.real.heartbeat_timeout import START_S, HeartbeatTimeout
 
 STEP_S = 0.02
 
 
 def given_up_at(
-    silence: Silence, *, records: Callable[[float], int] = lambda t: 100, stopped: Callable[[float], bool] = lambda t: False
+    silence: HeartbeatTimeout, *,
+    records: Callable[[float], int] = lambda t: 100, stopped: Callable[[float], bool] = lambda t: False,
 ) -> float:
     """Time at which the rig is given up, inf if it is not within an hour."""
     for look in range(round(3600 / STEP_S)):
@@ -25,25 +26,26 @@ def given_up_at(
 
 @pytest.mark.parametrize(("period_s", "bound_s"), [(0.001, 1.0), (0.05, 2.5)])
 def test_a_stopped_rig_is_given_up_within_a_second_or_fifty_periods(period_s: float, bound_s: float) -> None:
-    silence = Silence(period_s, 15.0)
+    silence = HeartbeatTimeout(period_s, 15.0)
     assert given_up_at(silence, stopped=lambda t: True) == pytest.approx(bound_s, abs=0.05)
     assert "stopped" in (silence.look(10**13, 100, True) or "")
 
 
 def test_a_silent_rig_that_is_not_stopped_has_ten_times_as_long() -> None:
-    assert given_up_at(Silence(0.001, 15.0)) == pytest.approx(10.0, abs=0.1)
+    assert given_up_at(HeartbeatTimeout(0.001, 15.0)) == pytest.approx(10.0, abs=0.1)
 
 
 def test_a_rig_that_waits_for_its_controller_is_not_silent() -> None:
-    assert given_up_at(Silence(0.001, 120.0), records=lambda t: 0) == pytest.approx(120 + START_S, abs=0.5)
+    assert given_up_at(HeartbeatTimeout(0.001, 120.0), records=lambda t: 0) == pytest.approx(120 + START_S, abs=0.5)
 
 
 def test_a_rig_that_went_on_in_time_is_kept() -> None:
-    assert given_up_at(Silence(0.01, 15.0), records=lambda t: int(t / 0.9), stopped=lambda t: t % 0.9 < 0.8) == float("inf")
+    silence = HeartbeatTimeout(0.01, 15.0)
+    assert given_up_at(silence, records=lambda t: int(t / 0.9), stopped=lambda t: t % 0.9 < 0.8) == float("inf")
 
 
 def test_time_in_which_the_session_itself_stood_still_is_not_the_rigs() -> None:
-    silence = Silence(0.001, 15.0)
+    silence = HeartbeatTimeout(0.001, 15.0)
     assert silence.look(0, 100, False) is None
     assert silence.look(3600 * 10**9, 100, True) is None  # the machine slept for an hour
 

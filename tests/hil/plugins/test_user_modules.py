@@ -19,7 +19,7 @@ from hil.compose.loop import compose
 from hil.experiment import shipped
 from hil.log.read.run import read_run
 from hil.measure.view import view_of
-from hil.plugins.own_modules import load_own, written_in
+from hil.plugins.user_modules import load_own, written_in
 from hil.replay.replay import changed_files, experiment_of
 from hil.session import simulate
 from plants import DCMotor, LinearRun, Signal, StateSpace

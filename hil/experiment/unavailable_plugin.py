@@ -10,7 +10,7 @@ from plants.parts.linear import Signal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Absent:
+class UnavailablePlugin:
     """A plant or a controller that ran, and cannot be made again from its log alone.
 
     Args:

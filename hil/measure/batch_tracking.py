@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.measure.many import Many, ManyView
+from hil.measure.batch_measure import BatchValues, BatchView
 from hil.measure.step_response import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, target_of
 
 
-def tracking_of_many(view: ManyView) -> dict[str, Many]:
+def tracking_of_batch(view: BatchView) -> dict[str, BatchValues]:
     """Return the numbers of `hil.measure.tracking.tracking_metrics` for many runs, (runs,) each, NaN for None.
 
     Args:
@@ -43,7 +43,7 @@ def tracking_of_many(view: ManyView) -> dict[str, Many]:
     return found
 
 
-def _settling(t: Many, moved: list[tuple[Many, float]]) -> Many:
+def _settling(t: BatchValues, moved: list[tuple[BatchValues, float]]) -> BatchValues:
     inside = np.logical_and.reduce([np.abs(error) <= SETTLING_BAND * abs(step) for error, step in moved])
     after = inside.shape[1] - np.argmin(inside[:, ::-1], axis=1)  # first slot after the last one outside
     after[inside.all(axis=1)] = 0
@@ -51,7 +51,7 @@ def _settling(t: Many, moved: list[tuple[Many, float]]) -> Many:
     return np.where(stays, t[np.minimum(after, len(t) - 1)] - t[0], np.nan)
 
 
-def _worst(means: list[Many]) -> Many:
+def _worst(means: list[BatchValues]) -> BatchValues:
     worst = means[0]
     for mean in means[1:]:
         worst = np.where(np.abs(mean) > np.abs(worst), mean, worst)

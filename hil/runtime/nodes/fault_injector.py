@@ -6,7 +6,7 @@ from typing import Any
 
 from hil.compose.loop import Loop
 from hil.experiment.faults import RESTART
-from hil.rig.time_line import told
+from hil.rig.fault_schedule import told
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import rng_for
 from transport.medium.faulted import FaultedChannel, FaultedMedium, FaultyPath
@@ -15,7 +15,7 @@ from transport.medium.medium import Medium
 from transport.packets import packet_size
 
 
-class FaultLine:
+class FaultInjector:
     """Breaks the network of a rig as the time line of its experiment says.
 
     Args:
@@ -25,7 +25,7 @@ class FaultLine:
 
     def __init__(self, loop: Loop, seed: int) -> None:
         e = loop.experiment
-        line = loop.rig.time_line
+        line = loop.rig.fault_schedule
         self._faults = [(*fault.slots(float(e.period)), fault) for fault in e.fault]
         self._nodes, self._actuator = [FaultyPath(spells) for spells in line.nodes], FaultyPath(line.actuator)
         self._rng = rng_for(seed, "fault")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hil.experiment import Experiment
 from hil.runtime.streams import rng_for
-from hil.sweeps.many import AgesOfMany, NewestOfMany
+from hil.sweeps.batch_protocols import BatchAges, NewestOfMany
 from transport.laws.protocols import AgeLaw, GapLaw, NetworkLaw
 
 Slots = NDArray[np.int32]
@@ -30,7 +30,7 @@ class Received:
     known: NDArray[np.bool_]
 
 
-def told_at_once(law: NetworkLaw) -> bool:
+def law_supports_batch(law: NetworkLaw) -> bool:
     """Return whether what comes over a network law can be computed for many runs at once."""
     return law.family == "age" or isinstance(law, NewestOfMany)
 
@@ -39,7 +39,7 @@ def received(law: NetworkLaw, seeds: Sequence[int], stream: str, experiment: Exp
     """Return what comes of packets of which one leaves in every slot.
 
     Args:
-        law: of which `told_at_once` says so.
+        law: of which `law_supports_batch` says so.
         seeds: one run each.
         stream: name of the law's random stream.
         experiment: says how many slots, and when they close.
@@ -48,7 +48,7 @@ def received(law: NetworkLaw, seeds: Sequence[int], stream: str, experiment: Exp
     if isinstance(law, NewestOfMany):
         rngs = (rng_for(seed, stream) for seed in seeds)
         period_s = float(e.period)
-        found, known = law.newest_of_many(rngs, len(seeds), e.ticks, period_s, e.timing.deadline * period_s)
+        found, known = law.newest_of_batch(rngs, len(seeds), e.ticks, period_s, e.timing.deadline * period_s)
         return Received(newest=found, known=known)
     age_law = cast(AgeLaw, law)
     ages = drawn_ages(age_law, seeds, stream, e.ticks)
@@ -58,8 +58,8 @@ def received(law: NetworkLaw, seeds: Sequence[int], stream: str, experiment: Exp
 def drawn_ages(law: AgeLaw, seeds: Sequence[int], stream: str, slots: int) -> Slots:
     """Return the ages that an age law draws in the runs of some seeds, (slots, runs)."""
     rngs: Iterable[np.random.Generator] = (rng_for(seed, stream) for seed in seeds)
-    if isinstance(law, AgesOfMany):
-        return law.ages_of_many(rngs, len(seeds), slots)
+    if isinstance(law, BatchAges):
+        return law.ages_of_batch(rngs, len(seeds), slots)
     drawn = np.empty((slots, len(seeds)), dtype=np.int32)
     for column, rng in zip(drawn.T, rngs):
         draw = law.start(rng).draw

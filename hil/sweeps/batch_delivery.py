@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.compose.loop import Loop
-from hil.runtime.nodes.uplink import clock_of, uplink_of
-from hil.sweeps.delays_of_many import Slots, received, told_at_once
+from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
+from hil.sweeps.batch_delays import Slots, law_supports_batch, received
 from transport.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
 
 _TOLD = frozenset((DELIVERED, DISORDERED, SUPERSEDED, LOST))
@@ -25,7 +25,7 @@ Arrivals = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.int32]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Heard:
+class Delivered:
     """What comes of the sensor nodes.
 
     Args:
@@ -43,10 +43,10 @@ class Heard:
 
 def channels_of_their_own(loop: Loop) -> bool:
     """Return whether what comes of every node follows from its law alone, for all runs at once."""
-    return not loop.rig.media and all(told_at_once(s.law) and s.clock.every == 1 for s in loop.rig.sensors)
+    return not loop.rig.media and all(law_supports_batch(s.law) and s.clock.every == 1 for s in loop.rig.sensors)
 
 
-def heard(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Heard:
+def delivered(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Delivered:
     """Return what the controller hears in the runs of some seeds.
 
     Args:
@@ -56,9 +56,9 @@ def heard(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Heard:
     """
     if not every_packet and channels_of_their_own(loop):
         ways = [received(s.law, seeds, s.stream, loop.experiment) for s in loop.rig.sensors]
-        return Heard(newest=[w.newest for w in ways], known=np.logical_and.reduce([w.known for w in ways]))
+        return Delivered(newest=[w.newest for w in ways], known=np.logical_and.reduce([w.known for w in ways]))
     if len(seeds) > 1 and _certain(loop):
-        return _repeated(heard(loop, seeds[:1], every_packet=every_packet), len(seeds))
+        return _repeated(delivered(loop, seeds[:1], every_packet=every_packet), len(seeds))
     e, nodes, runs = loop.experiment, len(loop.rig.sensors), len(seeds)
     newest = [np.full((e.ticks, runs), -1, dtype=np.int32) for _ in range(nodes)]
     packets, known = np.zeros((nodes, runs), dtype=np.int64), np.ones(runs, dtype=np.bool_)
@@ -73,7 +73,8 @@ def heard(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Heard:
             there = of_node == node
             np.maximum.at(own[k], of_run[there], sent[there].astype(np.int32))
         arrivals.append((of_run.astype(np.intp), of_node.astype(np.intp), sent.astype(np.int32)))
-    return Heard(newest=[np.maximum.accumulate(own, axis=0) for own in newest], known=known, arrivals=arrivals, packets=packets)
+    newest = [np.maximum.accumulate(own, axis=0) for own in newest]
+    return Delivered(newest=newest, known=known, arrivals=arrivals, packets=packets)
 
 
 def _certain(loop: Loop) -> bool:
@@ -85,10 +86,10 @@ def _certain(loop: Loop) -> bool:
     )
 
 
-def _repeated(one: Heard, runs: int) -> Heard:
+def _repeated(one: Delivered, runs: int) -> Delivered:
     """Return what is heard in one run as that of many."""
     every = np.arange(runs, dtype=np.intp)
-    return Heard(
+    return Delivered(
         newest=[np.repeat(own, runs, axis=1) for own in one.newest],
         known=np.repeat(one.known, runs),
         arrivals=[
@@ -104,7 +105,7 @@ def _one_run(
     """Ask the medium of one run, slot by slot, as a rig does; return the last slot of which it said something."""
     e = loop.experiment
     period_s = float(e.period)
-    medium = uplink_of(loop, seed, period_s, e.timing.deadline * period_s)
+    medium = sensor_medium_of(loop, seed, period_s, e.timing.deadline * period_s)
     clocks = [clock_of(sensor, seed) for sensor in loop.rig.sensors]
     last = -1
     for k in range(e.ticks):
@@ -121,7 +122,7 @@ def _one_run(
 
 
 class KnownSamples:
-    """The samples that have come and are not older than a controller's memory, in many runs; see `Assembly`.
+    """The samples that have come and are not older than a controller's memory, in many runs; see `SampleHistory`.
 
     Args:
         loop: the loop.
@@ -130,8 +131,8 @@ class KnownSamples:
         runs: how many.
     """
 
-    def __init__(self, loop: Loop, heard: Heard, memory: int, runs: int) -> None:
-        self._arrivals, self._memory, self._runs = heard.arrivals or (), memory, runs
+    def __init__(self, loop: Loop, delivered: Delivered, memory: int, runs: int) -> None:
+        self._arrivals, self._memory, self._runs = delivered.arrivals or (), memory, runs
         self._buffers = np.array([sensor.buffer for sensor in loop.rig.sensors])
         self._node_of = nodes_of(loop)
         self._have = np.zeros((memory + 1, len(loop.rig.sensors), runs), dtype=np.bool_)

@@ -13,7 +13,7 @@ START_S: Final = 30.0
 _LONGEST_LOOK_S: Final = 0.1
 
 
-class Silence:
+class HeartbeatTimeout:
     """Counts for how long no record has come while this process looked.
 
     The time in which this process did not run itself (it was stopped, or the machine slept) counts for little: what the rig

@@ -32,7 +32,7 @@ MOST_LOST = 6
 """Frames of a slot up to which an answer to some of them is told from one to forged frames."""
 
 
-class Answers:
+class AnswerMatcher:
     """Takes frames from the link: one may answer the slot, the rest is counted by what it is.
 
     A frame is *malformed* (no control packet), *late* (the first answer to a slot that had none in time), or *foreign*: nobody

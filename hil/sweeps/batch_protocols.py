@@ -35,10 +35,10 @@ class RunningPlants(Protocol):
 
 
 @runtime_checkable
-class PlantOfMany(Protocol):
+class BatchPlant(Protocol):
     """A plant of which many runs can be computed at once."""
 
-    def start_many(self, runs: int) -> RunningPlants | None:
+    def start_batch(self, runs: int) -> RunningPlants | None:
         """Return so many of them at time 0; None if it cannot with these parameters."""
         ...
 
@@ -107,19 +107,19 @@ Running = RunningControllers | RunningControllersByNode | RunningControllersFrom
 
 
 @runtime_checkable
-class ControllerOfMany(Protocol):
+class BatchController(Protocol):
     """A controller that can answer in many runs at once."""
 
-    def start_many(self, model: LoopModel, runs: int) -> Running | None:
+    def start_batch(self, model: LoopModel, runs: int) -> Running | None:
         """Return so many of them, ready for slot 0; None if it cannot with these parameters."""
         ...
 
 
 @runtime_checkable
-class AgesOfMany(Protocol):
+class BatchAges(Protocol):
     """An age law that draws many paths at once."""
 
-    def ages_of_many(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.int32]:
+    def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.int32]:
         """Return the ages that `start(rng)` draws slot by slot, (slots, runs), one stream per run."""
         ...
 
@@ -128,7 +128,7 @@ class AgesOfMany(Protocol):
 class NewestOfMany(Protocol):
     """A packet law that says for many runs what a receiver holds."""
 
-    def newest_of_many(
+    def newest_of_batch(
         self, rngs: Iterable[np.random.Generator], runs: int, slots: int, period_s: float, deadline_s: float
     ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
         """Return the slot of the newest packet that has come by every slot, (slots, runs), and which runs are told, (runs,).

@@ -8,7 +8,7 @@ from design.controllers import Sample
 from hil.rig.sensor_list import Sensor
 
 
-class Assembly:
+class SampleHistory:
     """Keeps what sensor nodes have sent, as long as a controller needs it, and hands it over newest first.
 
     Args:

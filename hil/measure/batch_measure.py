@@ -13,11 +13,11 @@ from hil.experiment import Experiment
 from hil.measure.signals import Signals
 from hil.rig.spec import RigSpec
 
-Many: TypeAlias = npt.NDArray[np.float64]
+BatchValues: TypeAlias = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ManyView:
+class BatchView:
     """Runs of one experiment, all of the same length, every value finite.
 
     Args:
@@ -34,23 +34,23 @@ class ManyView:
         packets: how many each sensor node has sent, (nodes, runs); None unless a measure names the topic of the draws.
     """
 
-    t_s: Many
-    outputs: tuple[Many, ...]
-    reference: Many
-    inputs: tuple[Many, ...]
+    t_s: BatchValues
+    outputs: tuple[BatchValues, ...]
+    reference: BatchValues
+    inputs: tuple[BatchValues, ...]
     period_s: float
     signals: Signals
     disturbed_at_s: float | None
     experiment: Experiment
     rig: RigSpec
-    states: tuple[Many, ...] = ()
+    states: tuple[BatchValues, ...] = ()
     packets: npt.NDArray[np.int64] | None = None
 
 
 @runtime_checkable
-class MeasureOfMany(Protocol):
+class BatchMeasure(Protocol):
     """A measure that computes its numbers for many runs at once: a sweep whose measures all do need not make a log of each."""
 
-    def of_many(self, view: ManyView) -> Mapping[str, Many]:
+    def of_batch(self, view: BatchView) -> Mapping[str, BatchValues]:
         """Return its numbers by name, (runs,) each, NaN where `Measure.of` says None; bit for bit those of `Measure.of`."""
         ...

@@ -11,7 +11,7 @@ from transport.links.link import TransportError, split_uri
 _BASES: Final = range(0, 0x800, 0x100)
 
 
-def own_channel(uri: str, number: int) -> str:
+def worker_channel(uri: str, number: int) -> str:
     """Return the link of one of several workers: a channel, a range of identifiers or a port of its own.
 
     Args:
@@ -21,9 +21,11 @@ def own_channel(uri: str, number: int) -> str:
     Raises:
         TransportError: a CAN bus with more than eight workers, for its identifiers are used up, or a URI of another form.
 
-    >>> own_channel("can:hil:rig0?fd=0", 2), own_channel("can:socketcan:vcan0", 1), own_channel("zenoh:tcp/127.0.0.1:7447", 1)
-    ('can:hil:rig0-2?fd=0', 'can:socketcan:vcan0?base=0x200', 'zenoh:tcp/127.0.0.1:7448')
-    >>> own_channel("local:", 3), own_channel("zenoh:", 1)
+    >>> worker_channel("can:hil:rig0?fd=0", 2), worker_channel("can:socketcan:vcan0", 1)
+    ('can:hil:rig0-2?fd=0', 'can:socketcan:vcan0?base=0x200')
+    >>> worker_channel("zenoh:tcp/127.0.0.1:7447", 1)
+    'zenoh:tcp/127.0.0.1:7448'
+    >>> worker_channel("local:", 3), worker_channel("zenoh:", 1)
     ('local:', 'zenoh:?name=rig0-1')
     """
     scheme, address, options = split_uri(uri)

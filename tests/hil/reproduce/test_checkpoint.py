@@ -16,7 +16,7 @@ from hil.errors import HilError
 from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
 from hil.reproduce import Chapter, Part, Plot, Stage
 from hil.reproduce.chapter import compute
-from hil.reproduce.kept import KeptStages
+from hil.reproduce.checkpoint import KeptStages
 from hil.reproduce.pages import chapter_page
 from hil.reproduce.statements import Statement, below, equal, run, says, untold
 
@@ -73,7 +73,7 @@ def test_what_other_code_found_is_not_taken_over(tmp_path: Path, monkeypatch: py
         kept.put("c", "one", a_part())
     with KeptStages(tmp_path / "state") as kept:
         assert kept.get("c", "one") is not None
-    monkeypatch.setattr("hil.reproduce.kept.digest_of_code", lambda: "another")
+    monkeypatch.setattr("hil.reproduce.checkpoint.digest_of_code", lambda: "another")
     with KeptStages(tmp_path / "state") as kept:
         assert not kept.stages
 

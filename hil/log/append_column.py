@@ -29,7 +29,7 @@ ROWS: Final = 1 << 15
 """Rows of a piece."""
 
 
-class Growing:
+class AppendColumn:
     """Rows of one dtype that come in parts.
 
     Args:
@@ -125,10 +125,10 @@ def pieces(array: np.ndarray[Any, np.dtype[T]], rows: int = ROWS) -> Iterator[np
     """
     for start in range(0, len(array), rows):
         yield array[start : start + rows]
-        let_go(array)
+        release(array)
 
 
-def let_go(array: Column) -> None:
+def release(array: Column) -> None:
     """Give back the memory of an array that is mapped from a file; it is read again when it is asked for."""
     base: Any = array
     while isinstance(base, np.ndarray):

@@ -31,7 +31,7 @@ def shadows() -> dict[str, str]:
     return found
 
 
-def require_own_packages() -> None:
+def refuse_shadowed_packages() -> None:
     """Refuse to go on with somebody else's `design`, `plants` or `transport`.
 
     Raises:
