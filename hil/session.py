@@ -34,6 +34,7 @@ from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, v
 from hil.rig.session_link import SessionLink, link_of, no_link
 from hil.runtime.nodes.failures import failure_of
 from hil.runtime.real.exit_statuses import FAILED
+from hil.runtime.real.machine import machine
 from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
@@ -222,7 +223,7 @@ def run_session(
         channels=on.said(loop.rig),
         origins=experiment.origins(),
         session={} if clock == "virtual" else {
-            "started": wall_clock(), "external_controller": str(external), "accepted_from": on.traits.commanders,
+            "started": wall_clock(), "external_controller": str(external), "accepted_from": on.traits.commanders, **machine(),
         },
     )
 

@@ -9,18 +9,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from hil.runtime.real.machine import processor
+
 KERNELS = {"Haswell": "avx2", "SkylakeX": "avx512f"}
 """Kernels of OpenBLAS, and what a processor must have for them; Nehalem runs on every one of x86-64."""
-
-
-def processor() -> str:
-    """Return the processor's own name, or its architecture."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return f"{platform.machine()}, {next(named, 'no name')}"
 
 
 def vector_units() -> list[str]:

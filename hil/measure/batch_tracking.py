@@ -38,7 +38,7 @@ def tracking_of_batch(view: BatchView) -> dict[str, BatchValues]:
         moved = [(error[:, first:end], s) for error, s in zip(errors, step) if s != 0.0]
         if moved and end > first:
             beyond = np.maximum.reduce([(error / s).max(axis=1) for error, s in moved])
-            found["overshoot"] = np.maximum(beyond, 0.0)
+            found["overshoot"] = 100.0 * np.maximum(beyond, 0.0)
             found["settling_time_s"] = _settling(t[first:end], moved)
     return found
 

@@ -27,20 +27,20 @@ class Haptics:
 
     def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
         """Return what is measured."""
-        length, force = signals.tracked_unit() or "", signals.input_unit() or ""
+        length, force = _length(signals)[1], signals.input_unit() or ""
         return (
             Quantity(name="final_depth", title="final depth", unit=length, note="mean of the last tenth", per_output=False),
             Quantity(name="largest_depth", title="largest depth", unit=length, per_output=False),
             Quantity(name="depth_spread", title="spread of the depth", unit=length, note="last tenth, sd", per_output=False),
             Quantity(name="largest_force", title="largest force", unit=force, per_output=False),
-            Quantity(name="energy_given", title="energy given by the wall", unit="J", note="largest", per_output=False),
+            Quantity(name="energy_given", title="energy given by the wall", unit="mJ", note="largest", per_output=False),
         )
 
     def of(self, view: RunView) -> dict[str, float | None]:
         """Return the numbers of one run."""
         name = view.signals.tracked[0]
         depth = np.asarray(whole(view.run.arrays[MEASUREMENT], name), dtype=np.float64)
-        depth = depth[np.isfinite(depth)]
+        depth = _length(view.signals)[0] * depth[np.isfinite(depth)]
         force = np.abs(view.applied())
         force = force[np.isfinite(force)]
         last = depth[-max(round(LAST_SHARE * depth.size), 1) :]
@@ -52,5 +52,11 @@ class Haptics:
             "largest_depth": float(depth.max()) if depth.size else None,
             "depth_spread": float(last.std()) if last.size else None,
             "largest_force": float(force.max()) if force.size else None,
-            "energy_given": float(given.max()) if given.size else None,
+            "energy_given": 1e3 * float(given.max()) if given.size else None,
         }
+
+
+def _length(signals: Signals) -> tuple[float, str]:
+    """Return what a depth is multiplied by, and its unit then: metres are told in millimetres, as on the curves."""
+    unit = signals.tracked_unit() or ""
+    return (1e3, "mm") if unit == "m" else (1.0, unit)

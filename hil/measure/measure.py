@@ -27,7 +27,6 @@ class Quantity:
         name: key in a summary and column of a sweep.
         title: what people read.
         unit: its unit; nothing for a pure number, or where the signals have several units.
-        share_of: of what it is a share, such as "the step"; shown in percent.
         note: how it is judged, a few words.
         absent: what None means in a run that has had what it `needs`.
         needs: label of the mark without which it is not defined, such as "reference step".
@@ -38,7 +37,6 @@ class Quantity:
     name: str
     title: str
     unit: str = ""
-    share_of: str = ""
     note: str = ""
     absent: str = ""
     needs: str = ""

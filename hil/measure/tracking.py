@@ -38,7 +38,7 @@ class Tracking:
         return (
             Quantity(name="sse", title="squared tracking error", unit=squared, note="whole run, × T", better="lower"),
             Quantity(name="sse_after_5s", title="squared error after 5 s", unit=squared, note="× T", better="lower"),
-            Quantity(name="overshoot", title="overshoot", share_of="the step", needs=REFERENCE_STEP),
+            Quantity(name="overshoot", title="overshoot", unit="%", note="of the step", needs=REFERENCE_STEP),
             Quantity(
                 name="settling_time_s", title="settling time", unit="s", note="to 2 %", absent="not settled to 2 %",
                 needs=REFERENCE_STEP,
@@ -104,7 +104,7 @@ def tracking_metrics(
 
     Returns (None where it is not defined, e.g. without a step, without samples, or for values that are not finite):
         sse, sse_after_5s: squared unit of the outputs times s, summed over the outputs.
-        overshoot: largest excursion beyond the target as a share of the step, >= 0; the worst output.
+        overshoot: largest excursion beyond the target in % of the step, >= 0; the worst output.
         settling_time_s: from the step until |e| stays within 2 % of the step; the slowest output; None if one is not
             within it for the last tenth of the window at least.
         steady_state_error: mean of y - c over the last tenth of the run, signed; the output where it is largest.
@@ -181,12 +181,12 @@ def _after(run: Followed, error: _Error, begin_s: float) -> float | None:
 
 
 def _overshoot(run: Followed, error: _Error, step: Array, first: int, end: int) -> float | None:
-    """Largest share of the step by which an output went beyond its target."""
+    """By how much an output went beyond its target at most, in % of the step."""
     moved = step != 0.0
     if end <= first or not moved.any():
         return None
     most = [float(np.max(error.of(i, j)[:, moved] / step[moved])) for i, j in run.blocks(first, end)]
-    return _finite(max(float(np.max(most)), 0.0))
+    return _finite(100.0 * max(float(np.max(most)), 0.0))
 
 
 def _settling(run: Followed, error: _Error, step: Array, first: int, end: int) -> float | None:

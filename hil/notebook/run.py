@@ -106,27 +106,19 @@ def cell(run: Run, summary: dict[str, Any], line: str, quantities: Sequence[Quan
         run: what ran.
         summary: its summary.
         line: the session in one line.
-        quantities: what the numbers are, with the titles and shares that the page of the run has.
+        quantities: what the numbers are, with the titles that the page of the run has.
     """
     known = {quantity.name: quantity for quantity in quantities}
     units = summary.get("units", {})
     found = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]
     plain = {name: Quantity(name=name, title=name, unit=units.get(name, "")) for name, _ in found}
-    numbers = [_tile(known.get(name, plain[name]), value) for name, value in found]
     tiles = "".join(
         '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
-        f'<div style="font-size:80%;opacity:.7">{escape(title)}</div><b>{value:.5g}</b> {escape(unit)}</div>'
-        for title, value, unit in numbers
+        f'<div style="font-size:80%;opacity:.7">{escape(of.title)}</div><b>{value:.5g}</b> {escape(of.unit)}</div>'
+        for of, value in ((known.get(name, plain[name]), value) for name, value in found)
     )
     svg = as_svg(partial(_paint, run))
     return f'<div><p>{escape(line)}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
-
-
-def _tile(quantity: Quantity, value: float) -> tuple[str, float, str]:
-    """Return title, number and unit of a tile; a share is shown in per cent of what it is a share of."""
-    if quantity.share_of:
-        return quantity.title, 100.0 * value, f"% of {quantity.share_of}"
-    return quantity.title, value, quantity.unit
 
 
 def _units(run: Run, topic: str) -> dict[str, str]:

@@ -5,12 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval
 from hil.measure.signals import with_unit
 from hil.pages.html.figures import Block, Figure, Section, Series, Table, Text
 from hil.pages.html.page import render_page
 from hil.sweeps.comparison import Comparison
+
+CRUSHED = 20.0
+"""Largest value above the smallest median from which a linear axis shows no difference of the smaller ones."""
 
 
 def compare_page(comparison: Comparison) -> str:
@@ -43,7 +47,8 @@ def compare_page(comparison: Comparison) -> str:
                 title=f"{title}: share of runs at or below",
                 series=tuple(series),
                 x_label=title,
-                x_unit=f"share of {quantity.share_of}" if quantity.share_of else quantity.unit,
+                x_unit=quantity.unit,
+                x_log=_crushed([found[name][metric] for name in names]),
                 y_label="share",
                 y_range=(0.0, 1.0),
                 sync=None,
@@ -63,6 +68,15 @@ def compare_page(comparison: Comparison) -> str:
         subtitle=", ".join(names),
         facts=(("runs of each", str(comparison.runs)), ("stopped by safety", stopped)),
     )
+
+
+def _crushed(samples: list[NDArray[np.float64]]) -> bool:
+    """Return whether one experiment would press the others onto the edge of a linear axis, and a logarithm can show all."""
+    finite = [values[np.isfinite(values)] for values in samples]
+    known = [values for values in finite if values.size]
+    if not known or min(float(values.min()) for values in known) <= 0.0:
+        return False
+    return max(float(values.max()) for values in known) > CRUSHED * min(float(np.median(values)) for values in known)
 
 
 def _answer(comparison: Comparison) -> Section:

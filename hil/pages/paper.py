@@ -98,13 +98,17 @@ def _curves(plot: Figure, axis: Any) -> None:
         style["alpha"] = 0.4 if series.faint else 1.0
         if series.style == "points":
             axis.plot(series.x, series.y, linestyle="none", marker=".", markersize=2, **style)
+        elif series.style == "circles":
+            axis.plot(series.x, series.y, linestyle="none", marker="o", markersize=4, markerfacecolor="none", **style)
         else:
             axis.plot(
                 series.x, series.y, "--" if series.style.startswith("dashed") else "-",
                 drawstyle="steps-post" if series.style.endswith("step") else "default",
-                linewidth=2.5 if series.halo else 1.0, **style,
+                linewidth=2.5 if series.halo else 1.0, marker="o" if series.marked else "", markersize=3, **style,
             )  # fmt: skip
     _scales(axis, plot.x_log, plot.y_log)
+    if plot.x_ticks:
+        axis.set_xticks(plot.x_ticks)
     if plot.y_range is not None:
         axis.set_ylim(*plot.y_range)
     axis.set_xlabel(_label(plot.x_label, plot.x_unit))

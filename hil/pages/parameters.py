@@ -9,11 +9,11 @@ import numpy as np
 from design.monte_carlo.confidence import Interval
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
-from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table
+from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
 from hil.pages.html.page import render_page
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
-from hil.sweeps.shown import interval_of
+from hil.sweeps.shown import interval_of, within
 
 
 def parameter_page(sweep: ParameterSweep) -> str:
@@ -23,7 +23,7 @@ def parameter_page(sweep: ParameterSweep) -> str:
         sweep: what was found.
     """
     runs = max((columns["seed"].size for columns in sweep.columns), default=0)
-    sections = []
+    sections = [_answer(sweep)]
     for quantity in sweep.quantities:
         found = [interval_of(columns[quantity.name]) for columns in sweep.columns]
         if any(np.isfinite(i.value) for i in found):
@@ -36,6 +36,14 @@ def parameter_page(sweep: ParameterSweep) -> str:
     )  # fmt: skip
     title = f"{sweep.experiment} over {', '.join(sweep.points.keys)}"
     return render_page(title, sections, subtitle="sweep over parameters", facts=facts)
+
+
+def _answer(sweep: ParameterSweep) -> Section:
+    """The best point of every quantity of which it is known which values are better."""
+    judged = [q for q in sweep.quantities if sweep.best(q.name) is not None]
+    said = [Text(title=q.title, text=sweep.answer(q.name)) for q in judged]
+    none = Text(text="No measure of this experiment states which value is better.")
+    return Section(title="Answer", blocks=tuple(said) or (none,))
 
 
 def _pictures(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> list[Block]:
@@ -70,11 +78,13 @@ def _lines(key: str, axis: tuple[str, ...], groups: dict[str, list[Interval]], q
     series, bands = [], []
     for colour, (name, line) in enumerate(groups.items()):
         mean, low, high = (np.array(side)[order] for side in zip(*((i.value, *_ends(i)) for i in line)))
-        series.append(Series(label=name or "mean", x=x[order], y=mean, colour=colour))
+        series.append(Series(label=name or "mean", x=x[order], y=mean, colour=colour, marked=True))
         bands.append(Band(label="95 % interval", x=x[order], lower=low, upper=high, colour=colour))
     return Figure(
         title=f"{label}: mean, 95 % interval", series=tuple(series), bands=tuple(bands), x_label=key, x_unit=unit,
-        y_label=quantity.title, y_unit=quantity.unit, sync=None,
+        y_label=quantity.title, y_unit=quantity.unit, sync=None, x_ticks=tuple(sorted(set(x.tolist()))),
+        note="Computed at the marked points, not between. Every point has its own interval; as all points share their seeds, "
+        "the differences in the table tell two of them apart more sharply.",
     )  # fmt: skip
 
 
@@ -88,10 +98,17 @@ def _half(interval: Interval) -> float:
 
 
 def _table(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> Block:
+    best = sweep.best(quantity.name)
+    against = 0 if best is None else best
     rows: list[list[Any]] = []
     for number, i in enumerate(found):
-        defined = np.isfinite(i.value)
-        inner = f"{i.low:.4g} to {i.high:.4g}" if np.isfinite(i.half_width) else "-"
-        rows.append([*sweep.points.values[number], i.n, i.value if defined else None, inner])
-    columns = (*sweep.points.keys, "runs", with_unit("mean", quantity.unit), "95 % interval")
-    return Table(columns=columns, rows=rows)
+        gap = sweep.difference(number, against, quantity.name)
+        told = (None, "-") if number == against or gap.n < 2 else (gap.value, within(gap) or "-")
+        rows.append([*sweep.points.values[number], i.n, i.value if np.isfinite(i.value) else None, within(i) or "-", *told])
+    which = "best" if best is not None else "first"
+    columns = (
+        *sweep.points.keys, "runs", with_unit("mean", quantity.unit), "95 % interval", f"difference to the {which} point",
+        "its 95 % interval",
+    )  # fmt: skip
+    note = "Differences are run by run, on the same seeds."
+    return Table(columns=columns, rows=rows, highlight=frozenset() if best is None else frozenset({best}), note=note)

@@ -41,34 +41,35 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
     for i, hand in enumerate(hands):
         mine = sorted((c for c in cells if c.hand_damping_n_s_per_m == hand), key=lambda c: c.delay)
         x = [float(c.delay) for c in mine]
-        curves.append(Series(label=f"certified, hand {hand:g}", x=x, y=[c.certified_n_per_m for c in mine], colour=i))
-        curves.append(Series(label=f"ceiling, hand {hand:g}", x=x, y=[c.ceiling_n_per_m for c in mine], colour=i, style="dashed"))
-        delayed = [c.gil_hulin_n_per_m for c in mine]
-        curves.append(Series(label=f"Gil-Hulin, hand {hand:g}", x=x, y=delayed, colour=i, style="points"))
-        undelayed = [math.nan if c.colgate_n_per_m is None else c.colgate_n_per_m for c in mine]
-        curves.append(Series(label=f"Colgate, hand {hand:g}", x=x, y=undelayed, colour=i, style="points"))
+        safe = [c.certified_n_per_m for c in mine]
+        curves.append(Series(label=f"certified, hand {hand:g}", x=x, y=safe, colour=i, marked=True))
+        ceiling = [c.ceiling_n_per_m for c in mine]
+        curves.append(Series(label=f"ceiling, hand {hand:g}", x=x, y=ceiling, colour=i, style="dashed", marked=True))
     alone = [c for c in cells if c.hand_damping_n_s_per_m == hands[0]]
-    bare = Series(
-        label="no coupler, no hand (exact)",
-        x=[float(c.delay) for c in alone],
-        y=[c.exact_n_per_m for c in alone],
-        colour=len(hands),
-        style="points",
-    )
+    x, first = [float(c.delay) for c in alone], f"hand {hands[0]:g}"
+    undelayed = [math.nan if c.colgate_n_per_m is None else c.colgate_n_per_m for c in alone]
+    number = len(hands)
+    curves += [
+        Series(label=f"Gil-Hulin, {first}", x=x, y=[c.gil_hulin_n_per_m for c in alone], colour=number, style="points"),
+        Series(label=f"Colgate, {first}", x=x, y=undelayed, colour=number + 1, style="circles"),
+        Series(label="no coupler, no hand (exact)", x=x, y=[c.exact_n_per_m for c in alone], colour=number + 2, style="points"),
+    ]
+    ticks = tuple(map(float, delays))
     blocks: list[Block] = []
     if len(delays) > 1:
         blocks += [
             Figure(
                 title=f"Contours at T = {rate}: hand damping that a stiffness takes",
                 series=_contours(cells, damping, max(hands)), x_label="largest delay", x_unit="samples",
-                y_label="hand damping", y_unit="N s/m", sync=None, y_range=(0.0, max(*hands, 1.0)),
+                y_label="hand damping", y_unit="N s/m", sync=None, y_range=(0.0, max(*hands, 1.0)), x_ticks=ticks,
                 note="Solid: certified. Dashed: the ceiling of the same stiffness. Right of and below a solid line that "
-                "stiffness is not certified; of a dashed line, impossible.",
+                "stiffness is not certified; of a dashed line, impossible. Computed at the delays that are named, not between.",
             ),
             Figure(
-                title=f"Stiffness at T = {rate}", series=(*curves, bare), x_label="largest delay", x_unit="samples",
-                y_label="stiffness", y_unit="N/m", y_log=True, sync=None,
-                note="Points: what the field quotes for a wall without a coupler. Colgate's b > K T/2 knows no delay.",
+                title=f"Stiffness at T = {rate}", series=tuple(curves), x_label="largest delay", x_unit="samples",
+                y_label="stiffness", y_unit="N/m", y_log=True, sync=None, x_ticks=ticks,
+                note="Points and circle: what the field quotes for a wall without a coupler, with the least hand; the table has "
+                "all. Colgate's b > K T/2 knows no delay.",
             ),
         ]  # fmt: skip
     columns = ("delay", "hand N s/m", "certified N/m", "ceiling N/m", "Colgate N/m", "Gil-Hulin N/m", "exact, no hand N/m")
@@ -77,14 +78,12 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
          c.gil_hulin_n_per_m, c.exact_n_per_m)
         for c in cells
     ]  # fmt: skip
-    taps = [
-        Text(
-            title=f"Taps in m/N: delays 0..{c.delay}, hand {c.hand_damping_n_s_per_m:g} N s/m", code=True, folded=True,
-            text="\n".join(f"{tap!r}" for tap in c.taps_m_per_n),
-        )
+    lists = [
+        f"delays 0..{c.delay}, hand {c.hand_damping_n_s_per_m:g} N s/m\n" + "\n".join(f"    {tap!r}" for tap in c.taps_m_per_n)
         for c in cells
-    ]  # fmt: skip
-    return Section(title=f"T = {rate}", blocks=(*blocks, Table(columns=columns, rows=rows), *taps))
+    ]
+    taps = Text(title=f"Taps in m/N of all {len(cells)} couplers", code=True, folded=True, text="\n\n".join(lists))
+    return Section(title=f"T = {rate}", blocks=(*blocks, Table(columns=columns, rows=rows), taps))
 
 
 def _contours(cells: Sequence[StiffnessCell], damping: float, most: float) -> tuple[Series, ...]:
@@ -102,5 +101,7 @@ def _contours(cells: Sequence[StiffnessCell], damping: float, most: float) -> tu
     for i, level in enumerate(levels):
         for label, per, style in (("", certified, "line"), (" ceiling", ceiling, "dashed")):
             y = np.where((need := level / per - damping) < 0.0, np.nan, need)
-            out.append(Series(label=f"{level:g} N/m{label}", x=x, y=y, colour=i, style="line" if style == "line" else "dashed"))
+            if (y <= most).any():  # else it has no point in the picture
+                name = f"{level:g} N/m{label}"
+                out.append(Series(label=name, x=x, y=y, colour=i, style="line" if style == "line" else "dashed", marked=True))
     return tuple(out)

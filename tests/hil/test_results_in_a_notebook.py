@@ -142,7 +142,7 @@ def test_a_quantity_that_is_not_there_is_answered_with_those_that_are(sweep: hil
 
 def test_a_tile_has_the_title_and_the_unit_of_the_page() -> None:
     html = hil.run("dc-motor-hinf", seed=3, duration=10)._repr_html_()
-    assert "squared error after 5 s" in html and "sse_after_5s<" not in html and "% of the step" in html
+    assert "squared error after 5 s" in html and "sse_after_5s<" not in html and "</b> %</div>" in html
 
 
 def test_pages_of_many_runs_are_written_once(comparison: hil.Comparison, over_gain: hil.ParameterSweep, tmp_path: Path) -> None:

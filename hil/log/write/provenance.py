@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
+from platform import python_version
 from typing import Any, Final
 
 from hil.log.events import to_json
@@ -22,8 +23,8 @@ PACKAGES: Final = ("numpy", "scipy", "control", "cvxpy", "python-can", "eclipse-
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of hilrig and of the packages that can change a result, read without importing them."""
-    return {name: _version_of(name) for name in ("hilrig", *PACKAGES)}
+    """Versions of hilrig, of Python and of the packages that can change a result, read without importing them."""
+    return {"hilrig": _version_of("hilrig"), "python": python_version(), **{name: _version_of(name) for name in PACKAGES}}
 
 
 @cache

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.floating[Any]] | npt.NDArray[np.integer[Any]] | Sequence[float]
 State: TypeAlias = Literal["neutral", "good", "warning", "bad"]
-LineStyle: TypeAlias = Literal["line", "dashed", "step", "dashed-step", "points"]
+LineStyle: TypeAlias = Literal["line", "dashed", "step", "dashed-step", "points", "circles"]
 
 TIME = "time"
 """The default synchronisation group: all panels of one page in this group zoom together."""
@@ -37,10 +37,11 @@ class Series:
 
     Args:
         x, y: shape (n,), x not decreasing, NaN in y leaves a gap.
-        style: "line", "dashed", "step" (holds its value until the next x), "dashed-step" or "points".
+        style: "line", "dashed", "step" (holds its value until the next x), "dashed-step", "points", or "circles" (hollow points).
         colour: index into the page's palette of eight (None: by position in the figure).
         faint: thin and pale, for the many runs behind a mean.
         halo: broad and pale, to lie beneath a curve that ought to coincide.
+        marked: a point at every x, for a curve of which nothing is known between them.
         samples: how many it had before it was reduced (`hil.pages.html.decimation.reduced`); None: it is whole.
     """
 
@@ -51,6 +52,7 @@ class Series:
     colour: int | None = None
     faint: bool = False
     halo: bool = False
+    marked: bool = False
     samples: int | None = None
 
 
@@ -82,7 +84,8 @@ class Figure:
     """An interactive panel: curves, bands and markers over one x axis.
 
     Panels with the same `sync` group share zoom and cursor (None: a panel of its own). `integer_y` ticks whole
-    numbers only (delay modes). `y_range` fixes the y axis (None: fitted to what is visible). `x_log`, `y_log` give
+    numbers only (delay modes). `x_ticks` are the only values that the x axis names, where nothing lies between them.
+    `y_range` fixes the y axis (None: fitted to what is visible). `x_log`, `y_log` give
     logarithmic axes. `height_px` is the plot's height on screen.
     """
 
@@ -95,6 +98,7 @@ class Figure:
     y_label: str = ""
     y_unit: str = ""
     x_log: bool = False
+    x_ticks: tuple[float, ...] = ()
     y_log: bool = False
     integer_y: bool = False
     y_range: tuple[float, float] | None = None
@@ -196,7 +200,7 @@ class Table:
     """Rows of cells. Numbers are set right and to six significant digits; None is a dash.
 
     `highlight` is the index of rows to set apart (e.g. the best one). A `wide` one takes the page's width, whatever stands
-    side by side in its section. A long table scrolls in its own box.
+    side by side in its section. A long table scrolls in its own box; a `folded` one stands behind a click on its title.
     """
 
     columns: Sequence[str]
@@ -205,6 +209,7 @@ class Table:
     note: str = ""
     highlight: frozenset[int] = frozenset()
     wide: bool = False
+    folded: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,7 +284,7 @@ class Section:
         intro: a paragraph above them.
         columns: 1 to 3 blocks stand side by side where the window is wide enough.
         place: among the sections of a run's page, the smaller the earlier. Ours are tracking 10, states and inputs 20, delays 30,
-            sensor nodes 40, network 50, timing 60 and 70, summary 80, events 90, wall 110, theory 120, experiment 900.
+            sensor nodes 40, network 50, timing 60 and 70, summary 80, events 90, wall 5, theory 120, experiment 900.
     """
 
     title: str

@@ -110,6 +110,7 @@ def _figure(figure: Figure, payload: Payload) -> str:
                 "style": series.style,
                 "faint": series.faint,
                 "halo": series.halo,
+                "marked": series.marked,
                 "x": payload.add(x[keep]),
                 "y": payload.add(y[keep]),
             }
@@ -136,6 +137,7 @@ def _figure(figure: Figure, payload: Payload) -> str:
             "xLabel": _axis(figure.x_label, figure.x_unit),
             "yLabel": _axis(figure.y_label, figure.y_unit),
             "xLog": figure.x_log,
+            "xTicks": list(figure.x_ticks) or None,
             "yLog": figure.y_log,
             "integerY": figure.integer_y,
             "yRange": list(figure.y_range) if figure.y_range is not None else None,
@@ -222,7 +224,11 @@ def _table(table: Table) -> str:
     kind = ' class="pairs"' if len(table.columns) == 2 and not numeric[-1] else kind
     scroll = "scroll long" if len(table.rows) > LONG_TABLE else "scroll"
     body = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-    return _panel(table.title, f'<div class="{scroll}">{body}</div>', table.note, "panel wide" if table.wide else "panel")
+    kind = "panel wide" if table.wide else "panel"
+    body = f'<div class="{scroll}">{body}</div>'
+    if table.folded:
+        return _panel("", f"<details><summary>{escape(table.title)}</summary>{body}</details>", table.note, kind)
+    return _panel(table.title, body, table.note, kind)
 
 
 def _words(cell: Cell) -> str:

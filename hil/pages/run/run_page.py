@@ -83,9 +83,6 @@ def _tile(view: RunView, quantity: Quantity, value: float | None) -> Tile:
         return Tile(label=label, value=None, unit=quantity.unit, note=f"no {quantity.needs.rpartition(' ')[2]}")
     if value is None and quantity.absent:
         return Tile(label=label, value=None, unit=quantity.unit, note=quantity.absent, state="warning")
-    if quantity.share_of:
-        share = None if value is None else 100.0 * value
-        return Tile(label=label, value=share, unit="%", note=f"of {quantity.share_of}")
     return Tile(label=label, value=_rounded(value), unit=quantity.unit, note=quantity.note)
 
 

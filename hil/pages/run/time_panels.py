@@ -13,6 +13,7 @@ from hil.log import topics
 from hil.log.append_column import pieces
 from hil.log.run import Run
 from hil.log.topics import ROWS, STATE
+from hil.measure.measure import run_measures
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, signal_names
 from hil.pages.html.figures import Figure, LineStyle, Marker, State
 from hil.pages.run.curve import Records, curve
@@ -28,14 +29,22 @@ def markers(view: RunView) -> tuple[Marker, ...]:
     return tuple(sorted(found, key=lambda m: (m.label == "", m.x))[:MOST_MARKERS])
 
 
+def follows_reference(view: RunView) -> bool:
+    """Return whether the run has a reference: it is judged by one, or one is not zero. A wall has none."""
+    judged = any(REFERENCE in measure.topics for measure in view.once(run_measures))
+    reference = view.run.arrays[REFERENCE]
+    return judged or any((piece[name] != 0.0).any() for piece in pieces(reference) for name in view.signals.tracked)
+
+
 def output_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
-    """Return one panel per output: what was measured, the true state where it differs, and what was asked for.
+    """Return one panel per output: what was measured, the true state where it differs, and the reference where one is followed.
 
     An output that does not follow the reference (a measured mode) has none, and holds its value between samples.
     """
     arrays, tracked = view.run.arrays, view.signals.tracked
     measurement, reference, state = arrays[MEASUREMENT], arrays[REFERENCE], arrays.get(STATE.name)
     panels: list[Figure] = []
+    followed = follows_reference(view)
     for name, unit in view.signals.outputs.items():
         style: LineStyle = "line" if name in tracked else "step"
         series = [curve(measurement, name, label=_words(name), style=style, colour=0)]
@@ -50,7 +59,7 @@ def output_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
                 title=_title(name),
                 y_label=_words(name),
                 y_unit=unit,
-                series=(*([asked] if name in tracked else []), *series),
+                series=(*([asked] if followed and name in tracked else []), *series),
                 markers=marks,
                 height_px=300 if len(panels) == 0 else 220,
             )

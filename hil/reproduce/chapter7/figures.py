@@ -94,7 +94,7 @@ def smith(report_progress: ReportProgress) -> dict[str, Any]:
     hinf = marks["H-infinity (7.36)"]
     return {
         "words": "; ".join(
-            f"{name}: sse {m[0]:.2f}, overshoot {m[1]:.0%}, peak {m[2]:.3f} rad"
+            f"{name}: sse {m[0]:.2f}, overshoot {m[1]:.0f} %, peak {m[2]:.3f} rad"
             for name, m in ((name, m.mean(axis=0)) for name, m in marks.items())
         ),
         **{

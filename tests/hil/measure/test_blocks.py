@@ -52,7 +52,7 @@ def test_errors_in_blocks_are_those_of_whole_arrays(outputs: int, change: int | 
     if change is not None:
         outside = np.flatnonzero(~np.all(np.abs(error[change:]) <= 0.02 * 3.0, axis=1))
         assert found["settling_time_s"] == t[change:][outside[-1] + 1] - t[change]
-        assert found["overshoot"] == max(float(np.max(error[change:] / 3.0)), 0.0)
+        assert found["overshoot"] == 100.0 * max(float(np.max(error[change:] / 3.0)), 0.0)
 
 
 def test_steps_and_disturbances_are_marked_once_wherever_a_piece_ends() -> None:

@@ -19,12 +19,12 @@ def test_the_numbers_are_those_of_the_log() -> None:
     check_measure(Haptics(), view)
     found = Haptics().of(view)
     position = view.run.arrays["/plant/measurement"]["position"]
-    assert found["final_depth"] == pytest.approx(0.134816, abs=1e-6)
-    assert found["largest_depth"] == position.max() and found["energy_given"] == 0.0
+    assert found["final_depth"] == pytest.approx(134.816, abs=1e-3)
+    assert found["largest_depth"] == 1e3 * position.max() and found["energy_given"] == 0.0
     assert found["largest_force"] == np.abs(view.run.arrays["/actuator/applied"]["force"]).max()
 
 
 def test_a_wall_that_gives_energy_away_is_seen() -> None:
     e = load_experiment("omni-theorem61", ["allow_uncertified=true"])
     found = Haptics().of(view_of(simulate(compose(e), 0), e))
-    assert found["energy_given"] is not None and found["energy_given"] > 0.01
+    assert found["energy_given"] is not None and found["energy_given"] > 10.0

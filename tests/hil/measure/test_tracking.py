@@ -38,7 +38,7 @@ def test_error_counts_against_the_final_reference_before_the_step_too() -> None:
 def test_step_response_marks_are_those_of_the_curve() -> None:
     t, y, r, u = motor_step(gain=-0.1)
     found = tracking_of_arrays(t, y, r, u, T)
-    assert found["overshoot"] == pytest.approx(y.max() / 3.0 - 1.0)
+    assert found["overshoot"] == pytest.approx(100.0 * (y.max() / 3.0 - 1.0))
     settled = found["settling_time_s"]
     assert settled is not None
     k = round((1.0 + settled) / T)

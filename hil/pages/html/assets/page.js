@@ -114,6 +114,14 @@
       s.paths = () => null;
       s.points = { show: true, size: 5, width: 0, fill: () => css(colour), stroke: () => css(colour) };
     }
+    if (c.style === "circles") {
+      s.paths = () => null;
+      s.points = { show: true, size: 8, width: 1.6, fill: () => css("--surface"), stroke: () => css(colour) };
+    }
+    if (c.marked) {
+      s.width = 1;
+      s.points = { show: true, size: 7, width: 0, fill: () => css(colour), stroke: () => css(colour) };
+    }
     if (c.style === "edge") s.width = 0;
     return s;
   }
@@ -181,7 +189,7 @@
         y: { distr: figure.yLog ? 3 : 1, range: figure.yRange ? () => figure.yRange : figure.yLog ? undefined : (u, low, high) => fitted(low, high, figure.integerY) },
       },
       axes: [
-        axis(figure.xLabel, 27, figure.xLog ? {} : { incrs: ROUND }),
+        axis(figure.xLabel, 27, figure.xTicks ? { splits: () => figure.xTicks } : figure.xLog ? {} : { incrs: ROUND }),
         axis(figure.yLabel, 62, figure.integerY ? { incrs: [1, 2, 5, 10, 20, 50, 100], space: 18 } : {}),
       ],
       series: [{ label: figure.xLabel, value: (u, v) => format(v) }, ...curves.map(curve)],

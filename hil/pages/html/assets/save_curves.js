@@ -15,12 +15,14 @@ const hilSaveCurves = (() => {
         if (column[k] == null || table[0][k] < min || table[0][k] > max) { if (column[k] != null && table[0][k] < min) last = column[k]; continue; }
         const x = at(table[0][k], "x"), y = at(column[k], "y");
         if (c.style === "points") path.push(`<circle cx="${x}" cy="${y}" r="2.5" fill="${colour}"/>`);
+        else if (c.style === "circles") path.push(`<circle cx="${x}" cy="${y}" r="3.5" fill="none" stroke="${colour}" stroke-width="1.4"/>`);
         else path.push(!drawn ? `M${x} ${y}` : c.style.endsWith("step") ? `H${x}V${y}` : `L${x} ${y}`);
+        if (c.marked) lines.push(`<circle cx="${x}" cy="${y}" r="3" fill="${colour}"/>`);
         drawn = true;
         last = column[k];
       }
       const dash = c.style.startsWith("dashed") ? ' stroke-dasharray="6 4"' : "", alpha = c.halo ? 0.4 : c.faint || c.band ? 0.35 : 1;
-      if (c.style === "points") lines.push(path.join(""));
+      if (c.style === "points" || c.style === "circles") lines.push(path.join(""));
       else if (drawn) lines.push(`<path d="${path.join("")}" fill="none" stroke="${colour}" stroke-width="1.6" opacity="${alpha}"${dash}/>`);
       if (c.band !== "lower" && !legend.some((entry) => entry.label === c.label)) legend.push({ label: c.label, colour });
     });

@@ -63,20 +63,36 @@ def _summary_tables(view: RunView, summary: Mapping[str, Any]) -> list[Table]:
         tables.append(Table(title="Log", columns=["what", "value"], rows=[[k, _cell(v)] for k, v in log.items()]))
     certificate = summary.get("certificate")
     if certificate:
-        tables.append(
-            Table(
-                title="Certificate" if summary.get("controller") == "external" else "Certificate, from the gains that ran",
-                columns=["quantity", "value"],
-                rows=[[_quantity(str(k)), _cell(v)] for k, v in certificate.items() if v is not None],
-                wide=True,
-            )
-        )
+        title = "Certificate" if summary.get("controller") == "external" else "Certificate, from the gains that ran"
+        tables += _certificate(title, certificate)
     return tables
+
+
+def _certificate(title: str, certificate: Mapping[str, Any]) -> list[Table]:
+    """Return what a certificate says, an answer to each question, and its further numbers behind a click."""
+    said = {name: value for name, value in certificate.items() if value is not None}
+    deciding = f"{said['quantity']}: {_in_line(said['number'])}" if {"quantity", "number"} <= said.keys() else ""
+    limit = f"; the limit is {_in_line(said['limit'])}" if deciding and "limit" in said else ""
+    answers: list[tuple[str, Cell]] = [
+        ("Verdict", ": ".join(str(said[name]) for name in ("state", "reason") if name in said)),
+        ("What is certified" if said.get("state") == "certified" else "What was asked", str(said.get("kind", ""))),
+        ("The number that decides", deciding + limit),
+        ("How it is decided", str(said.get("method", ""))),
+        ("What it assumes", _cell(said.get("assumptions", ""))),
+    ]
+    told = {"state", "reason", "kind", "quantity", "number", "limit", "method", "assumptions"}
+    others = [[_quantity(str(k)), _cell(v)] for k, v in said.items() if k not in told]
+    found = [Table(title=title, columns=["question", "answer"], rows=[list(row) for row in answers if row[1]], wide=True)]
+    if others:
+        found.append(
+            Table(title="Further numbers of the certificate", columns=["quantity", "value"], rows=others, wide=True, folded=True)
+        )
+    return found
 
 
 def _row_label(quantity: Quantity) -> str:
     label = f"{quantity.title}, {quantity.note}" if quantity.note else quantity.title
-    return with_unit(label, f"share of {quantity.share_of}" if quantity.share_of else quantity.unit)
+    return with_unit(label, quantity.unit)
 
 
 def _words(name: str) -> str:

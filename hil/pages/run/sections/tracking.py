@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.measure.view import RunView
 from hil.pages.html.figures import Figure, Section
-from hil.pages.run.time_panels import input_panels, markers, output_panels, state_panels, topic_panels
+from hil.pages.run.time_panels import follows_reference, input_panels, markers, output_panels, state_panels, topic_panels
 
 STACKED = 2
 """Up to so many states and inputs stand below the outputs; more stand side by side in a section of their own."""
@@ -14,7 +14,8 @@ def tracking(view: RunView) -> Section | None:
     """Return outputs against their reference, with the few states and inputs that stand below them."""
     inside = view.once(_inside)
     blocks = (*output_panels(view, view.once(markers)), *(inside if len(inside) <= STACKED else ()))
-    return Section(title="Tracking", place=10, blocks=blocks) if blocks else None
+    title = "Tracking" if follows_reference(view) else "Outputs"
+    return Section(title=title, place=10, blocks=blocks) if blocks else None
 
 
 def states(view: RunView) -> Section | None:

@@ -24,6 +24,8 @@ from hil.pages.run.time_panels import markers
 
 Array = npt.NDArray[np.float64]
 
+PLACE = 5
+"""Before everything else: a haptic run is about its wall."""
 MOST_CELLS = 40
 """So many cells of the pattern are drawn at most; a longer way is cut."""
 MOST_POINTS = 3000
@@ -42,7 +44,7 @@ def section(view: RunView) -> Section | None:
     loop = loop_of(view)
     if loop is not None and isinstance(loop.controller, ModelFollower):
         return Section(
-            title="At the wall", place=110, blocks=tuple(_over_time(view, None)), columns=2,
+            title="At the wall", place=PLACE, blocks=tuple(_over_time(view, None)), columns=2,
             intro="The controller draws the device after a model of the wall: there is no coupler, and so no avatar behind it.",
         )  # fmt: skip
     if loop is None or not isinstance(loop.controller, WallController):
@@ -60,12 +62,27 @@ def section(view: RunView) -> Section | None:
         "computed again from the log, but its forces are not those that were logged: another program answered"
     )
     return Section(
-        title="At the wall", place=110, blocks=tuple(blocks), columns=2,
-        intro=f"The avatar is the position of the device as the wall computes it, behind delay and coupler; it is {said}.{part}",
+        title="At the wall", place=PLACE, blocks=tuple(blocks), columns=2,
+        intro=f"{_softness(view, loop)}The avatar is the position of the device as the wall computes it, behind delay and "
+        f"coupler; it is {said}.{part}",
     )  # fmt: skip
 
 
 SECTIONS = (section,)
+
+
+def _softness(view: RunView, loop: Loop) -> str:
+    """Return how far the wall gives way in this run, and behind which delay: what is safe there decides how stiff it is."""
+    tip, force = view.signals.tracked[0], next(iter(view.signals.inputs))
+    depth = float(np.nanmax(whole(view.run.arrays[MEASUREMENT], tip), initial=0.0))
+    most = float(np.nanmax(-whole(view.run.arrays[APPLIED], force), initial=0.0))
+    if depth <= 0.0 or most <= 0.0:
+        return ""
+    behind = loop.model.tau_max + loop.model.d_max
+    return (
+        f"The largest force is {most:.3g} {view.signals.inputs[force]}, the largest depth {1e3 * depth:.3g} mm, behind a delay "
+        f"of {behind} samples of {1e3 * loop.model.period_s:g} ms: the shorter, the stiffer a safe wall (hil stiffness-map). "
+    )
 
 
 def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:

@@ -43,13 +43,23 @@ def test_a_slide_shows_depth_force_energy_margin_and_both_ways():
     assert "first" in way.note and len(areas) < 200
 
 
+def test_a_haptic_run_opens_with_its_wall_and_has_no_reference() -> None:
+    page = render_report(view_of(run_of("omni-push", "duration=2")))
+    assert page.index('>At the wall</h2>') < page.index('>Outputs</h2>') and ">Tracking</h2>" not in page
+    assert '"label":"reference"' not in page and "largest depth" in page and " mm, behind a delay of 6 samples of 50 ms" in page
+
+
 def test_the_certificate_is_read_as_sentences_and_numbers_with_units():
     """Lists were shown as JSON, in one line that was cut."""
     run = run_of("omni-push", "duration=2")
     view = view_of(run)
     page = render_report(view)
     table = page[page.index("Certificate, from the gains that ran") :]
-    table = table[: table.index("</table>")]
+    first, further = table.split("</table>")[:2]
+    table = first + further
+    assert "<summary>Further numbers of the certificate</summary>" in further
+    for question in ("Verdict", "What is certified", "The number that decides", "How it is decided", "What it assumes"):
+        assert f"<td>{question}</td>" in first
     for assumption in run.certificate["assumptions"]:
         assert f"<p>{escape(assumption)}</p>" in table
     assert "<td>delays</td><td>6</td>" in table and "[" not in table and "quot" not in table

@@ -1,0 +1,52 @@
+"""Pages of many runs: what was computed is marked, the best point is said, an outlier presses nothing onto the axis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.measure.measure import Quantity
+from hil.pages.compare import compare_page
+from hil.pages.parameters import parameter_page
+from hil.sweeps.comparison import Comparison
+from hil.sweeps.parameters import ParameterSweep
+from hil.sweeps.points import grid
+
+SSE = Quantity(name="sse", title="squared tracking error", unit="rad² s", better="lower")
+
+
+def columns(values: np.ndarray) -> dict[str, np.ndarray]:
+    return {"seed": np.arange(values.size, dtype=float), "stopped": np.zeros(values.size), "sse": values}
+
+
+@pytest.fixture(scope="module")
+def sweep() -> ParameterSweep:
+    """Two points that share their seeds: the spread over seeds hides a difference of 0.1, the pairs show it."""
+    drawn = 10.0 + np.random.default_rng(0).standard_normal(30)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(30)
+    return ParameterSweep(
+        experiment="motor", points=grid(["period=25ms,50ms"]), columns=(columns(drawn), columns(drawn + 0.1 + noise)),
+        quantities=(SSE,),
+    )  # fmt: skip
+
+
+def test_paired_differences_tell_points_apart_that_overlap(sweep: ParameterSweep) -> None:
+    first, second = sweep.intervals("sse")
+    assert first.high > second.low, "the intervals of the points overlap"
+    gap = sweep.difference(1, 0, "sse")
+    assert gap.low > 0.09 and gap.high < 0.11
+    assert sweep.answer("sse").startswith("best point: period=25 ms; ") and "1 of 1 other points differ" in sweep.answer("sse")
+
+
+def test_the_page_of_a_sweep_opens_with_its_answer_and_marks_what_was_computed(sweep: ParameterSweep) -> None:
+    page = parameter_page(sweep)
+    assert page.index(">Answer<") < page.index("best point: period=25 ms") < page.index("difference to the best point")
+    assert '"marked":true' in page and '"xTicks":[25.0,50.0]' in page
+
+
+@pytest.mark.parametrize(("outlier", "logarithmic"), [(400.0, True), (12.0, False)])
+def test_an_experiment_far_off_takes_a_logarithmic_axis(outlier: float, logarithmic: bool) -> None:
+    drawn = 10.0 + np.random.default_rng(0).random(30)
+    values = {"a": columns(drawn), "b": columns(drawn + outlier)}
+    page = compare_page(Comparison(runs=30, values=values, quantities=(SSE,)))
+    assert ('"xLog":true' in page) is logarithmic
