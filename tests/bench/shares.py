@@ -33,7 +33,7 @@ def ratio_interval(ours: tuple[int, int], peer: tuple[int, int]) -> tuple[float,
     Of all events of both, ours are binomial: their share is that of ours in the sum of both rates (Przyborowski and Wilenski
     1940), whose exact interval is that of Clopper and Pearson. Events that come in bursts make the true interval wider.
 
-    >>> [round(v, 3) for v in ratio_interval((0, 1000), (30, 1000))]
+    >>> [round(float(v), 3) for v in ratio_interval((0, 1000), (30, 1000))]
     [0.0, 0.131]
     """
     from scipy.stats import binomtest

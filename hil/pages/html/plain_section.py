@@ -15,6 +15,7 @@ from numbers import Integral, Real
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.pages.html.figures import Figure, Section
 from hil.pages.html.payload import Payload
@@ -88,7 +89,7 @@ class _Copy:
         return self._refuse(value, hint, path)
 
     def _one_of(self, value: Any, options: tuple[Any, ...], path: str) -> Any:
-        if any(get_origin(option) is np.ndarray for option in options):
+        if any(get_origin(option) in (np.ndarray, NDArray) for option in options):  # two names since numpy 2.5
             self._count(np.size(value) if isinstance(value, np.ndarray) else len(value), path)
             return np.array(value, dtype=np.float64)
         if value is None and types.NoneType in options:
