@@ -57,14 +57,13 @@ def drift_of(sent_s: Array, difference_s: Array) -> Drift:
 
 
 def without_drift(sent_s: Array, difference_s: Array, drift: Drift) -> Array:
-    """Return received minus sent as if both clocks ran alike; the smallest difference stays as it was.
+    """Return received minus sent as if both clocks ran alike; the first difference stays as it was.
 
     Args:
         sent_s, difference_s: see `drift_of`.
         drift: what was estimated.
     """
-    straight = difference_s - drift.slope * (sent_s - sent_s[0])
-    return np.asarray(straight - np.nanmin(straight) + np.nanmin(difference_s), dtype=np.float64)
+    return np.asarray(difference_s - drift.slope * (sent_s - sent_s[0]), dtype=np.float64)
 
 
 def offset_of(there_s: Array, back_s: Array) -> float:

@@ -1,0 +1,115 @@
+"""`hil identify law`, `hil design --network` and the law's file in an experiment, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.experiment import load_experiment
+from tests.hil.cli.conftest import Hil
+
+N = 2000
+
+
+def motor_over(sc: str, ca: str) -> str:
+    """The motor over laws that stand in files."""
+    source = (Path(load_experiment("dc-motor-packets").folder) / "dc-motor-packets.toml").read_text()
+    head, _, _ = source.partition("[links]")
+    laws = "".join(f'[links.{way}]\nlaw = {{ file = "{name}" }}\n' for way, name in (("sc", sc), ("ca", ca)))
+    return f'{head}[links]\nuri = "can:hil:rig0"\n{laws}'
+
+
+@pytest.fixture
+def both_ways(tmp_path: Path) -> list[Path]:
+    """Tables of both directions: gamma latencies with loss, and uniform ones of up to a slot and a half of 50 ms."""
+    rng = np.random.default_rng(4)
+    there = np.where(rng.random(N) < 0.03, np.nan, rng.gamma(2.0, 8e-3, N))
+    back = rng.uniform(5e-3, 75e-3, N)
+    paths = [tmp_path / "there.csv", tmp_path / "back.csv"]
+    for path, values in zip(paths, (there, back)):
+        rows = [f"{0.05 * k!r},{'' if np.isnan(v) else repr(v)}" for k, v in enumerate(values.tolist())]
+        path.write_text("\n".join(["sent_s,latency_s", *rows]))
+    return paths
+
+
+def test_a_law_is_found_written_and_run(cli: Hil, both_ways: list[Path], tmp_path: Path) -> None:
+    status, out, err = cli("identify", "law", *both_ways, "-o", "law.toml", "--page", "page.html")
+    assert status == 0, err
+    assert "independent latencies" in out and "is not rejected" in out
+    text = (tmp_path / "law.sc.toml").read_text()
+    assert 'class = "independent"' in text and "[fit]" in text
+    page = (tmp_path / "page.html").read_text()
+    assert "measured" in page and "fitted: gamma" in page and "Age of the newest packet" in page
+    experiment = tmp_path / "mine.toml"
+    experiment.write_text(motor_over("law.sc.toml", "law.ca.toml"))
+    loaded = load_experiment(str(experiment))
+    assert type(loaded.links.sc.law).__name__ == "PacketLaw"
+    assert loaded.links.sc.law.discard_older == json.loads(text.partition("discard_older = ")[2].split("\n")[0])  # type: ignore[union-attr]
+    status, out, err = cli("run", experiment, "--set", "allow_uncertified=true", "--duration", "5", "-o", "run.mcap", "--json")
+    assert status == 0, err
+    assert cli("replay", "run.mcap", "--verify")[0] == 0  # the log holds the law, and needs no file
+    status, _, err = cli("identify", "law", *both_ways, "-o", "law.toml")
+    assert status == 2 and "exists already" in err
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    (None, "links.sc.law.file:"), ("kind = 'packet'\nlatency = '-1 ms'", "links.sc.law.latency: got -0.001 s"),
+    ("latency = '1 ms'", "kind: missing"), ("kind = [", "not valid TOML"),
+])  # fmt: skip
+def test_a_faulty_file_of_a_law_is_named(cli: Hil, tmp_path: Path, text: str | None, said: str) -> None:
+    if text is not None:
+        (tmp_path / "law.toml").write_text(text)
+    (tmp_path / "mine.toml").write_text(motor_over("law.toml", "law.toml"))
+    status, _, err = cli("run", "mine.toml")
+    assert status == 2
+    assert said in err
+
+
+def test_none_of_these_is_status_1_and_writes_no_law(cli: Hil, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    late = rng.random(8000) < 0.3 + 0.28 * np.sin(2.0 * np.pi * np.arange(8000) / 60.0)
+    values = np.where(late, 0.012, 0.002) + rng.uniform(0, 1e-3, 8000)
+    (tmp_path / "rhythm.csv").write_text("\n".join(["latency_s", *map(repr, values.tolist())]))
+    status, out, _ = cli("identify", "law", "rhythm.csv", "--period", "10ms", "-o", "law.toml")
+    assert status == 1
+    assert "none of the laws" in out and "rejected" in out
+    assert not (tmp_path / "law.toml").exists()
+
+
+def test_too_few_packets_are_refused_with_the_number_that_would_do(cli: Hil, tmp_path: Path) -> None:
+    (tmp_path / "few.csv").write_text("\n".join(["latency_s", *["0.001"] * 20]))
+    status, out, err = cli("identify", "law", "few.csv", "-o", "law.toml")
+    assert status == 2 and not out
+    assert "20 packets, at least 299" in err
+    assert not (tmp_path / "law.toml").exists()
+
+
+def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
+    """Two commands: the second designs for what the first measured, and certifies all that it leaves possible."""
+    law = "{kind='packet',latency={dist='uniform',loc='1 ms',scale='50 ms'},loss=0.01}"
+    run = ["run", "dc-motor-packets", "--set", f"links.sc.law={law}", "--set", f"links.ca.law={law}"]
+    assert cli(*run, "--set", "allow_uncertified=true", "--duration", "300", "-o", "link.mcap")[0] in (0, 3)
+    status, out, err = cli("design", "dc-motor", "--network", "link.mcap", "--starts", "1", "--json")
+    assert status == 0, err
+    said = json.loads(out)
+    assert said["verdict"]["state"] == "certified"
+    assert said["network"]["sc"]["class"] == said["network"]["ca"]["class"] == "independent"
+    region = said["network"]["region"]
+    assert region["state"] == "certified" and "6000 packets leave possible" in region["reason"]
+    assert said["verdict"]["number"] <= region["tail_radius"] < 1.0
+    assert cli(*run, "--set", "allow_uncertified=true", "--duration", "20", "-o", "short.mcap")[0] in (0, 3)
+    status, out, err = cli("design", "dc-motor", "--network", "short.mcap", "--starts", "1", "--json")
+    assert status == 0, err
+    region = json.loads(out)["network"]["region"]
+    assert region["state"] == "undecided"
+    assert 400 < int(region["reason"].partition("about ")[2].split()[0]) < 6000
+
+
+def test_a_design_needs_both_directions(cli: Hil, tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text("\n".join(["latency_s", *["0.001"] * 400]))
+    status, _, err = cli("design", "dc-motor", "--network", "one.csv")
+    assert status == 2
+    assert "needs both directions" in err

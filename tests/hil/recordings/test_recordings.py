@@ -1,0 +1,161 @@
+"""Every source gives the latencies that were put into it; what is no record of packets is refused, with file and remedy."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hil
+from hil.errors import HilError
+from hil.recordings.read import read_recording
+from hil.recordings.recording import packet_records
+from transport.law_fit.law_fit import fit_law
+
+N = 400
+SENT = np.arange(N) * 0.01
+LATENCY = np.random.default_rng(0).gamma(2.0, 1e-3, N) + 1e-3
+LOST = np.random.default_rng(1).random(N) < 0.05
+
+
+def only(paths: list[Path], **how: bool | int) -> NDArray[np.float64]:
+    records, _ = packet_records(read_recording(paths, **how))  # type: ignore[arg-type]
+    (record,) = records.values()
+    return record.latency_s
+
+
+def table(path: Path, head: str, rows: list[str]) -> Path:
+    path.write_text("\n".join([head, *rows]) + "\n")
+    return path
+
+
+def test_tables_of_latencies_and_of_time_stamps(tmp_path: Path) -> None:
+    expected = np.where(LOST, np.nan, LATENCY)
+    plain = table(tmp_path / "a.csv", "latency_ms", ["lost" if np.isnan(v) else repr(v * 1e3) for v in expected.tolist()])
+    np.testing.assert_allclose(only([plain]), expected, rtol=1e-12)
+    stamped = table(tmp_path / "b.csv", "sent_s [s],received_s [s]", [
+        f"{s!r},{'' if np.isnan(v) else repr(s + v)}" for s, v in zip(SENT.tolist(), expected.tolist())
+    ])  # fmt: skip
+    np.testing.assert_allclose(only([stamped], one_clock=True), expected, atol=1e-12)
+    trips = table(tmp_path / "c.csv", "sent_s,rtt_s", [f"{s!r},{v!r}" for s, v in zip(SENT.tolist(), LATENCY.tolist())])
+    halves, notes = packet_records(read_recording([trips]), halve=True)
+    np.testing.assert_allclose(halves["ca"].latency_s, LATENCY / 2.0)
+    assert any("by choice" in note for note in notes)
+    assert [*packet_records(read_recording([trips]))[0]] == ["round trip"]
+
+
+def test_two_tables_of_two_clocks_say_offset_and_drift(tmp_path: Path) -> None:
+    ahead, drift = 12.0, 30e-6
+    paths = []
+    for name, sign in (("there", 1.0), ("back", -1.0)):
+        rows = [f"{s!r},{s + v + sign * (ahead + drift * s)!r}" for s, v in zip((SENT * 50).tolist(), LATENCY.tolist())]
+        paths.append(table(tmp_path / f"{name}.csv", "sent_s,received_s", rows))
+    records, notes = packet_records(read_recording(paths))
+    for record in records.values():
+        np.testing.assert_allclose(record.latency_s, LATENCY, atol=4e-4)
+    said = " ".join(notes)
+    assert "drift" in said and "ppm" in said and "taken out" in said and "offset between the clocks 12" in said
+
+
+@pytest.mark.parametrize("ending", [".log", ".asc", ".blf"])
+def test_one_bus_seen_twice(tmp_path: Path, ending: str) -> None:
+    begin = 1_700_000_000.0
+    paths = [tmp_path / f"{name}{ending}" for name in ("sender", "receiver")]
+    for path, shift, skip in ((paths[0], 0.0 * LATENCY, LOST & False), (paths[1], LATENCY, LOST)):
+        order = np.argsort(SENT + shift, kind="stable")
+        with can.Logger(str(path)) as log:
+            for k in order.tolist():
+                if not skip[k]:
+                    at, data = begin + SENT[k] + shift[k], k.to_bytes(4, "little")
+                    log(can.Message(timestamp=at, arbitration_id=0x101, data=data, is_extended_id=False))
+    if ending == ".asc":  # its times count from the first frame, which makes two clocks of them
+        way = read_recording(paths).ways["sc"].difference_s[~LOST]
+        np.testing.assert_allclose(way - way.min(), LATENCY[~LOST] - LATENCY[~LOST].min(), atol=2e-5)
+    else:
+        np.testing.assert_allclose(only(paths, one_clock=True, can_id=0x101), np.where(LOST, np.nan, LATENCY), atol=2e-6)
+    with pytest.raises(HilError, match="no frame of identifier 0x7"):
+        read_recording(paths, can_id=7)
+
+
+def capture(path: Path, *, replies: bool = True, order: str = "<", magic: int = 0xA1B2C3D4) -> Path:
+    """Ethernet, IPv4, ICMP echo: what `tcpdump -w` writes of ping."""
+    frames = []
+    for k in range(N):
+        for kind, t in ((8, SENT[k]), (0, SENT[k] + LATENCY[k])):
+            if kind == 8 or (replies and not LOST[k]):
+                addresses = (b"\n\0\0\1", b"\n\0\0\2")[:: 1 if kind == 8 else -1]
+                ip = struct.pack(">BBHHHBBH", 0x45, 0, 28, 0, 0, 64, 1, 0) + b"".join(addresses)
+                frames.append((t, b"\0" * 12 + b"\x08\0" + ip + struct.pack(">BBHHH", kind, 0, 0, 77, k)))
+    frames.sort()
+    with path.open("wb") as file:
+        file.write(struct.pack(order + "IHHiIII", magic, 2, 4, 0, 0, 65535, 1))
+        for t, data in frames:
+            file.write(struct.pack(order + "IIII", 1_700_000_000 + int(t), round(t % 1 * 1e6), len(data), len(data)) + data)
+    return path
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_capture_of_ping(tmp_path: Path, order: str) -> None:
+    np.testing.assert_allclose(only([capture(tmp_path / "ping.pcap", order=order)]), np.where(LOST, np.nan, LATENCY), atol=2e-6)
+
+
+def test_a_run_gives_back_the_laws_of_its_network(tmp_path: Path) -> None:
+    """Both directions of a log in virtual time: a packet law there, the Markov chain of the thesis back."""
+    session = hil.run("dc-motor-packets", duration=100, log=tmp_path / "run.mcap")
+    assert session.status == 0
+    records, _ = packet_records(read_recording([tmp_path / "run.mcap"]))
+    assert {way: fit_law(record, 0.05, 0.03).law_class for way, record in records.items()} == {
+        "sc": "gilbert-elliott", "ca": "independent",
+    }  # fmt: skip
+    hil.run("dc-motor-hinf", duration=150, log=tmp_path / "markov.mcap")
+    records, _ = packet_records(read_recording([tmp_path / "markov.mcap"]))
+    fit = fit_law(records["ca"], 0.05, 0.03)
+    assert fit.law_class == "markov"
+    low, high = fit.ages.intervals["matrix[1][0]"] if fit.ages else (0.0, 0.0)
+    assert low < 0.7 < high
+
+
+def fails(paths: list[Path], **how: bool) -> str:
+    with pytest.raises(HilError) as error:
+        packet_records(read_recording(paths, **how))  # type: ignore[arg-type]
+    assert error.value.status == 2
+    return str(error.value)
+
+
+def test_bad_input_is_refused_with_its_place_and_the_remedy(tmp_path: Path) -> None:
+    good = [repr(v) for v in LATENCY.tolist()]
+    negative = table(tmp_path / "negative.csv", "latency_s", [*good[:3], "-0.001", *good])
+    assert "negative.csv:5: latency_s: -0.001 is negative" in fails([negative])
+    few = fails([table(tmp_path / "few.csv", "latency_s", good[:20])])
+    assert "20 packets, at least 299" in few
+    rows = [f"{s},{s + 0.001}" for s in SENT.tolist()]
+    rows[7], rows[8] = rows[8], rows[7]
+    said = fails([table(tmp_path / "back.csv", "sent_s,received_s", rows)])
+    assert "back.csv:10: sent_s" in said and "run backwards" in said
+    assert "capture of one direction" in fails([capture(tmp_path / "one.pcap", replies=False)])
+    assert "a CAN log has no latencies by itself" in fails([tmp_path / "one.log"])
+    assert "names no column of latencies" in fails([table(tmp_path / "other.csv", "a,b", ["1,2"])])
+    assert "bad.csv:3: 'soon' is no number" in fails([table(tmp_path / "bad.csv", "latency_s", ["0.1", "soon"])])
+    assert "names no record of packets" in fails([tmp_path / "x.txt"])
+    before = [f"{s},{s - 0.001}" for s in SENT.tolist()]
+    assert "before sent_s, of one clock" in fails([table(tmp_path / "early.csv", "sent_s,received_s", before)], one_clock=True)
+    assert "expected a latency >= 0; clocks that differ need both directions" in fails([tmp_path / "early.csv"])
+    pcapng = tmp_path / "new.pcap"
+    pcapng.write_bytes(b"\n\r\r\n" + bytes(40))
+    assert "pcapng" in fails([pcapng])
+    for cut in (0, 10, 23):
+        (tmp_path / "cut.pcap").write_bytes(bytes(cut))
+        assert "no pcap capture" in fails([tmp_path / "cut.pcap"])
+
+
+def test_frames_that_repeat_and_get_lost_cannot_be_paired(tmp_path: Path) -> None:
+    paths = [tmp_path / "a.log", tmp_path / "b.log"]
+    for path, n in zip(paths, (N, N - 1)):
+        with can.Logger(str(path)) as log:
+            for k in range(n):
+                log(can.Message(timestamp=1e9 + k, arbitration_id=1, data=b"same", is_extended_id=False))
+    assert "which was lost cannot be said" in fails(paths)
