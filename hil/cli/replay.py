@@ -30,6 +30,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.option("--controller", metavar="NAME", help="What would this controller have commanded?")
 @click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller.")
 @click.option("--onto", metavar="URI", help="Put the recorded frames on this link.")
+@click.option("--process", metavar="URI", help="Put its questions to the controller's process there; compare the answers.")
 @click.option("--speed", type=float, default=1.0, show_default=True, help="With --onto: how many times faster.")
 @click.option("--folder", metavar="DIR", help="Where the files stand that the experiment names (own modules, an FMU).")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="With --controller: write the series as CSV.")
@@ -42,6 +43,7 @@ def command(
     controller: str | None,
     sets: tuple[str, ...],
     onto: str | None,
+    process: str | None,
     speed: float,
     folder: str | None,
     output: Path | None,
@@ -53,13 +55,17 @@ def command(
     the first sample that differs, and the SHA-256 of the records: of one experiment and seed in virtual time the same on
     every machine.
 
-    Exit status: 0; 1 if --verify finds it different, an answer has not the tag of --auth, or the log is not what the holder of
-    --key signed; 2 bad input.
+    With --process a controller's own program, which runs, is asked every recorded question again; each field that it answers
+    otherwise than in the log is one line, but for the time of its answers and their counter.
+
+    Exit status: 0; 1 if --verify or --process finds it different, an answer has not the tag of --auth, or the log is not what
+    the holder of --key signed; 2 bad input.
     """
     from hil.files.outputs import check_output
     from hil.log.read.run import read_run
 
-    ways = {"--verify": do_verify, "--controller": controller is not None, "--onto": onto is not None}
+    ways = {"--verify": do_verify, "--controller": controller is not None, "--onto": onto is not None,
+            "--process": process is not None}  # fmt: skip
     chosen = [name for name, given in ways.items() if given]
     if len(chosen) > 1:
         raise HilError(f"{' and '.join(chosen)}: choose one")
@@ -72,15 +78,31 @@ def command(
     if output is not None:
         check_output(output, fresh=True)
     for name, given_key in (("--key", key), ("--auth", auth)):
-        if given_key is not None and (controller is not None or onto is not None):
+        if given_key is not None and (controller is not None or onto is not None or process is not None):
             raise HilError(f"{name}: needs --verify")
     run = read_run(file) if key is None else _signed(file, key)
     if controller is not None:
         _what_if(run, file, folder, controller, sets, output, as_json)
     elif onto is not None:
         _onto(run, onto, speed, as_json)
+    elif process is not None:
+        _ask(run, file, process, as_json)
     else:
         _verify(run, file, folder, auth, as_json)
+
+
+def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
+    from hil.cli.terminal import visible
+    from hil.replay.process import ask_process
+
+    done = ask_process(run, uri, str(file))
+    if as_json:
+        print(json.dumps(asdict(done), indent=2))
+    else:
+        for difference in done.differences:
+            print(visible(str(difference)))
+        print(f"{done.different} of {done.compared} answers differ")
+    sys.exit(1 if done.different else 0)
 
 
 def _signed(file: Path, key: Path) -> Run:

@@ -131,12 +131,13 @@ def in_time(records: StructuredArray) -> StructuredArray:
 def near_frames(recorded: bytes, now: bytes) -> bool:
     """Return whether two frames carry the same but for the last bits of their numbers."""
     a, b = decode(recorded), decode(now)
-    return type(a) is type(b) and _near(a, b)
+    return type(a) is type(b) and near_values(a, b)
 
 
-def _near(a: Any, b: Any) -> bool:
+def near_values(a: Any, b: Any) -> bool:
+    """Return whether two values of a frame are the same but for the last bits of their numbers."""
     if isinstance(a, tuple) and isinstance(b, tuple):
-        return len(a) == len(b) and all(_near(x, y) for x, y in zip(a, b))
+        return len(a) == len(b) and all(near_values(x, y) for x, y in zip(a, b))
     if isinstance(a, float) and isinstance(b, float):
         return a == b or abs(a - b) <= WIRE * max(abs(a), abs(b)) or (a != a and b != b)
     return bool(a == b)

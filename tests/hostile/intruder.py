@@ -1,20 +1,24 @@
 """A stranger on the rig's link who answers in the controller's place: -4 V, whatever the reference is.
 
-Usage: intruder.py URI (ahead | race | fill)
+Usage: intruder.py URI (ahead | race | fill | role)
 
 *ahead*: upon question k it answers the eight slots after it, with the time stamp 0 and the digest of question k.
 *race*: it answers question k at once, digest and all. *fill*: as ahead, 300 times over, so that the rig's queue is full.
+*role*: a controller of ours that answers nothing.
 """
 
 import os
 import sys
 from contextlib import suppress
+from queue import SimpleQueue
 from tempfile import mkdtemp
 
 import can
+import zenoh
 
 from transport import ControlPacket, SensorPacket, decode, encode_control, open_link
 from transport.links.can_bus import FD_FRAME, FRAME, HilBus
+from transport.links.zenoh_link import config
 from transport.wire.tags import echo
 
 U = -4.0
@@ -46,20 +50,34 @@ def on_can(channel: str, way: str) -> None:
 
 
 def on_zenoh(uri: str, way: str) -> None:
+    heard: SimpleQueue[bytes] = SimpleQueue()
+    with zenoh.open(config("controller", uri.removeprefix("zenoh:"), {})) as session:  # no token says that it is one of ours
+        put = session.declare_publisher("hil/rig0/control", congestion_control=zenoh.CongestionControl.DROP).put
+        took = zenoh.handlers.Callback(lambda sample: heard.put(sample.payload.to_bytes()), indirect=False)
+        session.declare_subscriber("hil/rig0/sensor", took)
+        print("up", flush=True)
+        while True:
+            data = heard.get()
+            packet = decode(data)
+            if isinstance(packet, SensorPacket):
+                for each in answers(packet, data, way):
+                    put(each)
+
+
+def as_one_of_ours(uri: str) -> None:
+    """Hold the role, and answer nothing."""
     with open_link(uri, "controller") as link:
         print("up", flush=True)
         while True:
-            heard = link.receive(1.0) or b""
-            packet = decode(heard)
-            if isinstance(packet, SensorPacket):
-                for data in answers(packet, heard, way):
-                    link.send(data)
+            link.receive(1.0)
 
 
 def main() -> None:
     uri, way = sys.argv[1:]
     os.environ["HIL_CLAIM_DIR"] = mkdtemp()  # an intruder claims no role
-    if uri.startswith("can:hil:"):
+    if way == "role":
+        as_one_of_ours(uri)
+    elif uri.startswith("can:hil:"):
         on_can(uri.rpartition(":")[2], way)
     else:
         on_zenoh(uri, way)

@@ -85,6 +85,18 @@ def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None
     assert summary["accepted_from"] == "any process on this machine"
 
 
+def test_who_holds_the_role_of_the_controller_keeps_a_run_from_beginning_and_is_named(tmp_path: Path) -> None:
+    """Who can connect without a key can also do that; no slot of the plant runs, and the message says whom to stop."""
+    uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
+    with intruder(uri, "role"):
+        done = subprocess.run(
+            [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--link", uri, "-o", "x.mcap"],
+            cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S,
+        )  # fmt: skip
+    assert done.returncode == 2 and "the rig hears another controller, process " in done.stderr, done.stderr
+    assert not any(tmp_path.iterdir())
+
+
 def test_with_a_key_who_races_our_controller_is_refused_counted_and_said(tmp_path: Path) -> None:
     """The key stands in the experiment file; the intruder echoes every nonce and is always there first, without a code."""
     make_keys(tmp_path / "keys")
