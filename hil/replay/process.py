@@ -22,7 +22,7 @@ from hil.replay.replay import experiment_of
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.wire import Wire, before
-from hil.runtime.real.exchange import Greeter
+from  import Greeter
 from hil.runtime.time.clock import monotonic_ns
 from transport.links.link import Link
 from transport.links.opening import open_link
