@@ -22,7 +22,7 @@ from hil.replay.replay import experiment_of
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.wire import Wire, before
-from  import Greeter
+from hil.runtime.real.exchange import Handshake
 from hil.runtime.time.clock import monotonic_ns
 from transport.links.link import Link
 from transport.links.opening import open_link
@@ -94,7 +94,7 @@ def ask_process(
     found: list[Difference] = []
     with open_link(uri, "rig") as link:
         begun = Wire(nonce=wire.nonce, hello=before(wire.nonce(0)))
-        if not Greeter(link, patience_s, lambda: False, monotonic_ns, begun).greet().answered:
+        if not Handshake(link, patience_s, lambda: False, monotonic_ns, begun).greet().answered:
             raise HilError(f"no controller answered on {uri} within {patience_s:g} s")
         for k, group in groupby(frames(run.pieces(SENSOR.name, BATCH)), key=itemgetter(0)):
             for _, data in group:
