@@ -34,12 +34,14 @@ if TYPE_CHECKING:
     )
     from design.controllers.gain_rows_many import feedforward, held_exactly
     from design.controllers.historical import Historical
-    from design.controllers.linear_law import LinearFeedback, LinearLaw, OutputFeedback
+    from design.controllers.linear_law import AgedFeedback, AgedRows, LinearFeedback, LinearLaw, OutputFeedback, RowsLaw
     from design.controllers.published_motor import PublishedH2, PublishedHinf
     from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nested
     from design.controllers.sensor_nodes import SensorNodes, Turns
 
 _HOMES: Final = {
+    "AgedFeedback": "design.controllers.linear_law",
+    "AgedRows": "design.controllers.linear_law",
     "Constant": "design.controllers.send_all",
     "Controller": "design.controllers.contract",
     "SojournDependent": "design.controllers.contract",
@@ -60,6 +62,7 @@ _HOMES: Final = {
     "PublishedH2": "design.controllers.published_motor",
     "PublishedHinf": "design.controllers.published_motor",
     "Rows": "design.controllers.contract",
+    "RowsLaw": "design.controllers.linear_law",
     "RunningController": "design.controllers.contract",
     "Sample": "design.controllers.contract",
     "Selection": "design.controllers.contract",
@@ -79,6 +82,8 @@ _HOMES: Final = {
 }
 
 __all__ = [
+    "AgedFeedback",
+    "AgedRows",
     "Constant",
     "Controller",
     "GainIndex",
@@ -98,6 +103,7 @@ __all__ = [
     "PublishedH2",
     "PublishedHinf",
     "Rows",
+    "RowsLaw",
     "RunningController",
     "Sample",
     "Selection",

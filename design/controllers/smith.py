@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import LoopModel, Rows, RunningController, Selection, feedforward
+from design.controllers import LoopModel, Rows, RowsLaw, RunningController, Selection, feedforward
 from design.controllers.ordered import product, product_of_batch
 from design.errors import FieldError
 
@@ -33,6 +33,33 @@ class Smith:
         if K.shape != (m, p):
             raise FieldError("gain", f"shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
         return _SmithRows(self.gain, model)
+
+    def laws_of_ages(self, model: LoopModel, ages: int) -> tuple[RowsLaw, ...]:
+        """Return its matrices for every age; state: the model's, then the model's outputs of the last slots, newest first."""
+        A, B, C, K = model.A, model.B, model.C, np.asarray(self.gain, dtype=float)
+        n, p, past = len(A), len(C), ages - 1
+        order = n + past * p
+        shift = np.zeros((order, order))
+        shift[:n, :n] = A
+        if past:
+            shift[n : n + p, :n] = C
+            shift[n + p :, n : order - p] = np.eye((past - 1) * p)
+        laws = []
+        for age in range(ages):
+            bias = np.hstack([np.zeros((p, order)), np.eye(p)])  # y less the model's output of that slot, of (xi, y)
+            if age:
+                bias[:, n + (age - 1) * p : n + age * p] -= np.eye(p)
+            else:
+                bias[:, :n] -= C
+            x, rows = np.eye(n, order + p), []
+            for _ in range(model.d_max + 1):
+                rows.append(K @ (C @ x + bias))
+                x = A @ x + B @ rows[-1]
+            moved = np.hstack([shift, np.zeros((order, p))])
+            moved[:n] += B @ rows[0]
+            table = np.array(rows)
+            laws.append(RowsLaw(A=moved[:, :order], B=moved[:, order:], C=table[:, :, :order], D=table[:, :, order:]))
+        return tuple(laws)
 
     def start_batch(self, model: LoopModel, runs: int) -> BatchSmith:
         """Return so many of them, ready for slot 0."""

@@ -33,6 +33,7 @@ class DelayedPlant:
         B: (n, p).
         weight: Xi, (n, n).
         input_weight: Xi_u, (p, p); default 0.
+        input_delay: slots from a command to its effect on the plant; before the first the input is 0.
 
     Raises:
         ValueError: shapes that do not fit; the message begins with the field.
@@ -43,6 +44,7 @@ class DelayedPlant:
     B: Array
     weight: Array
     input_weight: Array | None = None
+    input_delay: int = 0
 
     def __post_init__(self) -> None:
         n, p = self.A.shape[0], self.B.shape[-1]
@@ -59,15 +61,21 @@ class DelayedPlant:
         return len(self.delayed)
 
     def matrices(self, memory: int) -> tuple[Array, Array, Array, Array]:
-        """Return A~, B~, Xi~ and Xi_u on the stacked state of ``memory`` + 1 samples."""
+        """Return A~, B~, Xi~ and Xi_u on the stacked state: ``memory`` + 1 samples, then the commands under way, newest first."""
         n, p = self.B.shape
-        size = n * (memory + 1)
+        first = n * (memory + 1)  # of the commands
+        size = first + self.input_delay * p
         A, B, weight = np.zeros((size, size)), np.zeros((size, p)), np.zeros((size, size))
         A[:n, :n] = self.A
         for j, matrix in enumerate(self.delayed, start=1):
             A[:n, n * j : n * (j + 1)] = matrix
-        A[n:, :-n] = np.eye(size - n)
-        B[:n], weight[:n, :n] = self.B, self.weight
+        A[n:first, : first - n] = np.eye(first - n)
+        if self.input_delay:
+            A[:n, size - p :], B[first : first + p] = self.B, np.eye(p)
+            A[first + p :, first : size - p] = np.eye(size - first - p)
+        else:
+            B[:n] = self.B
+        weight[:n, :n] = self.weight
         return A, B, weight, np.zeros((p, p)) if self.input_weight is None else self.input_weight
 
 

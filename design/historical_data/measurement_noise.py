@@ -143,7 +143,7 @@ def stationary_cost(
 def _fresh(plant: DelayedPlant, columns: int, order: int, deviation: npt.ArrayLike) -> Array:
     """Covariance that a slot's draw adds to (X, Y) of ``columns`` samples, and to what is held beside."""
     n = len(plant.A)
-    size = n * (max(columns - 1, plant.memory) + 1)
+    size = len(plant.matrices(max(columns - 1, plant.memory))[0])
     fresh = np.zeros((order, order))
     fresh[size : size + n, size : size + n] = np.diag(np.broadcast_to(np.asarray(deviation, dtype=float) ** 2, (n,)))
     return fresh

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError
-from design.jump_linear.second_moment import Array, mean_square_radius
+from design.jump_linear.periodic_chain import periodic_radius
+from design.jump_linear.second_moment import Array
 from design.processes.delay_chain import check_transition
 
 STABILITY_MARGIN = 1e-9
@@ -74,7 +75,7 @@ class MJLS:
     def radius(self) -> float:
         """Spectral radius of the second-moment operator; mean-square stable iff < 1 (Theorem 7.1 made exact)."""
         A, _, _, _, transition = self.matrices
-        return mean_square_radius(A, transition)
+        return periodic_radius(A, transition)
 
     def alpha(self, initial: npt.ArrayLike | None = None) -> Array:
         """Initial mode distribution: uniform unless given.

@@ -55,7 +55,9 @@ def cyclic_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
 
 
 def periodic_radius(A: Array, transition: Array) -> float:
-    """Return what `mean_square_radius` does, sooner where the chain is periodic and large.
+    """Return what `mean_square_radius` does, sooner where the chain is periodic.
+
+    A cycle without chance takes the eigenvalues of its product of matrices, and no second moments.
 
     Args:
         A: (N, n, n) mode matrices.
@@ -64,8 +66,12 @@ def periodic_radius(A: Array, transition: Array) -> float:
     n = A.shape[-1]
     classes = cyclic_classes(transition)
     first, size = classes[0], len(classes[0]) * n * (n + 1) // 2
-    if len(classes) == 1 or size <= EIG_DENSE_LIMIT:
+    if len(classes) == 1:
         return mean_square_radius(A, transition)
+    if len(classes) == len(A):
+        return _product_radius([A[each[0]] for each in classes])
+    if size <= EIG_DENSE_LIMIT:
+        return float(_dense_radius(partial(_around, _steps(A, transition, classes), n), size) ** (1.0 / len(classes)))
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
     product = partial(_around, _steps(A, transition, classes), n)
@@ -80,6 +86,19 @@ def periodic_radius(A: Array, transition: Array) -> float:
         dense = size <= EIG_DENSE_AFTER
         around = _dense_radius(product, size) if dense else power_radius(product, start)
     return float(around ** (1.0 / len(classes)))
+
+
+def _product_radius(matrices: list[Array]) -> float:
+    """Radius of X -> A X A' once round, per step."""
+    product, grown = np.eye(len(matrices[0])), 0.0
+    for each in matrices:
+        product = each @ product
+        size = float(np.abs(product).max())
+        if not 0.0 < size < np.inf:
+            return size
+        product, grown = product / size, grown + np.log(size)
+    radius = float(np.abs(np.linalg.eigvals(product)).max())
+    return float(np.exp(2.0 * (grown + np.log(radius)) / len(matrices))) if radius > 0.0 else 0.0
 
 
 def _dense_radius(product: Callable[[Array], Array], size: int) -> float:

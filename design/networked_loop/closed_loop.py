@@ -231,7 +231,8 @@ def loop_structure(
                 reader[l, at : at + width] = delayed[l]
         return reader
 
-    output_ages = sc_chain.output_ages(p)
+    output_ages, held = sc_chain.output_ages(p), sc_chain.held_outputs(p)
+    kept = np.eye(samples * p, order, used).reshape(samples, p, order)
     modes, transition = joint_modes(sc_chain, ca_chain, with_previous=selection == "previous")
     N = len(modes)
     base = np.repeat(shift[None], N, axis=0)
@@ -244,8 +245,8 @@ def loop_structure(
     for i, (s, c, before) in enumerate(modes):
         tau, d, label = output_ages[s], int(ca_chain.delay[c]), int(ca_chain.label[c])
         known = [sample(tau + lag) for lag in range(samples)]
-        if sc_chain.holds[s]:
-            known = list(np.eye(samples * p, order, used).reshape(samples, p, order))
+        if held[s].any():
+            known = [np.where(held[s][:, None], old, new) for old, new in zip(kept, known)]
         if keeps_samples:
             base[i, used:xi] += np.concatenate(known)
         if integral > 0:

@@ -1,27 +1,30 @@
 """A linear controller with a state of its own over two delay chains, as a jump-linear system.
 
-    xi(k+1) = Ac xi(k) + Bc e(k),    v(k) = Cc xi(k) + Dc e(k),    e(k) = C x(k - tau_k),    u(k) = v(k - d_k)
+    xi(k+1) = Ac xi(k) + Bc e(k),    v_j(k) = Cc_j xi(k) + Dc_j e(k),    e_l(k) = c_l x(k - tau_l),    u(k) = v_{j}(k - d_k)
 
-In deviations from the ideal plant response. Every packet carries one row, which the actuator applies whatever its age. State:
-x, then the stored outputs, xi, then the rows under way, newest first; then, where a receiver may have nothing new
-(`DelayChain.held`), the sample that the controller used last, and the input that was applied last.
+In deviations from the ideal plant response. The matrices are those of the ages that the controller tells apart; the row j is
+picked as the information pattern says, see `design.networked_loop.closed_loop`. State: x, then the stored outputs, xi, then the
+rows under way, newest first; then, where a receiver may have nothing new (`DelayChain.held`), the samples that the controller
+used last, and the input that was applied last. A table of gains is a law without a state.
 
 Reference: (7.14), with xi in place of a table of gains.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers import LinearLaw
+from design.controllers import LinearLaw, RowsLaw
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.networked_loop.initial_law import default_initial, initial_law
 from design.networked_loop.joint_modes import joint_bounds, joint_modes, joint_stays
 from design.networked_loop.loop_shapes import check_plant_shapes
+from design.networked_loop.packet_registers import packet_registers
 from design.processes.delay_chain import Array, DelayChain
 
 
@@ -41,7 +44,8 @@ def dynamic_loop(
     C: npt.ArrayLike,
     sc: DelayChain,
     ca: DelayChain,
-    law: LinearLaw,
+    laws: LinearLaw | Sequence[RowsLaw],
+    selection: str = "constant",
     *,
     input_weight: float = 0.01,
 ) -> DynamicLoop:
@@ -50,7 +54,8 @@ def dynamic_loop(
     Args:
         A, B, C: (n, n), (n, m), (p, n) discrete plant (7.1).
         sc, ca: the delay chains.
-        law: the controller.
+        laws: the controller, or one for every label of the S-C chain.
+        selection: how a row of a packet is picked.
         input_weight: weight of the applied input in z.
 
     Raises:
@@ -58,45 +63,58 @@ def dynamic_loop(
     """
     A_, B_, C_ = check_plant_shapes(A, B, C)
     n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
-    if law.B.shape[1] != p or law.C.shape[0] != m:
-        raise FieldError("law", f"{law.B.shape[1]} inputs and {law.C.shape[0]} outputs, expected {p} and {m} for this plant")
-    stored, under_way = sc.max_delay, ca.max_delay
+    own = [laws.one_row()] * (int(sc.label.max()) + 1) if isinstance(laws, LinearLaw) else list(laws)
+    c, labels = own[0].A.shape[0], int(ca.label.max()) + 1
+    for i, law in enumerate(own):
+        if law.B.shape != (c, p) or law.D.shape[1:] != (m, p) or law.C.shape != (len(law.D), m, c):
+            raise FieldError(f"laws[{i}]", f"B {law.B.shape}, C {law.C.shape}, D {law.D.shape}, expected {p} inputs, {m} outputs")
+    rows_under = packet_registers(selection, ca, 0, m)
+    length = sum(count for _, count in rows_under) * m if ca.max_delay else 0
+    stored = sc.max_delay
     xi = n + stored * p
-    rows = xi + law.A.shape[0]
-    sample = rows + under_way * m
+    rows = xi + c
+    sample = rows + length
     last = sample + (p if sc.holds.any() else 0)
     order = last + (m if ca.holds.any() else 0)
-    modes, transition = joint_modes(sc, ca)
+    modes, transition = joint_modes(sc, ca, with_previous=selection == "previous")
 
     base = np.zeros((order, order))
     base[:n, :n] = A_
     if stored:
         base[n : n + p, :n] = C_
         base[n + p : xi, n : xi - p] = np.eye((stored - 1) * p)
-    if under_way:
-        base[rows + m : sample, rows : sample - m] = np.eye((under_way - 1) * m)
+    for first, count in rows_under if length else ():
+        at, tail = rows + first, (count - 1) * m
+        base[at + m : at + m + tail, at : at + tail] = np.eye(tail)
     closed = np.repeat(base[None], len(modes), axis=0)
     output = np.zeros((len(modes), p + m, order))
-    for i, (s, c, _) in enumerate(modes):
-        tau, d = int(sc.delay[s]), int(ca.delay[c])
+    ages, held = sc.output_ages(p), sc.held_outputs(p)
+    for i, (s, a, before) in enumerate(modes):
         e = np.zeros((p, order))
-        e[:, : n if tau == 0 else 0] = C_[:, : n if tau == 0 else 0]
-        if sc.holds[s]:
-            e = np.eye(p, order, sample)
-        elif tau:
-            e[:, n + (tau - 1) * p : n + tau * p] = np.eye(p)
+        for l, age in enumerate(ages[s].tolist()):
+            if held[s, l]:
+                e[l, sample + l] = 1.0
+            elif age:
+                e[l, n + (age - 1) * p + l] = 1.0
+            else:
+                e[l, :n] = C_[l]
+        law, d, label = own[int(sc.label[s])], int(ca.delay[a]), int(ca.label[a])
         v = law.D @ e
-        v[:, xi:rows] += law.C
+        v[:, :, xi:rows] += law.C
         closed[i, xi:rows] += law.B @ e
         closed[i, xi:rows, xi:rows] += law.A
-        if under_way:
-            closed[i, rows : rows + m] += v
-        u = v
-        if ca.holds[c]:
+        offset = {"generated": label, "previous": int(ca.label[before]), "both": label * labels}.get(selection, 0)
+        per_row = selection in ("applied", "both")
+        for at, (first, _) in enumerate(rows_under) if length else ():
+            closed[i, rows + first : rows + first + m] += v[offset + (rows_under.labels[at] if per_row else 0)]
+        u = np.zeros((m, order))
+        if ca.holds[a]:
             u = np.eye(m, order, last)
         elif d:
-            u = np.zeros((m, order))
-            u[:, rows + (d - 1) * m : rows + d * m] = np.eye(m)
+            at = rows + rows_under.first_of(label if per_row else 0) + (d - 1) * m
+            u[:, at : at + m] = np.eye(m)
+        else:
+            u = v[offset + (label if per_row else 0)]
         closed[i, :n] += B_ @ u
         closed[i, sample:last] = e[: last - sample]
         closed[i, last:] = u[: order - last]

@@ -12,15 +12,31 @@ JointModes = list[tuple[int, int, int]]
 def joint_modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool = False) -> tuple[JointModes, Array]:
     """Return the joint modes and their transition matrix (N, N): the two chains are independent.
 
+    Where a chain says in which modes it begins, only the pairs count that come about from there: two cycles keep their phase.
+
     Args:
         sc, ca: the delay chains.
         with_previous: a mode keeps the C-A mode before, too.
     """
     if with_previous:
         triples = [(s, c, b) for s in range(sc.modes) for c in range(ca.modes) for b in range(ca.modes) if ca.bounds[1][b, c] > 0]
-        return triples, _joint(triples, sc.matrix, ca.matrix)
-    pairs = [(s, c, -1) for s in range(sc.modes) for c in range(ca.modes)]
-    return pairs, _joint(pairs, sc.matrix, ca.matrix)
+        return _met(triples, sc, ca)
+    return _met([(s, c, -1) for s in range(sc.modes) for c in range(ca.modes)], sc, ca)
+
+
+def _met(modes: JointModes, sc: DelayChain, ca: DelayChain) -> tuple[JointModes, Array]:
+    """The joint modes that are ever met, and their transition matrix."""
+    if sc.begins is None and ca.begins is None:
+        return modes, _joint(modes, sc.matrix, ca.matrix)
+    every = [np.ones(chain.modes, dtype=np.bool_) if chain.begins is None else np.asarray(chain.begins) for chain in (sc, ca)]
+    follows = [[np.flatnonzero(row) for row in chain.bounds[1] > 0.0] for chain in (sc, ca)]
+    front = {(s, c) for s in np.flatnonzero(every[0]).tolist() for c in np.flatnonzero(every[1]).tolist()}
+    met = set(front)
+    while front:
+        front = {(int(i), int(j)) for s, c in front for i in follows[0][s] for j in follows[1][c]} - met
+        met |= front
+    kept = [mode for mode in modes if mode[:2] in met and (mode[2] < 0 or mode[2] in {c for _, c in met})]
+    return kept, _joint(kept, sc.matrix, ca.matrix)
 
 
 def joint_bounds(sc: DelayChain, ca: DelayChain, modes: JointModes) -> tuple[Array, Array] | None:

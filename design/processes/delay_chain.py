@@ -62,10 +62,12 @@ class DelayChain:
         stays: (N,) of a mode that stands for a tail, the limit of the probability to stay one slot more as the stay grows
             long: the tail's hazard comes arbitrarily near to it, and never ends a stay for sure. Default: 0, nothing is known.
         held: (N,) whether the receiver has nothing but what it had in the slot before: on the way to the controller its sample,
-            on the way to the actuator the input that it applied. The delay of such a mode says how long ago at least. Default:
-            never. Over a chain that says so, one label may have several delays.
+            on the way to the actuator the input that it applied; (N, p) of every output where several nodes measure. The delay of
+            such a mode says how long ago at least. Default: never. Over a chain that says so, one label may have several delays.
         ages: (N, p) age in samples of every output's newest sample in each mode, where several nodes measure, and the delay is
             the largest of them; default: all outputs are as old as the delay. See `design.processes.product_chain`.
+        begins: (N,) whether the chain may be in a mode in slot 0: of two chains that know it, only the pairs of modes count that
+            come about together. Default: in any mode.
 
     Raises:
         FieldError: names the field at fault.
@@ -81,6 +83,7 @@ class DelayChain:
     ages: npt.ArrayLike | None = None
     held: npt.ArrayLike | None = None
     stays: npt.ArrayLike | None = None
+    begins: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
         matrix = check_transition(self.transition, "transition")
@@ -115,11 +118,15 @@ class DelayChain:
             object.__setattr__(self, "ages", ages.astype(np.int64))
         if self.held is not None:
             held = np.asarray(self.held)
-            if held.shape != (modes,) or held.dtype != np.bool_:
-                raise FieldError("held", f"expected {modes} flags")
-            if self.ages is not None and held.any():
-                raise FieldError("held", "not over several nodes: of each output another node holds the sample")
+            shapes = ((modes,),) if self.ages is None else ((modes,), np.shape(self.ages))
+            if held.shape not in shapes or held.dtype != np.bool_:
+                raise FieldError("held", f"expected {modes} flags, or as many rows with one for every output that has an age")
             object.__setattr__(self, "held", held)
+        if self.begins is not None:
+            begins = np.asarray(self.begins)
+            if begins.shape != (modes,) or begins.dtype != np.bool_ or not begins.any():
+                raise FieldError("begins", f"expected {modes} flags, one of them set")
+            object.__setattr__(self, "begins", begins)
         object.__setattr__(self, "delays", delays.astype(np.int64))
         object.__setattr__(self, "labels", labels.astype(np.int64))
 
@@ -145,8 +152,15 @@ class DelayChain:
 
     @property
     def holds(self) -> npt.NDArray[np.bool_]:
-        """(N,) whether the receiver holds what it had before, see `held`."""
-        return np.zeros(self.modes, dtype=np.bool_) if self.held is None else np.asarray(self.held)
+        """(N,) whether the receiver holds what it had before, of some output at least; see `held`."""
+        if self.held is None:
+            return np.zeros(self.modes, dtype=np.bool_)
+        return np.asarray(np.asarray(self.held).reshape(self.modes, -1).any(axis=1))
+
+    def held_outputs(self, outputs: int) -> npt.NDArray[np.bool_]:
+        """(N, outputs) whether the receiver holds its sample of an output, see `held`."""
+        own = self.holds if self.held is None else np.asarray(self.held)
+        return np.array(np.broadcast_to(own.reshape(self.modes, -1), (self.modes, outputs)))
 
     @property
     def long_stays(self) -> Array:

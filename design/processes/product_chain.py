@@ -50,14 +50,20 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
         if len(told) != len(chains):
             raise FieldError("told", f"{len(told)} numbers for {len(chains)} nodes")
         for node, (count, chain) in enumerate(zip(told, chains)):
-            if chain.max_delay >= count:
+            if chain.max_delay >= count and chain.held is None:
                 raise FieldError(f"told[{node}]", f"{count} ages, but the delay of this node reaches {chain.max_delay}")
-        label = np.ravel_multi_index(tuple(own), tuple(told))
+        label = np.ravel_multi_index(tuple(np.minimum(own, np.array(told)[:, None] - 1)), tuple(told))
     exact = all(chain.between is None for chain in chains)
     low, high = ([chain.bounds[side] for chain in chains] for side in (0, 1))
+    held = None
+    if any(chain.held is not None for chain in chains):
+        held = np.zeros(ages.shape, dtype=np.bool_)
+        for measured, chain, at in zip(outputs, chains, mode_of):
+            held[:, list(measured)] = chain.holds[at][:, None]
+        label = np.array([chain.label[at] for chain, at in zip(chains, mode_of)]).max(axis=0) if label is None else label
     return DelayChain(
         transition=kron_of([chain.matrix for chain in chains]), delays=own.max(axis=0), labels=label,
-        between=None if exact else (kron_of(low), kron_of(high)), ages=ages,
+        between=None if exact else (kron_of(low), kron_of(high)), ages=ages, held=held,
     )  # fmt: skip
 
 

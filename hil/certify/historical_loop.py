@@ -89,8 +89,9 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
         unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"
     if unknown:
         return undecided(loop, KIND, unknown, least)
-    if loop.ca is None or loop.ca.max_delay:
-        return undecided(loop, KIND, "the theory covers an actuator that receives its command in the same slot, not later", least)
+    if loop.ca is None or len(set(loop.ca.delay.tolist())) > 1:
+        return undecided(loop, KIND, "the theory covers an actuator that gets each command after the same number of slots", least)
+    plant = replace(plant, input_delay=loop.ca.max_delay)
     each = phase_gains(K, nodes, controller.uses)
     noise = loop.plant.sensor_noise() if isinstance(loop.plant, HasSensorNoise) else None
     start = Start(moment=np.outer(x0, x0), phases=each.start)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from design.controllers import LinearFeedback, LinearLaw, LoopModel
+import numpy as np
+
+from design.controllers import AgedFeedback, LinearFeedback, LinearLaw, LoopModel, RowsLaw
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.certify.send_all_loop import second_moment_verdict
@@ -14,46 +18,66 @@ if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
 
 
+UNSEEN = "{} directions of the controller's state, seen by neither plant nor input, do not grow by any factor: left out"
+
+
 def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
-    """Return the verdict on a linear controller, exact over the delay chains; None if it is no `LinearFeedback`.
+    """Return the verdict on a linear controller, exact over the delay chains; None for another controller.
+
+    Over several sensor nodes the chain is that of all their ages; what changes with the age, changes with the oldest.
 
     Reference: thesis Theorem 7.1, (7.17).
     """
     controller = loop.controller
-    if not isinstance(controller, LinearFeedback):
+    if not isinstance(controller, LinearFeedback | AgedFeedback):
         return None
-    missing = "no certificate covers"
-    if len(loop.model.nodes.names) > 1:
-        return undecided(loop, "mean-square stability", f"{missing} a linear controller over several sensor nodes")
     if loop.sc is None or loop.ca is None:
         return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
-        return undecided(loop, "mean-square stability", f"{missing} a linear controller over a plant that jumps")
-    law = loop.said.once("law", lambda: controller.linear_law(loop.model))
-    return limited_to_model(loop.plant, judge_linear_law(loop.motion, loop.sc, loop.ca, law, digest=loop.digest))
+        return undecided(loop, "mean-square stability", "no certificate covers a linear controller over a plant that jumps")
+    if isinstance(controller, AgedFeedback):
+        if loop.sc.holds.any():
+            return undecided(loop, "mean-square stability", "its matrices change with an age that has no bound")
+        laws, selection = laws_of(loop, controller, int(loop.sc.label.max()) + 1), controller.start(loop.model).selection
+        verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, laws, selection, digest=loop.digest)
+    else:
+        law = loop.said.once("law", lambda: controller.linear_law(loop.model))
+        verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, law, digest=loop.digest)
+    return limited_to_model(loop.plant, verdict)
+
+
+def laws_of(loop: CertificationProblem, controller: AgedFeedback, ages: int) -> tuple[RowsLaw, ...]:
+    """Return the matrices that a controller states for so many ages, asked once: judge and test lean on the same ones."""
+    return loop.said.once(f"laws of {ages}", lambda: controller.laws_of_ages(loop.model, ages))
 
 
 def judge_linear_law(
-    model: LoopModel, sc: DelayChain, ca: DelayChain, law: LinearLaw, *, input_weight: float = 0.01, digest: str = ""
-) -> Verdict:
+    model: LoopModel, sc: DelayChain, ca: DelayChain, law: LinearLaw | Sequence[RowsLaw], selection: str = "constant", *,
+    input_weight: float = 0.01, digest: str = "",
+) -> Verdict:  # fmt: skip
     """Return the verdict on a linear controller over a linear plant and two delay chains.
 
     Args:
         model: the plant at the sample period.
         sc, ca: the delay chains.
-        law: the controller.
+        law: the controller, or one for every age.
+        selection: how a row of a packet is picked.
         input_weight: of z = [C x; rho u], for the norms that stand beside the verdict.
         digest: of the loop that the verdict is on.
     """
     from threadpoolctl import threadpool_limits
 
     from design.jump_linear.certificate import certify_system
+    from design.jump_linear.observed import observed_part
     from design.networked_loop.dynamic_loop import dynamic_loop
 
-    loop = dynamic_loop(model.A, model.B, model.C, sc, ca, law, input_weight=input_weight)
+    loop = dynamic_loop(model.A, model.B, model.C, sc, ca, law, selection, input_weight=input_weight)
     with threadpool_limits(1, user_api="blas"):
+        plant = np.eye(len(model.A), loop.system.order)
+        system, unseen = (loop.system, 0) if isinstance(law, LinearLaw) else observed_part(loop.system, plant)
         certificate = certify_system(
-            loop.system, selection="constant", output="stacked", initial=loop.initial, initial_law=loop.initial_law,
+            system, selection=selection, output="stacked", initial=loop.initial, initial_law=loop.initial_law,
             between=loop.between, stays=loop.stays, hinf=True,
         )  # fmt: skip
-    return second_moment_verdict(certificate, digest)
+    verdict = second_moment_verdict(certificate, digest)
+    return verdict if not unseen else replace(verdict, assumptions=(*verdict.assumptions, UNSEEN.format(unseen)))

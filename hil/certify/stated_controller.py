@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from design.controllers import (
+    AgedFeedback,
+    AgedRows,
     GainTable,
     HistoryGains,
     LinearFeedback,
@@ -24,6 +26,7 @@ from design.controllers.rendered_wall import WallController
 from design.verdict import State
 from hil.certify.answers_test import Answer, Question, Running, Start, compared, drifts, over_nodes, question
 from hil.certify.certifier import CertificationProblem, table_of
+from hil.certify.linear_law_loop import laws_of
 from hil.certify.motion_test import ALIKE, EQUAL
 
 if TYPE_CHECKING:
@@ -92,6 +95,9 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
         law = loop.said.once("law", lambda: controller.linear_law(model))
         rows = [tuple(tuple(map(float, row)) for row in np.asarray(M)) for M in (law.A, law.B, law.C, law.D)]
         return OutputFeedback(A=rows[0], B=rows[1], C=rows[2], D=rows[3]), question(model, width=p)
+    if isinstance(controller, AgedFeedback):
+        laws = laws_of(loop, controller, max(model.tau_max, 0 if loop.sc is None else int(loop.sc.label.max())) + 1)
+        return AgedRows(laws=laws, selection=controller.start(model).selection), question(model, width=p)
     if isinstance(controller, HistoryGains):
         from design.controllers.historical import Historical
 

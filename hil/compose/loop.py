@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
 from design.controllers import (
+    AgedFeedback,
     Controller,
     GainTable,
     HistoryGains,
@@ -46,7 +47,8 @@ from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.plugins.protocols import Designer, GivesGains, JumpPlant, NamedController
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
-from hil.rig.delay_chains import Chains, chains_for, labels_of, within_reach, without_held
+from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
+from hil.rig.loop_chains import loop_chains
 from hil.rig.normal_form import rig_of
 from hil.rig.spec import RigSpec
 from hil.rig.traffic_file import with_traffic_file
@@ -303,24 +305,18 @@ def _judged(
     e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str
 ) -> CertificationProblem:
     """Return the loop of the controller that is named, as it is judged."""
-    own, unmet, chainless, left = digest_of(e, controller, model), "", "", ""
-    begun, sc, ca = chains.initial(), chains.sc, chains.ca
-    if not isinstance(controller, GainTable | LinearFeedback):
+    found = loop_chains(rig, chains, controller, model)
+    sc, ca, chainless = found.sc, found.ca, found.chainless
+    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback):
         sc, ca = without_held(sc), without_held(ca)
-    if sc is None or ca is None:
-        chainless = chains.why_none or "the theory of this controller has no packet laws"
-    elif begun is not None:
-        left = chains.neglects()
-        modes = sc.modes, ca.modes
-        sc, ca = within_reach(sc, begun[0]), within_reach(ca, begun[1])
-        if (sc.modes, ca.modes) != modes:
-            never = sum(modes) - sc.modes - ca.modes
-            unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
+        chainless = chainless or chains.why_none or "the theory of this controller has no packet laws"
+    known = sc is not None and ca is not None
     return CertificationProblem(
-        plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca, digest=own,
+        plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
+        digest=digest_of(e, controller, model),
         damped=rig.passivity, faults=len(e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
-        unmet=unmet, chainless=chainless, neglects=left,
+        unmet=found.unmet, chainless="" if known else chainless, neglects=chains.neglects() if known else "",
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isqrt, prod
 from typing import TYPE_CHECKING
 
@@ -197,8 +197,9 @@ def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
         if np.array_equal(more, reached):
             break
         reached = more
+    begins = None if chain.begins is None else np.asarray(initial)[reached] > 0.0
     if reached.all():
-        return chain
+        return chain if begins is None else replace(chain, begins=begins)
     from design.processes.delay_chain import DelayChain
 
     kept = np.flatnonzero(reached)
@@ -207,8 +208,8 @@ def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
         transition=chain.matrix[inside], delays=chain.delay[kept], labels=chain.label[kept],
         between=None if chain.between is None else (chain.bounds[0][inside], chain.bounds[1][inside]),
         ages=None if chain.ages is None else np.asarray(chain.ages)[kept],
-        held=None if chain.held is None else chain.holds[kept],
-        stays=None if chain.stays is None else np.asarray(chain.stays)[kept],
+        held=None if chain.held is None else np.asarray(chain.held)[kept],
+        stays=None if chain.stays is None else np.asarray(chain.stays)[kept], begins=begins,
     )  # fmt: skip
 
 
@@ -225,7 +226,7 @@ def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: Dela
 def gains_within(table: NDArray[np.float64], selection: str, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
     """Return the part of a table of gains that the delays of two chains reach."""
     labels, count = int(sc.label.max()) + 1, ca.max_delay + 1
-    if sc.holds.any() and (table[labels:] != table[labels - 1]).any():
+    if sc.ages is None and sc.holds.any() and (table[labels:] != table[labels - 1]).any():
         raise FieldError("gains", f"{len(table)} tables, but ages beyond {labels - 1} are not told apart; max_age bounds them")
     K = table[:labels]
     if selection == "both":  # a row for every pair of delays

@@ -46,8 +46,8 @@ def test_the_number_that_decides_turns_the_verdict() -> None:
     ("name", "sets", "why"),
     [
         ("dc-motor-packets", ("links.ca.law={kind='packet',latency={trace=['10 ms']}}",), "its latencies are a recorded trace"),
-        ("dc-motor-h2", ('links.sc.law={kind="trace", ages=[0, 1, 2, 0]}',), "states no chain: it is a packet law or a trace"),
-        ("dc-motor-smith", (), "this kind of controller"),
+        ("dc-motor-h2", ('links.ca.law={kind="trace", ages=[0, 1, 0], past_end="refuse"}', "duration=0.1"), "ends after 3 slots"),
+        ("dc-motor-smith", ("controller={kind='constant'}",), "this kind of controller"),
         ("dc-motor-h2-friction", (), "a driver that saturates, rounds or has a dead zone, dry friction, an encoder"),
     ],
 )
@@ -195,7 +195,7 @@ def to_certify(loop: Loop) -> CertificationProblem:
 
 
 def test_a_further_kind_of_loop_gets_its_certificate_by_a_certifier_of_its_own() -> None:
-    loop = to_certify(composed("dc-motor-smith"))
+    loop = to_certify(composed("dc-motor-smith", "controller={kind='constant'}"))
 
     def passive(loop: CertificationProblem) -> Verdict | None:
         return Verdict(kind="passivity", state="certified", reason="energy", number=0.1, digest=loop.digest)

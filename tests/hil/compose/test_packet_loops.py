@@ -159,8 +159,8 @@ def test_a_linear_controller_is_the_table_of_one_gain() -> None:
 def test_held_modes_are_checked() -> None:
     with pytest.raises(FieldError, match="held"):
         DelayChain(transition=[[0.5, 0.5], [0.5, 0.5]], held=[True])
-    with pytest.raises(FieldError, match="several nodes"):
-        DelayChain(transition=[[1.0]], ages=[[0, 0]], held=[True])
+    with pytest.raises(FieldError, match="one for every output"):
+        DelayChain(transition=[[1.0]], ages=[[0, 0]], held=[[True]])
 
 
 def losing(loss: float) -> tuple[str, ...]:

@@ -1,0 +1,234 @@
+"""The chain of the ages at the controller where nodes take turns, wait for a bus, have clocks, or where ages are recorded.
+
+In slot k the newest packet of a node that may be there is the newest that it sent in or before slot k - a(k), with a(k) the age
+that its network law lets a receiver measure. So the state of a node is that of its law and, for j = 0, 1, ..., the age of the
+newest sample that was sent in or before slot k - j; that of a medium whose turn it is, or what waits for the bus. From slot 0 on
+every state is found that can come about. A sample older than every age that the law draws and every age that the controller tells
+apart was heard before: of it the chain says no more than that the controller holds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
+from math import lcm
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hil.rig.packet_ages import Received
+from hil.rig.sensor_list import Sensor
+from hil.rig.sensors import SharedMedium
+from hil.rig.spec import RigSpec
+from transport.laws.delay_states import measured_ages
+from transport.laws.protocols import NetworkLaw, RecordedLaw, slots_served
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
+
+MOST_STATES = 1024
+"""The theory takes one matrix per state, each on the stacked state."""
+
+Chance = tuple[float, float, float]  # probability, its lower and its upper bound
+SURE: Chance = (1.0, 1.0, 1.0)
+_MEDIA = ("round-robin", "random", "can-arbitration")
+
+
+class LawStates(NamedTuple):
+    """What a receiver measures under a law: the age in every state, what follows each, and where it begins."""
+
+    ages: tuple[int, ...]
+    follows: tuple[tuple[tuple[int, Chance], ...], ...]
+    begins: tuple[int, ...]
+
+
+class State(NamedTuple):
+    """One state of everything: the slot's number in the cycle, the media's, the laws', and the ages of what each node sent."""
+
+    phase: int
+    media: tuple[object, ...]
+    laws: tuple[int, ...]
+    sent: tuple[tuple[int, ...], ...]
+
+
+Offers = dict[int, int]  # node: age of the sample that it sends in this slot
+Turned = Iterator[tuple[object, Offers, float]]
+
+
+def recorded_cycle(law: NetworkLaw) -> np.ndarray | str:
+    """Return the ages that a receiver measures slot by slot once a recording repeats; or why there is no such cycle."""
+    if not isinstance(law, RecordedLaw):
+        return "it records no ages"
+    if (slots := slots_served(law)) is not None:
+        return f"the recording ends after {slots} slots, and what follows is not known"
+    ages = law.recorded()
+    if len(ages) > MOST_STATES:
+        return f"the recording has {len(ages)} entries, at most {MOST_STATES} are computed with"
+    return measured_ages(np.tile(ages, 2 + int(ages.max()) // len(ages)))[-len(ages) :]
+
+
+def law_states(way: Received) -> LawStates | str:
+    """Return what the controller measures under a node's law if the node sends in every slot; or why nothing is known."""
+    if isinstance(way.law, RecordedLaw):
+        cycle = recorded_cycle(way.law)
+        if isinstance(cycle, str):
+            return cycle
+        count = len(cycle)
+        return LawStates(tuple(cycle.tolist()), tuple((((i + 1) % count, SURE),) for i in range(count)), (0,))
+    packets = way.delays() if way.of_packets else None
+    if packets is not None:
+        if packets.modes > 1 or packets.holds.any():
+            return "a packet law whose ages change is known where a node sends in every slot"
+        return LawStates((int(packets.delay[0]),), (((0, SURE),),), (0,))
+    states = way.states
+    if states is None:
+        return "states no chain"
+    follows = tuple(
+        tuple((j, (float(states.matrix[i, j]), float(states.low[i, j]), float(row[j]))) for j in np.flatnonzero(row).tolist())
+        for i, row in enumerate(states.high)
+    )  # fmt: skip
+    return LawStates(tuple(states.ages.tolist()), follows, tuple(np.flatnonzero(states.initial > 0.0).tolist()))
+
+
+def heard_ages(rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[int]) -> DelayChain | str:
+    """Return the chain of the ages of every output's newest sample at the controller; or in words why there is none.
+
+    Args:
+        rig: its laws' files read.
+        arriving: the law of each sensor node, as the controller meets it.
+        told: how many ages 0, 1, ... the controller tells apart, of the oldest sample or of every node; the last for all beyond.
+    """
+    from design.processes.delay_chain import DelayChain
+
+    sensors, media = rig.sensors, rig.media
+    for medium in media:
+        if medium.table.kind not in _MEDIA:
+            return f"media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows"
+    for sensor in sensors:
+        if sensor.trigger.kind != "every-slot":
+            return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
+        if sensor.clock.drawn:
+            return f"{sensor.path}.clock draws when it sends"
+    laws: list[LawStates] = []
+    for way in arriving:
+        found = law_states(way)
+        if isinstance(found, str):
+            return f"{way.path}: {found}"
+        laws.append(found)
+    counts = [told] * len(sensors) if isinstance(told, int) else list(told)
+    on_bus = {n for medium in media if medium.table.kind == "can-arbitration" for n in medium.nodes}
+    waits = [s.clock.every - 1 if n in on_bus else 0 for n, s in enumerate(sensors)]  # then a newer sample takes its place
+    far = [max(max(law.ages) + wait, count - 2) + 1 for law, wait, count in zip(laws, waits, counts)]  # heard before: held
+    reach = max(max(law.ages) for law in laws)
+    states, steps = _explored(sensors, media, laws, far, reach)
+    if not states:
+        return f"media, clocks and laws together have more than {MOST_STATES} states"
+    ages = np.zeros((len(states), len(rig.outputs)), dtype=np.int64)
+    held, label = np.zeros(ages.shape, dtype=np.bool_), np.zeros(len(states), dtype=np.int64)
+    begins = np.zeros(len(states), dtype=np.bool_)
+    for i, (state, first) in enumerate(states.items()):
+        own = [state.sent[n][law.ages[at]] for n, (law, at) in enumerate(zip(laws, state.laws))]
+        for sensor, age, bound in zip(sensors, own, far):
+            ages[i, list(sensor.outputs)], held[i, list(sensor.outputs)] = min(age, bound - 1), age >= bound
+        label[i] = (
+            min(max(own), told - 1) if isinstance(told, int)
+            else np.ravel_multi_index([min(age, count - 1) for age, count in zip(own, told)], tuple(told))
+        )  # fmt: skip
+        begins[i] = first
+    exact = all(low == chance == high for _, _, (chance, low, high) in steps)
+    matrices = np.zeros((3, len(states), len(states)))
+    for i, j, chances in steps:
+        matrices[:, i, j] += chances
+    matrices[0] /= matrices[0].sum(axis=1, keepdims=True)
+    return DelayChain(
+        transition=matrices[0], delays=ages.max(axis=1), labels=label, ages=ages, held=held, begins=begins,
+        between=None if exact else (np.minimum(matrices[1], matrices[0]), np.clip(matrices[2], matrices[0], 1.0)),
+    )  # fmt: skip
+
+
+def _explored(
+    sensors: Sequence[Sensor], media: Sequence[SharedMedium], laws: Sequence[LawStates], far: Sequence[int], reach: int
+) -> tuple[dict[State, bool], list[tuple[int, int, Chance]]]:
+    """Return every state that comes about, with whether in slot 0, and the steps between them; none if there are too many."""
+    turns = [_turns(medium, sensors) for medium in media]
+    free = [n for n in range(len(sensors)) if not any(n in medium.nodes for medium in media)]
+    cycle = lcm(*(s.clock.every for s in sensors), *(len(m.nodes) for m in media if m.table.kind == "round-robin"))
+    if cycle > MOST_STATES:
+        return {}, []
+    due = [[sensors[n].clock.every == 1 or t % sensors[n].clock.every == sensors[n].clock.phase
+            for n in range(len(sensors))] for t in range(cycle)]  # fmt: skip
+
+    def following(state: State | None) -> Iterator[tuple[State, Chance]]:
+        t = 0 if state is None else (state.phase + 1) % cycle
+        of_laws = [
+            [(at, SURE) for at in law.begins] if state is None else law.follows[state.laws[n]] for n, law in enumerate(laws)
+        ]
+        of_media = [list(turn(None if state is None else state.media[i], t, due[t])) for i, turn in enumerate(turns)]
+        alone = {n: 0 for n in free if due[t][n]}
+        for moved in product(*of_media):
+            offers, chance = dict(alone), 1.0
+            for _, own, share in moved:
+                offers, chance = offers | own, chance * share
+            sent = tuple(
+                _shifted(None if state is None else state.sent[n], offers.get(n), far[n], reach) for n in range(len(sensors))
+            )
+            for drawn in product(*of_laws):
+                chances = [chance] * 3
+                for _, each in drawn:
+                    chances = [a * b for a, b in zip(chances, each)]
+                yield State(t, tuple(m for m, _, _ in moved), tuple(at for at, _ in drawn), sent), tuple(chances)  # type: ignore[misc]
+
+    found: dict[State, bool] = dict.fromkeys((state for state, _ in following(None)), True)
+    index, ahead, steps = {state: i for i, state in enumerate(found)}, list(found), []
+    while ahead:
+        state = ahead.pop()
+        for after, chances in following(state):
+            if after not in index:
+                index[after] = len(index)
+                found[after] = False
+                ahead.append(after)
+            steps.append((index[state], index[after], chances))
+        if len(index) > MOST_STATES:
+            return {}, []
+    return found, steps
+
+
+def _shifted(before: tuple[int, ...] | None, offered: int | None, far: int, reach: int) -> tuple[int, ...]:
+    """The ages of what a node had sent by slot k, k - 1, ..., one slot later; `far` for all that is held or was never sent."""
+    if before is None:
+        before = (far,) * (reach + 1)
+    newest = before[0] + 1 if offered is None else offered
+    return tuple(min(age, far) for age in (newest, *(age + 1 for age in before[:-1])))
+
+
+def _turns(medium: SharedMedium, sensors: Sequence[Sensor]) -> Callable[[object, int, Sequence[bool]], Turned]:
+    """Return what happens on a medium in a slot: (state before or None, slot in the cycle, who is due) to its outcomes."""
+    table, nodes, loss = medium.table, medium.nodes, medium.table.loss
+
+    def fates(sending: Sequence[tuple[int, int]]) -> Iterator[tuple[Offers, float]]:
+        """Who gets through, of (node, age of its sample)."""
+        for lost in product(*([(False, 1.0 - loss), (True, loss)] if loss else [(False, 1.0)] for _ in sending)):
+            share = 1.0
+            for _, chance in lost:
+                share *= chance
+            yield {node: age for (node, age), (gone, _) in zip(sending, lost) if not gone}, share
+
+    def in_order(before: object, t: int, due: Sequence[bool]) -> Turned:
+        node = nodes[(t + table.phase) % len(nodes)]
+        for offers, share in fates([(node, 0)] if due[node] else []):
+            yield None, offers, share
+
+    def by_chance(before: object, t: int, due: Sequence[bool]) -> Turned:
+        row = table.shares() if before is None else table.transition()[before]  # type: ignore[call-overload]
+        for at, chance in enumerate(row):
+            for offers, share in fates([(nodes[at], 0)] if due[nodes[at]] else []) if chance else ():
+                yield at, offers, share * chance
+
+    def on_bus(before: object, t: int, due: Sequence[bool]) -> Turned:
+        waiting = {node: age + 1 for node, age in before or ()} | {node: 0 for node in nodes if due[node]}  # type: ignore[attr-defined]
+        first = sorted(waiting, key=lambda node: sensors[node].can_id)[: table.frames]
+        left = tuple(sorted((node, age) for node, age in waiting.items() if node not in first))
+        for offers, share in fates([(node, waiting[node]) for node in first]):
+            yield left, offers, share
+
+    return dict(zip(_MEDIA, (in_order, by_chance, on_bus), strict=True))[table.kind]

@@ -1,0 +1,136 @@
+"""The delay chains of the loop that is judged: those that designs take, and beside them what only a judge can compute with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from design.controllers import AgedFeedback, Controller, GainTable, LoopModel, ages_told, sojourns_told
+from hil.rig.delay_chains import Chains, delay_chain, within_reach
+from hil.rig.heard_ages import heard_ages, recorded_cycle
+from hil.rig.spec import RigSpec
+from transport.laws.protocols import NetworkLaw, RecordedLaw
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
+
+OLDEST_TOLD = 16
+"""Ages that are told apart for a controller whose matrices all of them change."""
+
+
+class LoopChains(NamedTuple):
+    """Both chains, None where there is none; what of the laws never happens, why there is no chain: empty for nothing."""
+
+    sc: DelayChain | None
+    ca: DelayChain | None
+    unmet: str
+    chainless: str
+
+
+def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel) -> LoopChains:
+    """Return the chains of both delays of a loop as it runs.
+
+    Args:
+        rig: its laws' files read.
+        chains: those that designs take, with the labels of this controller.
+        controller: what runs.
+        model: what it knows of the loop.
+    """
+    sc, ca, begun, unmet = chains.sc, chains.ca, chains.initial(), ""
+    if sc is not None and ca is not None:
+        if begun is not None:
+            modes = sc.modes, ca.modes
+            sc, ca = within_reach(sc, begun[0]), within_reach(ca, begun[1])
+            if (sc.modes, ca.modes) != modes:
+                never = sum(modes) - sc.modes - ca.modes
+                unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
+        return LoopChains(sc, ca, unmet, "")
+    if sojourns_told(controller):
+        return LoopChains(sc, ca, "", chains.why_none)
+    if ca is None:
+        if not isinstance(rig.ca_law, RecordedLaw):
+            return LoopChains(sc, None, "", chains.why_none if sc is not None else "the law of links.ca states no chain")
+        ca, why = _recorded(rig.ca_law)
+        if ca is None:
+            return LoopChains(sc, None, "", f"the law of links.ca {why}")
+    elif chains.applied.states is not None:
+        ca = within_reach(ca, chains.applied.states.initial)
+    if sc is None:
+        told = _told(controller, model)
+        found = _packets(rig, chains, told, model, controller) or heard_ages(rig, chains.arriving, told)
+        if isinstance(found, str):
+            return LoopChains(None, ca, "", found)
+        sc = found
+    return LoopChains(*settled(sc, ca), "", "")
+
+
+def _told(controller: Controller, model: LoopModel) -> int | Sequence[int]:
+    """How many ages a controller tells apart, of the oldest sample or of every node's."""
+    if isinstance(controller, AgedFeedback):
+        return OLDEST_TOLD
+    if not isinstance(controller, GainTable):
+        return 1
+    if len(own := ages_told(controller)) > 1:
+        return own
+    K = np.array(controller.table(model), dtype=float)
+    return 1 + int(np.flatnonzero((K[1:] != K[:-1]).reshape(len(K) - 1, -1).any(axis=1)).max(initial=-1) + 1)
+
+
+def _recorded(law: NetworkLaw) -> tuple[DelayChain | None, str]:
+    """The chain of ages that are recorded on the way to the actuator."""
+    from design.processes.delay_chain import DelayChain
+
+    cycle = recorded_cycle(law)
+    if isinstance(cycle, str):
+        return None, f"states no chain: {cycle}"
+    first = np.arange(len(cycle)) == 0
+    return DelayChain(transition=np.roll(np.eye(len(cycle)), 1, axis=1), delays=cycle, begins=first), ""
+
+
+def _packets(
+    rig: RigSpec, chains: Chains, told: int | Sequence[int], model: LoopModel, controller: Controller
+) -> DelayChain | None:
+    """The chain of several nodes that send in every slot, some of them over packet laws; None for other nodes."""
+    from design.processes.product_chain import MOST_MODES, product_chain
+
+    if rig.media or (isinstance(told, int) and told > model.tau_max + 1):
+        return None
+    if any(s.trigger.kind != "every-slot" or s.clock.every > 1 for s in rig.sensors):
+        return None
+    own = [way.delays() if way.of_packets else delay_chain(way.law, states=way.states) for way in chains.arriving]
+    known = tuple(chain for chain in own if chain is not None)
+    if len(known) < len(own) or np.prod([chain.modes for chain in known]) > MOST_MODES:
+        return None
+    return product_chain(known, [sensor.outputs for sensor in rig.sensors], ages_told(controller))
+
+
+def settled(sc: DelayChain, ca: DelayChain) -> tuple[DelayChain, DelayChain]:
+    """Return both chains from the slot on in which neither can be in a mode that it leaves for ever at a known slot.
+
+    Such modes, as of a cycle that begins, add a factor to the second moments and nothing to their growth.
+    """
+    lead = max(_lead(chain) for chain in (sc, ca))
+    return _later(sc, lead), _later(ca, lead)
+
+
+def _lead(chain: DelayChain) -> int:
+    """Number of slots after which no mode is left that only modes before it lead to."""
+    follows, alive, slots = chain.bounds[1] > 0.0, np.ones(chain.modes, dtype=np.bool_), 0
+    while chain.begins is not None:
+        after = alive & follows[alive].any(axis=0)
+        if np.array_equal(after, alive):
+            break
+        alive, slots = after, slots + 1
+    return slots
+
+
+def _later(chain: DelayChain, slots: int) -> DelayChain:
+    """The chain from a slot on."""
+    if chain.begins is None:
+        return chain
+    follows, reached = chain.bounds[1] > 0.0, np.asarray(chain.begins)
+    for _ in range(slots):
+        reached = follows[reached].any(axis=0)
+    return within_reach(chain, reached.astype(np.float64))

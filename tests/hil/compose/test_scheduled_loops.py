@@ -1,0 +1,145 @@
+"""Loops whose nodes take turns, have clocks, share a bus, or whose ages are recorded: each verdict beside a reference.
+
+Where nothing is drawn the reference is the rig itself, run; where chance plays, second moments without any age (see
+`random_scheduled_loops`). A loop whose reference is within 2 % of the edge decides nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from design.controllers import RowsLaw
+from design.jump_linear.mjls import MJLS
+from design.jump_linear.observed import observed_part
+from hil.api.experiment_source import load_experiment
+from hil.compose.loop import compose
+from hil.rig.loop_chains import settled
+from tests.hil.compose.random_scheduled_loops import FAMILIES, clocked, composed, constant, experiment, smith, table
+
+NEAR = 0.02
+
+
+def judged(family: str, count: int) -> tuple[dict[str, int], list[float]]:
+    found, off = {"certified": 0, "refused": 0, "undecided": 0}, []
+    for seed in range(count):
+        changes, reference = FAMILIES[family](np.random.default_rng([list(FAMILIES).index(family), seed]))
+        loop = composed(changes)
+        verdict, growth = loop.verdict, reference(loop)
+        assert verdict is not None and verdict.number is not None
+        found[verdict.state] += 1
+        off.append(abs(growth - verdict.number) / verdict.number)
+        if abs(growth - 1.0) > NEAR:
+            assert verdict.state == ("certified" if growth < 1.0 else "refused"), (family, seed, verdict.number, growth)
+    return found, off
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_loop_is_decided_as_its_reference_says(family: str) -> None:
+    found, off = judged(family, 12)
+    assert not found["undecided"] and min(found["certified"], found["refused"]) >= 2
+    assert np.median(off) < 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+def test_of_500_loops_none_is_undecided_and_none_is_false(family: str) -> None:
+    found, off = judged(family, 63)
+    assert not found["undecided"] and min(found["certified"], found["refused"]) >= 10
+    assert np.median(off) < 1e-3
+
+
+def test_two_recordings_keep_their_phase() -> None:
+    """Of the pairs of entries only those count that come about: shifted by one the second recording makes another loop."""
+    plant = {"kind": "state-space", "A": [[1.0]], "B": [[1.0]], "C": [[1.0]], "initial_state": [1.0]}
+
+    def number(ages: list[int]) -> float:
+        made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-9.0]]})
+        made["links.sc"] = {"max_age": 1, "law": {"kind": "trace", "ages": [0, 1]}}
+        made["links.ca"] = {"max_age": 1, "law": {"kind": "trace", "ages": ages}}
+        del made["nodes"]
+        loop = composed(made)
+        assert loop.verdict is not None and loop.verdict.number is not None
+        assert loop.verdict.details["modes"] == 2
+        return loop.verdict.number
+
+    assert number([0, 1]) > 1.1 * number([1, 0]) or number([1, 0]) > 1.1 * number([0, 1])
+
+
+ONE = {"outputs": ["y1"]}
+LOSSY = {"kind": "packet", "latency": "60 ms", "loss": 0.1}
+SHORT = {"kind": "trace", "ages": [0, 1, 0], "past_end": "refuse"}
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"nodes.n0": ONE | {"clock": {"every": 3, "jitter": 1}}}, "nodes.n0.clock draws when it sends"),
+        ({"nodes.n0": ONE | {"trigger": {"kind": "error", "threshold": 0.1}}}, "lets a node keep silent"),
+        ({"nodes.n0": ONE | {"clock": {"every": 2}, "law": LOSSY}}, "packet law whose ages change"),
+        ({"nodes.n0": ONE | {"clock": {"every": 1031, "phase": 5}}, "duration": "0.5 s"}, "more than 1024 states"),
+        ({"nodes.n0": ONE | {"law": SHORT}, "duration": "0.2 s"}, "the recording ends after 3 slots"),
+    ],
+)
+def test_what_is_not_known_says_why(change: dict[str, Any], why: str) -> None:
+    plant = {"kind": "state-space", "A": [[-1.0]], "B": [[1.0]], "C": [[1.0]]}
+    made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-0.5]]}, nodes={})
+    loop = composed(made | change)
+    assert loop.verdict is not None and loop.verdict.state == "undecided" and why in loop.verdict.reason
+
+
+def test_packets_of_a_constant_latency_are_a_constant_age_under_a_clock() -> None:
+    made, _ = clocked(np.random.default_rng(7))
+    for node in made["nodes"].values():
+        node["law"] = constant(1)
+    numbers = []
+    for law in (constant(1), {"kind": "packet", "latency": "160 ms"}):
+        for node in made["nodes"].values():
+            node["law"] = law
+        verdict = composed(made | {"timing": {"deadline": 0.8}}).verdict
+        assert verdict is not None and verdict.number is not None
+        numbers.append(verdict.number)
+    assert numbers[0] == pytest.approx(numbers[1], rel=1e-12)
+
+
+def test_an_offset_that_nothing_sees_is_left_out_and_one_that_grows_is_not() -> None:
+    A = np.array([[0.5, 0.0], [0.3, 1.0]])
+    for own, left in ((1.0, 1), (1.001, 0)):
+        A[1, 1] = own
+        system = MJLS(A=A, B=np.ones((2, 1)), C=np.zeros((1, 2)), transition=[[1.0]])
+        part, count = observed_part(system, np.eye(1, 2))
+        assert count == left and part.order == 2 - left
+    assert part.radius() == pytest.approx(1.001**2)
+
+
+def test_the_predictor_answers_as_its_matrices_say_and_another_is_not_certified() -> None:
+    changes, _ = smith(np.random.default_rng(3))
+    loop = composed(changes | {"controller": {"kind": "smith", "gain": [[-0.02]]}})
+    assert loop.verdict is not None and any("the controller answers as it says" in said for said in loop.verdict.assumptions)
+
+    class Other:
+        selection = "applied"
+
+        def start(self, model: Any) -> Any:
+            return loop.controller.start(model)
+
+        def laws_of_ages(self, model: Any, ages: int) -> tuple[RowsLaw, ...]:
+            told = loop.controller.laws_of_ages(model, ages)  # type: ignore[attr-defined]
+            return tuple(RowsLaw(A=law.A, B=law.B, C=1.01 * law.C, D=law.D) for law in told)
+
+    own = {name: value for name, value in changes.items() if name != "controller"}
+    verdict = compose(load_experiment("dc-motor-h2", controller=Other(), **own)).verdict
+    assert verdict is not None and verdict.state == "refused" and "is not the one that it tells" in verdict.reason
+
+
+def test_a_cycle_forgets_how_it_began() -> None:
+    changes, _ = clocked(np.random.default_rng(11))
+    loop = composed(changes | {"controller": table(np.random.default_rng(0), len(changes["plant"]["C"]))})
+    from hil.rig.heard_ages import heard_ages
+
+    chain = heard_ages(loop.rig, loop.chains.arriving, 3)
+    assert not isinstance(chain, str)
+    late, _ = settled(chain, chain)
+    assert late.modes < chain.modes and (late.matrix.sum(axis=0) > 0.0).all()
