@@ -249,7 +249,7 @@ def explained(session: Session) -> str:
     """
     s = session.summary
     log = s["log"]["path"]
-    told = [f"{s['experiment']} seed {s['seed']}: {log}", f"status {session.status}, {s['clock']} time, {s['ticks']} slots"]
+    told = [f"{s['experiment']} seed {s['seed']}: {log}", f"status {session.status}, {s['clock']} time, {s['slots']} slots"]
     if s["safety"]:
         told.append(f"safety: {s['safety']}")
     if not s["timing"]["valid"]:

@@ -119,7 +119,7 @@ class Session:
         number, value = next(((k, v) for k, v in metrics.items() if isinstance(v, float)), ("", None))
         told = "" if value is None else f", {number} {value:.5g}"
         safety = ", stopped by safety" if s.get("safety") else ""
-        return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['ticks']} slots{told}{safety}>"
+        return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['slots']} slots{told}{safety}>"
 
 
 def simulate(loop: Loop, seed: int, topics: Collection[str] | None = None) -> Run:
@@ -140,7 +140,7 @@ def refuse_unsound_measures(loop: Loop) -> None:
 def rehearsal(loop: Loop, slots: int = 20) -> RunView:
     """Return the view of the first slots of a run, which ends in order where a plug-in fails."""
     experiment = loop.experiment
-    short = msgspec.structs.replace(experiment, duration=min(slots, experiment.ticks) * experiment.period)
+    short = msgspec.structs.replace(experiment, duration=min(slots, experiment.slots) * experiment.period)
     sink = MemorySink(channels_of(loop))
     run_virtual(replace(loop, experiment=short), 0, sink, failed=lambda error: not isinstance(error, KeyboardInterrupt))
     return view_of(_run_of(sink, loop, 0), experiment, loop.rig)

@@ -99,7 +99,7 @@ def bench_soak(
         progress: told what is running.
 
     Returns:
-        `verdict` and `why` (see `judge`), `status`, `safety` (why it stopped the run, or None), `ticks`, `ticks_expected`,
+        `verdict` and `why` (see `judge`), `status`, `safety` (why it stopped the run, or None), `slots`, `slots_expected`,
         `dropped`, `late`, `overrun_share`, `lateness_us`, `timing_why` (what the run says against its times), of cyclictest
         `cyclictest_us` and `cyclictest_missed_share` (None without it), `log_bytes`, `log_predicted` (by its growth in the
         second tenth), `log_ratio`, `memory` (one row per process: `mb`, `slope_kb_per_min`, `plus_minus`, `grows`: the
@@ -163,12 +163,12 @@ def _long(folder: Path, duration_s: float) -> Row:
     t, log = np.array(seen.t_s), np.array(seen.log, dtype=float)
     if len(t) < 4 * BATCHES:
         raise HilError(f"only {len(t)} samples were taken (status {status}): let it run longer")
-    timing, ticks = summary["timing"], summary["ticks"]
+    timing, ticks = summary["timing"], summary["slots"]
     size = (folder / "0.mcap").stat().st_size
     predicted = _predicted(t, log, ticks * float(experiment.period))  # of one that was stopped: until then
     return {
-        "status": status, "safety": summary["safety"], "ticks": ticks,
-        "ticks_expected": round(duration_s / float(experiment.period)), "dropped": summary["log"]["dropped"],
+        "status": status, "safety": summary["safety"], "slots": ticks,
+        "slots_expected": round(duration_s / float(experiment.period)), "dropped": summary["log"]["dropped"],
         "late": timing["late"], "overrun_share": timing["overruns"] / max(ticks, 1), "lateness_us": timing["lateness_us"],
         "timing_why": timing["why"], "cyclictest_us": beside_us, "cyclictest_missed_share": missed,
         "log_bytes": size, "log_predicted": predicted, "log_ratio": size / predicted,

@@ -27,7 +27,7 @@ def judge(row: Mapping[str, Any], groups: Mapping[str, Mapping[str, Any]], *, pe
     so of itself. Memory that grows, records that were dropped and a log of another size are faults on any machine.
 
     Args:
-        row: of the long session: `status`, `safety`, `ticks`, `ticks_expected`, `dropped`, `log_ratio`, `memory`,
+        row: of the long session: `status`, `safety`, `slots`, `slots_expected`, `dropped`, `log_ratio`, `memory`,
             `timing_why`, `cyclictest_us`, `cyclictest_missed_share`, see `hil.bench.soak.bench_soak`.
         groups: how many sessions, to `statuses` and `dropped` of the short ones.
         period_us: sample period, us.
@@ -40,9 +40,9 @@ def judge(row: Mapping[str, Any], groups: Mapping[str, Mapping[str, Any]], *, pe
         faults.append(f"the log has {row['log_ratio']:.3f} of its predicted length")
     late: list[str] = []
     if row["status"] == SAFETY:
-        late.append(f"stopped by safety after {row['ticks']} of {row['ticks_expected']} slots: {row['safety']}")
-    elif row["status"] != 0 or row["ticks"] < row["ticks_expected"]:
-        faults.append(f"ended with status {row['status']} after {row['ticks']} of {row['ticks_expected']} slots")
+        late.append(f"stopped by safety after {row['slots']} of {row['slots_expected']} slots: {row['safety']}")
+    elif row["status"] != 0 or row["slots"] < row["slots_expected"]:
+        faults.append(f"ended with status {row['status']} after {row['slots']} of {row['slots_expected']} slots")
     late += row["timing_why"]
     for how, group in groups.items():
         if group["dropped"]:

@@ -90,7 +90,7 @@ def timing(
          "missed by cyclictest": f"{row['cyclictest_missed_share']:.3%}", "records dropped": row["dropped_records"]}
         for row in rows
     ])  # fmt: skip
-    print(f"{rows[0]['ticks']} slots for each link; {rows[0]['scheduler']}")
+    print(f"{rows[0]['slots']} slots for each link; {rows[0]['scheduler']}")
 
 
 @command.command()
@@ -134,7 +134,7 @@ def soak(duration: float, sessions: int, at_once: int, as_json: bool) -> None:
 
 def _soak(row: dict[str, Any]) -> None:
     show_table("memory while it runs, slope with its 95 % confidence interval", row["memory"])
-    print(f"exit status {row['status']}, {row['ticks']} of {row['ticks_expected']} slots, {row['dropped']} records dropped")
+    print(f"exit status {row['status']}, {row['slots']} of {row['slots_expected']} slots, {row['dropped']} records dropped")
     ratio = f"{row['log_ratio']:.3f} of the {row['log_predicted'] / 1e6:.1f} MB that its second tenth predicts"
     print(f"log {row['log_bytes'] / 1e6:.1f} MB, {ratio}")
     print(f"overruns {row['overrun_share']:.3%}, late answers {row['late']}, lateness {_us(row['lateness_us'])}")

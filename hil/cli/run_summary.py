@@ -23,7 +23,7 @@ def show(summary: dict[str, Any]) -> None:
         lines.append(Line(name=name, value=str(value), colour=colour, coloured=coloured))
 
     row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
-    row("ran", f"{summary['ticks']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
+    row("ran", f"{summary['slots']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
     units = summary.get("units", {})
     for name, value in summary["metrics"].items():
         if isinstance(value, dict):  # the same for every output; their units are the outputs' own, and stand in the report
@@ -104,10 +104,10 @@ def timing_rows(timing: dict[str, Any]) -> list[tuple[str, str]]:
         timing: part of a summary; see `hil.measure.timing.timing_metrics`.
 
     >>> timing_rows({"valid": False, "why": ["9 of 20 slots overran"], "scheduler": "SCHED_OTHER", "overruns": 9,
-    ...     "first_late_tick": None, "lateness_us": {"p50": 1.5}, "round_trip_us": {"p50": None}})[0]
+    ...     "first_late_slot": None, "lateness_us": {"p50": 1.5}, "round_trip_us": {"p50": None}})[0]
     ('timing', 'NOT VALID: 9 of 20 slots overran; SCHED_OTHER')
     """
-    late = timing.get("first_late_tick")
+    late = timing.get("first_late_slot")
     verdict = "valid" if timing["valid"] else f"NOT VALID: {'; '.join(timing['why'])}"
     return [
         ("timing", f"{verdict}; {timing['scheduler'] or 'no slot was run'}"),

@@ -31,7 +31,7 @@ def _loaded_law(e: Experiment, law: NetworkLaw, path: str) -> NetworkLaw:
     except ValueError as error:
         raise ExperimentError(e.name, [fault_at(f"{path}.law", error)]) from error
     served = slots_served(loaded)
-    if served is not None and served < e.ticks:
-        said = f"the recording has {served} slots, the run has {e.ticks}; past_end = 'repeat' repeats the recording"
+    if served is not None and served < e.slots:
+        said = f"the recording has {served} slots, the run has {e.slots}; past_end = 'repeat' repeats the recording"
         raise ExperimentError(e.name, [f"{path}.law: {said}"])
     return loaded

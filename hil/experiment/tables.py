@@ -257,7 +257,7 @@ class Experiment(Table, frozen=True, kw_only=True):
         return round(self.period * 1e9)
 
     @property
-    def ticks(self) -> int:
+    def slots(self) -> int:
         """Number of slots."""
         return round(self.duration / self.period)
 

@@ -152,7 +152,7 @@ def _chance(loop: Loop) -> tuple[bool, bool]:
     """Return whether chance moves the plant, and whether it moves the plant or its sensors: two generators give two motions."""
     e, zero, measured = loop.experiment, (0.0,) * loop.model.B.shape[1], False
     one, other = (e.plant.start(np.random.default_rng(seed)) for seed in (0, 1))
-    for _ in range(min(LOOKED_AT, e.ticks)):
+    for _ in range(min(LOOKED_AT, e.slots)):
         if tuple(one.state) != tuple(other.state):
             return True, True
         measured = measured or one.measure() != other.measure()

@@ -25,7 +25,7 @@ from transport.draws import REASONS
 def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, Any]:
     """Return the summary of a run as plain JSON values.
 
-    Keys: experiment, seed, clock, link, controller (see `controller_of`), ticks, duration_s;
+    Keys: experiment, seed, clock, link, controller (see `controller_of`), slots, duration_s;
     metrics (the numbers of the experiment's measures, see
     `hil.measure.measure.measured`) and units (of them, nothing for a pure number); network.sc and network.ca (see
     `network_metrics`) and network.nodes (the same per sensor node, and its load; see `network_summary`), network.bus (where a CAN
@@ -47,7 +47,7 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
         "clock": run.metadata.get("clock", ""),
         "link": run.metadata.get("link", ""),
         "controller": controller_of(run),
-        "ticks": ticks,
+        "slots": ticks,
         "duration_s": round(ticks * view.period_s, 9),
         "metrics": measured(view, measures, failed),
         "units": {q.name: q.unit for q in quantities_of(measures, view.signals)},
@@ -130,8 +130,8 @@ def run_timing(view: RunView) -> dict[str, Any]:
     empty = np.zeros(0)
     columns = [empty] * 4 if ticks is None else [ticks[n] for n in ("lateness_us", "round_trip_us", "late", "overrun")]
     found = timing_metrics(*columns, period_s=view.period_s)
-    if found["first_late_tick"] is not None and ticks is not None:
-        found["first_late_tick"] = int(ticks["tick"][found["first_late_tick"]])
+    if found["first_late_slot"] is not None and ticks is not None:
+        found["first_late_slot"] = int(ticks["tick"][found["first_late_slot"]])
     if run.metadata.get("clock") == "real" and (ticks is None or not len(ticks)):
         found |= {"valid": False, "why": ["no slot was timed"]}
     said = [e["data"]["scheduler"] for e in run.events if "scheduler" in e.get("data", {})]

@@ -33,7 +33,7 @@ def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overru
 
     Returns:
         valid, why (the reasons against it), lateness_us and round_trip_us (p50, p99, p99_9, max; None without samples), late,
-        overruns, first_late_tick (index of the first slot that was late, None if none was).
+        overruns, first_late_slot (index of the first slot that was late, None if none was).
 
     >>> timing_metrics(np.array([10.0, 12.0]), np.array([80.0, np.nan]), np.array([0, 1]), np.zeros(2), period_s=1e-3)["why"]
     ['1 of 2 slots had no answer in time']
@@ -57,7 +57,7 @@ def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overru
         "round_trip_us": percentiles(round_trip_us),
         "late": late_count,
         "overruns": overruns,
-        "first_late_tick": int(missed[0]) if missed.size else None,
+        "first_late_slot": int(missed[0]) if missed.size else None,
     }
 
 

@@ -49,7 +49,7 @@ def beyond_the_end(e: Experiment) -> str:
     return "; ".join(
         f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {told(fault)} never happens"
         for i, fault in enumerate(e.fault)
-        if fault.slots(float(e.period))[0] >= e.ticks
+        if fault.slots(float(e.period))[0] >= e.slots
     )
 
 

@@ -39,7 +39,7 @@ def rig_of(e: Experiment) -> RigSpec:
     sensors, media = sensors_of(e, names, framing), shared_media(e, names)
     deadline_s = e.timing.deadline * period_s
     rig = RigSpec(
-        name=e.name, folder=e.folder, period_ns=e.period_ns, slots=e.ticks,
+        name=e.name, folder=e.folder, period_ns=e.period_ns, slots=e.slots,
         states=tuple(plant.states), inputs=tuple(plant.inputs), outputs=tuple(plant.outputs),
         port=port, passivity=e.limits.passivity is not None,
         sensors=sensors, media=media, nodes=sensor_nodes(sensors, media),

@@ -56,7 +56,7 @@ def run_virtual(
     rig = Rig(loop, seed, sink, channels_of(loop), kernel.stop)
     node = ControlNode(loop)
     slot = Slot(rig, DirectExchange(node), lambda t_ns: sink.commit(), lambda: kernel.stopped)
-    kernel.every(e.period_ns, e.ticks, slot.run)
+    kernel.every(e.period_ns, e.slots, slot.run)
     try:
         kernel.run()
         rig.compare(node.departed)

@@ -48,10 +48,10 @@ def received(law: NetworkLaw, seeds: Sequence[int], stream: str, experiment: Exp
     if isinstance(law, NewestOfMany):
         rngs = (rng_for(seed, stream) for seed in seeds)
         period_s = float(e.period)
-        found, known = law.newest_of_batch(rngs, len(seeds), e.ticks, period_s, e.timing.deadline * period_s)
+        found, known = law.newest_of_batch(rngs, len(seeds), e.slots, period_s, e.timing.deadline * period_s)
         return Received(newest=found, known=known)
     age_law = cast(AgeLaw, law)
-    ages = drawn_ages(age_law, seeds, stream, e.ticks)
+    ages = drawn_ages(age_law, seeds, stream, e.slots)
     return Received(newest=newest(ages), known=lawful(age_law, ages))
 
 

@@ -60,12 +60,12 @@ def delivered(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Delive
     if len(seeds) > 1 and _certain(loop):
         return _repeated(delivered(loop, seeds[:1], every_packet=every_packet), len(seeds))
     e, nodes, runs = loop.experiment, len(loop.rig.sensors), len(seeds)
-    newest = [np.full((e.ticks, runs), -1, dtype=np.int32) for _ in range(nodes)]
+    newest = [np.full((e.slots, runs), -1, dtype=np.int32) for _ in range(nodes)]
     packets, known = np.zeros((nodes, runs), dtype=np.int64), np.ones(runs, dtype=np.bool_)
-    came: list[list[tuple[int, int, int]]] = [[] for _ in range(e.ticks)]
+    came: list[list[tuple[int, int, int]]] = [[] for _ in range(e.slots)]
     for run, seed in enumerate(seeds):
         last = _one_run(loop, seed, run, came, packets)
-        known[run] = last == e.ticks - 1  # else the log would say that the run was shorter
+        known[run] = last == e.slots - 1  # else the log would say that the run was shorter
     arrivals = []
     for k, found in enumerate(came):
         of_run, of_node, sent = (np.array(column) for column in zip(*found)) if found else ((np.empty(0, dtype=np.intp),) * 3)
@@ -108,7 +108,7 @@ def _one_run(
     medium = sensor_medium_of(loop, seed, period_s, e.timing.deadline * period_s)
     clocks = [clock_of(sensor, seed) for sensor in loop.rig.sensors]
     last = -1
-    for k in range(e.ticks):
+    for k in range(e.slots):
         for node, clock in enumerate(clocks):
             turn = medium.may_send(node, k)
             if (clock is None or clock.due(k)) and turn:

@@ -67,7 +67,7 @@ class BatchResult:
 
 def runs_per_batch(loop: Loop) -> int:
     """Return how many runs of a loop are computed at once."""
-    return max(1, min(MOST_RUNS, ENTRIES // loop.experiment.ticks))
+    return max(1, min(MOST_RUNS, ENTRIES // loop.experiment.slots))
 
 
 def supports_batch(loop: Loop) -> bool:
@@ -143,14 +143,14 @@ class _Slots:
     ) -> None:
         e, d_max = loop.experiment, loop.model.d_max
         self._loop, self._plants, self._controllers = loop, plants, controllers
-        self._slots, self._runs, self._period_ns = e.ticks, len(seeds), e.period_ns
+        self._slots, self._runs, self._period_ns = e.slots, len(seeds), e.period_ns
         by_sample = controllers if isinstance(controllers, RunningControllersFromSamples) else None
         sc = delivered(loop, seeds, every_packet=by_sample is not None or SC.name in topics)
         ca = received(loop.rig.ca_law, seeds, "link.ca", e)
         self._sampled, self._held, self._packets, self._node_of = sc.newest, ca.newest, sc.packets, nodes_of(loop)
         self._samples = None if by_sample is None else KnownSamples(loop, sc, by_sample.memory, self._runs)
-        self._states = np.empty((len(e.plant.states), e.ticks, self._runs)) if STATE.name in topics else None
-        self._usable = (ca.newest >= 0) & (np.arange(e.ticks, dtype=np.int32)[:, None] - ca.newest <= d_max)
+        self._states = np.empty((len(e.plant.states), e.slots, self._runs)) if STATE.name in topics else None
+        self._usable = (ca.newest >= 0) & (np.arange(e.slots, dtype=np.int32)[:, None] - ca.newest <= d_max)
         self._known = sc.known & ca.known & ~starved(self._usable, d_max, e.limits.watchdog_slots)
         self._rows = applied_rows(loop.selection, self._held, d_max)
         self._ring = d_max + 2
@@ -238,7 +238,7 @@ def view_of_batch(loop: Loop, runs: BatchResult) -> BatchView:
     names = [signal.name for signal in e.plant.outputs]
     tracked = [names.index(name) for name in signals_of(e.plant).tracked]
     return BatchView(
-        t_s=np.arange(e.ticks, dtype=np.int64) * e.period_ns / 1e9,
+        t_s=np.arange(e.slots, dtype=np.int64) * e.period_ns / 1e9,
         outputs=tuple(np.ascontiguousarray(runs.outputs[c][:, runs.known].T) for c in tracked),
         reference=np.ascontiguousarray(runs.reference[:, tracked]),
         inputs=tuple(np.ascontiguousarray(u[:, runs.known].T) for u in runs.inputs),

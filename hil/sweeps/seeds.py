@@ -156,7 +156,7 @@ def run_sweep(
     if alone is not None:
         refuse_other_numbers(loop, alone, run_seeds(copied(replace(loop, watched=None)), seeds[:2])[0])
     together = supports_batch(loop) and measures_in_lockstep(loop)
-    if together and workers.backend == "loky" and len(seeds) * experiment.ticks <= WORTH_WORKERS:
+    if together and workers.backend == "loky" and len(seeds) * experiment.slots <= WORTH_WORKERS:
         workers = Workers(backend="serial")
     try:
         while not reached and (look == 0 or len(wanted) < len(seeds)):

@@ -47,7 +47,7 @@ def bench_sweep(progress: Callable[[str], None] = lambda text: None, *, runs: in
         rows.append(
             {
                 "sweep": name,
-                "slots": loop.experiment.ticks,
+                "slots": loop.experiment.slots,
                 "lockstep us per run": round(together * 1e6, 1),
                 "run by run us": round(plain * 1e6, 1),
                 "ratio": round(plain / together, 1),

@@ -46,7 +46,7 @@ def test_theorem_61_diverges_when_it_is_let_and_the_observer_stops_it_before_the
     limits = "limits={state={position=0.5}}"
     later = run_session(load_experiment("omni-theorem61", ["allow_uncertified=true", limits]), path=tmp_path / "b.mcap")
     assert later.status == 3 and "position" in later.summary["safety"]
-    assert later.summary["ticks"] > bounded.summary["ticks"]
+    assert later.summary["slots"] > bounded.summary["slots"]
 
 
 def test_equalised_delays_are_one_delay_whatever_the_network_does() -> None:

@@ -47,7 +47,7 @@ def test_rig_with_random_modes_in_real_time_is_the_virtual_run_up_to_the_first_l
     experiment = load_experiment(name, ["duration=1", "period=10 ms", "limits.watchdog_slots=50", "allow_uncertified=true"])
     real = run_session(experiment, clock="real", link=f"can:hil:rigs{os.getpid()}", path=tmp_path / "real.mcap")
     virtual = simulate(compose(experiment), experiment.seed)
-    late = real.summary["timing"]["first_late_tick"]
+    late = real.summary["timing"]["first_late_slot"]
     end = 100 if late is None else late + 1
     np.testing.assert_array_equal(real.run.arrays["/plant/state"][:end], virtual.arrays["/plant/state"][:end])
 
@@ -57,7 +57,7 @@ def test_a_recording_that_just_suffices_is_taken(slots: int, suffices: bool) -> 
     law = f"links.sc.law={{kind='trace', ages={[0] * slots}, past_end='refuse'}}"
     experiment = load_experiment("dc-motor-hinf", ["duration=2", law, "allow_uncertified=true"])
     if suffices:
-        assert compose(experiment).experiment.ticks == 40
+        assert compose(experiment).experiment.slots == 40
     else:
         with pytest.raises(HilError, match="the recording has 39 slots, the run has 40"):
             compose(experiment)

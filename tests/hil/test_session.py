@@ -52,12 +52,12 @@ def test_another_seed_gives_another_file(tmp_path: Path) -> None:
 def test_json_summary_has_everything_that_is_promised(tmp_path: Path) -> None:
     done = hil("run", "dc-motor-hinf", "--json", cwd=tmp_path)
     summary = json.loads(done.stdout)
-    assert {"experiment", "seed", "clock", "link", "ticks", "duration_s", "wall_s"} <= set(summary)
+    assert {"experiment", "seed", "clock", "link", "slots", "duration_s", "wall_s"} <= set(summary)
     assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
     for side in ("sc", "ca"):
         wanted = {"law", "mode_counts", "transition_counts", "p_value", "lost", "late", "duplicated"}
         assert wanted <= set(summary["network"][side])
-        assert sum(summary["network"][side]["mode_counts"]) == summary["ticks"] == 1000
+        assert sum(summary["network"][side]["mode_counts"]) == summary["slots"] == 1000
         assert 1e-6 < summary["network"][side]["p_value"] <= 1
     assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
     assert {"path", "sha256", "messages", "dropped"} <= set(summary["log"])
@@ -297,6 +297,6 @@ def test_a_run_in_virtual_time_reads_nothing_back(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr("hil.log.read.run.read_run", refuse)
     session = run_session(load_experiment("dc-motor-hinf", ["duration=2"]), path=tmp_path / "run.mcap")
-    assert session.summary["ticks"] == 40
+    assert session.summary["slots"] == 40
     with pytest.raises(AssertionError, match="read back"):
         session.arrays["/plant/state"]

@@ -30,7 +30,7 @@ assert list(spread(abs, [-1, -2, -3], Workers(backend="loky", jobs=2))) == [1, 2
 """
 PLUG_IN = """
 def test_mine(hil):
-    assert hil.run("dc-motor-hinf", clock="real", link="can:hil:shadowed{pid}", duration="0.5 s").summary["ticks"] == 10
+    assert hil.run("dc-motor-hinf", clock="real", link="can:hil:shadowed{pid}", duration="0.5 s").summary["slots"] == 10
 """
 
 COMMANDS = {
@@ -79,7 +79,7 @@ def test_the_module_that_the_experiment_names_runs_in_both_processes_and_imports
         cwd=tmp_path, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert done.stdout, done.stderr
-    assert json.loads(done.stdout)["ticks"] == 10 and not list(tmp_path.glob("RAN-*"))
+    assert json.loads(done.stdout)["slots"] == 10 and not list(tmp_path.glob("RAN-*"))
 
 
 def test_every_python_of_ours_starts_without_its_working_folder() -> None:

@@ -150,4 +150,4 @@ def test_without_fmpy_the_extra_is_named(units: Path, monkeypatch: pytest.Monkey
 def test_a_unit_runs_in_real_time(units: Path) -> None:
     plant = {"kind": "fmu", "file": "cart3.fmu", **LINEAR}
     session = hil.run(units / "exp.toml", plant=plant, clock="real", link="local:", **RUN)
-    assert session.status == 0 and session.summary["ticks"] == 40
+    assert session.status == 0 and session.summary["slots"] == 40

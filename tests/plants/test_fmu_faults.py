@@ -106,7 +106,7 @@ def test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log(
     summary = json.loads(done.stdout)
     assert done.returncode == 1 and told in summary["problems"]["plant_failed"] and "Traceback" not in done.stderr
     run = read_run(tmp_path / "a.mcap")  # whole: closed, with its index
-    assert len(run.arrays["/plant/state"]) == summary["ticks"] >= 12
+    assert len(run.arrays["/plant/state"]) == summary["slots"] >= 12
     assert [event["message"] for event in run.events if event["kind"] == "plant failed"] == [summary["problems"]["plant_failed"]]
     if "getppid" in late:  # nobody was left to remove it: the next one does
         remove_left_behind(str(temporary))
@@ -147,7 +147,7 @@ def test_a_unit_that_is_none_is_refused_before_anything_runs(
 def test_what_a_unit_prints_stays_out_of_our_output(tmp_path: Path, temporary: Path) -> None:
     unit(tmp_path, late='puts("{}"); fflush(stdout); write(1, "x\\n", 2);')
     done = subprocess.run(command(tmp_path), capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0 and json.loads(done.stdout)["ticks"] == 40 and "{}\nx\n" in done.stderr
+    assert done.returncode == 0 and json.loads(done.stdout)["slots"] == 40 and "{}\nx\n" in done.stderr
 
 
 def test_the_folder_of_a_killed_session_goes_with_it(tmp_path: Path, temporary: Path) -> None:

@@ -56,7 +56,7 @@ def test_a_run_that_an_external_controller_drives_out_of_its_limits_is_nowhere_c
     assert "link_controller" not in said
 
     summary = summarise(view_of(read_run(log)))
-    assert summary["controller"] == "external" and summary["safety"] and summary["ticks"] > 0
+    assert summary["controller"] == "external" and summary["safety"] and summary["slots"] > 0
     certificate = summary["certificate"]
     assert (certificate["state"], certificate["reason"], certificate["stable"]) == ("undecided", UNDECIDED, False)
     assert certificate.get("number") is None

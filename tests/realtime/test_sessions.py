@@ -43,7 +43,7 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
     begun_ns = time.time_ns()
     real = run_session(experiment, clock="real", link=links()[which], path=tmp_path / "real.mcap")
     assert begun_ns < real.run.start_ns < time.time_ns()
-    late = real.summary["timing"]["first_late_tick"]
+    late = real.summary["timing"]["first_late_slot"]
     assert real.status == 0 or late is not None, real.summary  # a machine that stalls for long may trip the watchdog
     virtual = simulate(compose(experiment), 11)
     end = 30 if late is None else late
@@ -54,7 +54,7 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
     for topic, fields in (("/plant/state", ("angle", "speed")), ("/actuator/applied", ("voltage", "d", "row"))):
         for name in fields:
             np.testing.assert_array_equal(real.run.arrays[topic][name][:end], virtual.arrays[topic][name][:end])
-    assert len(real.run.arrays["/timing/tick"]) == real.summary["ticks"]
+    assert len(real.run.arrays["/timing/tick"]) == real.summary["slots"]
     assert real.summary["log"]["dropped"] == 0
     said = [set(real.run.arrays[topic]["can_id"]) for topic in FRAME_TOPICS if "can_id" in real.run.arrays[topic].dtype.names]
     assert said == ([{0x100}, {0x140}] if which == 0 else [])
@@ -71,11 +71,11 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
 def test_the_haptic_rig_at_1_khz_is_the_virtual_one_up_to_the_first_late_packet(tmp_path: Path, which: int) -> None:
     experiment = load_experiment("omni-1khz", ["duration=1.5"])
     real = run_session(experiment, clock="real", link=links()[which], path=tmp_path / "real.mcap")
-    late = real.summary["timing"]["first_late_tick"]
+    late = real.summary["timing"]["first_late_slot"]
     assert real.status == 0 or late is not None, real.summary
     assert real.summary["log"]["dropped"] == 0 and not real.summary.get("problems"), real.summary
-    assert len(real.run.arrays["/timing/tick"]) == real.summary["ticks"]
-    virtual, end = simulate(compose(experiment), experiment.seed), real.summary["ticks"] if late is None else late
+    assert len(real.run.arrays["/timing/tick"]) == real.summary["slots"]
+    virtual, end = simulate(compose(experiment), experiment.seed), real.summary["slots"] if late is None else late
     for topic, fields in (
         ("/actuator/applied", ("force", "d", "row")), ("/plant/state", ("position", "speed", "y", "z", "push", "given")),
         ("/plant/measurement", ("position", "y", "z")),
@@ -83,7 +83,7 @@ def test_the_haptic_rig_at_1_khz_is_the_virtual_one_up_to_the_first_late_packet(
         for name in fields:
             np.testing.assert_array_equal(real.run.arrays[topic][name][:end], virtual.arrays[topic][name][:end])
     if late is None:
-        assert real.summary["ticks"] == 1500 and verify(real.run).difference is None
+        assert real.summary["slots"] == 1500 and verify(real.run).difference is None
 
 
 class Running:
@@ -277,7 +277,7 @@ def test_a_log_that_is_removed_while_it_is_written_is_said_and_summed_up(tmp_pat
     session.log.unlink()
     status, summary = session.finish()
     assert status == 1 and "was removed during the run" in summary["problems"]["log_lost"]
-    assert summary["ticks"] == 60 and summary["log"]["messages"] > 300 and len(summary["log"]["sha256"]) == 64
+    assert summary["slots"] == 60 and summary["log"]["messages"] > 300 and len(summary["log"]["sha256"]) == 64
 
 
 def test_local_needs_no_controller_process_and_takes_no_external_controller(tmp_path: Path) -> None:
@@ -286,7 +286,7 @@ def test_local_needs_no_controller_process_and_takes_no_external_controller(tmp_
     done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
-    assert summary["ticks"] == 20 and summary["link"] == "local:" and not summary["problems"]
+    assert summary["slots"] == 20 and summary["link"] == "local:" and not summary["problems"]
     refused = subprocess.run([*run, "--external"], cwd=tmp_path, capture_output=True, text=True, timeout=200)
     assert refused.returncode == 2 and "needs a link" in refused.stderr
 

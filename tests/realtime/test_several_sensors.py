@@ -48,7 +48,7 @@ def test_several_nodes_in_real_time_are_the_virtual_ones(tmp_path: Path, which: 
     gains = designed(name) if name == "multisensor-lossy" else ()
     experiment = load_experiment(name, ["duration=1", "seed=5", *early, *gains])
     real = run_session(experiment, clock="real", link=link, path=tmp_path / "real.mcap")
-    late = real.summary["timing"]["first_late_tick"]
+    late = real.summary["timing"]["first_late_slot"]
     assert real.status == 0 or late is not None, real.summary
     virtual = simulate(compose(experiment), 5)
     end = 20 if late is None else late
@@ -73,8 +73,8 @@ def test_each_node_is_heard_on_the_bus_under_the_identifier_that_the_experiment_
         while (frame := bus.recv(0.2)) is not None:
             heard.setdefault(frame.arbitration_id, set()).add(frame.data[24])
     assert {**heard, 0x300: {0}} == {number: {node} for node, number in enumerate(ids.values())} | {0x300: {0}}
-    assert real.summary["ticks"] == 8 and 0x300 in heard
-    late = real.summary["timing"]["first_late_tick"]
+    assert real.summary["slots"] == 8 and 0x300 in heard
+    late = real.summary["timing"]["first_late_slot"]
     end = 8 if late is None else late
     u = simulate(compose(experiment), 0).arrays["/actuator/applied"]["u1"][:end]
     np.testing.assert_array_equal(real.run.arrays["/actuator/applied"]["u1"][:end], u)

@@ -65,7 +65,7 @@ def test_session_in_virtual_time_equals_the_one_process_run_to_the_end(uri: str,
     done = session(uri, tmp_path)
     assert done.status == 0, done.summary
     assert done.summary["timing"]["valid"]
-    assert done.summary["timing"]["first_late_tick"] is None
+    assert done.summary["timing"]["first_late_slot"] is None
     assert_equals_the_virtual_run(done.run, TICKS)
     assert verify(done.run).difference is None
 
@@ -74,7 +74,7 @@ def test_session_in_virtual_time_equals_the_one_process_run_to_the_end(uri: str,
 @pytest.mark.realtime
 def test_session_in_real_time_equals_the_one_process_run_up_to_the_first_late_tick(uri: str, tmp_path: Path) -> None:
     done = session(uri, tmp_path)
-    late = done.summary["timing"]["first_late_tick"]
+    late = done.summary["timing"]["first_late_slot"]
     assert done.status == 0 or late is not None, done.summary  # a machine that stalls for long may trip the watchdog
     assert late is None or late > 0
     assert_equals_the_virtual_run(done.run, TICKS if late is None else late)
@@ -116,7 +116,7 @@ def test_link_down_for_two_ticks_costs_packets_and_nothing_else(uri: str, tmp_pa
     with down_after(slot=40, seconds=2 * PERIOD_S):
         done = session(uri, tmp_path)
     assert done.status == 0, done.summary
-    assert done.summary["timing"]["first_late_tick"] == 41
+    assert done.summary["timing"]["first_late_slot"] == 41
     assert np.flatnonzero(done.run.arrays["/timing/tick"]["late"]).tolist() == [41, 42]
     assert_equals_the_virtual_run(done.run, 41)
     assert abs(done.summary["metrics"]["steady_state_error"]) < 0.01

@@ -103,7 +103,7 @@ def _facts(view: RunView, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Clock", str(summary["clock"])),
         ("Link", str(summary["link"])),
         ("Sample period", f"{text_of(1e3 * view.period_s)} ms"),
-        ("Duration", f"{text_of(float(summary['duration_s']))} s, {text_of(int(summary['ticks']))} slots"),
+        ("Duration", f"{text_of(float(summary['duration_s']))} s, {text_of(int(summary['slots']))} slots"),
         ("Seed", str(summary["seed"])),
     ]
     if run.session.get("started"):

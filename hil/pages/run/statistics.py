@@ -212,7 +212,7 @@ def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:
         ["verdict", "valid" if timing["valid"] else "not valid: " + "; ".join(timing["why"])],
         ["scheduler", timing["scheduler"]],
         ["slots without an answer in time", text_of(timing["late"])],
-        ["first of them", "none" if timing["first_late_tick"] is None else f"slot {timing['first_late_tick']}"],
+        ["first of them", "none" if timing["first_late_slot"] is None else f"slot {timing['first_late_slot']}"],
         ["overruns", text_of(timing["overruns"])],
     ]
     blocks.append(Table(title="Slots", columns=["what", "value"], rows=counts))

@@ -212,7 +212,7 @@ class AnswerMatcher:
         """Return the counters that the summary needs."""
         return {
             "late": self.late,
-            "first_late_tick": self.first_late,
+            "first_late_slot": self.first_late,
             "malformed": self.malformed,
             "foreign": self.foreign,
             "refused": self.refused,

@@ -239,4 +239,4 @@ class Rig:
 
     def outcome(self) -> dict[str, Any]:
         """Return the counters that the summary needs; a slot that was cut off by a signal is none."""
-        return {"ticks": self._slots, **self.answers.outcome(), "safety": self.actuator.tripped}
+        return {"slots": self._slots, **self.answers.outcome(), "safety": self.actuator.tripped}

@@ -76,7 +76,7 @@ class RealLoop:
             link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, sink.behind
         )
         self._slot = Slot(self.rig, self._exchange, self._commit, lambda: self.kernel.stopped)
-        self.kernel.every(e.period_ns, e.ticks, self._run)
+        self.kernel.every(e.period_ns, e.slots, self._run)
 
     def pause(self) -> None:
         """Wait as long as between two slots, `PACE_NS` at most."""
@@ -122,7 +122,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, stop)
     sink = PipeSink(job.log_fd, channels_of(job.loop, on_can=job.link.on_can))
     timing = job.loop.experiment.timing
-    wire = session_wire(os.urandom(KEY_BYTES), job.loop.experiment.ticks)
+    wire = session_wire(os.urandom(KEY_BYTES), job.loop.experiment.slots)
     local = job.link.traits.in_process
     rehearsed = WarmUpRig(job.loop, session_wire(os.urandom(KEY_BYTES), REHEARSED), local).warm_up()
     # Behind the warm-up, which would keep the loops of other sessions from a CPU; before the link is opened, so that its threads

@@ -86,7 +86,7 @@ def warm_up_controller(loop: Loop) -> None:
     with suppress(Exception):  # a law that fails is to fail in the session, where it is reported
         rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, VIRTUAL)
         slot = Slot(rig, DirectExchange(ControlNode(loop)))
-        for k in range(min(e.ticks, SLOTS)):
+        for k in range(min(e.slots, SLOTS)):
             if monotonic_ns() > limit:
                 break
             slot.run(k * e.period_ns)

@@ -39,7 +39,7 @@ def test_too_few_samples_are_refused() -> None:
 @pytest.mark.realtime
 def test_a_short_soak_measures_every_process_the_log_and_the_sessions() -> None:
     row = bench_soak(duration_s=5.0, sessions=1, at_once=2)
-    assert row["ticks"] == 5000 or row["status"] != 0
+    assert row["slots"] == 5000 or row["status"] != 0
     assert row["dropped"] == 0 and 0.5 < row["log_ratio"] < 2.0
     assert [each["process"] for each in row["memory"]] == ["session", "rig", "controller"]
     assert all(10 < each["mb"] < 1000 and each["plus_minus"] >= 0 for each in row["memory"])
@@ -55,10 +55,10 @@ def test_memory_that_stays_exactly_the_same_has_no_slope() -> None:
 
 
 QUIET = {
-    "status": 0, "safety": None, "ticks": 1000, "ticks_expected": 1000, "dropped": 0, "log_ratio": 1.0, "timing_why": [],
+    "status": 0, "safety": None, "slots": 1000, "slots_expected": 1000, "dropped": 0, "log_ratio": 1.0, "timing_why": [],
     "memory": [{"process": "rig", "grows": False}], "cyclictest_us": {"p99": 20.0}, "cyclictest_missed_share": 0.0,
 }  # fmt: skip
-STOPPED = {"status": 3, "safety": "watchdog", "ticks": 700, "timing_why": ["9 of 700 slots had no answer in time"]}
+STOPPED = {"status": 3, "safety": "watchdog", "slots": 700, "timing_why": ["9 of 700 slots had no answer in time"]}
 BUSY = {"cyclictest_us": {"p99": 400.0}, "cyclictest_missed_share": 0.02}
 GROWS = {"memory": [{"process": "rig", "grows": True}]}
 
@@ -75,7 +75,7 @@ GROWS = {"memory": [{"process": "rig", "grows": True}]}
         (BUSY | STOPPED | GROWS, "does not hold", ["rig: memory grows", "stopped by safety"]),
         (BUSY | {"dropped": 3}, "does not hold", ["3 records of the log were dropped"]),
         (BUSY | {"log_ratio": 1.2}, "does not hold", ["1.200 of its predicted length"]),
-        (BUSY | {"status": 1, "ticks": 10}, "does not hold", ["ended with status 1 after 10 of 1000 slots"]),
+        (BUSY | {"status": 1, "slots": 10}, "does not hold", ["ended with status 1 after 10 of 1000 slots"]),
     ],
 )  # fmt: skip
 def test_a_busy_machine_is_told_from_a_fault_of_the_rig(change: dict[str, Any], verdict: str, told: list[str]) -> None:

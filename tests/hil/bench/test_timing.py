@@ -35,7 +35,7 @@ def test_rig_and_cyclictest_are_measured_in_one_run() -> None:
         assert 0 < row[of]["p50"] <= row[of]["max"]
     assert row["ratio"]["p50"] == row["lateness_us"]["p50"] / max(row["cyclictest_us"]["p50"], 1.0)
     assert row["round_trip_ratio"] == 1.0  # the last link is what the others are compared with
-    assert row["ticks"] == 2400 and row["dropped_records"] == 0
+    assert row["slots"] == 2400 and row["dropped_records"] == 0
     assert 0 <= row["cyclictest_missed_share"] < 1
 
 
@@ -47,5 +47,5 @@ def test_two_experiments_are_measured_in_turns() -> None:
         sets=["report.measures=[]"],
     )  # fmt: skip
     assert [row["experiment"] for row in rows] == ["dc-motor-1khz", "omni-1khz"]
-    assert all(row["ticks"] == 1200 and row["dropped_records"] == 0 and row["period_s"] == 1e-3 for row in rows)
+    assert all(row["slots"] == 1200 and row["dropped_records"] == 0 and row["period_s"] == 1e-3 for row in rows)
     assert rows[-1]["round_trip_ratio"] == 1.0

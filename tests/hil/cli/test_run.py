@@ -22,7 +22,7 @@ def test_json_holds_every_promised_key(cli: Hil) -> None:
     status, out, _ = cli("run", "dc-motor-hinf", "--duration", "4", "--seed", "3", "--json")
     summary = json.loads(out)
     assert status == 0
-    assert {"experiment", "seed", "clock", "link", "ticks", "duration_s", "wall_s"} <= set(summary)
+    assert {"experiment", "seed", "clock", "link", "slots", "duration_s", "wall_s"} <= set(summary)
     metrics = {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"}
     assert metrics <= set(summary["metrics"])
     for side in ("sc", "ca"):
@@ -30,7 +30,7 @@ def test_json_holds_every_promised_key(cli: Hil) -> None:
         assert keys <= set(summary["network"][side])
     assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
     assert {"path", "sha256", "messages", "dropped"} <= set(summary["log"])
-    assert (summary["seed"], summary["ticks"]) == (3, 80)
+    assert (summary["seed"], summary["slots"]) == (3, 80)
 
 
 def test_a_second_run_takes_another_name_and_no_log_is_overwritten(cli: Hil, tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def squares(loop, seeds):
 
 def assert_mean_and_variance(loop, seeds, start):
     """Mean and variance of the summed error within 4.5 standard errors, 1e-5 each under a right prediction."""
-    ticks = loop.experiment.ticks
+    ticks = loop.experiment.slots
     predicted = predicted_of(loop, ticks, sums_from=(start,))
     sums = squares(loop, seeds)[:, start:].sum(axis=1) * T
     mean, sd = float(predicted.sum_mean[0]), float(predicted.sum_sd[0])
@@ -63,7 +63,7 @@ def assert_mean_and_variance(loop, seeds, start):
 def test_the_age_that_is_measured_is_what_is_predicted():
     # Over the law as drawn the mean was 0.037224 (0.00933); 1000 runs have 0.035492 (0.00827).
     loop = compose(over(sc=GAPS, duration=50))
-    predicted = predicted_of(loop, loop.experiment.ticks, sums_from=(FROM,))
+    predicted = predicted_of(loop, loop.experiment.slots, sums_from=(FROM,))
     assert predicted.sum_mean[0] == pytest.approx(0.035709, abs=2e-6)
     assert predicted.sum_sd[0] == pytest.approx(0.00834, abs=2e-5)
     sc = loop.chains.sc

@@ -228,7 +228,7 @@ def test_what_runs_is_what_is_predicted(selection: str, order: str) -> None:
     )))  # fmt: skip
     (way,) = loop.chains.arriving
     assert way.silent() > 1e-5 and way.silent(6) < 1e-6  # at rest, zeros are its answers anyway
-    foretold = predict(loop, loop.experiment.ticks)
+    foretold = predict(loop, loop.experiment.slots)
     assert foretold is not None
     found = np.array([row["sse"] for row in run_seeds(loop, list(range(400)))])
     assert abs(found.mean() - foretold.sums[0].mean) < 4.9 * foretold.sums[0].sd / 20

@@ -41,7 +41,7 @@ def test_it_is_designed_for_and_certified_over_all_ages(loop: Loop) -> None:
 def test_mean_and_spread_of_the_runs_are_those_predicted(loop: Loop) -> None:
     """Error rate 0.1 % over all slots together (Bonferroni); with 60 runs a mean off by one standard deviation is seen."""
     sc, ca = loop.chains.sc, loop.chains.ca
-    slots, runs = loop.experiment.ticks, 60
+    slots, runs = loop.experiment.slots, 60
     r = np.array([loop.reference()(k) for k in range(slots)])
     told = predict_tracking(
         loop.model.A, loop.model.B, loop.model.C, sc, ca, gains_over(loop.controller, loop.model, sc, ca), "applied", r,  # type: ignore[arg-type]

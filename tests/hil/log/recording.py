@@ -56,7 +56,7 @@ def assert_same_arrays(got: dict[str, StructuredArray], expected: dict[str, Stru
 
 
 def record(sink: Sink, ticks: int, *, start: int = 0, seed: int = 1) -> int:
-    """Write what a session of ``ticks`` slots writes; returns the number of records."""
+    """Write what a session of ``slots`` slots writes; returns the number of records."""
     rng = random.Random(seed)
     puts = {topic: (sink.channel(topic), channel.schema.pack) for topic, channel in TABLE.items()}
     count = 0

@@ -33,7 +33,7 @@ def z_of(each: PredictedSum, rows: list[dict[str, float]]) -> float:
 
 def assert_predicted(name: str, changes: list[str], runs: int = RUNS) -> None:
     loop = compose(load_experiment(name, changes), certify=False)
-    found = predict(loop, loop.experiment.ticks)
+    found = predict(loop, loop.experiment.slots)
     assert found is not None and not found.left_out
     rows = run_seeds(loop, range(runs))
     assert not any(row["stopped"] for row in rows)
@@ -117,7 +117,7 @@ def test_viscous_friction_is_in_the_prediction() -> None:
 
 def test_an_output_that_follows_nothing_is_in_no_sum() -> None:
     loop = compose(load_experiment("dc-motor-two-nodes", ["duration=6 s"]), certify=False)
-    found = predict(loop, loop.experiment.ticks)
+    found = predict(loop, loop.experiment.slots)
     assert found is not None and found.names == ("angle",)
     assert [(each.name, each.unit, each.outputs) for each in found.sums] == [
         ("sse", "rad² s", ("angle",)), ("sse_after_5s", "rad² s", ("angle",)),

@@ -19,14 +19,14 @@ from transport.laws.age import MarkovAge
 
 def test_summary_is_plain_json_with_the_promised_keys() -> None:
     summary = json.loads(json.dumps(summarise(view_of(run_of("dc-motor-hinf"))), allow_nan=False))
-    assert {"experiment", "seed", "clock", "link", "ticks", "duration_s", "metrics", "network", "timing"} <= set(summary)
+    assert {"experiment", "seed", "clock", "link", "slots", "duration_s", "metrics", "network", "timing"} <= set(summary)
     assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
     for side in ("sc", "ca"):
         assert {"law", "mode_counts", "transition_counts", "p_value", "lost", "late", "duplicated"} <= set(
             summary["network"][side]
         )
     assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
-    assert summary["ticks"] == 1000 and summary["duration_s"] == 50.0
+    assert summary["slots"] == 1000 and summary["duration_s"] == 50.0
     assert summary["timing"]["valid"] is True
     assert summary["safety"] is None
 
@@ -57,7 +57,7 @@ def test_counted_modes_add_up_to_the_slots() -> None:
 def test_run_stopped_by_safety_names_the_reason() -> None:
     summary = summarise(view_of(run_of("dc-motor-local")))
     assert summary["safety"] is not None and "limit" in summary["safety"]
-    assert summary["ticks"] < 1000
+    assert summary["slots"] < 1000
 
 
 def test_summary_survives_a_run_that_ended_at_once() -> None:
@@ -101,7 +101,7 @@ def test_timing_verdict_names_every_reason() -> None:
     zeros, some = np.zeros(n), np.arange(n) < 5
     assert timing_metrics(quiet, quiet, zeros, zeros, period_s=1e-3)["valid"]
     bad = timing_metrics(quiet + 200.0, quiet, some, some, period_s=1e-3)
-    assert not bad["valid"] and len(bad["why"]) == 3 and bad["first_late_tick"] == 0
+    assert not bad["valid"] and len(bad["why"]) == 3 and bad["first_late_slot"] == 0
     assert bad["lateness_us"]["max"] == 230.0
 
 

@@ -92,4 +92,4 @@ def test_a_slot_that_a_signal_cuts_off_is_counted_nowhere() -> None:
         slot.run(k * loop.experiment.period_ns)
     run = Run.from_memory(sink)
     summary = summarise(view_of(run, loop.experiment))
-    assert rig.outcome()["ticks"] == summary["ticks"] == len(run.arrays["/actuator/applied"]) == 3
+    assert rig.outcome()["slots"] == summary["slots"] == len(run.arrays["/actuator/applied"]) == 3

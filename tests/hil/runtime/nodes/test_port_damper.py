@@ -104,7 +104,7 @@ def test_it_trips_on_energy_long_before_the_motion_has_grown(tmp_path: Path) -> 
     moved = run_session(load_experiment("omni-theorem61", [LET, limits("trip_j = 1e9")]), path=tmp_path / "b.mcap")
     assert tripped.status == moved.status == 3
     assert "passivity: the motor has given" in tripped.summary["safety"] and "limit 0.01 J" in tripped.summary["safety"]
-    assert "position" in moved.summary["safety"] and tripped.summary["ticks"] < moved.summary["ticks"]
+    assert "position" in moved.summary["safety"] and tripped.summary["slots"] < moved.summary["slots"]
     state = tripped.arrays["/plant/state"]
     at = int(np.flatnonzero(tripped.arrays["/actuator/applied"]["status"] == 3)[0])
     assert state["given"][at - 1] <= 0.01 < state["given"][at]  # the slot in which it was observed

@@ -223,7 +223,7 @@ def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> No
         greeting = Handshake(link, 1.0, lambda: False, lambda: next(clock), wire).greet()
         assert greeting.answered and greeting.questions == 1 + REHEARSALS and greeting.foreign == 0
         slot = Slot(rig, LinkExchange(link, rig, 30 * MS, lambda: False, lambda: next(clock)))
-        for k in range(loop.experiment.ticks):
+        for k in range(loop.experiment.slots):
             slot.run(k * loop.experiment.period_ns)
     ours, virtual = Run.from_memory(sink).arrays, simulate(loop, 3).arrays
     for topic in ("/plant/state", "/actuator/applied"):
