@@ -12,7 +12,7 @@ from hil.errors import HilError
 ORDER = (
     "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "who-commands", "real-time", "vcan",
     "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls", "several-sensors",
-    "can-bus", "identification", "reproducing-the-thesis", "errata", "glossary", "architecture", "decisions",
+    "can-bus", "identification", "networks", "reproducing-the-thesis", "errata", "glossary", "architecture", "decisions",
 )  # fmt: skip
 """Topics in reading order; a page that is not named here comes last."""
 
