@@ -102,8 +102,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def python(site: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    folders = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))  # a mutated checkout stays in front
     return subprocess.run(
-        [sys.executable, *words], cwd=site, env={**os.environ, "PYTHONPATH": str(site)},
+        [sys.executable, *words], cwd=site, env={**os.environ, "PYTHONPATH": folders},
         capture_output=True, text=True, timeout=200, check=False,
     )  # fmt: skip
 
