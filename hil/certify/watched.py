@@ -47,11 +47,13 @@ class Watched:
         plant: of the plant, None where nothing is.
         controller: what the controller says that it is, None where nothing is.
         claimed: whether a certificate rests on it.
+        laws: which network laws are the user's own and state a chain, as places among those of the rig.
     """
 
     plant: OneStep | None
     controller: Controller | None
     claimed: bool
+    laws: tuple[int, ...] = ()
 
 
 def one_step(plant: Plant, model: LoopModel) -> OneStep | None:

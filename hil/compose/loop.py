@@ -35,6 +35,7 @@ from hil.certify.certify import certify as certified
 from hil.certify.certify import digest_of, of_external
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.certify.jump_plant import process_of, system_of
+from hil.certify.own_laws import own_laws
 from hil.certify.stated_controller import stated_by
 from hil.certify.watched import Watched, one_step
 from hil.compose.fit import check_own, check_references
@@ -246,8 +247,11 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
         judged = _judged(experiment, rig, chains, controller, model, running.selection)
         verdict = certified(judged)
         watched = _watched(judged, verdict, external)
-        if watched is not None and watched.plant is None and watched.claimed:
-            verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, NOT_COMPARED))
+        if watched is not None and watched.claimed:
+            drawn, assumed = own_laws(rig)
+            watched = dataclasses.replace(watched, laws=drawn)
+            assumed += (NOT_COMPARED,) if watched.plant is None else ()
+            verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *assumed))
     if verdict is not None and external:
         verdict = of_external(verdict, experiment.kinds.get("controller", ""))
     elif verdict is not None:

@@ -22,6 +22,7 @@ from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.can_network import CanNetwork
 from hil.runtime.nodes.fault_injector import FaultInjector
 from hil.runtime.nodes.journal import Journal
+from hil.runtime.nodes.law_watch import LawWatch
 from hil.runtime.nodes.plant_watch import PlantWatch
 from hil.runtime.nodes.port_damper import damper_of
 from hil.runtime.nodes.safety import Safety
@@ -100,6 +101,9 @@ class Rig:
         self._sent: Sequence[Delivery] = ()
         self._claimed = loop.watched is not None and loop.watched.claimed
         self._put_out: tuple[int, str] | None = None  # the first slot in which the plant said so of another input
+        self._names = [type(law).__qualname__ for law in loop.rig.laws]
+        of_laws = () if loop.watched is None else loop.watched.laws
+        self._laws = [(i, LawWatch(loop.rig.laws[i])) for i in of_laws]
         self._watch: PlantWatch | None = None
         if loop.watched is not None and loop.watched.plant is not None:
             streams = ("plant", "plant, again")
@@ -197,6 +201,8 @@ class Rig:
         if packet is not None and self.answers.usable(packet):
             self._downlink.offer(k, packet)
         draws, arrivals = self._downlink.collect(k)
+        for i, law in self._laws:
+            law.take(draws if i == len(self._sensors) else self._sent[i][0])
         applied = self.actuator.apply(k, arrivals, self._woken(t_ns))
         if applied.tripped is not None:
             self._note_trip(t_ns, applied.tripped)
@@ -230,7 +236,8 @@ class Rig:
             answers: the slot in which the controller left its table, and by how much; None if it did not.
         """
         plant = None if self._watch is None else self._watch.departed() or self._put_out
-        for what, departed in (("the plant left its model", plant), ("the controller left its table", answers)):
+        laws = [(f"the network law {self._names[i]} left its chain", law.departed()) for i, law in self._laws]
+        for what, departed in (("the plant left its model", plant), ("the controller left its table", answers), *laws):
             if departed is not None:
                 k, by = departed
                 kind, claim = (WITHDRAWN, "certificate withdrawn: ") if self._claimed else (DEPARTED, "")
