@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.plugins.own_packages import is_ours
+from hil.plugins.shadowed_packages import is_ours
 from hil.rig.spec import RigSpec
 from transport.laws.protocols import ChainLaw, SemiMarkovLaw
 
