@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-from hil.api.experiment_source import Source, checked_experiment
+from hil.api.experiment_source import Source, as_change, checked_experiment
 from hil.errors import HilError
 from hil.session import Session
 from hil.sweeps.probability import frequency
@@ -42,7 +44,7 @@ def assert_probability(
         one line: how many runs, how many held, which seeds failed.
 
     Raises:
-        AssertionError: with that line, if the probability is too low or undecided.
+        AssertionError: with that line and the command that runs a failed seed again, if the probability is too low or undecided.
         HilError: if the experiment cannot be run, or the numbers mean nothing.
 
     Reference: A. Wald, Sequential Analysis, 1947.
@@ -62,8 +64,26 @@ def assert_probability(
         raise HilError(f"assert_probability: {error}") from None
     found = frequency(checked_experiment(source, None, None, changes), holds, test, most_runs=most_runs, first_seed=first_seed)
     if not found.holds:
-        raise AssertionError(str(found))
+        again = f"; to see one: {command_of(source, found.failed[0], changes)}" if found.failed else ""
+        raise AssertionError(f"{found}{again}")
     return str(found)
+
+
+def command_of(source: Source, seed: int, changes: Mapping[str, Any]) -> str:
+    """Return what runs one seed again: a command, or Python where an object of the caller's is part of it.
+
+    Args:
+        source, changes: as in `run`.
+        seed: of the run.
+
+    >>> command_of("dc-motor-hinf", 3, {"duration": 6, "plant.gain": 150})
+    'hil run dc-motor-hinf --seed 3 --set duration=6 --set plant.gain=150'
+    """
+    plain = all(isinstance(value, str | int | float | list | tuple | dict) for value in changes.values())
+    if not isinstance(source, str | Path) or not plain:
+        return f"hil.run(..., seed={seed}) with the same objects"
+    sets = [part for path, value in changes.items() for part in ("--set", f"{path}={as_change(value, path)}")]
+    return shlex.join(["hil", "run", str(source), "--seed", str(seed), *sets])
 
 
 def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:

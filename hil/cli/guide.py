@@ -11,7 +11,7 @@ from hil.errors import HilError
 
 ORDER = (
     "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "who-commands", "real-time", "vcan",
-    "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls", "several-sensors",
+    "ci", "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls", "several-sensors",
     "can-bus", "identification", "networks", "reproducing-the-thesis", "errata", "glossary", "architecture", "decisions",
 )  # fmt: skip
 """Topics in reading order; a page that is not named here comes last."""
@@ -30,7 +30,7 @@ def _topics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> li
 @click.command()
 @click.argument("topic", required=False, shell_complete=_topics)
 def command(topic: str | None) -> None:
-    """Print the guide's page on TOPIC; without a topic, list them."""
+    """Show the guide's page on TOPIC, in a pager ($PAGER, less) where it is long; without a topic, list them."""
     import difflib
     import sys
 
@@ -51,4 +51,10 @@ def command(topic: str | None) -> None:
     from rich.console import Console
     from rich.markdown import Markdown
 
-    Console().print(Markdown(text))
+    console = Console()
+    with console.capture() as shown:
+        console.print(Markdown(text))
+    if shown.get().count("\n") < console.height:
+        print(shown.get(), end="")
+    else:
+        click.echo_via_pager(shown.get(), color=not console.no_color)

@@ -15,7 +15,10 @@ from transport import MarkovAge
 
 def test_a_condition_that_always_holds_passes_in_the_fewest_runs() -> None:
     told = hil.assert_probability("dc-motor-hinf", lambda s: s.status == 0, at_least=0.5, margin=0.4, alpha=1e-2, duration=2)
-    assert told == "dc-motor-hinf: 8 of 8 runs held, so the probability is above 0.5 (error at most 0.01)"
+    assert told == (
+        "dc-motor-hinf: required 0.5, observed 8 of 8 runs; "
+        "a true probability of 0.5 or less would give this with probability at most 0.01"
+    )
 
 
 def test_it_gives_the_seeds_that_failed_and_stops_at_once() -> None:
@@ -25,13 +28,14 @@ def test_it_gives_the_seeds_that_failed_and_stops_at_once() -> None:
         seen.append(session.summary["seed"])
         return bool(seen[-1] % 2)
 
-    with pytest.raises(AssertionError, match=r"of \d+ runs held, .* below 0.95 .*failed seeds: 8, 10, 12"):
+    with pytest.raises(AssertionError, match=r"required 0\.9, observed \d+ of \d+ runs; .*failed seeds: 8, 10, 12") as caught:
         hil.assert_probability("dc-motor-hinf", odd, at_least=0.9, duration=1, first_seed=7)
+    assert str(caught.value).endswith("; to see one: hil run dc-motor-hinf --seed 8 --set duration=1")
     assert seen == list(range(7, 7 + len(seen))) and len(seen) < 40
 
 
 def test_too_few_runs_are_undecided_and_fail() -> None:
-    with pytest.raises(AssertionError, match=r"does not tell 0\.9 from 0\.95"):
+    with pytest.raises(AssertionError, match=r"too few to tell 0\.9 from 0\.95"):
         hil.assert_probability("dc-motor-hinf", lambda s: True, at_least=0.9, most_runs=2, duration=1)
 
 
