@@ -72,9 +72,12 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
         note=f"Slots of {fit.period_s * 1e3:g} ms that close after {fit.deadline_s * 1e3:g} ms.",
     ))  # fmt: skip
     blocks.append(_correlations(fit))
-    rows = [(c.name, c.fitted_to, c.parameters, round(c.bic, 1), None if c.fitness is None else c.fitness.neighbours,
-             None if c.fitness is None else c.fitness.shape) for c in fit.candidates]  # fmt: skip
-    blocks.append(Table(columns=("law", "fitted to", "parameters", "BIC", "p: neighbours independent", "p: shape"), rows=rows))
+    rows = [
+        (c.name, c.fitted_to, c.parameters, round(c.bic, 1), *(f"{p:.2g}" for p in (c.fitness.neighbours, c.fitness.shape)))
+        if c.fitness is not None else (c.name, c.fitted_to, c.parameters, round(c.bic, 1), "-", "-")
+        for c in fit.candidates
+    ]  # fmt: skip
+    blocks.append(Table(columns=("law", "fitted to", "parameters", "BIC", "p independent", "p shape"), rows=rows))
     came_rows = [(i, share, *pair) for i, (share, pair) in enumerate(arrivals(fit).shares())]
     blocks.append(Table(columns=("age in slots", "comes, if not before", "95 % from", "to"), rows=came_rows[:MOST_BARS]))
     intro = f"{fit.law_class}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
@@ -101,7 +104,7 @@ def _correlations(fit: LawFit) -> Figure:
         title="Correlation of a latency with those after it", x_label="lag", x_unit="packets", y_label="correlation", sync=None,
         series=(Series(label="measured", x=lags.astype(float), y=r, style="points"),
                 Series(label="chance: 95 %", x=lags.astype(float), y=np.full(LAGS, chance), style="dashed", colour=7),
-                Series(label="", x=lags.astype(float), y=np.full(LAGS, -chance), style="dashed", colour=7)),
+                Series(label="chance: 95 %, below", x=lags.astype(float), y=np.full(LAGS, -chance), style="dashed", colour=7)),
         note="Independent latencies have none.",
     )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 
 from hil.errors import HilError
@@ -12,17 +13,25 @@ CAN_ENDINGS = (".log", ".asc", ".blf")
 ENDINGS = (".mcap", ".csv", *CAN_ENDINGS, ".pcap")
 
 
+def shipped_recordings() -> dict[str, Path]:
+    """Return the recordings that come with the package, by name."""
+    folder = Path(str(resources.files("hil"))) / "recordings" / "shipped"
+    return {path.stem: path for path in sorted(folder.glob("*.mcap"))}
+
+
 def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_clock: bool = False) -> Recording:
     """Read one file, or two that belong together: tables of both directions, or two logs of one bus.
 
     Args:
-        paths: the files; of two tables the first is from the sensor to the controller, of two CAN logs the first is the sender's.
+        paths: the files, or the name of a shipped recording; of two tables the first is from the sensor to the controller, of two
+            CAN logs the first is the sender's.
         can_id: of CAN logs only frames of this identifier.
         one_clock: both time stamps are of one clock.
 
     Raises:
         HilError: what cannot be read, or is no record of packets; the message has the file and the remedy.
     """
+    paths = [shipped_recordings().get(str(path), path) for path in paths]
     endings = {path.suffix.lower() for path in paths}
     said = " and ".join(map(str, paths))
     for path in paths:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import hil
 from hil.errors import HilError
-from hil.recordings.read import read_recording
+from hil.recordings.read import read_recording, shipped_recordings
 from hil.recordings.recording import packet_records
 from transport.law_fit.law_fit import fit_law
 
@@ -159,3 +159,18 @@ def test_frames_that_repeat_and_get_lost_cannot_be_paired(tmp_path: Path) -> Non
             for k in range(n):
                 log(can.Message(timestamp=1e9 + k, arbitration_id=1, data=b"same", is_extended_id=False))
     assert "which was lost cannot be said" in fails(paths)
+
+
+def test_shipped_recordings_are_of_real_links_and_say_so() -> None:
+    """Of 2000 packets each none was lost; latencies of a busy machine depend on each other, and hil says so."""
+    assert [*shipped_recordings()] == ["vcan-busy", "zenoh-loopback"]
+    for name in shipped_recordings():
+        recording = read_recording([Path(name)])
+        assert recording.clocks == 1
+        for record in packet_records(recording)[0].values():
+            assert len(record.latency_s) == 2000
+            fit = fit_law(record, 0.02, 0.012)
+            assert not fit.tested.independent
+            assert fit.law_class in ("markov", "semi-markov", "independent")
+    records, _ = packet_records(read_recording([Path("vcan-busy")]))
+    assert {fit_law(record, 0.05, 0.03).law_class for record in records.values()} == {"independent"}
