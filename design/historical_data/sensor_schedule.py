@@ -39,7 +39,7 @@ def mask_of(nodes: SensorNodes, memory: int, uses: Uses) -> Mask:
     for name, buffer, delay in zip(nodes.names, nodes.buffers, delays):
         if buffer + delay > memory + 1:
             raise FieldError(
-                f"nodes.{name}.buffer",
+                f"network.nodes.{name}.buffer",
                 f"{buffer} samples that are {delay} slots late, but the gains reach back {memory} slots only",
             )
     turns = nodes.turns

@@ -25,7 +25,7 @@ Source = str | Path | Experiment
 OBJECTS = ("plant", "controller")
 """Tables of an experiment for which an object may stand."""
 
-LAW = re.compile(r"links\.(sc|ca)\.law|nodes\.[^.]+\.law")
+LAW = re.compile(r"network\.(sc|ca|nodes\.[^.]+)\.law")
 """The same for network laws."""
 
 
@@ -39,12 +39,12 @@ def load_experiment(
         sets: changes ``path=value`` in TOML notation, as ``hil run --set`` takes them.
         seed: root of all random streams.
         duration: length of a run: seconds, or text such as "2 min".
-        changes: path to value, as ``**{"plant.gain": 150, "links.sc.max_age": 4}``. ``plant`` takes a `control.StateSpace` or a
+        changes: path to value, as ``**{"plant.gain": 150, "network.sc.max_age": 4}``. ``plant`` takes a `control.StateSpace` or a
             `control.TransferFunction`, or what `plants.from_control` made of it; ``controller`` a fixed gain as one of them, a
             matrix (m, p) or a number, or a model in discrete time that the error y - r drives and whose output adds to u*. Both
             take an object of any class, one of a notebook's cell too, that is a plant (`plants.Plant`) or a controller
-            (`design.controllers.Controller`); the log says so, and `verify` takes it again. ``links.sc.law``, ``links.ca.law``
-            and ``nodes.NAME.law`` take an object that is a network law, likewise.
+            (`design.controllers.Controller`); the log says so, and `verify` takes it again. ``network.sc.law``,
+            ``network.ca.law`` and ``network.nodes.NAME.law`` take an object that is a network law, likewise.
 
     Raises:
         HilError: with every fault found, each with the path of its field.

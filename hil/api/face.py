@@ -41,7 +41,7 @@ def verify(
     Args:
         log: the file.
         plant, controller: what ran, where it was built in Python.
-        laws: network laws that were built in Python, by their paths, such as ``{"links.sc.law": Mine()}``.
+        laws: network laws that were built in Python, by their paths, such as ``{"network.sc.law": Mine()}``.
         folder: where the file of an own module or an FMU stands, which the log names and does not hold.
 
     Returns:

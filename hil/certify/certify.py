@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -43,9 +44,9 @@ CERTIFIERS: tuple[Certifier, ...] = (
 def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:
     """Return the digest of the loop that will run: its plant, controller, network, period and model, not its seed or schedule."""
     resolved = replace(experiment, controller=controller).resolved()
-    said = {name: resolved[name] for name in ("plant", "controller", "links", "period")}
-    said["links"] = {side: said["links"][side] for side in ("sc", "ca")}  # over which link its frames go is no part of it
-    said |= {name: resolved[name] for name in ("nodes", "media", "fault") if name in resolved}
+    said: dict[str, Any] = {
+        name: resolved[name] for name in ("plant", "controller", "network", "period", "fault") if name in resolved
+    }
     if experiment.limits.passivity is not None:  # the other limits stop a run; this one changes it
         said["passivity"] = resolved["limits"]["passivity"]
     law = f"{type(controller).__module__}.{type(controller).__qualname__}"  # two laws may have the same parameters

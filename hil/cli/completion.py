@@ -73,7 +73,7 @@ def _static(path: Path) -> dict[str, Any]:
     """
     from hil.experiment.limits import Limits
     from hil.experiment.load import MAX_BYTES
-    from hil.experiment.tables import Experiment, Report, Timing
+    from hil.experiment.tables import Experiment, Links, Report, Timing
     from hil.files.regular import read_regular
     from hil.files.toml_text import parse_toml
     from hil.plugins import registry
@@ -89,11 +89,12 @@ def _static(path: Path) -> dict[str, Any]:
         return with_keys(table, registry.load(group, kind)) if kind in registry.names(group) else table
 
     raw = {name: None for name in Experiment.__struct_fields__ if name not in ("kinds", "text", "folder")} | raw
-    for name, cls in (("limits", Limits), ("timing", Timing), ("report", Report)):
+    for name, cls in (("links", Links), ("limits", Limits), ("timing", Timing), ("report", Report)):
         raw[name] = with_keys(raw[name] or {}, cls)
     raw["plant"] = with_plugin(raw["plant"], "hil.plants")
     raw["controller"] = with_plugin(raw["controller"], "hil.controllers")
-    for side in (raw["links"] or {}).values() if isinstance(raw["links"], dict) else ():
+    network = raw["network"] if isinstance(raw["network"], dict) else {}
+    for side in (network.get("sc"), network.get("ca")):
         if isinstance(side, dict):
             side["law"] = with_plugin(side.get("law"), "hil.laws")
             side.setdefault("max_age", None)

@@ -153,6 +153,12 @@ def _who(uri: str | None) -> tuple[bool, str, str]:
     return True, "; ".join(f"over {link} {traits_of(link).commanders}" for link in links), ""
 
 
+def _certificates_of(link: str) -> Certificates | None:
+    from transport.links.traits import traits_of
+
+    return traits_of(link).certificates
+
+
 def _certificates(shown: Certificates) -> tuple[bool, str, str]:
     """Say until when the certificates of a link are valid, or what is wrong with those that are here."""
     from transport.links.certificates import check_certificate
@@ -185,10 +191,8 @@ def command(link: str | None, as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
     import json
 
-    from transport.links.traits import traits_of
-
     there = importlib.util.find_spec("zenoh") is not None
-    certificates = None if link is None else traits_of(link).certificates
+    certificates = None if link is None else _certificates_of(link)
     shown = [] if certificates is None else [_ours("certificates", partial(_certificates, certificates))]
     checks = [_ours("who could command a rig", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), _own_vcan(), _zenoh(),

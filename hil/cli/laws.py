@@ -43,8 +43,8 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
         return found | {"transition_matrix": None if matrix is None else matrix.tolist()}
 
     if as_json:
-        laws = {"sc": told(checked.links.sc.law), "ca": told(rig.ca_law)}
-        nodes = {name: laws["sc"] if law is checked.links.sc.law else told(law) for name, law in networks.items()}
+        laws = {"sc": told(checked.network.sc.law), "ca": told(rig.ca_law)}
+        nodes = {name: laws["sc"] if law is checked.network.sc.law else told(law) for name, law in networks.items()}
         said = {"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes}
         print(json.dumps(said, indent=2))
         return

@@ -16,13 +16,13 @@ def with_law_files(e: Experiment) -> Experiment:
     Raises:
         ExperimentError: a file is missing or faulty, or a recording is shorter than the run.
     """
-    sc, ca = e.links.sc, e.links.ca
-    sc, ca = replace(sc, law=_loaded_law(e, sc.law, "links.sc")), replace(ca, law=_loaded_law(e, ca.law, "links.ca"))
+    sc, ca = e.network.sc, e.network.ca
+    sc, ca = replace(sc, law=_loaded_law(e, sc.law, "network.sc")), replace(ca, law=_loaded_law(e, ca.law, "network.ca"))
     nodes = {
-        name: node if node.law is None else replace(node, law=_loaded_law(e, node.law, f"nodes.{name}"))
-        for name, node in e.nodes.items()
+        name: node if node.law is None else replace(node, law=_loaded_law(e, node.law, f"network.nodes.{name}"))
+        for name, node in e.network.nodes.items()
     }
-    return replace(e, links=replace(e.links, sc=sc, ca=ca), nodes=nodes)
+    return replace(e, network=replace(e.network, sc=sc, ca=ca, nodes=nodes))
 
 
 def _loaded_law(e: Experiment, law: NetworkLaw, path: str) -> NetworkLaw:

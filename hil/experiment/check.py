@@ -13,7 +13,7 @@ from hil.errors import HilError
 from hil.experiment.law_file import names_law_file, read_law_file
 from hil.experiment.nodes import Medium, Node
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
-from hil.experiment.tables import HIDDEN, Direction, Experiment, Links
+from hil.experiment.tables import HIDDEN, Direction, Experiment, Network
 from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.plugins import registry
 from hil.plugins.protocols import ReferencesFiles
@@ -57,13 +57,10 @@ class Checker:
         folder = self._folder or "."
         if self._folder is None:
             raw = _without_own_measures(raw)
-        links = raw.get("links")
         given: dict[str, Any] = {
             "plant": self.plugin("hil.plants", raw.get("plant"), "plant"),
             "controller": self.plugin("hil.controllers", raw.get("controller"), "controller"),
-            "links": self._links(links, folder),
-            "nodes": self._nodes(raw.get("nodes", {}), folder),
-            "media": self._named(Medium, raw.get("media", {}), "media", lambda table, path: {}),
+            "network": self._network(raw.get("network"), folder),
             "text": text,
             "folder": folder,
             "kinds": self.kinds,
@@ -79,37 +76,40 @@ class Checker:
         self.faults[:] = [f for f in self.faults if f.endswith(INFINITE) or f.partition(": ")[0] not in infinite]  # say it once
         return experiment if not self.faults else None
 
-    def _links(self, raw: Any, folder: str) -> Links | None:
+    def _network(self, raw: Any, folder: str) -> Network | None:
         if raw is None:
-            self.faults.append("links: missing table")
+            self.faults.append("network: missing table; it has sc.law and ca.law")
             return None
         if not isinstance(raw, dict):
-            self.faults.append(f"links: expected a table, got {raw!r:.60}")
+            self.faults.append(f"network: expected a table, got {raw!r:.60}")
             return None
-        given: dict[str, Any] = {}
+        given: dict[str, Any] = {
+            "nodes": self._nodes(raw.get("nodes", {}), folder),
+            "media": self._named(Medium, raw.get("media", {}), "network.media", lambda table, path: {}),
+        }
         for side in ("sc", "ca"):
             table = raw.get(side)
             if not isinstance(table, dict):
-                self.faults.append(f"links.{side}: missing table" if table is None else f"links.{side}: expected a table")
+                self.faults.append(f"network.{side}: missing table" if table is None else f"network.{side}: expected a table")
                 given[side] = None
                 continue
-            law = self._law(table.get("law"), f"links.{side}.law", folder)
+            law = self._law(table.get("law"), f"network.{side}.law", folder)
             bound = law.max_age if isinstance(law, BoundedAge) else None
             default = 3 if bound is None else int(bound)
             direction = self._tables.table(
-                Direction, {"max_age": default} | {k: v for k, v in table.items() if k != "law"}, f"links.{side}", {"law": law}
+                Direction, {"max_age": default} | {k: v for k, v in table.items() if k != "law"}, f"network.{side}", {"law": law}
             )
             if direction is not None and law is not None:
                 if direction.max_age < 0:
-                    self.faults.append(f"links.{side}.max_age: {direction.max_age} is negative")
+                    self.faults.append(f"network.{side}.max_age: {direction.max_age} is negative")
                 elif bound is not None and direction.max_age < bound:
-                    self.faults.append(f"links.{side}.max_age: {direction.max_age} is below the law's largest delay {bound}")
+                    self.faults.append(f"network.{side}.max_age: {direction.max_age} is below the law's largest delay {bound}")
                 elif direction.max_age > OLDEST:
                     field = "max_age:" if "max_age" in table else "law: its largest delay"
-                    self.faults.append(f"links.{side}.{field} {direction.max_age} is above {OLDEST}")
+                    self.faults.append(f"network.{side}.{field} {direction.max_age} is above {OLDEST}")
             given[side] = direction
-        links: Links | None = self._tables.table(Links, {k: v for k, v in raw.items() if k not in given}, "links", given)
-        return links
+        network: Network | None = self._tables.table(Network, {k: v for k, v in raw.items() if k not in given}, "network", given)
+        return network
 
     def _nodes(self, raw: Any, folder: str) -> dict[str, Any] | None:
         """Return the sensor nodes, each with the network law that it names."""
@@ -118,7 +118,7 @@ class Checker:
             named = "law" in table or f"{path}.law" in self._objects
             return {"law": self._law(table.get("law"), f"{path}.law", folder)} if named else {}
 
-        found = self._named(Node, raw, "nodes", law)
+        found = self._named(Node, raw, "network.nodes", law)
         if found is None:
             return None
         # A log does not keep the order of tables: their numbers stand in the resolved form.

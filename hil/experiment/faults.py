@@ -34,7 +34,7 @@ class Fault(Table, frozen=True, kw_only=True, rename={"lasts": "for"}):
     @property
     def where(self) -> str:
         """What is broken, for messages."""
-        return "the controller" if self.kind == RESTART else f"node {self.node!r}" if self.node else f"links.{self.link}"
+        return "the controller" if self.kind == RESTART else f"node {self.node!r}" if self.node else f"network.{self.link}"
 
     def slots(self, period_s: float) -> tuple[int, int]:
         """Return the first slot, and the one in which it is over.

@@ -1,4 +1,4 @@
-"""Sensor nodes and the media that they share, as an experiment file names them: `[nodes.NAME]`, `[media.NAME]`."""
+"""Sensor nodes and the media that they share, as a file names them: `[network.nodes.NAME]`, `[network.media.NAME]`."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Node(Table, frozen=True, kw_only=True):
         buffer: samples in one packet, the newest first.
         trigger: when the node sends.
         clock: in which slots it has something to send; by default in every one.
-        law: the network from this node to the controller; by default that of ``links.sc``, with draws of its own.
+        law: the network from this node to the controller; by default that of ``network.sc``, with draws of its own.
         can_id: CAN identifier of its packets' first frame, 11 bits, the next ones for further frames; by default by its number
             below the base of the link. The lower one wins on a ``can-arbitration`` medium.
     """

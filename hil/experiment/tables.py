@@ -20,7 +20,7 @@ from transport.links.link import TransportError
 from transport.links.traits import KeyTable, traits_of
 
 __all__ = [
-    "HIDDEN", "Direction", "Experiment", "Links", "Pulse", "Report", "Seconds", "Step",
+    "DEFAULT_LINK", "HIDDEN", "Direction", "Experiment", "Links", "Network", "Pulse", "Report", "Seconds", "Step",
     "Table", "Timing",
 ]  # fmt: skip
 if TYPE_CHECKING:
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     LawTable = NetworkLaw
 else:  # msgspec reads these at run time: which class a table becomes is said by its kind, see `Checker.plugin`
     PlantTable = ControllerTable = LawTable = Any
+
+DEFAULT_LINK: typing.Final = "can:hil:rig0"
+"""The real link of an experiment that names none: a CAN bus without a kernel's, for the processes of one user."""
 
 HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
 SPARSE = ("nodes", "media", "fault")  # fields that the resolved form leaves out where they are empty
@@ -92,22 +95,34 @@ class Direction(Table, frozen=True, kw_only=True):
         return type(self.law).__name__
 
 
+class Network(Table, frozen=True, kw_only=True):
+    """The network that is emulated at the rig, on the way to the controller and on the way back.
+
+    Args:
+        sc: from the sensor to the controller.
+        ca: from the controller to the actuator.
+        nodes: sensor nodes by name; without any there is one, which measures every output and sends in every slot.
+        media: what nodes share on their way to the controller, by name.
+    """
+
+    sc: Direction
+    ca: Direction
+    nodes: dict[str, Node] = msgspec.field(default_factory=dict)
+    media: dict[str, Medium] = msgspec.field(default_factory=dict)
+
+
 class Links(Table, frozen=True, kw_only=True):
-    """The real link, and the network that is emulated on both sides of the rig.
+    """The real link between rig and controller; in virtual time there is none.
 
     Args:
         uri: the link in real time: can:INTERFACE:CHANNEL, zenoh:ENDPOINT, or local: for the controller in the rig's process.
-        sc: from the sensor to the controller.
-        ca: from the controller to the actuator.
         auth: a message authentication code in every packet.
         tls: certificates, for a link over zenoh.
         login: a password for the controller, for a link over zenoh.
         control_can_id: CAN identifier of the control packets' first frame, 11 bits; by default 0x40 above the link's base.
     """
 
-    uri: str
-    sc: Direction
-    ca: Direction
+    uri: str = DEFAULT_LINK
     auth: Auth | None = None
     tls: Tls | None = None
     login: Login | None = None
@@ -124,7 +139,7 @@ class Links(Table, frozen=True, kw_only=True):
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
-        uri = values.get("uri", "memory:")
+        uri = values.get("uri", DEFAULT_LINK)
         yield from identifier_faults(values, "control_can_id")
         try:
             takes = traits_of(secured_uri(uri, ".", values.get("auth"), None, None)).takes
@@ -186,7 +201,7 @@ class Report(Table, frozen=True, kw_only=True):
 
 
 class Experiment(Table, frozen=True, kw_only=True):
-    """One experiment: plant, controller, links with their network laws, schedule, limits and seed.
+    """One experiment: plant, controller, emulated network, real link, schedule, limits and seed.
 
     Args:
         name: name of the experiment, and of its logs.
@@ -200,9 +215,8 @@ class Experiment(Table, frozen=True, kw_only=True):
         reference: steps of the reference; 0 before the first.
         disturbance: pulses that are added to the plant's input.
         fault: what breaks when; nothing by default.
-        links: the real link, and the network that is emulated on both sides of the rig.
-        nodes: sensor nodes by name; without any there is one, which measures every output and sends in every slot.
-        media: what nodes share on their way to the controller, by name.
+        network: the network that is emulated at the rig: network laws, sensor nodes, media.
+        links: the real link, for real time.
         limits: what the rig allows, whatever the controller does.
         timing: how rig and controller run in real time.
         report: what a run is judged by.
@@ -222,9 +236,8 @@ class Experiment(Table, frozen=True, kw_only=True):
     reference: tuple[Step, ...] = ()
     disturbance: tuple[Pulse, ...] = ()
     fault: tuple[Fault, ...] = ()
-    links: Links
-    nodes: dict[str, Node] = msgspec.field(default_factory=dict)
-    media: dict[str, Medium] = msgspec.field(default_factory=dict)
+    network: Network
+    links: Links = Links()
     limits: Limits = Limits()
     timing: Timing = Timing()
     report: Report = Report()
@@ -267,8 +280,8 @@ class Experiment(Table, frozen=True, kw_only=True):
         for f in self.__struct_fields__:
             value = getattr(self, f)
             if f not in HIDDEN and (value or f not in SPARSE):
-                table = plain(value)
-                out[f] = table
+                out[f] = plain(value)
+        out["network"] = {name: table for name, table in out["network"].items() if table or name not in SPARSE}
         for path, kind in self.kinds.items():
             node, made = out, self
             for part in path.split("."):

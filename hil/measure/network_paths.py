@@ -60,8 +60,8 @@ def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
 
 def law_kinds(run: Run) -> dict[str, str]:
     """Return the kind of the network law of each direction, as a log states it."""
-    links = run.resolved.get("links", {})
-    return {side: str(links.get(side, {}).get("law", {}).get("kind", "?")) for side in ("sc", "ca")}
+    network = run.resolved.get("network", {})
+    return {side: str(network.get(side, {}).get("law", {}).get("kind", "?")) for side in ("sc", "ca")}
 
 
 def draws_of(draws: Draws, number: int) -> Draws:

@@ -291,7 +291,7 @@ def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], 
     if begin is None:
         raise HilError("the log has no frames to play")
     errors = AppendColumn(np.float64)
-    if run.resolved.get("nodes"):  # each on its own CAN identifiers
+    if run.resolved.get("network", {}).get("nodes"):  # each on its own CAN identifiers
         uri = link_of(rig_of(experiment_of(run, "the log")), uri).uri
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
         links = {"rig": rig, "controller": controller}

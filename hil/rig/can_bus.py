@@ -129,7 +129,7 @@ def analysed(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[P
 def can_bus_faults(rig: RigSpec) -> Iterator[str]:
     """Yield what is wrong with the CAN bus of a rig, each with its path."""
     buses = [shared.name for shared in rig.media if shared.table.kind == "can"]
-    yield from (f"media.{name}: media.{buses[0]} is a CAN bus already, an experiment has one" for name in buses[1:])
+    yield from (f"network.media.{name}: medium {buses[0]!r} is a CAN bus already, an experiment has one" for name in buses[1:])
     bus = can_bus_of(rig)
     if bus is None:
         return
@@ -139,19 +139,19 @@ def can_bus_faults(rig: RigSpec) -> Iterator[str]:
         for i in range(len(packet.sizes(fd=medium.dbitrate is not None))):
             taken = owner.setdefault((False, packet.first + i), packet.sender)
             if taken != packet.sender:
-                yield f"{packet.path}: {packet.first + i:#x} is the identifier of {taken!r} already, on media.{at}"
+                yield f"{packet.path}: {packet.first + i:#x} is the identifier of {taken!r} already, on network.media.{at}"
     sent: dict[tuple[bool, int], str] = {}
     for i, message in enumerate(medium.traffic):
         key = (message.extended, message.can_id)
-        path = f"media.{at}.traffic[{i}].can_id"
+        path = f"network.media.{at}.traffic[{i}].can_id"
         if key in owner:
             yield f"{path}: {message.can_id:#x} is the identifier of {owner[key]!r} already"
         elif sent.setdefault(key, message.said) != message.said:
             yield f"{path}: {message.can_id:#x} is the identifier of {sent[key]!r} already"
         if message.sender in (*names, CONTROLLER, ACTUATOR):
-            yield f"media.{at}.traffic[{i}].{'node' if message.node else 'name'}: {message.sender!r} is a node of the rig"
+            yield f"network.media.{at}.traffic[{i}].{'node' if message.node else 'name'}: {message.sender!r} is a node of the rig"
         if message.fd and medium.dbitrate is None:
-            yield f"media.{at}.traffic[{i}].fd: the bus has no dbitrate, expected one for CAN FD"
+            yield f"network.media.{at}.traffic[{i}].fd: the bus has no dbitrate, expected one for CAN FD"
 
 
 def _ns(seconds: float) -> int:

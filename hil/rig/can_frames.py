@@ -25,7 +25,8 @@ def can_faults(rig: RigSpec, traits: LinkTraits) -> list[str]:
     if len(rig.sensors) > FRAGMENTS and any(sensor.own_can_id is None for sensor in rig.sensors):
         if traits.can is None:
             return []
-        return [f"nodes: {len(rig.sensors)} of them; a CAN link has identifiers for {FRAGMENTS}, unless each names its can_id"]
+        many = f"{len(rig.sensors)} of them; a CAN link has identifiers for {FRAGMENTS}, unless each names its can_id"
+        return [f"network.nodes: {many}"]
     framing = traits.can or CanFraming()
     faults: list[str] = []
     names, owner = {path_of(sensor): sensor.name for sensor in rig.sensors}, dict[int, str]()

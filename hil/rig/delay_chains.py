@@ -85,7 +85,7 @@ def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[i
     from design.processes.product_chain import product_chain
 
     arriving = tuple(received(f"{sensor.path}.law", sensor.law, rig.at_controller) for sensor in rig.sensors)
-    applied = received("links.ca.law", rig.ca_law, rig.at_actuator)
+    applied = received("network.ca.law", rig.ca_law, rig.at_actuator)
     silent = _why_silent(rig)
     chains = () if silent else [_chain(way, sojourns) for way in arriving]
     known = tuple(chain for chain in chains if chain is not None)
@@ -93,7 +93,7 @@ def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[i
     nodes = None if why_none else known
     ca = _chain(applied)
     if not why_none and ca is None:
-        why_none = f"the law of links.ca {why_no_ages(applied.law, applied.at)}"
+        why_none = f"the law of network.ca {why_no_ages(applied.law, applied.at)}"
     sc = None if nodes is None else product_chain(nodes, [sensor.outputs for sensor in rig.sensors], tuple(ages))
     return Chains(arriving=arriving, applied=applied, nodes=nodes, sc=sc, ca=ca, why_none=why_none)
 
@@ -101,7 +101,7 @@ def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[i
 def _why_silent(rig: RigSpec) -> str:
     """Return why a node may be silent in a slot, in words; empty where none may."""
     if rig.media:
-        return f"nodes share {' and '.join(f'media.{medium.name}' for medium in rig.media)}, and take turns"
+        return f"nodes share {' and '.join(f'network.media.{medium.name}' for medium in rig.media)}, and take turns"
     for sensor in rig.sensors:
         if sensor.trigger.kind != "every-slot":
             return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"

@@ -27,11 +27,11 @@ class FaultSchedule:
 
 def fault_schedule_faults(e: Experiment) -> list[str]:
     """Return what is wrong with the time line, each with its path."""
-    there = f"there are: {', '.join(e.nodes)}" if e.nodes else "no node is named: use link"
+    there = f"there are: {', '.join(e.network.nodes)}" if e.network.nodes else "no node is named: use link"
     return [
         f"fault[{i}].node: there is no node {fault.node!r} ({there})"
         for i, fault in enumerate(e.fault)
-        if fault.node is not None and fault.node not in e.nodes
+        if fault.node is not None and fault.node not in e.network.nodes
     ]
 
 
@@ -44,7 +44,7 @@ def beyond_the_end(e: Experiment) -> str:
     >>> from hil.experiment import load_experiment
     >>> late = "fault=[{at=9,for=1,kind='cut',link='sc'}]"
     >>> beyond_the_end(load_experiment("dc-motor-hinf", ["duration=5", late]))
-    'fault[0].at: 9 s lies beyond the end of the run (5 s): the cut of links.sc for 1 s never happens'
+    'fault[0].at: 9 s lies beyond the end of the run (5 s): the cut of network.sc for 1 s never happens'
     """
     return "; ".join(
         f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {told(fault)} never happens"
@@ -82,7 +82,7 @@ def told(fault: Fault) -> str:
 
     >>> from hil.experiment import Seconds
     >>> told(Fault(at=Seconds(3), lasts=Seconds(0.5), kind="cut", link="ca"))
-    'cut of links.ca for 0.5 s'
+    'cut of network.ca for 0.5 s'
     """
     words = {"corrupt": "flipped bits on", "freeze": "frozen values on", "bus-off": "bus-off of", RESTART: "restart of"}
     return f"{words.get(fault.kind, f'{fault.kind} of')} {fault.where} for {fault.lasts:g} s"

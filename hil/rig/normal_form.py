@@ -27,7 +27,7 @@ def rig_of(e: Experiment) -> RigSpec:
         ExperimentError: tables that do not fit the plant, the nodes, the link or the time line, each with its path.
         PlantError: the plant has no model.
     """
-    plant, links = e.plant, e.links
+    plant, network, links = e.plant, e.network, e.links
     absent = isinstance(plant, UnavailablePlugin)
     port = None if absent else port_of(plant)
     faults, nodes = ([], []) if absent else (_size_faults(e) + _port_faults(e, port), node_faults(e))
@@ -43,9 +43,9 @@ def rig_of(e: Experiment) -> RigSpec:
         states=tuple(plant.states), inputs=tuple(plant.inputs), outputs=tuple(plant.outputs),
         port=port, passivity=e.limits.passivity is not None,
         sensors=sensors, media=media, nodes=sensor_nodes(sensors, media),
-        ca_law=links.ca.law, ca_kind=e.kinds.get("links.ca.law", "?"),
-        at_controller=Receiver(period_s, deadline_s, links.sc.max_age, holds_input=False),
-        at_actuator=Receiver(period_s, deadline_s, links.ca.max_age, holds_input=True),
+        ca_law=network.ca.law, ca_kind=e.kinds.get("network.ca.law", "?"),
+        at_controller=Receiver(period_s, deadline_s, network.sc.max_age, holds_input=False),
+        at_actuator=Receiver(period_s, deadline_s, network.ca.max_age, holds_input=True),
         fault_schedule=fault_schedule(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
         links=links, framing=framing,
     )  # fmt: skip

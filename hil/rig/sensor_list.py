@@ -50,7 +50,7 @@ class Sensor:
 
 
 def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tuple[Sensor, ...]:
-    """Return the sensor nodes by number: the named ones, or the only one that `links.sc` stands for.
+    """Return the sensor nodes by number: the named ones, or the only one that `network.sc` stands for.
 
     Args:
         e: checked.
@@ -60,19 +60,19 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
     Raises:
         ExperimentError: a node measures what the plant does not put out.
     """
-    kind = e.kinds.get("links.sc.law", "?")
-    if not e.nodes:  # the short form; whoever reads the list need not know it
+    kind = e.kinds.get("network.sc.law", "?")
+    if not e.network.nodes:  # the short form; whoever reads the list need not know it
         return (
             Sensor(
-                name="sensor", path="links.sc", outputs=tuple(range(len(e.plant.outputs))), buffer=packet_samples(e.controller),
-                trigger=TriggerTable(), clock=ClockTable(), law=e.links.sc.law, law_kind=kind,
+                name="sensor", path="network.sc", outputs=tuple(range(len(e.plant.outputs))), buffer=packet_samples(e.controller),
+                trigger=TriggerTable(), clock=ClockTable(), law=e.network.sc.law, law_kind=kind,
                 stream="link.sc", repeats=True, numbered=False, can_id=first_identifiers([None], framing)[0],
             ),
         )  # fmt: skip
     index = {s.name: i for i, s in enumerate(e.plant.outputs)}
-    nodes = [e.nodes[name] for name in names]
+    nodes = [e.network.nodes[name] for name in names]
     unknown = [
-        f"nodes.{name}.outputs[{i}]: the plant has no output {output!r} (there are: {', '.join(index)})"
+        f"network.nodes.{name}.outputs[{i}]: the plant has no output {output!r} (there are: {', '.join(index)})"
         for name, node in zip(names, nodes)
         for i, output in enumerate(node.outputs)
         if output not in index
@@ -81,9 +81,9 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
         raise ExperimentError(e.name, unknown)
     return tuple(
         Sensor(
-            name=name, path=f"nodes.{name}", outputs=tuple(index[output] for output in node.outputs), buffer=node.buffer,
-            trigger=node.trigger, clock=node.clock, law=e.links.sc.law if node.law is None else node.law,
-            law_kind=kind if node.law is None else e.kinds.get(f"nodes.{name}.law", "?"),
+            name=name, path=f"network.nodes.{name}", outputs=tuple(index[output] for output in node.outputs), buffer=node.buffer,
+            trigger=node.trigger, clock=node.clock, law=e.network.sc.law if node.law is None else node.law,
+            law_kind=kind if node.law is None else e.kinds.get(f"network.nodes.{name}.law", "?"),
             stream=f"link.sc.{name}", repeats=False, numbered=True, can_id=can_id,
             own_can_id=node.can_id,
         )

@@ -11,8 +11,8 @@ from transport.links.traits import CanFraming
 
 def ordered_names(e: Experiment) -> list[str]:
     """Return the names of the nodes by their number."""
-    names = list(e.nodes)
-    return sorted(names, key=lambda name: names.index(name) if e.nodes[name].id is None else e.nodes[name].id)  # type: ignore[arg-type,return-value]
+    names = list(e.network.nodes)
+    return sorted(names, key=lambda name: names.index(name) if e.network.nodes[name].id is None else e.network.nodes[name].id)  # type: ignore[arg-type,return-value]
 
 
 def first_identifiers(given: Sequence[int | None], framing: CanFraming) -> list[int]:

@@ -34,39 +34,41 @@ class SharedMedium:
 
 def node_faults(e: Experiment) -> list[str]:
     """Return what is wrong with nodes and media, each with its path."""
-    if not e.nodes:
-        return [f"media.{name}: no node shares it; add [nodes.NAME]" for name in e.media]
+    nodes, media, covered = e.network.nodes, e.network.media, e.network.sc.max_age
+    if not nodes:
+        return [f"network.media.{name}: no node shares it; add [network.nodes.NAME]" for name in media]
     faults, outputs = [], [s.name for s in e.plant.outputs]
     owner: dict[str, str] = {}
     taken: dict[int, str] = {}
-    if len(e.nodes) > MOST_NODES:
-        faults.append(f"nodes: {len(e.nodes)} of them, at most {MOST_NODES}")
-    for position, (name, node) in enumerate(e.nodes.items()):
-        number = position if node.id is None else node.id
-        if not 0 <= number < len(e.nodes):
-            faults.append(f"nodes.{name}.id: {number}, expected 0 to {len(e.nodes) - 1}, a number for each node")
+    if len(nodes) > MOST_NODES:
+        faults.append(f"network.nodes: {len(nodes)} of them, at most {MOST_NODES}")
+    for position, (name, node) in enumerate(nodes.items()):
+        own, number = f"network.nodes.{name}", position if node.id is None else node.id
+        if not 0 <= number < len(nodes):
+            faults.append(f"{own}.id: {number}, expected 0 to {len(nodes) - 1}, a number for each node")
         elif number in taken:
-            faults.append(f"nodes.{name}.id: {number} is the number of node {taken[number]!r} already")
+            faults.append(f"{own}.id: {number} is the number of node {taken[number]!r} already")
         taken.setdefault(number, name)
         for i, output in enumerate(node.outputs):
-            at = f"nodes.{name}.outputs[{i}]"
+            at = f"{own}.outputs[{i}]"
             if output not in outputs:
                 faults.append(f"{at}: the plant has no output {output!r} (there are: {', '.join(outputs)})")
             elif owner.setdefault(output, name) != name:
                 faults.append(f"{at}: {output!r} is measured by node {owner[output]!r} already")
         if len(node.outputs) > MAX_OUTPUTS or len(node.outputs) * node.buffer + len(outputs) > MAX_VALUES:
-            faults.append(f"nodes.{name}.buffer: {node.buffer} samples of {len(node.outputs)} outputs do not fit a packet")
+            faults.append(f"{own}.buffer: {node.buffer} samples of {len(node.outputs)} outputs do not fit a packet")
         bound = node.law.max_age if isinstance(node.law, BoundedAge) else None
-        if bound is not None and bound > e.links.sc.max_age:
-            faults.append(f"nodes.{name}.law: its largest delay {bound} is above links.sc.max_age = {e.links.sc.max_age}")
-    faults += [f"nodes: no node measures the output {name!r}" for name in outputs if name not in owner]
+        if bound is not None and bound > covered:
+            faults.append(f"{own}.law: its largest delay {bound} is above network.sc.max_age = {covered}")
+    faults += [f"network.nodes: no node measures the output {name!r}" for name in outputs if name not in owner]
     on: dict[str, str] = {}
-    for name, medium in e.media.items():
+    for name, medium in media.items():
         for i, node_name in enumerate(medium.nodes):
-            if node_name not in e.nodes:
-                faults.append(f"media.{name}.nodes[{i}]: there is no node {node_name!r} (there are: {', '.join(e.nodes)})")
+            at = f"network.media.{name}.nodes[{i}]"
+            if node_name not in nodes:
+                faults.append(f"{at}: there is no node {node_name!r} (there are: {', '.join(nodes)})")
             elif on.setdefault(node_name, name) != name:
-                faults.append(f"media.{name}.nodes[{i}]: node {node_name!r} is on medium {on[node_name]!r} already")
+                faults.append(f"{at}: node {node_name!r} is on medium {on[node_name]!r} already")
     return faults
 
 
@@ -80,7 +82,7 @@ def shared_media(e: Experiment, names: Sequence[str]) -> tuple[SharedMedium, ...
     number = {name: i for i, name in enumerate(names)}
     return tuple(
         SharedMedium(name=name, nodes=tuple(number[node] for node in medium.nodes), table=medium)
-        for name, medium in e.media.items()
+        for name, medium in e.network.media.items()
         if medium.kind != "independent"
     )
 

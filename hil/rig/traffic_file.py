@@ -25,19 +25,19 @@ def with_traffic_file(e: Experiment) -> Experiment:
     Raises:
         ExperimentError: the file cannot be read, or is faulty.
     """
-    media = dict(e.media)
-    for name, medium in e.media.items():
+    media = dict(e.network.media)
+    for name, medium in e.network.media.items():
         if medium.traffic_file:
             try:
                 more = read_traffic(Path(e.folder) / medium.traffic_file)
             except HilError as error:
-                raise ExperimentError(e.name, [f"media.{name}.traffic_file: {error}"]) from error
+                raise ExperimentError(e.name, [f"network.media.{name}.traffic_file: {error}"]) from error
             media[name] = replace(medium, traffic=(*medium.traffic, *more), traffic_file="")
             fields = media[name].__struct_fields__
             faults = list(can_faults_of({field: getattr(media[name], field) for field in fields}))
             if faults:
-                raise ExperimentError(e.name, [f"media.{name}.{fault}" for fault in faults])
-    return replace(e, media=media)
+                raise ExperimentError(e.name, [f"network.media.{name}.{fault}" for fault in faults])
+    return replace(e, network=replace(e.network, media=media))
 
 
 def read_traffic(path: Path) -> tuple[TrafficTable, ...]:

@@ -16,7 +16,7 @@ from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.session import run_session, simulate
 
-WAY = 'links.sc.law={kind="constant", age=5}', 'links.ca.law={kind="constant", age=5}'
+WAY = 'network.sc.law={kind="constant", age=5}', 'network.ca.law={kind="constant", age=5}'
 
 
 def states(name: str, *sets: str, duration: str | None = None, seed: int = 0) -> Any:
@@ -86,7 +86,7 @@ def test_the_arm_presses_45_mm_deep_while_it_slides() -> None:
         (("controller.wall.materials=[{stiffness_n_per_m=-5}]",), r"stiffness_n_per_m: -5"),
         (("controller.coupler.method=soft",), "controller.coupler.method"),
         (("plant={kind='dc-motor'}", "limits={}"), r"controller\.wall: needs"),
-        (("links.sc.law.age=6", "controller.coupler.delays=[6]"), r"9 samples"),
+        (("network.sc.law.age=6", "controller.coupler.delays=[6]"), r"9 samples"),
         (("plant.encoder_step_m=0.0001",), "an encoder that rounds"),
         (('controller.wall={switching="plain", chain=[[0.4, 0.3, 0.3], [0.3, 0.4, 0.3], [0.15, 0.15, 0.7]]}',), "switching"),
         (("controller.wall.chain=[[0.4, 0.3, 0.2], [0.3, 0.4, 0.3], [0.15, 0.15, 0.7]]",), r"chain\[0\]: .*sum 0\.9"),

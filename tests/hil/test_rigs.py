@@ -54,7 +54,7 @@ def test_rig_with_random_modes_in_real_time_is_the_virtual_run_up_to_the_first_l
 
 @pytest.mark.parametrize(("slots", "suffices"), [(40, True), (39, False)])
 def test_a_recording_that_just_suffices_is_taken(slots: int, suffices: bool) -> None:
-    law = f"links.sc.law={{kind='trace', ages={[0] * slots}, past_end='refuse'}}"
+    law = f"network.sc.law={{kind='trace', ages={[0] * slots}, past_end='refuse'}}"
     experiment = load_experiment("dc-motor-hinf", ["duration=2", law, "allow_uncertified=true"])
     if suffices:
         assert compose(experiment).experiment.slots == 40

@@ -201,7 +201,7 @@ SMALL = shipped()["dc-motor-local"].read_text()
 LINKS = [b"zenoh:tls/127.0.0.1:7447?keys=keys&controller=x", b"can:hil:rig0?auth=k&base=0x100", b"can:socketcan:can0?fd=0"]
 TABLES = [b"t_s,u [V],y\n0.0,1,2\n0.1,,3\n0.2,1,4\n0.4,2,5\n", b"time,y,u\n0,1,2\n1,2,3\n2,3,4\n"]
 CHANGES = [
-    b"plant.gain=150", b"seed=3", b"reference.0.at='0.2 s'", b"links.sc.law={kind='constant', age=1}", b"limits.state.angle=3",
+    b"plant.gain=150", b"seed=3", b"reference.0.at='0.2 s'", b"network.sc.law={kind='constant', age=1}", b"limits.state.angle=3",
 ]  # fmt: skip
 KEYS = [b"00112233445566778899aabbccddeeff\n", b"0f" * 32]
 TOLD = json.dumps({"experiment": "x", "period_ns": 5, "session": "s"}).encode()

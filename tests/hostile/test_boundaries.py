@@ -76,7 +76,7 @@ def attack_trace(place: Path, text: str) -> None:
     read_ages(place / "t.csv")
 
 
-FIELDS = ["plant.gain", "seed", "reference", "links.sc.law", "x.y", ""]
+FIELDS = ["plant.gain", "seed", "reference", "network.sc.law", "x.y", ""]
 ROW = {"seed": 3, "sse": 1.0}
 CALLED = (HilError, ValueError)  # see `boundaries.CALLED`
 Drawn = tuple[int, Callable[[], st.SearchStrategy[Any]], Callable[[Path, Any], object], tuple[type[Exception], ...]]

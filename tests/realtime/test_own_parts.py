@@ -85,6 +85,8 @@ kind = "tank:Tank"
 kind = "tank:Gains"
 [links]
 uri = "local:"
+
+[network]
 sc.law = { kind = "constant", age = 1 }
 ca.law = { kind = "constant", age = 0 }
 [limits]

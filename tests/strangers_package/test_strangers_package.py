@@ -39,6 +39,8 @@ gain_bound = 4.0
 decay = 0.5
 [links]
 uri = "datagrams:FOLDER"
+
+[network]
 sc.law = { kind = "constant", age = 0 }
 ca.law = { kind = "constant", age = 0 }
 [report]
@@ -58,6 +60,8 @@ at = "0.5 s"
 value = [1.0]
 [links]
 uri = "datagrams:FOLDER"
+
+[network]
 sc.law = { kind = "sticky" }
 ca.law = { kind = "sticky", change = 0.5 }
 [report]

@@ -207,7 +207,7 @@ def _framing(run: Run) -> tuple[bool, Identifiers]:
         framing = traits_of(uri).can
         if framing is not None:
             return framing.fd, identifiers_on(uri)
-    if not run.resolved.get("nodes"):
+    if not run.resolved.get("network", {}).get("nodes"):
         return True, derived()
     own = no_link(rig_of(experiment_from_resolved(run.resolved, run.experiment_text, "the log"))).identifiers
     if own is None:

@@ -71,7 +71,7 @@ def check_words(metadata: Mapping[str, str], resolved: Mapping[str, Any], summar
         period = resolved.get("period")
         if not isinstance(period, int | float) or isinstance(period, bool) or not 1e-6 < period < 1e6:
             raise HilError(f"resolved.json: period: {period!r:.60}, expected seconds")
-        for name in ("links", "links.sc", "links.ca", "links.sc.law", "links.ca.law", "plant", "controller"):
+        for name in ("network", "network.sc", "network.ca", "network.sc.law", "network.ca.law", "plant", "controller"):
             _table(resolved, name)
         pulses = resolved.get("disturbance", [])
         if not isinstance(pulses, list) or not all(isinstance(pulse, dict) and _number(pulse.get("at")) for pulse in pulses):

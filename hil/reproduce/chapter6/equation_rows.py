@@ -71,7 +71,7 @@ def _closed_loop(device: HeldDevice) -> dict[str, float]:
     there = push_response(closed, MATERIALS[0], tau, d, 1.0, len(run) - 1)
     return {
         "rig": 1e6 * float(np.abs(run - there).max()), "largest": 1e6 * float(np.abs(there).max()),
-        "delay": experiment.links.sc.max_age * float(experiment.period),
+        "delay": experiment.network.sc.max_age * float(experiment.period),
     }  # fmt: skip
 
 

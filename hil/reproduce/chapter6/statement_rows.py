@@ -71,7 +71,7 @@ def _distortion(coupler: Coupler) -> float:
 def _equalised() -> float:
     """Largest difference of a rig over random ages and over constant ones, m."""
     found = []
-    for sets in ([], ['links.sc.law={kind="constant", age=5}', 'links.ca.law={kind="constant", age=5}']):
+    for sets in ([], ['network.sc.law={kind="constant", age=5}', 'network.ca.law={kind="constant", age=5}']):
         experiment = load_experiment("omni-wifi", sets, duration="6 s")
         found.append(simulate(compose(experiment), 0).arrays["/plant/state"]["position"])
     return float(np.abs(found[0] - found[1]).max())

@@ -58,7 +58,7 @@ def test_nearly_every_other_passive_hand_makes_it_unstable(running):
 
 @pytest.mark.parametrize(("sc", "ca"), [(0, 0), (1, 0), (0, 2), (3, 3)])
 def test_the_rig_moves_as_the_matrices_say_while_the_target_is_in_contact(sc, ca):
-    sets = [FOLLOW, f"links.sc.law.age={sc}", f"links.ca.law.age={ca}", "allow_uncertified=true", "limits={}"]
+    sets = [FOLLOW, f"network.sc.law.age={sc}", f"network.ca.law.age={ca}", "allow_uncertified=true", "limits={}"]
     experiment = load_experiment("omni-push", sets, duration="1 s")
     loop = compose(experiment)
     x = simulate(loop, 0).arrays["/plant/state"]["position"]

@@ -90,7 +90,7 @@ def test_the_assertion_on_a_law_finds_another_law() -> None:
 
 
 def test_a_law_without_a_test_is_told() -> None:
-    session = hil.run("dc-motor-hinf", duration=1, **{"links.sc.law": {"kind": "constant", "age": 0}})
+    session = hil.run("dc-motor-hinf", duration=1, **{"network.sc.law": {"kind": "constant", "age": 0}})
     for side, match in (("cs", "expected one of 'sc', 'ca', 'sensor'"), ("sc", "has no test")):
         if side == "sc" and session.summary["network"]["sc"]["p_value"] is not None:
             continue

@@ -108,10 +108,10 @@ def test_run_does_what_the_command_does_and_keeps_no_log_unless_told(tmp_path: P
 def test_changes_of_every_kind_reach_the_experiment() -> None:
     changed = hil.load_experiment(
         "dc-motor-hinf", allow_uncertified=True, description='say "it"\n',
-        **{"links.sc.law": {"kind": "iid", "probabilities": np.array([0.5, 0.5])}, "reference.0.value": (2,)},
+        **{"network.sc.law": {"kind": "iid", "probabilities": np.array([0.5, 0.5])}, "reference.0.value": (2,)},
     )  # fmt: skip
     assert changed.allow_uncertified and changed.description == 'say "it"\n' and changed.reference[0].value == (2.0,)
-    assert changed.kinds["links.sc.law"] == "iid"
+    assert changed.kinds["network.sc.law"] == "iid"
 
 
 def test_what_cannot_be_is_told_as_one_error() -> None:

@@ -84,7 +84,7 @@ def test_dry_friction_leaves_the_linear_claim_undecided_and_a_load_does_not() ->
 
 
 FALSE_CERTIFICATES = [
-    pytest.param("vtol-fault", ("links.sc.law.age=60", "links.ca.law.age=60"), "refused", marks=pytest.mark.slow),
+    pytest.param("vtol-fault", ("network.sc.law.age=60", "network.ca.law.age=60"), "refused", marks=pytest.mark.slow),
     ("vtol-fault", ("plant.fault_effectiveness=-60", "plant.initial_fault=2"), "refused"),
     pytest.param(
         "smjls-robust", ("plant.uncertainty_scale=12", "plant.sigma=1.0", "plant.rho=1.0"), "refused", marks=pytest.mark.slow
@@ -126,11 +126,11 @@ def test_gains_that_are_solved_for_the_changed_plant_are_certified_only_as_they_
 @pytest.mark.parametrize(
     ("sets", "state"),
     [
-        (("links.sc.law.age=1", "links.ca.law.age=1"), "certified"),
-        (('links.sc.law={kind="iid", probabilities=[0.5, 0.5]}',), "undecided"),
+        (("network.sc.law.age=1", "network.ca.law.age=1"), "certified"),
+        (('network.sc.law={kind="iid", probabilities=[0.5, 0.5]}',), "undecided"),
         # 164 states with delayed inputs
-        pytest.param(("links.sc.law.age=40", "links.ca.law.age=40"), "undecided", marks=pytest.mark.slow),
-        pytest.param(("links.sc.law.age=60", "links.ca.law.age=60"), "refused", marks=pytest.mark.slow),
+        pytest.param(("network.sc.law.age=40", "network.ca.law.age=40"), "undecided", marks=pytest.mark.slow),
+        pytest.param(("network.sc.law.age=60", "network.ca.law.age=60"), "refused", marks=pytest.mark.slow),
     ],
 )
 def test_delays_that_the_sampled_theory_knows_are_judged_and_others_are_undecided(sets: tuple[str, ...], state: str) -> None:
@@ -182,7 +182,7 @@ def test_everything_that_decides_is_in_the_digest_and_seed_and_schedule_are_not(
 
     same = digest()
     assert digest("seed=7", "duration=3", 'links.uri="memory:"') == same
-    for change in ("plant.pole=3.5", "period=0.06", 'links.ca.law={kind="constant", age=0}', 'controller.selection="applied"'):
+    for change in ("plant.pole=3.5", "period=0.06", 'network.ca.law={kind="constant", age=0}', 'controller.selection="applied"'):
         assert digest(change) != same, change
 
 
@@ -232,6 +232,8 @@ def test_delayed_states_that_a_certifier_does_not_read_leave_it_undecided(tmp_pa
         gains = [[[[0.0]]]]
         [links]
         uri = "memory:"
+
+        [network]
         sc.law = {{ kind = "constant", age = 0 }}
         ca.law = {{ kind = "constant", age = 0 }}
     """)

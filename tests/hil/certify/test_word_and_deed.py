@@ -83,7 +83,7 @@ def test_a_second_sample_and_an_integral_are_tested() -> None:
         rows[0][0] += 0.3 * y[-1]
 
     ANSWERS["second sample"] = second
-    two = {"nodes.sensor": {"outputs": ["y"], "buffer": 2}}
+    two = {"network.nodes.sensor": {"outputs": ["y"], "buffer": 2}}
     for samples, changes in ((2, two), (1, {})):
         honest, liar = (
             verdict_on(

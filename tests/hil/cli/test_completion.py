@@ -37,7 +37,7 @@ def offered(*lines: str) -> list[list[str]]:
 
 def test_commands_experiments_and_keys_are_offered() -> None:
     commands, experiments, keys, laws, nothing = offered(
-        "hil re", "hil run dc-motor-h", "hil run dc-motor-hinf --set plant.", "hil sweep dc-motor-hinf --set links.sc.law",
+        "hil re", "hil run dc-motor-h", "hil run dc-motor-hinf --set plant.", "hil sweep dc-motor-hinf --set network.sc.law",
         "hil run no-such --set plant.",
     )  # fmt: skip
     assert {"replay", "report", "reproduce", "recover"} <= set(commands)
@@ -47,7 +47,7 @@ def test_commands_experiments_and_keys_are_offered() -> None:
         "hil guide vc",
     )  # fmt: skip
     assert grid == ["period="] and bounds == ["plant.gain="] and controllers == ["designed"] and topics == ["vcan"]
-    assert "plant.gain=" in keys and "links.sc.law.matrix=" in laws and nothing == []
+    assert "plant.gain=" in keys and "network.sc.law.matrix=" in laws and nothing == []
 
 
 @pytest.mark.parametrize("shell", SHELLS)

@@ -121,7 +121,7 @@ int main(void) {
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler: apt-get install gcc")
 def test_the_c_codec_of_an_experiment_has_a_message_for_each_node(tmp_path: Path) -> None:
-    words = ["multisensor-published", "--set", "nodes.third.can_id=0x90", "--c", str(tmp_path)]
+    words = ["multisensor-published", "--set", "network.nodes.third.can_id=0x90", "--c", str(tmp_path)]
     done = CliRunner().invoke(command, words, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     (tmp_path / "main.c").write_text(NODES)

@@ -22,7 +22,7 @@ from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.session import simulate
 
-SHORT = [f"nodes.{name}.buffer=1" for name in ("first", "second", "third", "fourth")]
+SHORT = [f"network.nodes.{name}.buffer=1" for name in ("first", "second", "third", "fourth")]
 
 
 def test_cost_bounds_and_gains_are_printed() -> None:
@@ -40,14 +40,14 @@ def test_cost_bounds_and_gains_are_printed() -> None:
 
 
 def test_gains_over_history_of_the_only_node_are_judged_and_others_are_designed(tmp_path: Path) -> None:
-    """`links.sc` is one node, and a node with a name is no reason to ask for gains over historical data."""
+    """`network.sc` is one node, and a node with a name is no reason to ask for gains over historical data."""
     text = shipped()["multisensor-newest"].read_text()
-    one = text[: text.index("[nodes.first]")] + text[text.index("[links]") :]
+    one = text[: text.index("[network.nodes.first]")] + text[text.index("[network]") :]
     one = one.replace('kind = "published-historical"\ngains = "newest"', 'kind = "historical-designed"\nuses = "history"')
     (tmp_path / "one.toml").write_text(one)
     found = json.loads(CliRunner().invoke(cli, ["design", str(tmp_path / "one.toml"), "--json"]).stdout)
     assert found["uses"] == "history" and 0.0 <= found["gap"] < 0.5 and np.array(found["gains"]).shape[:2] == (1, 1)
-    motor = shipped()["dc-motor-h2"].read_text() + '\n[nodes.encoder]\noutputs = ["angle"]\n'
+    motor = shipped()["dc-motor-h2"].read_text() + '\n[network.nodes.encoder]\noutputs = ["angle"]\n'
     (tmp_path / "motor.toml").write_text(motor)
     assert tracking_target(str(tmp_path / "motor.toml")).plant == "dc-motor"
     assert experiment_over_history(str(tmp_path / "motor.toml")) is None
@@ -65,7 +65,7 @@ def test_every_order_of_the_turns_is_tried() -> None:
 def test_over_a_lossy_order_the_bound_is_known_and_the_orders_are_not_tried() -> None:
     gains = [[[[0.01 * (i == l) for l in range(4)]]] for i in range(4)]
     table = f"controller={{kind='historical', uses='current-packet', gains={gains}}}"
-    lossy = compose(load_experiment("multisensor-ours", [table, *SHORT, "media.bus.loss=0.1"]))
+    lossy = compose(load_experiment("multisensor-ours", [table, *SHORT, "network.media.bus.loss=0.1"]))
     found = judge_historical(lossy)
     assert found["cost"] > 0 and 1.78145 < found["bound_causal"] < found["mean_cost"]
     assert found["gap"] == pytest.approx(found["mean_cost"] / found["bound_causal"] - 1.0)
@@ -101,13 +101,15 @@ def test_what_means_nothing_is_refused(args: list[str], says: str) -> None:
 
 def test_gains_keep_to_the_published_largest_input_and_cost_less() -> None:
     """(5.17), I(0) = 1: largest input 15.93 and J = 149.5; the newest sample alone."""
-    sets = ["media.bus.phase=0", "controller={kind='historical-designed', uses='newest', start='given', peak_input=15.93}"]
+    sets = ["network.media.bus.phase=0",
+            "controller={kind='historical-designed', uses='newest', start='given', peak_input=15.93}"]
     loop = compose(load_experiment("multisensor-ours", sets))
     found = Cost().of(view_of(simulate(loop, 0), loop.experiment))
     assert found["peak_input"] is not None and 0.97 * 15.93 < found["peak_input"] <= 15.93 * (1 + 1e-6)
     assert found["cost"] is not None and found["cost"] < 149.47
     with pytest.raises(HilError, match=r"controller\.peak_input: needs turns in a cycle"):
-        compose(load_experiment("multisensor-ours", ["controller.start=given", "controller.peak_input=3", "media.bus.loss=0.1",
+        compose(load_experiment("multisensor-ours", ["controller.start=given", "controller.peak_input=3",
+                                                    "network.media.bus.loss=0.1",
                                                      "controller.uses=newest"]))  # fmt: skip
 
 

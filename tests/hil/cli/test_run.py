@@ -68,7 +68,7 @@ def test_safety_ends_the_local_gain_with_status_3(cli: Hil) -> None:
         (["dc-motor-hinf", "-o", "x" * 300 + ".mcap"], "File name too long"),
         (["dc-motor-hinf", "-o", "new/" + "x" * 300 + ".mcap"], "File name too long"),
         (["dc-motor-hinf", "-o", "/proc/self/x/y.mcap"], "cannot be"),
-        (["dc-motor-hinf", "-o", "a/b/c.mcap", "--set", "links.sc.law={kind='constant', age=9}"], "the links reach tau = 9"),
+        (["dc-motor-hinf", "-o", "a/b/c.mcap", "--set", "network.sc.law={kind='constant', age=9}"], "the links reach tau = 9"),
         (["dc-motor-hinf", "-o", ".", "--force"], "Is a directory"),
     ],
 )
@@ -88,14 +88,16 @@ GAINS = "controller={kind='historical', uses='current-packet', gains=%s}"
 @pytest.mark.parametrize(
     ("sets", "says"),
     [
-        (["nodes.second.buffer=2"], "controller.gains[0][5][0][1]: -0.0201, expected 0: in this phase"),
-        (["nodes.second.buffer=7"], "nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),
-        (["nodes.second.id=0"], "nodes.second.id: 0 is the number of node 'first' already"),
-        (["nodes.second.can_id=0x110", "nodes.third.can_id=0x110"],
-         "nodes.third.can_id: 0x110 is the identifier of node 'second' already"),
+        (["network.nodes.second.buffer=2"], "controller.gains[0][5][0][1]: -0.0201, expected 0: in this phase"),
+        (["network.nodes.second.buffer=7"],
+         "network.nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),
+        (["network.nodes.second.id=0"], "network.nodes.second.id: 0 is the number of node 'first' already"),
+        (["network.nodes.second.can_id=0x110", "network.nodes.third.can_id=0x110"],
+         "network.nodes.third.can_id: 0x110 is the identifier of node 'second' already"),
         ([GAINS % [[[[1.0] * 3]]]], "controller.gains: 1 x 3 matrices, but the plant has 1 inputs and 4 outputs"),
-        ([GAINS % LARGE, *(f"nodes.{n}.buffer=1" for n in ("first", "second", "third", "fourth"))], "refused: E|X|^2 of"),
-        (["media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], matrix=[[1.0]]}"], "media.bus.matrix: 1 rows"),
+        ([GAINS % LARGE, *(f"network.nodes.{n}.buffer=1" for n in ("first", "second", "third", "fourth"))], "refused: E|X|^2 of"),
+        (["network.media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], matrix=[[1.0]]}"],
+         "network.media.bus.matrix: 1 rows"),
     ],
 )
 def test_bad_gains_and_nodes_are_refused_by_their_entry_and_nothing_is_written(

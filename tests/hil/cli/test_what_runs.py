@@ -44,7 +44,7 @@ def test_a_command_runs_what_the_guide_says_and_no_more(cli: Hil, line: str, run
     here.write_text(motor)
     if "a.mcap" in line:
         Path("evil.py").write_text(LAW)
-        assert cli("run", "e.toml", "--duration", "1", "-o", "a.mcap", "--set", 'links.sc.law={kind="evil:Law"}')[0] == 0
+        assert cli("run", "e.toml", "--duration", "1", "-o", "a.mcap", "--set", 'network.sc.law={kind="evil:Law"}')[0] == 0
     Path("evil.py").write_text((LAW if "a.mcap" in line else "") + EVIL.format(mark=str(mark)) + "# another text\n")
     here.write_text(motor.replace('kind = "dc-motor"', 'kind = "evil:Plant"\nmass = 1.0'))
     cli(*line.split())

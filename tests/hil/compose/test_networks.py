@@ -29,14 +29,14 @@ T, FROM = 0.05, 100  # s, and the slot at 5 s
 
 def over(sc=None, ca=None, controller=None, **changes):
     experiment = load_experiment("dc-motor-h2", ("duration=6 s",))
-    links = experiment.links
+    network = experiment.network
     if sc is not None:
-        links = msgspec.structs.replace(links, sc=msgspec.structs.replace(links.sc, law=sc, max_age=sc.max_age))
+        network = msgspec.structs.replace(network, sc=msgspec.structs.replace(network.sc, law=sc, max_age=sc.max_age))
     if ca is not None:
-        links = msgspec.structs.replace(links, ca=msgspec.structs.replace(links.ca, law=ca, max_age=ca.max_age))
+        network = msgspec.structs.replace(network, ca=msgspec.structs.replace(network.ca, law=ca, max_age=ca.max_age))
     if controller is not None:
         changes["controller"] = controller
-    return msgspec.structs.replace(experiment, links=links, **changes)
+    return msgspec.structs.replace(experiment, network=network, **changes)
 
 
 def squares(loop, seeds):

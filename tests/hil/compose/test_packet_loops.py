@@ -23,7 +23,7 @@ from transport.laws.packet import GilbertElliott, PacketLaw
 Array = NDArray[np.float64]
 T, DEADLINE = 0.010, 0.004
 LOSSY = (
-    "links.sc={max_age=0,law={kind='constant',age=0}}", "controller={kind='local',gain=[[-0.5]]}", "allow_uncertified=true",
+    "network.sc={max_age=0,law={kind='constant',age=0}}", "controller={kind='local',gain=[[-0.5]]}", "allow_uncertified=true",
 )  # fmt: skip
 AT_ONCE = DelayChain(transition=[[1.0]])
 
@@ -165,7 +165,7 @@ def test_held_modes_are_checked() -> None:
 
 def losing(loss: float) -> tuple[str, ...]:
     """The motor, its gain -0.5, and this loss on the way to an actuator that holds its input."""
-    return (*LOSSY, f"links.ca={{max_age=0,law={{kind='packet',latency='1 ms',loss={loss}}}}}")
+    return (*LOSSY, f"network.ca={{max_age=0,law={{kind='packet',latency='1 ms',loss={loss}}}}}")
 
 
 def held_radius(A: Array, B: Array, C: Array, gain: float, loss: float) -> float:
@@ -196,7 +196,7 @@ def test_the_verdict_changes_where_the_threshold_of_loss_says() -> None:
 def test_without_a_bound_the_certificate_says_what_it_neglects() -> None:
     for extra, state in (("", "undecided"), (",discard_older=2", "certified")):
         law = f"{{kind='packet',latency={{dist='gamma',a=2.0,scale='5 ms'}},loss=0.05{extra}}}"
-        verdict = compose(load_experiment("dc-motor-packets", (*LOSSY, f"links.ca={{max_age=0,law={law}}}"))).verdict
+        verdict = compose(load_experiment("dc-motor-packets", (*LOSSY, f"network.ca={{max_age=0,law={law}}}"))).verdict
         assert verdict is not None
         assert verdict.state == state
         assert ("with probability 1.2e-10" in verdict.reason) == (state == "undecided")
@@ -207,7 +207,7 @@ def test_without_a_bound_the_certificate_says_what_it_neglects() -> None:
     ("latency='60 ms',reordering=false,duplication=0.1", "wait for the copies"),
 ])  # fmt: skip
 def test_a_law_without_a_chain_leaves_the_loop_undecided_with_the_reason(fields: str, why: str) -> None:
-    law = f"links.ca.law={{kind='packet',{fields}}}"
+    law = f"network.ca.law={{kind='packet',{fields}}}"
     verdict = compose(load_experiment("dc-motor-packets", (law, "allow_uncertified=true"))).verdict
     assert verdict is not None
     assert verdict.state == "undecided"
@@ -223,7 +223,8 @@ def test_what_runs_is_what_is_predicted(selection: str, order: str) -> None:
     gains = [[[[-0.15 / (1 + tau) - 0.02 * row]] for row in range(rows)] for tau in range(3)]
     loop = compose(load_experiment("dc-motor-packets", (
         "duration=5", "reference.0.at=0.3", "disturbance.0.at=2", "limits.watchdog_slots=90", "allow_uncertified=true",
-        f"links.sc={{max_age=2,law={law.replace('LOSS', '0.02')}}}", f"links.ca={{max_age=1,law={law.replace('LOSS', '0.3')}}}",
+        f"network.sc={{max_age=2,law={law.replace('LOSS', '0.02')}}}",
+        f"network.ca={{max_age=1,law={law.replace('LOSS', '0.3')}}}",
         f"controller={{kind='send-all',selection='{selection}',gains={gains}}}",
     )))  # fmt: skip
     (way,) = loop.chains.arriving

@@ -20,7 +20,7 @@ def verdict(**links: Any) -> Verdict:
     plant = {"kind": "state-space", "A": [[2.0]], "B": [[1.0]], "C": [[1.0]], "initial_state": [1.0]}
     controller = {"kind": "send-all", "selection": "constant", "gains": [[[[-6.0]]], [[[0.0]]]]}
     changes = {"plant": plant, "controller": controller, "limits": {}, "reference": [], "disturbance": [], **links}
-    loop = compose(load_experiment("dc-motor-h2", allow_uncertified=True, **{"links.ca.law": CALM}, **changes))
+    loop = compose(load_experiment("dc-motor-h2", allow_uncertified=True, **{"network.ca.law": CALM}, **changes))
     assert loop.verdict is not None
     return loop.verdict
 
@@ -29,19 +29,21 @@ def verdict(**links: Any) -> Verdict:
 def test_modes_that_the_law_never_comes_to_decide_nothing(matrix: list[list[float]], initial: list[float] | None) -> None:
     law: dict[str, Any] = {"kind": "markov", "allow_absorbing": True, "matrix": matrix}
     law |= {} if initial is None else {"initial": initial}
-    found = verdict(**{"links.sc.law": law})
+    found = verdict(**{"network.sc.law": law})
     assert found.certified and found.number is not None and found.number < 1.0, found.reason
     assert any("never comes to 1 of their modes" in said for said in found.assumptions)
-    other = verdict(**{"links.sc.law": {**law, "matrix": TWO_CLASSES, "initial": [0.5, 0.5]}})
+    other = verdict(**{"network.sc.law": {**law, "matrix": TWO_CLASSES, "initial": [0.5, 0.5]}})
     assert other.state == "refused"
 
 
 @pytest.mark.parametrize(
     ("change", "cause"),
     [
-        ({"nodes.sensor": {"outputs": ["angle"], "clock": {"every": 2}}}, "nodes.sensor.clock: a node sends in one of 2 slots"),
-        ({"nodes.sensor": {"outputs": ["angle"], "trigger": {"kind": "error", "threshold": 0.1}}}, ".sensor.trigger (error)"),
-        ({"links.sc.law": {"kind": "trace", "ages": [0, 1]}}, "the law of links.sc states no chain"),
+        ({"network.nodes.sensor": {"outputs": ["angle"], "clock": {"every": 2}}},
+         "network.nodes.sensor.clock: a node sends in one of 2 slots"),
+        ({"network.nodes.sensor": {"outputs": ["angle"], "trigger": {"kind": "error", "threshold": 0.1}}},
+         ".sensor.trigger (error)"),
+        ({"network.sc.law": {"kind": "trace", "ages": [0, 1]}}, "the law of network.sc states no chain"),
     ],
 )
 def test_a_design_and_a_verdict_name_what_keeps_the_network_from_having_a_chain(change: dict[str, Any], cause: str) -> None:

@@ -107,10 +107,12 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path: Path, capsys: pytest
     ("sets", "expected"),
     [
         (['reference=[{at="1 s", value=[3.0, 1.0]}]'], "reference[0].value: no input holds the 2 outputs at [3.0, 1.0]"),
-        (['nodes.speed.outputs=["angle"]'], "nodes.speed.outputs[0]: 'angle' is measured by node 'angle' already"),
-        (['nodes.speed.outputs=["angle"]'], "nodes: no node measures the output 'speed'"),
-        (['nodes.speed.outputs=["torque"]'], "nodes.speed.outputs[0]: the plant has no output 'torque'"),
-        (["nodes.speed.id=0", "nodes.angle.id=0"], "nodes.speed.id: 0 is the number of node 'angle' already"),
+        (['network.nodes.speed.outputs=["angle"]'],
+         "network.nodes.speed.outputs[0]: 'angle' is measured by node 'angle' already"),
+        (['network.nodes.speed.outputs=["angle"]'], "nodes: no node measures the output 'speed'"),
+        (['network.nodes.speed.outputs=["torque"]'], "network.nodes.speed.outputs[0]: the plant has no output 'torque'"),
+        (["network.nodes.speed.id=0", "network.nodes.angle.id=0"],
+         "network.nodes.speed.id: 0 is the number of node 'angle' already"),
         (["plant.tachometer=false"], "the plant has no output 'speed'"),
         ([FIXED % GAINS[:2]], "controller.ages: [2, 2], expected counts whose product is 2"),
         ([(FIXED % GAINS).replace("[2, 2]", "[4]")], "controller.ages: [4], expected one number for each of 2 sensor nodes"),
@@ -119,7 +121,7 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path: Path, capsys: pytest
         (["controller={kind='designed', output_weights=[1.0, -1.0]}"], "controller.output_weights[1]: -1, expected"),
         (["controller={kind='designed', integral=0.1}"], "controller.integral: 1 inputs cannot bring the mean errors of 2"),
         (["controller={kind='designed', sojourns=2}"], "sojourns"),
-        (['nodes.speed.law={kind="iid-latency"}'], "nodes.speed.law"),
+        (['network.nodes.speed.law={kind="iid-latency"}'], "network.nodes.speed.law"),
     ],
 )  # fmt: skip
 def test_a_fault_is_refused_with_its_place(sets: list[str], expected: str) -> None:
@@ -132,10 +134,11 @@ def test_a_fault_is_refused_with_its_place(sets: list[str], expected: str) -> No
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ('media.bus={kind="round-robin", nodes=["angle", "speed"]}', "nodes share media.bus, and take turns"),
-        ('nodes.angle.trigger={kind="error", threshold=0.1}', "nodes.angle.trigger (error) lets a node keep silent"),
-        ("nodes.angle.clock={every=2}", "nodes.angle.clock: a node sends in one of 2 slots"),
-        ('nodes.angle.law={kind="trace", ages=[0, 1, 0, 1]}', "the law of nodes.angle states no chain"),
+        ('network.media.bus={kind="round-robin", nodes=["angle", "speed"]}', "nodes share network.media.bus, and take turns"),
+        ('network.nodes.angle.trigger={kind="error", threshold=0.1}',
+         "network.nodes.angle.trigger (error) lets a node keep silent"),
+        ("network.nodes.angle.clock={every=2}", "network.nodes.angle.clock: a node sends in one of 2 slots"),
+        ('network.nodes.angle.law={kind="trace", ages=[0, 1, 0, 1]}', "the law of network.nodes.angle states no chain"),
     ],
 )  # fmt: skip
 def test_what_no_design_knows_is_judged_where_nothing_is_drawn_by_the_state(change: str, reason: str) -> None:
@@ -158,7 +161,7 @@ def test_a_design_by_the_law_of_links_sc_alone_is_refused() -> None:
 
 
 def test_gains_by_mode_have_no_certificate_over_several_nodes() -> None:
-    """They did: the verdict was of the law of `links.sc`, whatever the nodes' own laws were."""
-    nodes = 'nodes={a={outputs=["x1"]}, b={outputs=["x2", "mode"], law={kind="constant", age=0}}}'
+    """They did: the verdict was of the law of `network.sc`, whatever the nodes' own laws were."""
+    nodes = 'network.nodes={a={outputs=["x1"]}, b={outputs=["x2", "mode"], law={kind="constant", age=0}}}'
     found = compose(load_experiment("smjls-robust-published", [nodes, "allow_uncertified=true"])).verdict
     assert found is not None and found.state == "undecided" and "several sensor nodes" in found.reason

@@ -18,7 +18,7 @@ from hil.experiment import Seconds, experiment_from_resolved, load_experiment, p
 from hil.experiment.schema import experiment_schema
 from transport.laws.latency import latency
 
-GOOD = shipped()["dc-motor-hinf"].read_text()
+GOOD = shipped()["dc-motor-hinf"].read_text().replace("[limits]", '[links]\nuri = "can:hil:rig0"\n\n[limits]')
 MARKOV = 'sc.law = { kind = "markov", matrix = [[0.6, 0.4, 0.0], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]] }'
 
 
@@ -66,32 +66,32 @@ FAULTS: list[tuple[str, str, str]] = [
      "controller.gains: expected [tau][row][m][p]"),
     ("gain that is text", changed('kind = "hinf"', 'kind = "local"\ngain = [["x"]]'), "controller.gain[0][0]: expected `float`"),
     ("row that sums to 0.98", law('{ kind = "markov", matrix = [[0.6, 0.4], [0.5, 0.48]] }'),
-     "links.sc.law.matrix[1]: row sums to 0.98"),
-    ("negative probability", law('{ kind = "markov", matrix = [[1.2, -0.2], [0.5, 0.5]] }'), "links.sc.law.matrix[0]"),
+     "network.sc.law.matrix[1]: row sums to 0.98"),
+    ("negative probability", law('{ kind = "markov", matrix = [[1.2, -0.2], [0.5, 0.5]] }'), "network.sc.law.matrix[0]"),
     ("probability that is NaN", law('{ kind = "markov", matrix = [[nan, 1.0], [0.5, 0.5]] }'),
-     "links.sc.law.matrix[0][0]: nan is not a finite number"),
-    ("matrix that is not square", law('{ kind = "markov", matrix = [[1.0], [0.5, 0.5]] }'), "links.sc.law.matrix"),
-    ("empty matrix", law('{ kind = "markov", matrix = [] }'), "links.sc.law.matrix"),
+     "network.sc.law.matrix[0][0]: nan is not a finite number"),
+    ("matrix that is not square", law('{ kind = "markov", matrix = [[1.0], [0.5, 0.5]] }'), "network.sc.law.matrix"),
+    ("empty matrix", law('{ kind = "markov", matrix = [] }'), "network.sc.law.matrix"),
     ("age that grows by two", law('{ kind = "markov", matrix = [[0.5, 0.3, 0.2], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]] }'),
-     "links.sc.law.matrix[0][2]"),
+     "network.sc.law.matrix[0][2]"),
     ("initial law that nobody has", law('{ kind = "markov", matrix = [[0.5, 0.5], [0.7, 0.3]], initial = "foo" }'),
-     "links.sc.law.initial: invalid enum value 'foo', expected one of stationary, uniform"),
+     "network.sc.law.initial: invalid enum value 'foo', expected one of stationary, uniform"),
     ("three samples per packet", changed('kind = "hinf"', 'kind = "designed"\nsamples = 3'),
      "controller.samples: invalid enum value 3, expected one of 1, 2"),
     ("affinity that nobody has", GOOD + '\n[timing]\naffinity = "cpu0"\n', "expected one of auto, free, pinned, shared"),
-    ("law that nobody has", law('{ kind = "poisson" }'), "links.sc.law.kind: no law plug-in"),
-    ("negative age", law('{ kind = "constant", age = -1 }'), "links.sc.law.age"),
-    ("delay that nobody can cover", law('{ kind = "constant", age = 64 }'), "links.sc.law: its largest delay 64 is above 63"),
+    ("law that nobody has", law('{ kind = "poisson" }'), "network.sc.law.kind: no law plug-in"),
+    ("negative age", law('{ kind = "constant", age = -1 }'), "network.sc.law.age"),
+    ("delay that nobody can cover", law('{ kind = "constant", age = 64 }'), "network.sc.law: its largest delay 64 is above 63"),
     ("link that nobody has", changed("can:hil:rig0", "nonsense"), "links.uri: link 'nonsense': no scheme"),
     ("link of a scheme nobody has", changed("can:hil:rig0", "cam:hil:rig0"), "did you mean 'can:hil:rig0'?"),
     ("link without a channel", changed("can:hil:rig0", "can:hil"), "links.uri: link 'can:hil': no channel"),
     ("link without an endpoint", changed("can:hil:rig0", "zenoh:127.0.0.1:7447"), "as in tcp/127.0.0.1:7447"),
     ("delay bound above the rows", law('{ kind = "constant", age = 4 }'), "controller.kind: the published gains cover"),
-    ("rows below the law's delay", changed("[limits]", "[links.ca]\nmax_age = 0\n[limits]").replace(
-        "ca.law = ", "#").replace("[links.ca]", '[links.ca]\nlaw = { kind = "constant", age = 1 }'),
-     "links.ca.max_age: 0 is below the law's largest delay 1"),
-    ("no links", GOOD.split("[links]")[0], "links: missing table"),
-    ("link without a law", changed(MARKOV, ""), "links.sc: missing table"),
+    ("rows below the law's delay", changed("[limits]", "[network.ca]\nmax_age = 0\n[limits]").replace(
+        "ca.law = ", "#").replace("[network.ca]", '[network.ca]\nlaw = { kind = "constant", age = 1 }'),
+     "network.ca.max_age: 0 is below the law's largest delay 1"),
+    ("no network", GOOD.split("[network]")[0], "network: missing table"),
+    ("link without a law", changed(MARKOV, ""), "network.sc: missing table"),
     ("law that cannot be certified",
      law('{ kind = "packet", latency = { dist = "expon", scale = "1 ms" } }\nsc.max_age = 2'),
      "allow_uncertified"),
@@ -149,7 +149,7 @@ def test_all_faults_are_reported_at_once() -> None:
     with pytest.raises(ExperimentError) as caught:
         parse_experiment(text)
     paths = {fault.split(": ")[0] for fault in caught.value.faults}
-    assert {"period", "seed", "disturbance[0].samples", "links.sc.law.matrix[0]", "plant.gain"} <= paths
+    assert {"period", "seed", "disturbance[0].samples", "network.sc.law.matrix[0]", "plant.gain"} <= paths
 
 
 @pytest.mark.parametrize("data", [b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 40, b"[" * 10_000_000], ids=["binary", "10 MB"])
@@ -205,10 +205,10 @@ def test_shipped_experiment_composes(name: str) -> None:
 )
 def test_a_recorded_law_is_read_from_beside_the_experiment(law_text: str, heading: str, tmp_path: Path) -> None:
     (tmp_path / "x.toml").write_text(law(law_text))
-    with pytest.raises(ExperimentError, match=r"links\.sc\.law\.(latency\.)?file: .*x\.csv: No such file"):
+    with pytest.raises(ExperimentError, match=r"network\.sc\.law\.(latency\.)?file: .*x\.csv: No such file"):
         load_experiment(tmp_path / "x.toml")
     (tmp_path / "x.csv").write_text(heading)
-    assert "file" not in str(load_experiment(tmp_path / "x.toml").links.sc.law).replace("file=''", "")
+    assert "file" not in str(load_experiment(tmp_path / "x.toml").network.sc.law).replace("file=''", "")
     (tmp_path / "x.csv").unlink()
     (tmp_path / "x.csv").symlink_to("/dev/zero")
     with pytest.raises(ExperimentError, match=r"x\.csv is no regular file"):
@@ -218,7 +218,7 @@ def test_a_recorded_law_is_read_from_beside_the_experiment(law_text: str, headin
 def test_what_is_not_finite_is_said_once() -> None:
     with pytest.raises(ExperimentError) as caught:
         parse_experiment(law('{ kind = "markov", matrix = [[nan, 1.0], [0.5, 0.5]] }'))
-    assert caught.value.faults == ["links.sc.law.matrix[0][0]: nan is not a finite number"]
+    assert caught.value.faults == ["network.sc.law.matrix[0][0]: nan is not a finite number"]
 
 
 def test_set_changes_fields_tables_and_list_entries() -> None:
@@ -234,7 +234,7 @@ def test_set_that_makes_no_sense_is_refused(change: str) -> None:
 
 def test_schema_accepts_the_names_of_every_table() -> None:
     schema = experiment_schema()
-    assert {"name", "period", "plant", "controller", "links"} <= set(schema["properties"])
+    assert {"name", "period", "plant", "controller", "network", "links"} <= set(schema["properties"])
     kinds = {variant["properties"]["kind"].get("const") for variant in schema["properties"]["plant"]["oneOf"]}
     assert {"dc-motor", "vtol"} <= kinds
     json.dumps(schema)

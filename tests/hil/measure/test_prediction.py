@@ -67,7 +67,7 @@ def test_an_actuator_without_a_packet_takes_the_row_of_the_longest_delay(informa
     """Three delays to the actuator, the first packet one slot late: the row for 1 instead of 2 is 8 standard errors away."""
     late = "{ kind = 'markov', matrix = [[0.5, 0.5, 0], [0.4, 0.2, 0.4], [0.3, 0.3, 0.4]], initial = [0.0, 1.0, 0.0] }"
     changes = ["duration=0.5 s", "reference=[]", "disturbance=[]", f"controller.information={information}"]
-    assert_predicted("dc-motor-ours-h2", [*changes, f"links.ca.law={late}", "plant.initial_angle_rad=2.0"], 6000)
+    assert_predicted("dc-motor-ours-h2", [*changes, f"network.ca.law={late}", "plant.initial_angle_rad=2.0"], 6000)
 
 
 @pytest.mark.slow
@@ -134,11 +134,11 @@ GAPS = "{ kind = 'markov', matrix = [[0.2, 0.3, 0.5], [0.6, 0.1, 0.3], [0.3, 0.3
     [
         ("dc-motor-ours-integral", IDEAL),
         ("dc-motor-ours-integral", [*IDEAL, "plant.load.torque_v=0.1", "plant.initial_angle_rad=-1.0"]),
-        ("dc-motor-ours-h2", [f"links.sc.law={GAPS}", "plant.initial_angle_rad=0.5"]),
-        ("dc-motor-hinf", [f"links.sc.law={GAPS}", "plant.load.torque_v=-0.03"]),
+        ("dc-motor-ours-h2", [f"network.sc.law={GAPS}", "plant.initial_angle_rad=0.5"]),
+        ("dc-motor-hinf", [f"network.sc.law={GAPS}", "plant.load.torque_v=-0.03"]),
         ("dc-motor-ours-bursty", ["plant.initial_speed_rad_s=6.0"]),
         ("dc-motor-two-nodes", ["plant.load.torque_v=0.03", "plant.initial_angle_rad=0.5", "limits.input=[20.0]"]),
-        ("dc-motor-ours-two-samples", ["plant.load.torque_v=0.03", f"links.sc.law={GAPS}"]),
+        ("dc-motor-ours-two-samples", ["plant.load.torque_v=0.03", f"network.sc.law={GAPS}"]),
         ("dc-motor-ours-mixed", ["reference.0.at=0", "plant.initial_angle_rad=-1.0"]),
         ("vtol-ours-h2", ["reference.0.at=0"]),
     ],

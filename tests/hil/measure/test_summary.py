@@ -76,7 +76,7 @@ def test_record_agrees_with_its_own_law_and_not_with_another() -> None:
     run = run_of("dc-motor-hinf")
     experiment = load_experiment("dc-motor-hinf")
     draws = run.arrays["/network/sc"]
-    own = network_metrics(draws, experiment.links.sc.law, "markov")["p_value"]
+    own = network_metrics(draws, experiment.network.sc.law, "markov")["p_value"]
     other = network_metrics(draws, MarkovAge(matrix=((0.1, 0.9, 0.0), (0.1, 0.1, 0.8), (0.2, 0.2, 0.6))), "markov")
     assert own is not None and own > 1e-3  # fixed seed: no false alarm
     assert other["p_value"] < 1e-6

@@ -58,7 +58,7 @@ def test_a_field_error_reads_as_before_and_survives_a_process(package: object) -
     error = package.errors.FieldError("sojourn[2].p", "is 2, expected 0 to 1")  # type: ignore[attr-defined]
     copy = pickle.loads(pickle.dumps(error))
     assert isinstance(copy, ValueError) and str(copy) == "sojourn[2].p: is 2, expected 0 to 1"
-    assert fault_at("links.sc.law", copy) == "links.sc.law.sojourn[2].p: is 2, expected 0 to 1"
+    assert fault_at("network.sc.law", copy) == "network.sc.law.sojourn[2].p: is 2, expected 0 to 1"
 
 
 def test_no_package_below_hides_a_field_in_a_message() -> None:

@@ -107,8 +107,8 @@ def leaves(k: int) -> Any:
     ],
 )
 def test_a_law_that_is_none_is_refused_in_its_author_s_words(law: Any, told: str) -> None:
-    with pytest.raises(hil.HilError, match=r"links\.sc\.law: .*check_law: " + told) as said:
-        hil.load_experiment("dc-motor-hinf", **{"links.sc.law": law})
+    with pytest.raises(hil.HilError, match=r"network\.sc\.law: .*check_law: " + told) as said:
+        hil.load_experiment("dc-motor-hinf", **{"network.sc.law": law})
     assert "plugin_checks" not in str(said.value) and "law_checks" not in str(said.value)  # no line of ours
     assert "AttributeError" not in str(said.value)
     with pytest.raises(AssertionError, match=told):
@@ -119,7 +119,7 @@ def test_a_law_of_a_file_is_checked_when_it_is_read(tmp_path: Path) -> None:
     text = "from dataclasses import dataclass\n\n@dataclass(frozen=True)\nclass L:\n    max_age: int = 2\n"
     (tmp_path / "mine.py").write_text(text + "    def start(self, rng):\n        return lambda: 1\n")
     (tmp_path / "exp.toml").write_text(shipped()["dc-motor-hinf"].read_text())
-    for path in ("links.sc.law", "links.ca.law"):
+    for path in ("network.sc.law", "network.ca.law"):
         with pytest.raises(hil.HilError, match=path + r": 'mine:L': check_law: L, a network law, needs `family`"):
             hil.load_experiment(tmp_path / "exp.toml", **{path: {"kind": "mine:L"}})
 
@@ -131,14 +131,14 @@ class Toss(Coin):
 
 
 def test_an_object_is_a_law_certified_logged_and_taken_again(tmp_path: Path) -> None:
-    log, laws = tmp_path / "a.mcap", {"links.sc.law": Coin(0.3), "links.ca.law": Toss(0.5)}
+    log, laws = tmp_path / "a.mcap", {"network.sc.law": Coin(0.3), "network.ca.law": Toss(0.5)}
     session = hil.run("dc-motor-hinf", log=log, duration=2, **laws)  # type: ignore[arg-type]
     assert session.summary["certificate"]["state"] == "certified"
     run = read_run(log)
-    assert run.metadata["links.sc.law"] == f"object {__name__}.Coin (not in the experiment file)"
-    assert run.resolved["links"]["sc"] == {"law": {"kind": f"object {__name__}.Coin"}, "max_age": 1}
-    assert run.resolved["links"]["ca"]["law"] == {"kind": f"object {__name__}.Toss", "share": 0.5}
-    with pytest.raises(hil.HilError, match=r"links\.sc\.law\.kind: 'object .*Coin' cannot be made .*laws="):
+    assert run.metadata["network.sc.law"] == f"object {__name__}.Coin (not in the experiment file)"
+    assert run.resolved["network"]["sc"] == {"law": {"kind": f"object {__name__}.Coin"}, "max_age": 1}
+    assert run.resolved["network"]["ca"]["law"] == {"kind": f"object {__name__}.Toss", "share": 0.5}
+    with pytest.raises(hil.HilError, match=r"network\.sc\.law\.kind: 'object .*Coin' cannot be made .*laws="):
         hil.verify(log)
     assert hil.verify(log, laws=laws).difference is None
     assert len(hil.sweep("dc-motor-hinf", runs=2, duration=1, jobs=1, **laws).values["sse"]) == 2

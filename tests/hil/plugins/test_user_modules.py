@@ -137,7 +137,7 @@ def test_a_class_beside_the_experiment_is_a_plant_a_controller_and_a_metric(fold
         hil.verify(folder / "a.mcap")
     assert hil.verify(folder / "a.mcap", folder=folder).difference is None
     known = view_of(run).experiment  # a log runs no module; what it says of the rest is known all the same
-    assert known is not None and known.links.sc.max_age == 2 and known.report.measures == ("tracking",)
+    assert known is not None and known.network.sc.max_age == 2 and known.report.measures == ("tracking",)
 
 
 def test_a_module_that_was_changed_is_told(folder: Path) -> None:

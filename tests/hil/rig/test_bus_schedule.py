@@ -28,9 +28,11 @@ NAMES = ("first", "second", "third", "fourth")
 
 def on_a_bus(clocks: str, *sets: str, frames: int = 1, loss: float = 0.0) -> Loop:
     """multisensor-ours with the clocks of its nodes, such as "4+0 4+1 8+2 8+3", and packets of one sample."""
-    medium = f"media={{bus={{kind='can-arbitration', nodes={list(NAMES)}, frames={frames}, loss={loss}}}}}"
-    own = [f"nodes.{name}.clock={{every={c.split('+')[0]}, phase={c.split('+')[1]}}}" for name, c in zip(NAMES, clocks.split())]
-    return compose(load_experiment("multisensor-ours", [medium, *own, *(f"nodes.{name}.buffer=1" for name in NAMES), *sets]))
+    medium = f"network.media={{bus={{kind='can-arbitration', nodes={list(NAMES)}, frames={frames}, loss={loss}}}}}"
+    stated = [c.split("+") for c in clocks.split()]
+    own = [f"network.nodes.{name}.clock={{every={every}, phase={phase}}}" for name, (every, phase) in zip(NAMES, stated)]
+    buffers = [f"network.nodes.{name}.buffer=1" for name in NAMES]
+    return compose(load_experiment("multisensor-ours", [medium, *own, *buffers, *sets]))
 
 
 def test_a_cycle_names_who_is_heard_and_how_old_its_sample_is() -> None:
@@ -71,7 +73,7 @@ def test_why_there_is_no_cycle(clocks: list[ClockTable], says: str) -> None:
 
 @pytest.mark.parametrize(
     ("clocks", "frames", "sets"),
-    [("4+0 4+0 4+0 4+0", 1, ()), ("3+2 2+0 3+1 6+5", 1, ("links.sc.law.age=1",)), ("1+0 2+0 4+1 4+3", 2, ())],
+    [("4+0 4+0 4+0 4+0", 1, ()), ("3+2 2+0 3+1 6+5", 1, ("network.sc.law.age=1",)), ("1+0 2+0 4+1 4+3", 2, ())],
 )
 def test_gains_for_a_bus_cost_what_their_certificate_says(clocks: str, frames: int, sets: tuple[str, ...]) -> None:
     loop = on_a_bus(clocks, "controller.memory=6", *sets, frames=frames)
@@ -82,14 +84,14 @@ def test_gains_for_a_bus_cost_what_their_certificate_says(clocks: str, frames: i
 
 def test_the_lowest_can_identifier_wins_in_the_rig_and_in_the_theory() -> None:
     """Without can_id the first node is heard in every slot and the second never; with these identifiers it is the other way."""
-    ids = ("nodes.first.can_id=0x12", "nodes.second.can_id=0x11")
+    ids = ("network.nodes.first.can_id=0x12", "network.nodes.second.can_id=0x11")
     sets = (*ids, "controller.memory=6", "duration=1", "allow_uncertified=true")
     loop = on_a_bus("1+0 1+0 4+0 4+0", *sets)
     nodes = summarise(view_of(simulate(loop, 0), loop.experiment))["network"]["nodes"]
     assert [nodes[name]["packets"] for name in NAMES] == [0, 20, 0, 0]
     assert loop.model.sensors is not None and loop.model.sensors.turns is not None
     assert loop.model.sensors.turns.heard == (((1, 0),),) * 4
-    mixed = on_a_bus("4+0 4+0 4+0 4+0", "nodes.third.can_id=0x9", "controller.memory=6")
+    mixed = on_a_bus("4+0 4+0 4+0 4+0", "network.nodes.third.can_id=0x9", "controller.memory=6")
     assert mixed.verdict is not None and mixed.verdict.certified
     found = Cost().of(view_of(simulate(mixed, 0), mixed.experiment))["cost"]
     assert found == pytest.approx(mixed.verdict.details["cost"], rel=1e-5)
@@ -98,7 +100,8 @@ def test_the_lowest_can_identifier_wins_in_the_rig_and_in_the_theory() -> None:
 
 
 def test_the_log_of_a_run_over_a_bus_is_made_again_bit_for_bit(tmp_path: Path) -> None:
-    loop = on_a_bus("2+0 3+1 4+0 4+0", ONE, "allow_uncertified=true", "nodes.first.clock.jitter=1", "duration=1", loss=0.2)
+    loop = on_a_bus("2+0 3+1 4+0 4+0", ONE, "allow_uncertified=true",
+                    "network.nodes.first.clock.jitter=1", "duration=1", loss=0.2)
     result = run_session(loop.experiment, path=tmp_path / "a.mcap")
     assert result.status == 0 and verify(result.run).difference is None
 
@@ -119,12 +122,12 @@ def test_the_report_shows_the_slot_in_which_a_node_spoke_and_the_summary_what_wa
 
 
 def test_a_bus_that_cannot_be_foreseen_is_undecided_and_its_runs_differ_by_their_seed() -> None:
-    loop = on_a_bus("4+0 4+0 4+0 4+0", ONE, "allow_uncertified=true", "nodes.first.clock.jitter=3", "duration=2")
+    loop = on_a_bus("4+0 4+0 4+0 4+0", ONE, "allow_uncertified=true", "network.nodes.first.clock.jitter=3", "duration=2")
     assert loop.verdict is not None and loop.verdict.state == "undecided" and "clocks that draw" in loop.verdict.reason
     first, again, other = (simulate(loop, seed).arrays["/link/sensor"]["data"].tolist() for seed in (0, 0, 1))
     assert first == again != other
     with pytest.raises(HilError, match="clocks that draw"):
-        on_a_bus("4+0 4+0 4+0 4+0", "nodes.first.clock.jitter=3")
+        on_a_bus("4+0 4+0 4+0 4+0", "network.nodes.first.clock.jitter=3")
     none = f"controller={{kind='historical', gains={4 * [[[4 * [0.0]]]]}}}"
     lossy = on_a_bus("4+0 4+0 4+0 4+0", none, "allow_uncertified=true", loss=0.1)
     assert lossy.verdict is not None and lossy.verdict.state == "undecided" and "lost packets" in lossy.verdict.reason
@@ -133,15 +136,20 @@ def test_a_bus_that_cannot_be_foreseen_is_undecided_and_its_runs_differ_by_their
 @pytest.mark.parametrize(
     ("sets", "says"),
     [
-        (["nodes.first.clock.every=0"], "nodes.first.clock.every: 0 slots, expected 1 to 1000000"),
-        (["nodes.first.clock={every=4, phase=4}"], "nodes.first.clock.phase: 4, expected 0 to every - 1 = 3"),
-        (["nodes.first.clock={every=4, jitter=4}"], "nodes.first.clock.jitter: 4 slots, expected 0 to every - 1 = 3"),
-        (["nodes.first.clock={every=4, phase=1, random_phase=true}"], "nodes.first.clock.phase: random_phase draws it"),
-        (["media.bus.frames=2"], "media.bus.frames: for a can-arbitration medium only"),
-        (["media.bus.kind='can-arbitration'", "media.bus.phase=0", "media.bus.frames=0"], "media.bus.frames: 0 in a slot"),
-        (["media.bus.kind='can-arbitration'"], "media.bus.phase: for a round-robin medium only"),
-        (["media.bus.kind='can-arbitration'", "media.bus.phase=0", "media.bus.nodes=['first', 'first']"], "is named twice"),
-        (["media.bus.kind='can-arbitration'", "media.bus.phase=0", "controller.uses='newest'"], "controller.uses: where several"),
+        (["network.nodes.first.clock.every=0"], "network.nodes.first.clock.every: 0 slots, expected 1 to 1000000"),
+        (["network.nodes.first.clock={every=4, phase=4}"], "network.nodes.first.clock.phase: 4, expected 0 to every - 1 = 3"),
+        (["network.nodes.first.clock={every=4, jitter=4}"],
+         "network.nodes.first.clock.jitter: 4 slots, expected 0 to every - 1 = 3"),
+        (["network.nodes.first.clock={every=4, phase=1, random_phase=true}"],
+         "network.nodes.first.clock.phase: random_phase draws it"),
+        (["network.media.bus.frames=2"], "network.media.bus.frames: for a can-arbitration medium only"),
+        (["network.media.bus.kind='can-arbitration'", "network.media.bus.phase=0", "network.media.bus.frames=0"],
+         "network.media.bus.frames: 0 in a slot"),
+        (["network.media.bus.kind='can-arbitration'"], "network.media.bus.phase: for a round-robin medium only"),
+        (["network.media.bus.kind='can-arbitration'", "network.media.bus.phase=0",
+         "network.media.bus.nodes=['first', 'first']"], "is named twice"),
+        (["network.media.bus.kind='can-arbitration'", "network.media.bus.phase=0", "controller.uses='newest'"],
+         "controller.uses: where several"),
     ],
 )
 def test_a_fault_of_a_bus_or_a_clock_is_refused_with_its_place(sets: list[str], says: str) -> None:

@@ -46,7 +46,8 @@ def test_the_bus_makes_the_delay_and_no_response_is_beyond_its_bound(session) ->
     ages = session.run.arrays["/controller/rows"]["tau"]
     assert set(ages.tolist()) == {0, 1} and 0.1 < float(np.mean(ages)) < 0.6
     assert session.summary["network"]["bus"]["frames"] == found.frames
-    assert session.summary["certificate"]["state"] == "undecided" and "media.bus" in session.summary["certificate"]["reason"]
+    certificate = session.summary["certificate"]
+    assert certificate["state"] == "undecided" and "network.media.bus" in certificate["reason"]
 
 
 def test_the_page_shows_the_bus_its_messages_and_a_time_line(session) -> None:  # type: ignore[no-untyped-def]
@@ -67,7 +68,7 @@ def test_runs_of_a_sweep_are_not_computed_at_once() -> None:
 
 
 def test_disturbed_bits_are_sent_again_and_put_nodes_into_other_states() -> None:
-    experiment = load_experiment(NAME, duration="2", sets=["media.bus.bit_error_rate=0.002"])
+    experiment = load_experiment(NAME, duration="2", sets=["network.media.bus.bit_error_rate=0.002"])
     run = simulate(compose(experiment, certify=False), 0)
     frames = run.arrays["/link/bus"]
     broken = frames[frames["operation"] == 1]
@@ -80,14 +81,14 @@ def test_disturbed_bits_are_sent_again_and_put_nodes_into_other_states() -> None
 
 
 def test_a_bus_with_a_data_bit_rate_carries_can_fd() -> None:
-    run = simulate(compose(load_experiment(NAME, duration="1", sets=["media.bus.dbitrate=1000000"]), certify=False), 0)
+    run = simulate(compose(load_experiment(NAME, duration="1", sets=["network.media.bus.dbitrate=1000000"]), certify=False), 0)
     frames = run.arrays["/link/bus"]
     own = frames[np.isin(frames["can_id"], (0x100, 0x140))]
     assert set(own["flags"].tolist()) == {12} and len(own) == 40
 
 
 def test_more_traffic_than_the_bus_carries_runs_and_the_motor_is_not_heard() -> None:
-    more = "media.bus.traffic=[{name='flood', can_id=1, length=8, period='0.9 ms'}]"
+    more = "network.media.bus.traffic=[{name='flood', can_id=1, length=8, period='0.9 ms'}]"
     experiment = load_experiment(NAME, duration="1", sets=[more, "limits.watchdog_slots=1000"])
     run = simulate(compose(experiment, certify=False), 0)
     found = bus_of(view_of(run, experiment))
@@ -98,20 +99,24 @@ def test_more_traffic_than_the_bus_carries_runs_and_the_motor_is_not_heard() -> 
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("media.bus.bitrate=501000", "media.bus.bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is"),
-        ("media.bus.dbitrate=100000", "media.bus.dbitrate: 100000 bit/s, expected 125000 to 10000000"),
-        ("media.bus.bit_error_rate=2", "media.bus.bit_error_rate: 2, expected a probability"),
-        ("media.bus.loss=0.1", "media.bus.loss: a CAN bus repeats what was destroyed"),
-        ("media.bus.kind='round-robin'", "media.bus.bitrate: for a medium of kind 'can' only"),
-        ("media.bus.traffic=[{can_id=0x800, period=1}]", "traffic[0].can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
-        ("media.bus.traffic=[{can_id=1, period=0}]", "traffic[0].period: 0 s is not between 10 us and 1 h"),
-        ("media.bus.traffic=[{can_id=1, period=1, length=12}]", "traffic[0].length: 12 bytes, expected 0 to 8, or fd = true"),
-        ("media.bus.traffic=[{can_id=1, period=1, data='xy'}]", "traffic[0].data: 'xy', expected bytes in hexadecimal"),
-        ("media.bus.traffic=[{can_id=0x100, period=1}]", "traffic[0].can_id: 0x100 is the identifier of 'motor' already"),
-        ("media.bus.traffic=[{can_id=1, period=1}, {can_id=1, period=2, name='b'}]", "traffic[1].can_id: 0x1 is the identi"),
-        ("media.bus.traffic=[{name='motor', can_id=1, period=1}]", "traffic[0].name: 'motor' is a node of the rig"),
-        ("media.bus.traffic=[{can_id=1, period=1, fd=true}]", "traffic[0].fd: the bus has no dbitrate, expected one for CAN FD"),
-        ("media.bus.traffic_file='none.csv'", "media.bus.traffic_file: "),
+        ("network.media.bus.bitrate=501000",
+         "network.media.bus.bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is"),
+        ("network.media.bus.dbitrate=100000", "network.media.bus.dbitrate: 100000 bit/s, expected 125000 to 10000000"),
+        ("network.media.bus.bit_error_rate=2", "network.media.bus.bit_error_rate: 2, expected a probability"),
+        ("network.media.bus.loss=0.1", "network.media.bus.loss: a CAN bus repeats what was destroyed"),
+        ("network.media.bus.kind='round-robin'", "network.media.bus.bitrate: for a medium of kind 'can' only"),
+        ("network.media.bus.traffic=[{can_id=0x800, period=1}]", "traffic[0].can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
+        ("network.media.bus.traffic=[{can_id=1, period=0}]", "traffic[0].period: 0 s is not between 10 us and 1 h"),
+        ("network.media.bus.traffic=[{can_id=1, period=1, length=12}]",
+         "traffic[0].length: 12 bytes, expected 0 to 8, or fd = true"),
+        ("network.media.bus.traffic=[{can_id=1, period=1, data='xy'}]", "traffic[0].data: 'xy', expected bytes in hexadecimal"),
+        ("network.media.bus.traffic=[{can_id=0x100, period=1}]", "traffic[0].can_id: 0x100 is the identifier of 'motor' already"),
+        ("network.media.bus.traffic=[{can_id=1, period=1}, {can_id=1, period=2, name='b'}]",
+         "traffic[1].can_id: 0x1 is the identi"),
+        ("network.media.bus.traffic=[{name='motor', can_id=1, period=1}]", "traffic[0].name: 'motor' is a node of the rig"),
+        ("network.media.bus.traffic=[{can_id=1, period=1, fd=true}]",
+         "traffic[0].fd: the bus has no dbitrate, expected one for CAN FD"),
+        ("network.media.bus.traffic_file='none.csv'", "network.media.bus.traffic_file: "),
     ],
 )  # fmt: skip
 def test_what_no_bus_is_refused_with_its_path(override: str, said: str) -> None:
@@ -162,4 +167,4 @@ def test_a_faulty_table_of_traffic_is_refused_with_its_line(tmp_path: Path, text
     (tmp_path / "own.toml").write_text(experiment.replace("bitrate = 125_000", "bitrate = 125_000\ntraffic_file = 'bad.csv'"))
     with pytest.raises(ExperimentError) as caught:
         compose(load_experiment(tmp_path / "own.toml"))
-    assert f"media.bus.traffic_file: {tmp_path}/bad.csv: {said}" in str(caught.value)
+    assert f"network.media.bus.traffic_file: {tmp_path}/bad.csv: {said}" in str(caught.value)

@@ -92,7 +92,7 @@ def test_a_controller_off_the_bus_hears_nothing() -> None:
 
 def test_one_node_of_several_falls_silent_and_its_bus_goes_on() -> None:
     text = shipped()["multisensor-published"].read_text()
-    name = next(iter(parse_experiment(text).nodes))
+    name = next(iter(parse_experiment(text).network.nodes))
     run = simulate(loop_of(faulty("cut", f'node = "{name}"', text), certify=False), 0)
     packets = [decode(bytes(data)) for data in run.arrays["/link/sensor"]["data"]]
     heard = {(p.seq, p.node) for p in packets if isinstance(p, SensorPacket) and not p.flags & EMPTY}

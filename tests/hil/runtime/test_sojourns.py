@@ -95,8 +95,10 @@ def test_shipped_design_is_for_the_law_that_it_runs_over() -> None:
     [
         ("dc-motor-ours-h2", ["controller.sojourns=3"], "controller.sojourns: only a semi-Markov law takes it"),
         ("dc-motor-ours-h2", ["controller.sojourns=0"], "sojourns: 0, expected at least 1"),
-        ("dc-motor-ours-bursty", ["links.sc.law.ages=[0, 1, 1]", "links.sc.max_age=2"], "sojourns: several modes have one delay"),
-        ("dc-motor-ours-bursty", ["links.sc.law.ages=[0, 1, 3]", "links.sc.law.allow_gaps=true"], "tables, but tau reaches 3"),
+        ("dc-motor-ours-bursty", ["network.sc.law.ages=[0, 1, 1]", "network.sc.max_age=2"],
+         "sojourns: several modes have one delay"),
+        ("dc-motor-ours-bursty", ["network.sc.law.ages=[0, 1, 3]", "network.sc.law.allow_gaps=true"],
+         "tables, but tau reaches 3"),
     ],
 )
 def test_what_nobody_can_count_is_refused(name: str, sets: list[str], message: str) -> None:

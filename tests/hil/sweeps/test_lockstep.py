@@ -36,12 +36,12 @@ ALONE = {
 }  # fmt: skip
 SEMI_MARKOV = "kind='semi-markov',matrix=[[0,1],[1,0]],sojourn=[{law='uniform',low=1,high=3},{law='geometric',p=0.5}]"
 STRANGE_LAWS = (
-    "links.ca.law={kind='iid',probabilities=[0.5,0.5]}",
-    "links.ca.law={kind='iid',probabilities=[0.4,0.0,0.6],allow_gaps=true}",
-    "links.ca.law={kind='trace',ages=[0,1,2,0,1]}",
-    f"links.ca.law={{{SEMI_MARKOV}}}",
-    "links.ca.law={kind='constant',age=1}",
-    "links.ca.law={kind='markov',ages=[1,0],matrix=[[0.2,0.8],[0.5,0.5]],initial=[1.0,0.0]}",
+    "network.ca.law={kind='iid',probabilities=[0.5,0.5]}",
+    "network.ca.law={kind='iid',probabilities=[0.4,0.0,0.6],allow_gaps=true}",
+    "network.ca.law={kind='trace',ages=[0,1,2,0,1]}",
+    f"network.ca.law={{{SEMI_MARKOV}}}",
+    "network.ca.law={kind='constant',age=1}",
+    "network.ca.law={kind='markov',ages=[1,0],matrix=[[0.2,0.8],[0.5,0.5]],initial=[1.0,0.0]}",
 )
 
 
@@ -111,21 +111,21 @@ PACKET_LAWS = {
 @pytest.mark.parametrize("way", ["sc", "ca"])
 @pytest.mark.parametrize("law", PACKET_LAWS.values(), ids=PACKET_LAWS)
 def test_a_packet_law_delivers_the_same_packets(law: str, way: str) -> None:
-    loop = loop_of("dc-motor-packets", "duration=10", f"links.{way}.law={{kind='packet',{law}}}", "limits.watchdog_slots=40")
+    loop = loop_of("dc-motor-packets", "duration=10", f"network.{way}.law={{kind='packet',{law}}}", "limits.watchdog_slots=40")
     assert supports_batch(loop) and run_batch(loop, range(6)).known.any()
     same_bits(loop, range(6))
 
 
 @pytest.mark.parametrize(("selection", "rows"), [("constant", 1), ("generated", 4), ("previous", 4), ("both", 16)])
 def test_a_packet_that_is_too_old_is_held_by_every_rule(selection: str, rows: int) -> None:
-    late = "links.ca.law={kind='packet',latency={table=[[0,0],[1,'500 ms']]},loss=0.3}"
+    late = "network.ca.law={kind='packet',latency={table=[[0,0],[1,'500 ms']]},loss=0.3}"
     same_bits(loop_of("dc-motor-packets", "duration=6", late, "limits.watchdog_slots=90", sent(selection, 4, rows)), range(3))
 
 
 def test_a_run_that_the_watchdog_stops_and_one_whose_queue_overflows_are_the_plain_engine_s() -> None:
-    starving = loop_of("dc-motor-packets", "duration=10", "links.ca.law={kind='packet',latency='1 ms',loss=0.5}",
+    starving = loop_of("dc-motor-packets", "duration=10", "network.ca.law={kind='packet',latency='1 ms',loss=0.5}",
                        "limits.watchdog_slots=5")  # fmt: skip
-    full = loop_of("dc-motor-packets", "duration=10", "links.sc.law={kind='packet',latency={table=[[0,0],[1,0.4]]},queue=7}")
+    full = loop_of("dc-motor-packets", "duration=10", "network.sc.law={kind='packet',latency={table=[[0,0],[1,0.4]]},queue=7}")
     for loop in (starving, full):
         assert 0 < run_batch(loop, range(12)).known.sum() < 12  # both kinds
         same_bits(loop, range(12))
@@ -141,7 +141,7 @@ def test_every_rule_picks_the_same_row(selection: str, rows: int) -> None:
     [
         [sent("applied", 3, 2, 1, 2, ",integral=true")],
         [sent("applied", 3, 2, 1, 2, ",samples=2")],
-        [f"links.sc.law={{{SEMI_MARKOV}}}", sent("applied", 4, 2, 1, 1, ",sojourns=[3,1]")],
+        [f"network.sc.law={{{SEMI_MARKOV}}}", sent("applied", 4, 2, 1, 1, ",sojourns=[3,1]")],
     ],
     ids=["integral", "two samples", "sojourns"],
 )
@@ -187,19 +187,19 @@ def test_a_run_that_overflows_is_the_plain_engine_s() -> None:
 
 
 def test_one_named_node_moves_the_same() -> None:
-    loop = loop_of("vtol-h2", "duration=2", "nodes={velocity={outputs=['vertical_velocity'],buffer=2}}")
+    loop = loop_of("vtol-h2", "duration=2", "network.nodes={velocity={outputs=['vertical_velocity'],buffer=2}}")
     assert supports_batch(loop)
     same_bits(loop, range(2))
 
 
-NODES = ("duration=10", "links.ca.law={kind='markov',matrix=[[0.5,0.5],[0.7,0.3]]}")
+NODES = ("duration=10", "network.ca.law={kind='markov',matrix=[[0.5,0.5],[0.7,0.3]]}")
 EACH = f"controller={{kind='send-all',ages=[2,2],selection='generated',gains={gains(4, 2, 1, 2)}}}"
-LATE = "nodes.speed.law={kind='packet',latency={table=[[0,0],[1,'160 ms']]},loss=0.2}"
+LATE = "network.nodes.speed.law={kind='packet',latency={table=[[0,0],[1,'160 ms']]},loss=0.2}"
 
 
 @pytest.mark.parametrize(
     "sets",
-    [(EACH,), (sent("applied", 2, 2, 1, 2),), (EACH, LATE), (sent("applied", 4, 2, 1, 2), "links.sc.max_age=3", LATE)],
+    [(EACH,), (sent("applied", 2, 2, 1, 2),), (EACH, LATE), (sent("applied", 4, 2, 1, 2), "network.sc.max_age=3", LATE)],
     ids=["an age each", "the oldest", "a packet law", "the oldest over one"],
 )  # fmt: skip
 def test_several_nodes_are_heard_the_same(sets: tuple[str, ...]) -> None:
@@ -218,11 +218,11 @@ def test_several_nodes_are_heard_the_same(sets: tuple[str, ...]) -> None:
 def test_gains_over_historical_data_take_the_same_samples(uses: str, phases: int, bus: str, law: str) -> None:
     if "iid" in law and uses != "history":
         pytest.skip("only the history takes packets of any age")
-    media = f"media={{bus={{{bus},nodes=['first','second','third','fourth']}}}}" if bus else "media={}"
+    media = f"network.media={{bus={{{bus},nodes=['first','second','third','fourth']}}}}" if bus else "network.media={}"
 
     def loop_with(K: np.ndarray) -> Loop:
         controller = f"controller={{kind='historical',uses='{uses}',gains={K.tolist()}}}"
-        return loop_of("multisensor-published", "duration=2", controller, media, f"links.sc.law={{{law}}}")
+        return loop_of("multisensor-published", "duration=2", controller, media, f"network.sc.law={{{law}}}")
 
     rng, nodes = np.random.default_rng(7), loop_with(np.zeros((phases, 4, 1, 4))).model.nodes
     K = 0.02 * rng.standard_normal((phases, 4, 1, 4)) * rng.integers(0, 2, (phases, 4, 1, 4))
@@ -237,14 +237,14 @@ def test_gains_over_historical_data_take_the_same_samples(uses: str, phases: int
 
 def test_nodes_that_take_turns_or_have_clocks_are_heard_the_same_and_silent_ones_left_to_the_plain_engine() -> None:
     oldest = sent("applied", 4, 2, 1, 2)
-    turns = "media={bus={kind='round-robin',nodes=['angle','speed'],loss=0.1}}"
-    clock = "nodes.angle.clock={every=3}"
+    turns = "network.media={bus={kind='round-robin',nodes=['angle','speed'],loss=0.1}}"
+    clock = "network.nodes.angle.clock={every=3}"
     for change in (turns, clock):
-        loop = loop_of("dc-motor-two-nodes", *NODES, oldest, "links.sc.max_age=3", "duration=3", change)
+        loop = loop_of("dc-motor-two-nodes", *NODES, oldest, "network.sc.max_age=3", "duration=3", change)
         assert supports_batch(loop)
         same_bits(loop, range(3))
     assert not supports_batch(loop_of("dc-motor-two-nodes", *NODES, EACH, clock))
-    silent = "nodes={velocity={outputs=['vertical_velocity'],trigger={kind='magnitude',threshold=0.1}}}"
+    silent = "network.nodes={velocity={outputs=['vertical_velocity'],trigger={kind='magnitude',threshold=0.1}}}"
     assert not supports_batch(loop_of("vtol-h2", "duration=2", "allow_uncertified=true", silent))
 
 

@@ -15,7 +15,7 @@ SCHEMAS = {topic: channel.schema for topic, channel in TABLE.items()}
 EVENT = {"tick": 3, "t_s": 0.15, "kind": "safety", "severity": "error", "message": "limit", "data": {}}
 RESOLVED: dict[str, Any] = {
     "period": 0.05, "plant": {}, "controller": {}, "disturbance": [{"at": 1.0}],
-    "links": {"sc": {"law": {}}, "ca": {"law": {}}},
+    "network": {"sc": {"law": {}}, "ca": {"law": {}}},
 }  # fmt: skip
 
 
@@ -59,7 +59,7 @@ def test_a_seed_that_is_none_is_named(seed: str) -> None:
     ("path", "value"),
     [
         ("period", "x"), ("period", 0), ("period", math.nan), ("period", True), ("period", 10**400), ("plant", []),
-        ("controller", "hinf"), ("links", 3), ("links.sc", []), ("links.ca.law", "markov"), ("disturbance", {}),
+        ("controller", "hinf"), ("network", 3), ("network.sc", []), ("network.ca.law", "markov"), ("disturbance", {}),
         ("disturbance", [3]), ("disturbance", [{}]), ("disturbance", [{"at": "1 s"}]), ("disturbance", [{"at": 10**400}]),
     ],
 )  # fmt: skip

@@ -43,9 +43,9 @@ def test_what_has_no_prediction_has_no_panel(tmp_path: Path, name: str) -> None:
 
 def test_prediction_starts_where_the_law_starts(tmp_path: Path) -> None:
     """Always the longest delay in slot 0, a step in slot 0: the first input cannot act before slot 2 or later."""
-    changes = ["duration=2", "reference.0.at=0", "links.sc.law.initial=[0.0, 0.0, 1.0]", "disturbance.0.at=1.5"]
+    changes = ["duration=2", "reference.0.at=0", "network.sc.law.initial=[0.0, 0.0, 1.0]", "disturbance.0.at=1.5"]
     sections = []
-    for extra in ([], ["links.sc.law.initial=stationary"]):
+    for extra in ([], ["network.sc.law.initial=stationary"]):
         run = run_session(load_experiment("dc-motor-hinf", changes + extra), path=tmp_path / f"{len(extra)}.mcap").run
         section = theory_section(view_of(run))
         assert section is not None and isinstance(section.blocks[0], Figure)

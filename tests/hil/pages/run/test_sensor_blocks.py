@@ -20,7 +20,7 @@ from hil.session import simulate
 
 
 def test_who_spoke_and_how_old_each_newest_sample_is() -> None:
-    loop = compose(load_experiment("multisensor-published", ["duration=1", "links.sc.max_age=1"]), certify=False)
+    loop = compose(load_experiment("multisensor-published", ["duration=1", "network.sc.max_age=1"]), certify=False)
     view = view_of(simulate(loop, 0), loop.experiment)
     spoke, ages, table = nodes_section(view).blocks  # type: ignore[union-attr]
     assert isinstance(spoke, Figure) and isinstance(ages, Figure) and isinstance(table, Table)

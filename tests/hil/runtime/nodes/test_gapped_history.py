@@ -26,12 +26,12 @@ from hil.session import simulate
 from transport.draws import DELIVERED
 
 SETS = {
-    "three samples": ["media.bus.loss=0.6"],
+    "three samples": ["network.media.bus.loss=0.6"],
     "unlike nodes": [
-        "media.bus.loss=0.5", "nodes.first.buffer=1", "nodes.second.buffer=2", "links.sc.max_age=2",
-        "nodes.second.law={kind='constant', age=2}", "nodes.third.law={kind='constant', age=1}",
+        "network.media.bus.loss=0.5", "network.nodes.first.buffer=1", "network.nodes.second.buffer=2", "network.sc.max_age=2",
+        "network.nodes.second.law={kind='constant', age=2}", "network.nodes.third.law={kind='constant', age=1}",
     ],
-    "all late": ["media.bus.loss=0.5", "links.sc.law.age=1", "plant.initial_history=[[1, 2, -3, 0.5], [0, 4, 1, 1]]"],
+    "all late": ["network.media.bus.loss=0.5", "network.sc.law.age=1", "plant.initial_history=[[1, 2, -3, 0.5], [0, 4, 1, 1]]"],
 }  # fmt: skip
 
 
@@ -111,7 +111,8 @@ def test_second_moments_are_those_of_all_paths_of_the_controller_that_runs() -> 
 PLANT = [
     "plant={kind='delayed-states', A=[[1.2, 0.0], [0.0, 0.5]], delayed=[], B=[[1.0], [0.0]], initial_state=[1.0, 1.0]}",
     "plant.weight=[[1.0, 0.0], [0.0, 1.0]]",
-    "nodes={first={outputs=['x1']}, second={outputs=['x2']}}", "media.bus.nodes=['first', 'second']", "limits.state={}",
+    "network.nodes={first={outputs=['x1']}, second={outputs=['x2']}}",
+    "network.media.bus.nodes=['first', 'second']", "limits.state={}",
 ]  # fmt: skip
 
 
@@ -120,7 +121,7 @@ def unstable(loss: float, *sets: str) -> Loop:
     gains = np.zeros((2, 2, 1, 2))
     gains[0, 0, 0, 0], gains[1, 1, 0, 0] = -0.9, -0.1
     table = f"controller={{kind='historical', gains={gains.tolist()}}}"
-    return compose(load_experiment("multisensor-ours", [*PLANT, table, f"media.bus.loss={loss}", *sets]))
+    return compose(load_experiment("multisensor-ours", [*PLANT, table, f"network.media.bus.loss={loss}", *sets]))
 
 
 def test_losses_turn_certified_into_refused() -> None:
@@ -141,4 +142,4 @@ def test_what_is_not_known_is_said_with_its_number() -> None:
     assert said.startswith("which of the last 9 packets got lost decides what a history has: 1024 phases with the turns")
     assert "512 phases and 198 states: 20072448 numbers" in gaps_undecided(two_nodes(0.1), 7, 97)
     with pytest.raises(HilError, match="over lost packets gains are designed for uses = 'current-packet' or 'last-packets'"):
-        compose(load_experiment("multisensor-ours", ["media.bus.loss=0.1"]))
+        compose(load_experiment("multisensor-ours", ["network.media.bus.loss=0.1"]))

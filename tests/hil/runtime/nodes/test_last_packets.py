@@ -17,8 +17,8 @@ from hil.session import simulate
 from transport.draws import DELIVERED
 
 SETS = {
-    "random": ["media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], loss=0.3}"],
-    "cycle": ["media.bus.loss=0.3"],
+    "random": ["network.media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], loss=0.3}"],
+    "cycle": ["network.media.bus.loss=0.3"],
 }
 
 
@@ -64,6 +64,6 @@ def test_gains_on_a_packet_that_the_outcome_lacks_are_refused_by_their_entry() -
 
 
 def test_the_last_packets_are_undecided_where_they_come_late() -> None:
-    late = "links.sc.law={kind='constant', age=1}"
+    late = "network.sc.law={kind='constant', age=1}"
     with pytest.raises(HilError, match="the last packets where they take no slot"):
         compose(load_experiment("multisensor-ours", [*SETS["random"], late, "controller.uses='last-packets'"]))

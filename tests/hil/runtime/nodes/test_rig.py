@@ -228,7 +228,8 @@ def test_an_answer_to_other_frames_than_were_sent_is_never_applied_and_told(loop
                 on_frame(encode_control(ControlPacket(k, t_ns, 0, 0, 1, ((u,), (u,)), echoed)))
 
     # without delays every slot has a fresh sample
-    direct = compose(load_experiment("dc-motor-hinf", ["links.sc.law.matrix=[[1.0]]", "links.sc.law.kind=markov"]), certify=False)
+    at_once = ["network.sc.law.matrix=[[1.0]]", "network.sc.law.kind=markov"]
+    direct = compose(load_experiment("dc-motor-hinf", at_once), certify=False)
     sink = MemorySink(channels_of(direct))
     rig = Rig(direct, 0, sink, channels_of(direct), lambda: None, session_wire(b"k" * 16))
     slot = Slot(rig, Both())

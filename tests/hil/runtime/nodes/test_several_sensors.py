@@ -45,7 +45,7 @@ def cost_of(loop: Loop, seed: int = 0) -> dict[str, float | None]:
 )
 def test_the_rig_costs_what_the_chapter_and_the_lyapunov_equation_say(name: str, phase: int, expected: float) -> None:
     """Inputs and samples travel as float32: a relative 1e-5 of the cost covers their rounding, and no slot more or less."""
-    loop = compose(load_experiment(f"multisensor-{name}", [f"media.bus.phase={phase}"]))
+    loop = compose(load_experiment(f"multisensor-{name}", [f"network.media.bus.phase={phase}"]))
     cost = cost_of(loop)["cost"]
     assert cost == pytest.approx(expected, abs=1e-3)
     assert loop.verdict is not None and loop.verdict.certified
@@ -172,46 +172,55 @@ def test_ten_thousand_runs_agree_with_mean_and_variance_of_the_cost(lossy: Loop)
 
 
 FAULTS: list[tuple[str, list[str], str]] = [
-    ("published", ['nodes.second.outputs=["x9"]'], "nodes.second.outputs[0]: the plant has no output 'x9'"),
-    ("published", ['nodes.second.outputs=["x1"]'], "nodes.second.outputs[0]: 'x1' is measured by node 'first' already"),
-    ("published", ['nodes.second.outputs=["x1"]'], "nodes: no node measures the output 'x2'"),
-    ("published", ["nodes.second.id=0"], "nodes.second.id: 0 is the number of node 'first' already"),
-    ("published", ["nodes.second.id=7"], "nodes.second.id: 7, expected 0 to 3"),
-    ("published", ["nodes.second.can_id=0x100"], "nodes.second.can_id: 0x100 is the identifier of node 'first' already"),
-    ("published", ["nodes.second.can_id=0x800"], "nodes.second.can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
-    ("published", ["nodes.second.can_id=0x140"], "links.control_can_id: 0x140 is the identifier of node 'second' already"),
+    ("published", ['network.nodes.second.outputs=["x9"]'], "network.nodes.second.outputs[0]: the plant has no output 'x9'"),
+    ("published", ['network.nodes.second.outputs=["x1"]'],
+     "network.nodes.second.outputs[0]: 'x1' is measured by node 'first' already"),
+    ("published", ['network.nodes.second.outputs=["x1"]'], "nodes: no node measures the output 'x2'"),
+    ("published", ["network.nodes.second.id=0"], "network.nodes.second.id: 0 is the number of node 'first' already"),
+    ("published", ["network.nodes.second.id=7"], "network.nodes.second.id: 7, expected 0 to 3"),
+    ("published", ["network.nodes.second.can_id=0x100"],
+     "network.nodes.second.can_id: 0x100 is the identifier of node 'first' already"),
+    ("published", ["network.nodes.second.can_id=0x800"], "network.nodes.second.can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
+    ("published", ["network.nodes.second.can_id=0x140"],
+     "links.control_can_id: 0x140 is the identifier of node 'second' already"),
     ("published", ["links.control_can_id=-1"], "links.control_can_id: -0x1, expected 0 to 0x7ff (11 bits)"),
-    ("published", ["nodes.fourth.can_id=0x7ff", "links.auth={key_file='k'}"],
-     "nodes.fourth.can_id: 0x7ff, and its packets take 2 frames: above 0x7ff (11 bits)"),
-    ("published", ["nodes.first.can_id=0x201", "nodes.second.can_id=0x200", "links.uri='can:hil:r?fd=0'"],
-     "nodes.second.can_id: 0x200 is the identifier of node 'first' already (0x201, for its packets take 8 frames)"),
-    ("published", ["nodes.second.buffer=255"],
-     "nodes.second.can_id: its packets take 17 frames, and its identifiers are 0x110-0x11f; give it a can_id of its own"),
-    ("published", ["nodes.second.outputs=[]"], "nodes.second.outputs: empty"),
-    ("published", ["nodes.second.buffer=0"], "nodes.second.buffer: 0 samples, expected 1 to 255"),
-    ("published", ["nodes.second.buffer=7"], "nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),
-    ("published", ["nodes.second.buffer=2"], "controller.gains[0][5][0][1]: -0.0201, expected 0: in this phase"),
-    ("published", ['nodes.second.trigger.kind="error"'], "nodes.second.trigger.threshold: missing"),
-    ("published", ['nodes.second.trigger.kind="often"'], "nodes.second.trigger.kind: invalid enum value 'often'"),
-    ("published", ['nodes.second.law={kind="constant", age=3}'], "nodes.second.law: its largest delay 3 is above links.sc"),
-    ("published", ['nodes.second.law={kind="markov", matrix=[[0.5]]}'], "nodes.second.law.matrix"),
-    ("published", ['nodes.Second={outputs=["x2"]}'], "nodes.Second"),
-    ("published", ['media.bus.nodes=["first", "second", "third", "fifth"]'], "media.bus.nodes[3]: there is no node 'fifth'"),
-    ("published", ["media.bus.phase=4"], "media.bus.phase: 4, expected 0 to 3"),
-    ("published", ['media.bus.nodes=["first", "second", "third"]', "media.bus.phase=0"], "need all nodes on one medium"),
-    ("published", ['media.other={kind="random", nodes=["first"]}'], "node 'first' is on medium 'bus' already"),
-    ("published", ["media.bus.loss=1.5"], "media.bus.loss: 1.5, expected a probability below 1"),
-    ("published", ['media.bus.nodes=["first", "second", "third", "fourth", "first"]'], "gains: 4 phases, but the schedule has 5"),
+    ("published", ["network.nodes.fourth.can_id=0x7ff", "links.auth={key_file='k'}"],
+     "network.nodes.fourth.can_id: 0x7ff, and its packets take 2 frames: above 0x7ff (11 bits)"),
+    ("published", ["network.nodes.first.can_id=0x201", "network.nodes.second.can_id=0x200", "links.uri='can:hil:r?fd=0'"],
+     "network.nodes.second.can_id: 0x200 is the identifier of node 'first' already (0x201, for its packets take 8 frames)"),
+    ("published", ["network.nodes.second.buffer=255"],
+     "network.nodes.second.can_id: its packets take 17 frames, and its identifiers are 0x110-0x11f; give it a can_id of its own"),
+    ("published", ["network.nodes.second.outputs=[]"], "network.nodes.second.outputs: empty"),
+    ("published", ["network.nodes.second.buffer=0"], "network.nodes.second.buffer: 0 samples, expected 1 to 255"),
+    ("published", ["network.nodes.second.buffer=7"],
+     "network.nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),
+    ("published", ["network.nodes.second.buffer=2"], "controller.gains[0][5][0][1]: -0.0201, expected 0: in this phase"),
+    ("published", ['network.nodes.second.trigger.kind="error"'], "network.nodes.second.trigger.threshold: missing"),
+    ("published", ['network.nodes.second.trigger.kind="often"'], "network.nodes.second.trigger.kind: invalid enum value 'often'"),
+    ("published", ['network.nodes.second.law={kind="constant", age=3}'],
+     "network.nodes.second.law: its largest delay 3 is above network.sc"),
+    ("published", ['network.nodes.second.law={kind="markov", matrix=[[0.5]]}'], "network.nodes.second.law.matrix"),
+    ("published", ['network.nodes.Second={outputs=["x2"]}'], "network.nodes.Second"),
+    ("published", ['network.media.bus.nodes=["first", "second", "third", "fifth"]'],
+     "network.media.bus.nodes[3]: there is no node 'fifth'"),
+    ("published", ["network.media.bus.phase=4"], "network.media.bus.phase: 4, expected 0 to 3"),
+    ("published", ['network.media.bus.nodes=["first", "second", "third"]', "network.media.bus.phase=0"],
+     "need all nodes on one medium"),
+    ("published", ['network.media.other={kind="random", nodes=["first"]}'], "node 'first' is on medium 'bus' already"),
+    ("published", ["network.media.bus.loss=1.5"], "network.media.bus.loss: 1.5, expected a probability below 1"),
+    ("published", ['network.media.bus.nodes=["first", "second", "third", "fourth", "first"]'],
+     "gains: 4 phases, but the schedule has 5"),
     ("published", ["period=0.1"], "period: discretise: 0.1 s, but the plant is given in slots of 0.05 s"),
     ("published", ["plant.B=[[1.0]]"], "plant.B: shape (1, 1), expected (4, m)"),
-    ("published", ['links.sc.law.age=1'], "expected 0: in this phase the sample of 0 slots ago"),
+    ("published", ['network.sc.law.age=1'], "expected 0: in this phase the sample of 0 slots ago"),
     ("lossy", ['controller.uses="history"'], "controller.uses: over random turns only the current packet"),
-    ("lossy", ["media.bus.probabilities=[0.5, 0.6, 0.0, 0.0]"], "media.bus.probabilities: expected probabilities that sum to 1"),
-    ("lossy", ["links.sc.law.age=1", "media.bus.matrix=[[0,1,0,0], [0,0,1,0], [0,0,0,1], [1,0,0,0]]",
-               "media.bus.probabilities=[1,0,0,0]"], "where slot 0 is drawn from the chain's stationary distribution"),
+    ("lossy", ["network.media.bus.probabilities=[0.5, 0.6, 0.0, 0.0]"],
+     "network.media.bus.probabilities: expected probabilities that sum to 1"),
+    ("lossy", ["network.sc.law.age=1", "network.media.bus.matrix=[[0,1,0,0], [0,0,1,0], [0,0,0,1], [1,0,0,0]]",
+               "network.media.bus.probabilities=[1,0,0,0]"], "where slot 0 is drawn from the chain's stationary distribution"),
     ("lossy", ["controller.uses='last-packets'", "controller.window=0"], "controller.window: 0, expected 1 to 10 slots"),
     ("published", ["controller={kind='historical-designed', uses='last-packets'}"], "controller.uses: the last packets differ"),
-    ("lossy", ["media.bus.matrix=[[1.0, 0.0, 0.0, 0.0]]"], "media.bus.matrix: 1 rows for 4 nodes"),
+    ("lossy", ["network.media.bus.matrix=[[1.0, 0.0, 0.0, 0.0]]"], "network.media.bus.matrix: 1 rows for 4 nodes"),
 ]  # fmt: skip
 
 
@@ -238,13 +247,14 @@ def test_gains_of_a_wrong_shape_and_unstable_ones_are_refused() -> None:
 
 def test_one_node_has_no_key_of_nodes_and_several_have_theirs() -> None:
     loop = compose(load_experiment("dc-motor-hinf", ["duration=1"]))
-    assert not {"nodes", "media"} & set(loop.experiment.resolved())
+    assert not {"nodes", "media"} & set(loop.experiment.resolved()["network"])
     assert "node" not in (simulate(loop, 0).arrays["/network/sc"].dtype.names or ())
     several = compose(load_experiment("multisensor-published", ["duration=1"]))
     resolved = several.experiment.resolved()
+    network = resolved["network"]
     again = experiment_from_resolved(json.loads(json.dumps(resolved, sort_keys=True)), "", "log")  # as a log keeps it
     assert [sensor.name for sensor in rig_of(again).sensors] == ["first", "second", "third", "fourth"]
-    assert resolved["nodes"]["third"]["outputs"] == ["x3"] and resolved["media"]["bus"]["kind"] == "round-robin"
+    assert network["nodes"]["third"]["outputs"] == ["x3"] and network["media"]["bus"]["kind"] == "round-robin"
     run = simulate(several, 0)
     summary = summarise(view_of(run, several.experiment))
     assert set(summary["metrics"]) == {"cost", "peak_input", "packets_per_s", "bits_per_s"}  # nothing per output, no empty table
@@ -332,18 +342,19 @@ def test_the_controller_counts_frames_of_another_rig() -> None:
 
 
 def test_the_short_form_is_a_list_of_one_node() -> None:
-    """One node by its name has the verdict of `links.sc`."""
+    """One node by its name has the verdict of `network.sc`."""
     one = compose(load_experiment("dc-motor-hinf"))
-    named = compose(load_experiment("dc-motor-hinf", ['nodes.motor={outputs=["angle"]}']))
+    named = compose(load_experiment("dc-motor-hinf", ['network.nodes.motor={outputs=["angle"]}']))
     assert [(s.name, s.outputs, s.stream, s.numbered) for s in one.rig.sensors] == [("sensor", (0,), "link.sc", False)]
     assert [(s.name, s.outputs, s.stream, s.numbered) for s in named.rig.sensors] == [("motor", (0,), "link.sc.motor", True)]
     assert named.verdict is not None and one.verdict is not None and named.verdict.number == one.verdict.number
 
 
 def test_a_controller_over_history_takes_the_short_form_too() -> None:
-    """Gains over the newest sample of the only node, which is `links.sc`: the loop is certified and runs."""
+    """Gains over the newest sample of the only node, which is `network.sc`: the loop is certified and runs."""
     gains = np.zeros((1, 1, 1, 4)).tolist()
     sets = [f"controller={{kind='historical', gains={gains}}}", "duration=1", "allow_uncertified=true"]
-    short = compose(replace_struct(load_experiment("multisensor-published", sets), nodes={}, media={}))
-    assert not short.experiment.nodes and short.verdict is not None and short.verdict.kind == "guaranteed cost"
+    named = load_experiment("multisensor-published", sets)
+    short = compose(replace_struct(named, network=replace_struct(named.network, nodes={}, media={})))
+    assert not short.experiment.network.nodes and short.verdict is not None and short.verdict.kind == "guaranteed cost"
     assert len(simulate(short, 0).arrays["/link/sensor"]) == 20
