@@ -32,13 +32,13 @@ def command(
 
     from hil.bench.probe import answer, answering, probe, write_probe_log
     from hil.files.outputs import check_output
-    from transport.links.opening import find_link, open_link
+    from transport.links.opening import open_link
+    from transport.links.traits import traits_of
     from transport.links.zenoh_refusals import standard_output_is_free
 
     if answers and (both or output is not None):
         raise HilError("--answer: the other end measures nothing; expected no --both and no -o")
-    find_link(link)
-    if link.partition(":")[0] in ("memory", "local"):
+    if traits_of(link).one_process:
         raise HilError(f"link {link!r}: lies within one process; expected a link between two, such as can:hil:rig0")
     if answers:
         standard_output_is_free()

@@ -46,7 +46,8 @@ class LinkTraits:
     Args:
         commanders: who could make the rig apply an input, in one line.
         can: how packets become CAN frames with identifiers; None for a link of whole datagrams.
-        in_process: whether the controller runs in the rig's process, so that there is no way between them that takes time.
+        one_process: whether both ends live in one process.
+        in_process: whether the rig's process runs the controller itself, so that there is no way between them that takes time.
         own_threads: whether packets pass through threads of the link's own at each end.
         takes: tables of keys that its URI has options for, beside the key of `auth=`, which every link takes.
         keyed: whether every packet has a message authentication code.
@@ -56,6 +57,7 @@ class LinkTraits:
 
     commanders: str
     can: CanFraming | None = None
+    one_process: bool = False
     in_process: bool = False
     own_threads: bool = False
     takes: frozenset[KeyTable] = frozenset()
@@ -159,7 +161,9 @@ def _can(uri: str) -> LinkTraits:
         base=base_of(uri, options), fd=options.get("fd", "1") == "1", names_nodes=bool(options.keys() & {"nodes", "ids"}),
         names_control="control" in options,
     )  # fmt: skip
-    return LinkTraits(can=framing, commanders=on_can(*address.partition(":")[::2], hops=options.get("hop_limit", "0")))
+    interface, _, channel = address.partition(":")
+    commanders = on_can(interface, channel, hops=options.get("hop_limit", "0"))
+    return LinkTraits(can=framing, commanders=commanders, one_process=interface == "virtual")
 
 
 def _zenoh(uri: str) -> LinkTraits:
@@ -177,11 +181,11 @@ def _zenoh(uri: str) -> LinkTraits:
 
 
 def _local(uri: str) -> LinkTraits:
-    return LinkTraits(commanders=NO_ONE_ELSE, in_process=True)
+    return LinkTraits(commanders=NO_ONE_ELSE, one_process=True, in_process=True)
 
 
 def _memory(uri: str) -> LinkTraits:
-    return LinkTraits(commanders=NO_ONE_ELSE)
+    return LinkTraits(commanders=NO_ONE_ELSE, one_process=True)
 
 
 _OURS: Final[Mapping[str, Callable[[str], LinkTraits]]] = {
