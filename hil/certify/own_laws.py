@@ -13,7 +13,7 @@ def own_laws(rig: RigSpec) -> tuple[tuple[int, ...], tuple[str, ...]]:
     Args:
         rig: the rig that runs.
     """
-    names = (*(f"{sensor.path}.law" for sensor in rig.sensors), "links.ca.law")
+    names = (*(f"{sensor.path}.law" for sensor in rig.sensors), "network.ca.law")
     drawn, said = [], []
     for i, (law, name) in enumerate(zip(rig.laws, names)):
         if is_ours(law):

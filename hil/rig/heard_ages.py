@@ -103,7 +103,7 @@ def heard_ages(rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[
     sensors, media = rig.sensors, rig.media
     for medium in media:
         if medium.table.kind not in _MEDIA:
-            return f"media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows"
+            return f"network.media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows"
     for sensor in sensors:
         if sensor.trigger.kind != "every-slot":
             return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"

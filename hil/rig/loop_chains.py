@@ -51,10 +51,10 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         return LoopChains(sc, ca, "", chains.why_none)
     if ca is None:
         if not isinstance(rig.ca_law, RecordedLaw):
-            return LoopChains(sc, None, "", chains.why_none if sc is not None else "the law of links.ca states no chain")
+            return LoopChains(sc, None, "", chains.why_none if sc is not None else "the law of network.ca states no chain")
         ca, why = _recorded(rig.ca_law)
         if ca is None:
-            return LoopChains(sc, None, "", f"the law of links.ca {why}")
+            return LoopChains(sc, None, "", f"the law of network.ca {why}")
     elif chains.applied.states is not None:
         ca = within_reach(ca, chains.applied.states.initial)
     if sc is None:

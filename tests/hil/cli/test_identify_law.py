@@ -18,7 +18,7 @@ def motor_over(sc: str, ca: str) -> str:
     """The motor over laws that stand in files."""
     source = (Path(load_experiment("dc-motor-packets").folder) / "dc-motor-packets.toml").read_text()
     head, _, _ = source.partition("[links]")
-    laws = "".join(f'[links.{way}]\nlaw = {{ file = "{name}" }}\n' for way, name in (("sc", sc), ("ca", ca)))
+    laws = "".join(f'[network.{way}]\nlaw = {{ file = "{name}" }}\n' for way, name in (("sc", sc), ("ca", ca)))
     return f'{head}[links]\nuri = "can:hil:rig0"\n{laws}'
 
 
@@ -46,8 +46,8 @@ def test_a_law_is_found_written_and_run(cli: Hil, both_ways: list[Path], tmp_pat
     experiment = tmp_path / "mine.toml"
     experiment.write_text(motor_over("law.sc.toml", "law.ca.toml"))
     loaded = load_experiment(str(experiment))
-    assert type(loaded.links.sc.law).__name__ == "PacketLaw"
-    assert loaded.links.sc.law.discard_older == json.loads(text.partition("discard_older = ")[2].split("\n")[0])  # type: ignore[union-attr]
+    assert type(loaded.network.sc.law).__name__ == "PacketLaw"
+    assert loaded.network.sc.law.discard_older == json.loads(text.partition("discard_older = ")[2].split("\n")[0])  # type: ignore[union-attr]
     status, out, err = cli("run", experiment, "--set", "allow_uncertified=true", "--duration", "5", "-o", "run.mcap", "--json")
     assert status == 0, err
     assert cli("replay", "run.mcap", "--verify")[0] == 0  # the log holds the law, and needs no file
@@ -56,7 +56,7 @@ def test_a_law_is_found_written_and_run(cli: Hil, both_ways: list[Path], tmp_pat
 
 
 @pytest.mark.parametrize(("text", "said"), [
-    (None, "links.sc.law.file:"), ("kind = 'packet'\nlatency = '-1 ms'", "links.sc.law.latency: got -0.001 s"),
+    (None, "network.sc.law.file:"), ("kind = 'packet'\nlatency = '-1 ms'", "network.sc.law.latency: got -0.001 s"),
     ("latency = '1 ms'", "kind: missing"), ("kind = [", "not valid TOML"),
 ])  # fmt: skip
 def test_a_faulty_file_of_a_law_is_named(cli: Hil, tmp_path: Path, text: str | None, said: str) -> None:
@@ -90,7 +90,7 @@ def test_too_few_packets_are_refused_with_the_number_that_would_do(cli: Hil, tmp
 def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
     """Two commands: the second designs for what the first measured, and certifies all that it leaves possible."""
     law = "{kind='packet',latency={dist='uniform',loc='1 ms',scale='50 ms'},loss=0.01}"
-    run = ["run", "dc-motor-packets", "--set", f"links.sc.law={law}", "--set", f"links.ca.law={law}"]
+    run = ["run", "dc-motor-packets", "--set", f"network.sc.law={law}", "--set", f"network.ca.law={law}"]
     assert cli(*run, "--set", "allow_uncertified=true", "--duration", "300", "-o", "link.mcap")[0] in (0, 3)
     status, out, err = cli("design", "dc-motor", "--network", "link.mcap", "--starts", "1", "--json")
     assert status == 0, err

@@ -36,8 +36,8 @@ def experiment(rng: np.random.Generator, plant: dict[str, Any], **changes: Any) 
     sets = {
         "plant": plant, "limits": {"watchdog_slots": 10_000}, "reference": [], "disturbance": [], "allow_uncertified": True,
         "period": f"{round(1000 * PERIOD_S)} ms", "duration": f"{SLOTS * PERIOD_S:g} s",
-        "links.sc": {"max_age": 2, "law": constant(0)}, "links.ca": {"max_age": 2, "law": constant(0)},
-        "nodes": {f"n{i}": {"outputs": [name]} for i, name in enumerate(names)},
+        "network.sc": {"max_age": 2, "law": constant(0)}, "network.ca": {"max_age": 2, "law": constant(0)},
+        "network.nodes": {f"n{i}": {"outputs": [name]} for i, name in enumerate(names)},
     }  # fmt: skip
     return sets | changes
 
@@ -72,26 +72,26 @@ def recorded(rng: np.random.Generator) -> Case:
     """Traces on one or both links."""
     p = int(rng.integers(1, 3))
     made = experiment(rng, plant(rng, int(rng.integers(p, 4)), p))
-    del made["nodes"]
+    del made["network.nodes"]
     made |= {"controller": table(rng, p)}
     which = int(rng.integers(3))
-    made["links.sc"] = {"max_age": 2, "law": constant(int(rng.integers(3))) if which == 0 else trace(rng)}
-    made["links.ca"] = {"max_age": 2, "law": constant(int(rng.integers(3))) if which == 1 else trace(rng)}
+    made["network.sc"] = {"max_age": 2, "law": constant(int(rng.integers(3))) if which == 0 else trace(rng)}
+    made["network.ca"] = {"max_age": 2, "law": constant(int(rng.integers(3))) if which == 1 else trace(rng)}
     return made, grown
 
 
 def with_nodes(rng: np.random.Generator, p: int, controller: dict[str, Any]) -> dict[str, Any]:
     made = experiment(rng, plant(rng, int(rng.integers(p, 4)), p), controller=controller)
-    for node in made["nodes"].values():
+    for node in made["network.nodes"].values():
         node["law"] = trace(rng) if rng.random() < 0.2 else constant(int(rng.integers(0, 3)))
-    made["links.ca"] = {"max_age": 2, "law": constant(int(rng.integers(0, 2)))}
+    made["network.ca"] = {"max_age": 2, "law": constant(int(rng.integers(0, 2)))}
     return made
 
 
 def clocked(rng: np.random.Generator) -> Case:
     p = int(rng.integers(1, 3))
     made = with_nodes(rng, p, table(rng, p))
-    for node in made["nodes"].values():
+    for node in made["network.nodes"].values():
         every = int(rng.integers(1, 4))
         node["clock"] = {"every": every, "phase": int(rng.integers(every))}
     return made, grown
@@ -104,23 +104,23 @@ def in_turns(rng: np.random.Generator) -> Case:
     made = with_nodes(rng, p, controller)
     order = [*rng.permutation(p).tolist(), *rng.integers(p, size=int(rng.integers(0, 2))).tolist()]
     bus = {"kind": "round-robin", "nodes": [f"n{i}" for i in order], "phase": int(rng.integers(len(order)))}
-    return made | {"media": {"bus": bus}}, grown
+    return made | {"network.media": {"bus": bus}}, grown
 
 
 def on_a_bus(rng: np.random.Generator) -> Case:
     p = int(rng.integers(2, 4))
     made = with_nodes(rng, p, table(rng, p))
-    for node in made["nodes"].values():
+    for node in made["network.nodes"].values():
         every = int(rng.integers(p, 6))
         node["clock"] = {"every": every, "phase": int(rng.integers(every))}
-    bus = {"kind": "can-arbitration", "nodes": list(made["nodes"]), "frames": int(rng.integers(1, 3))}
-    return made | {"media": {"bus": bus}}, grown
+    bus = {"kind": "can-arbitration", "nodes": list(made["network.nodes"]), "frames": int(rng.integers(1, 3))}
+    return made | {"network.media": {"bus": bus}}, grown
 
 
 def smith(rng: np.random.Generator) -> Case:
     made = with_nodes(rng, 1, {"kind": "smith", "gain": [[float(rng.normal() * rng.uniform(0.2, 4.0))]]})
     if rng.random() < 0.4:
-        made["nodes"]["n0"]["clock"] = {"every": 2}
+        made["network.nodes"]["n0"]["clock"] = {"every": 2}
     return made, grown
 
 
@@ -142,7 +142,7 @@ def historical(rng: np.random.Generator) -> Case:
     return {
         "base": "multisensor-ours", "controller": {"kind": "historical", "gains": gains}, "allow_uncertified": True,
         "limits": {"watchdog_slots": 10_000}, "duration": f"{SLOTS * 0.05:g} s",
-        "links.ca": {"max_age": 3, "law": constant(int(rng.integers(1, 4)))},
+        "network.ca": {"max_age": 3, "law": constant(int(rng.integers(1, 4)))},
     }, grown  # fmt: skip
 
 
@@ -150,26 +150,26 @@ def drawn(rng: np.random.Generator) -> Case:
     """Clocks, turns by chance, losses and Markov ages together, over one gain."""
     p = int(rng.integers(1, 3))
     made = experiment(rng, plant(rng, int(rng.integers(p, 4)), p), controller=local(rng, p))
-    for node in made["nodes"].values():
+    for node in made["network.nodes"].values():
         node["law"] = markov(rng) if rng.random() < 0.5 else constant(int(rng.integers(0, 3)))
         every = int(rng.integers(1, 4))
         node["clock"] = {"every": every, "phase": int(rng.integers(every))}
-    made["links.ca"] = {"max_age": 2, "law": markov(rng) if rng.random() < 0.5 else constant(int(rng.integers(0, 2)))}
+    made["network.ca"] = {"max_age": 2, "law": markov(rng) if rng.random() < 0.5 else constant(int(rng.integers(0, 2)))}
     if p == 2:
         loss = float(rng.choice([0.0, 0.1, 0.3]))
         bus: dict[str, Any] = {"kind": str(rng.choice(["random", "round-robin"])), "nodes": ["n0", "n1"], "loss": loss}
         if bus["kind"] == "random" and rng.random() < 0.5:
             bus["matrix"] = rng.dirichlet(np.ones(2), 2).tolist()
-        made["media"] = {"bus": bus}
+        made["network.media"] = {"bus": bus}
     return made, moments
 
 
 def packets(rng: np.random.Generator) -> Case:
     """Two nodes whose packets have a latency each, and are lost."""
     made = experiment(rng, plant(rng, int(rng.integers(2, 4)), 2), controller=local(rng, 2))
-    for node in made["nodes"].values():
+    for node in made["network.nodes"].values():
         node["law"] = {"kind": "packet", "latency": f"{rng.integers(10, 250)} ms", "loss": float(rng.choice([0.05, 0.2, 0.4]))}
-    made["links.ca"] = {"max_age": 2, "law": markov(rng) if rng.random() < 0.5 else constant(int(rng.integers(0, 2)))}
+    made["network.ca"] = {"max_age": 2, "law": markov(rng) if rng.random() < 0.5 else constant(int(rng.integers(0, 2)))}
     return made, moments
 
 
@@ -206,9 +206,9 @@ def moments(loop: Loop) -> float:
     kept = 4  # o_0, ..., o_3 of every output
     size = n + kept * p + D
     clocks = [sensor.clock for sensor in loop.rig.sensors]
-    laws = [_chain(sensor.law, e) for sensor in loop.rig.sensors] + [_chain(e.links.ca.law, e)]
+    laws = [_chain(sensor.law, e) for sensor in loop.rig.sensors] + [_chain(e.network.ca.law, e)]
     alone = [float(getattr(sensor.law, "loss", 0.0)) for sensor in loop.rig.sensors]  # of every node's packets for themselves
-    medium = e.media["bus"] if e.media else None
+    medium = e.network.media["bus"] if e.network.media else None
     cycle = lcm(*(c.every for c in clocks), len(loop.rig.sensors))
     turns = [(i, medium.transition()[j][i]) for j in range(2) for i in range(2)] if medium and medium.kind == "random" else []
     chances = np.array([w for _, w in turns]).reshape(2, 2) if turns else np.ones((1, 1))

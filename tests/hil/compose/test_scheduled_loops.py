@@ -57,9 +57,9 @@ def test_two_recordings_keep_their_phase() -> None:
 
     def number(ages: list[int]) -> float:
         made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-9.0]]})
-        made["links.sc"] = {"max_age": 1, "law": {"kind": "trace", "ages": [0, 1]}}
-        made["links.ca"] = {"max_age": 1, "law": {"kind": "trace", "ages": ages}}
-        del made["nodes"]
+        made["network.sc"] = {"max_age": 1, "law": {"kind": "trace", "ages": [0, 1]}}
+        made["network.ca"] = {"max_age": 1, "law": {"kind": "trace", "ages": ages}}
+        del made["network.nodes"]
         loop = composed(made)
         assert loop.verdict is not None and loop.verdict.number is not None
         assert loop.verdict.details["modes"] == 2
@@ -76,27 +76,27 @@ SHORT = {"kind": "trace", "ages": [0, 1, 0], "past_end": "refuse"}
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"nodes.n0": ONE | {"clock": {"every": 3, "jitter": 1}}}, "nodes.n0.clock draws when it sends"),
-        ({"nodes.n0": ONE | {"trigger": {"kind": "error", "threshold": 0.1}}}, "lets a node keep silent"),
-        ({"nodes.n0": ONE | {"clock": {"every": 2}, "law": LOSSY}}, "packet law whose ages change"),
-        ({"nodes.n0": ONE | {"clock": {"every": 1031, "phase": 5}}, "duration": "0.5 s"}, "more than 1024 states"),
-        ({"nodes.n0": ONE | {"law": SHORT}, "duration": "0.2 s"}, "the recording ends after 3 slots"),
+        ({"network.nodes.n0": ONE | {"clock": {"every": 3, "jitter": 1}}}, "network.nodes.n0.clock draws when it sends"),
+        ({"network.nodes.n0": ONE | {"trigger": {"kind": "error", "threshold": 0.1}}}, "lets a node keep silent"),
+        ({"network.nodes.n0": ONE | {"clock": {"every": 2}, "law": LOSSY}}, "packet law whose ages change"),
+        ({"network.nodes.n0": ONE | {"clock": {"every": 1031, "phase": 5}}, "duration": "0.5 s"}, "more than 1024 states"),
+        ({"network.nodes.n0": ONE | {"law": SHORT}, "duration": "0.2 s"}, "the recording ends after 3 slots"),
     ],
 )
 def test_what_is_not_known_says_why(change: dict[str, Any], why: str) -> None:
     plant = {"kind": "state-space", "A": [[-1.0]], "B": [[1.0]], "C": [[1.0]]}
-    made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-0.5]]}, nodes={})
+    made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-0.5]]}, **{"network.nodes": {}})
     loop = composed(made | change)
     assert loop.verdict is not None and loop.verdict.state == "undecided" and why in loop.verdict.reason
 
 
 def test_packets_of_a_constant_latency_are_a_constant_age_under_a_clock() -> None:
     made, _ = clocked(np.random.default_rng(7))
-    for node in made["nodes"].values():
+    for node in made["network.nodes"].values():
         node["law"] = constant(1)
     numbers = []
     for law in (constant(1), {"kind": "packet", "latency": "160 ms"}):
-        for node in made["nodes"].values():
+        for node in made["network.nodes"].values():
             node["law"] = law
         verdict = composed(made | {"timing": {"deadline": 0.8}}).verdict
         assert verdict is not None and verdict.number is not None

@@ -146,7 +146,7 @@ def test_an_object_is_a_law_certified_logged_and_taken_again(tmp_path: Path) -> 
 
 @pytest.mark.realtime
 def test_a_law_of_python_runs_in_real_time() -> None:
-    session = hil.run("dc-motor-hinf", clock="real", link="local:", duration=2, **{"links.sc.law": Coin()})
+    session = hil.run("dc-motor-hinf", clock="real", link="local:", duration=2, **{"network.sc.law": Coin()})
     assert session.summary["slots"] == 40
 
 

@@ -147,7 +147,7 @@ def test_traffic_is_read_from_a_table_and_from_a_dbc_and_stands_in_the_resolved_
         loop = compose(load_experiment(tmp_path / "own.toml"), certify=False)
         table = loop.experiment.resolved()["network"]["media"]["bus"]
         assert table["traffic_file"] == "" and [each["name"] for each in table["traffic"][17:]] == names
-    lamp = compose(load_experiment(tmp_path / "own.toml"), certify=False).experiment.media["bus"].traffic[-1]
+    lamp = compose(load_experiment(tmp_path / "own.toml"), certify=False).experiment.network.media["bus"].traffic[-1]
     assert (lamp.can_id, float(lamp.period), lamp.length, lamp.node) == (291, 0.02, 4, "ECU")
 
 

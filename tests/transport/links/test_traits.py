@@ -34,7 +34,7 @@ def test_a_link_says_whether_it_has_frames_threads_keys_and_another_process() ->
     can, zenoh, local = (traits_of(uri) for uri in ("can:hil:a?fd=0&base=0x200&ids=0x201", "zenoh:", "local:"))
     assert can.can == CanFraming(base=0x200, fd=False, names_nodes=True) and can.can.frame_bytes == 8
     assert (zenoh.can, zenoh.own_threads, zenoh.takes) == (None, True, {"tls", "login"})
-    assert [traits_of(uri).one_process for uri in ("memory:", "local:", "can:virtual:x", "can:hil:x")] == [True, True, True, False]
+    assert all(traits_of(uri).one_process for uri in ("memory:", "local:", "can:virtual:x")) and not can.one_process
     assert (can.own_threads, can.in_process, can.takes, local.in_process) == (False, False, frozenset(), True)
 
 
