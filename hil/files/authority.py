@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -102,7 +103,7 @@ def revoke_names(folder: Path, names: Sequence[str]) -> Path:
     for name in names:
         if not _NAME.fullmatch(name):
             raise HilError(f"name {name!r:.80}: expected up to 64 letters, digits, '_', '-', '.'")
-    if not (folder / "ca.pem").is_file():
+    if not os.path.isfile(folder / "ca.pem"):
         raise HilError(f"{folder / 'ca.pem'}: no such file; the list stands beside the certificate of the authority")
     every = sorted(_revoked(folder) | set(names))
     with written_whole(folder / FILE, replace=True) as part:

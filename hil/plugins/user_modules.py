@@ -47,7 +47,7 @@ def load_own(kind: str, folder: str | os.PathLike[str]) -> Any:
         raise HilError(f"{kind!r:.80}: expected module:Class, such as my_module:Cart for the class Cart of my_module.py")
     file, name = f"{said[1]}.py", said[2]
     folders = list(dict.fromkeys(Path(base).resolve() for base in (folder, ".")))
-    path = next((base / file for base in folders if (base / file).is_file()), None)
+    path = next((base / file for base in folders if os.path.isfile(base / file)), None)  # also a name that none can have
     if path is None:
         raise HilError(f"{kind!r}: there is no {file} in {' or '.join(map(str, folders))}")
     module = _module(path)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import gc
 import os
 import random
-import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import hil
 from hil.errors import HilError
 from hil.log.read.recover import recover
 from hil.log.read.run import read_run
+from tests.hostile.faults import ENDED, GONE, Aim, children, fault
 from tests.hostile.tally import Note
 from tests.waiting import gone
 
@@ -25,8 +26,6 @@ pytestmark = [pytest.mark.hostile]
 SESSIONS, WARM = 200, 20
 MOST_KB = 4_000  # that 180 sessions may add: a tenth of a percent of what one session writes and reads
 FAULTS = {"can:hil:{name}": 67, "zenoh:?name={name}": 67, "local:": 66}
-SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGSTOP, signal.SIGHUP)
-ENDED = {0, 1, 2, 3, 6, 128 + signal.SIGINT, 128 + signal.SIGTERM, 128 + signal.SIGHUP, -signal.SIGKILL}
 
 
 def _memory_kb() -> int:
@@ -61,11 +60,39 @@ def test_two_hundred_sessions_in_one_process_leave_neither_memory_nor_descriptor
     assert failed == 0
 
 
-def _children(pid: int) -> list[int]:
-    try:
-        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except OSError:
-        return []
+REAL = {"local:": 67, "can:hil:{name}": 67, "zenoh:?name={name}": 66}
+REAL_WARM = 6
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(5400)
+@pytest.mark.parametrize("uri", REAL)
+def test_two_hundred_sessions_in_real_time_leave_neither_memory_descriptors_nor_files(
+    uri: str, tmp_path: Path, record_property: Note, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """This process keeps the log of each; rig and controller are processes that end."""
+    (tmp_path / "c").mkdir(mode=0o700)
+    monkeypatch.setenv("HIL_CAN_DIR", str(tmp_path / "c"))
+    count, failed = int(os.environ.get("HIL_SESSIONS", REAL[uri])), 0
+    experiment = hil.load_experiment("dc-motor-hinf", duration=0.25, **{"limits.watchdog_slots": 1000})
+    before: tuple[int, int, int] | None = None
+    for number in range(count):
+        log = tmp_path / f"{number}.mcap"
+        session = hil.run(experiment, clock="real", link=uri.format(name=f"m{os.getpid()}"), log=log)
+        failed += session.status != 0 or len(session.arrays["/plant/state"]) != 5
+        log.unlink()
+        if number == REAL_WARM - 1:
+            gc.collect()
+            before = _memory_kb(), _descriptors(), threading.active_count()
+    gc.collect()
+    assert before is not None
+    grown_kb, more, threads = _memory_kb() - before[0], _descriptors() - before[1], threading.active_count() - before[2]
+    left = [*(tmp_path / "c").iterdir(), *children(os.getpid())]
+    print(f"{count} sessions over {uri}: {grown_kb} kB, {more} descriptors, {threads} threads more than after {REAL_WARM}")
+    failed += (grown_kb > MOST_KB) + (more > 0) + (threads > 0) + bool(left)
+    for name, value in (("attack", "sessions in one process"), ("tried", count), ("failed", failed)):
+        record_property(name, value)
+    assert failed == 0, (grown_kb, more, threads, left)
 
 
 def _fault(folder: Path, uri: str, draw: random.Random) -> str | None:
@@ -74,21 +101,12 @@ def _fault(folder: Path, uri: str, draw: random.Random) -> str | None:
     command = ["run", "dc-motor-hinf", "--clock", "real", "--link", uri, "--duration", "3", "-o", str(log)]
     session = subprocess.Popen(
         [sys.executable, "-P", "-m", "hil", *command], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        env=os.environ | {"HIL_CAN_DIR": str(folder / "c")},
     )  # fmt: skip
     while session.poll() is None and not log.exists():
         time.sleep(0.005)
     time.sleep(draw.uniform(0.0, 4.5))  # from before its children are there to behind its end
-    pids = _children(session.pid)
-    aim, number = draw.choice([session.pid, *pids]), draw.choice(SIGNALS)
-    told = f"{signal.Signals(number).name} to {'the session' if aim == session.pid else 'a child'} over {uri}"
-    try:
-        os.kill(aim, number)
-        if number == signal.SIGSTOP:
-            time.sleep(draw.uniform(0.0, 1.5))
-            os.kill(aim, signal.SIGCONT)
-    except ProcessLookupError:
-        pass
+    pids = children(session.pid)
+    told = fault(Aim(folder=folder, uri=uri, session=session.pid, draw=draw))
     try:
         _, said = session.communicate(timeout=60)
     except subprocess.TimeoutExpired:
@@ -100,7 +118,7 @@ def _fault(folder: Path, uri: str, draw: random.Random) -> str | None:
     while time.monotonic() < end and not all(map(gone, pids)):
         time.sleep(0.05)
     wrong += [f"process {pid} is left" for pid in pids if not gone(pid)]
-    if log.exists() and log.stat().st_size:
+    if not told.startswith(GONE) and log.exists() and log.stat().st_size:
         try:
             try:
                 read_run(log)
@@ -114,14 +132,15 @@ def _fault(folder: Path, uri: str, draw: random.Random) -> str | None:
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("uri", FAULTS)
 def test_faults_at_random_instants_leave_no_process_and_a_log_that_recovers(
-    uri: str, tmp_path: Path, record_property: Note
+    uri: str, tmp_path: Path, record_property: Note, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (tmp_path / "c").mkdir(mode=0o700)
+    monkeypatch.setenv("HIL_CAN_DIR", str(tmp_path / "c"))
     draw, failures = random.Random(f"faults {uri}"), []
     count = int(os.environ.get("HIL_FAULTS", FAULTS[uri]))
     for number in range(count):
         folder = tmp_path / str(number)
-        (folder / "c").mkdir(parents=True, mode=0o700)
-        (folder / "c").chmod(0o700)
+        folder.mkdir()
         wrong = _fault(folder, uri.format(name=f"f{os.getpid()}-{number}"), draw)
         failures += [] if wrong is None else [wrong]
     attack = f"faults at random instants, {uri.partition(':')[0]}"

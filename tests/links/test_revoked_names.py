@@ -78,8 +78,9 @@ def test_no_certificate_is_issued_for_a_revoked_name_or_one_that_is_there(folder
     with pytest.raises(HilError, match="expected up to 64 letters"):
         revoke_names(folder, ["fine", "a\nb"])
     assert "fine" not in (folder / "revoked").read_text() and not (folder / "bench2.pem").exists()
-    with pytest.raises(HilError, match=r"ca.pem: no such file"):
-        revoke_names(folder / "none", ["x"])
+    for none in ("none", "m" * 300, "a\0b"):
+        with pytest.raises(HilError, match=r"ca.pem: no such file"):
+            revoke_names(folder / none, ["x"])
     assert [path.name for path in renew_certificates(folder)] == ["ca.pem", "controller.pem", "rig.pem"]
 
 

@@ -237,6 +237,8 @@ def test_a_taken_port_is_refused_with_a_hint() -> None:
         ("zenoh:tls/127.0.0.1:7447", "tls/ needs ca, cert and key, or keys=DIR"),
         ("zenoh:tls/127.0.0.1:7447?ca=x&cert=y", "tls/ needs ca, cert and key"),
         ("zenoh:tls/127.0.0.1:7447?keys=/no/such", "/no/such/ca.pem: No such file"),
+        ("zenoh:tls/127.0.0.1:7447?keys=a%00b", "a file of it: embedded null byte"),
+        (f"zenoh:tls/127.0.0.1:7447?keys={'m' * 5000}", "File name too long"),
         ("zenoh:tcp/127.0.0.1:7447?keys=/tmp", "certificates need an endpoint tls/host:port"),
         ("zenoh:tcp/127.0.0.1:7447?users=/no/such", "/no/such: the file of passwords cannot be read"),
         ("zenoh:tcp/127.0.0.1:7447?users=/dev/zero", "/dev/zero: is no regular file"),

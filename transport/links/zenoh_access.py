@@ -159,6 +159,8 @@ def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Acce
             read_secret(said["users"], "the file of passwords")
     except OSError as error:
         raise TransportError(f"link {uri!r}: {error.filename}: {error.strerror}") from error
+    except ValueError as error:  # a name with a zero byte
+        raise TransportError(f"link {uri!r}: a file of it: {error}") from error
     except TransportError as error:
         raise error if str(error).startswith("link ") else TransportError(f"link {uri!r}: {error}") from error
     revoked = revoked_names(tls["ca"]) if tls else frozenset[str]()

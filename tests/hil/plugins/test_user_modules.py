@@ -331,3 +331,9 @@ def test_a_typical_mistake_is_told_in_its_author_s_words(folder: Path, path: str
     with pytest.raises(hil.HilError, match=told) as said:
         hil.run(folder / "exp.toml", log=folder / "a.mcap", **OWN | {path: {"kind": f"wrong:{kind}"}})
     assert "AttributeError" not in str(said.value) and not (folder / "a.mcap").exists()
+
+
+@pytest.mark.parametrize("length", [300, 5_000, 500_000])
+def test_a_module_of_a_name_that_no_file_can_have_is_refused(length: int) -> None:
+    with pytest.raises(hil.HilError, match=r"there is no m+\.py in"):
+        load_own("m" * length + ":Cart", ".")
