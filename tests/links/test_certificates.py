@@ -64,7 +64,7 @@ def test_an_expired_end_is_refused_at_once_doctor_sees_it_and_renewal_mends_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     uri = f"zenoh:tls/127.0.0.1:{free_port()}?keys={folder}"
-    see: Callable[[], tuple[bool, str, str]] = lambda: doctor._certificates(uri)  # noqa: E731
+    see: Callable[[], tuple[bool, str, str]] = lambda: doctor._certificates(doctor._certificates_of(uri))  # noqa: E731
     assert see()[0] and "rig until 20" in see()[1] and "controller until 20" in see()[1]
     secret = (folder / "controller.key").read_bytes()
     expire(folder, monkeypatch)

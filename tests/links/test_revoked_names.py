@@ -39,13 +39,13 @@ def test_a_revoked_name_is_refused_at_both_ends_and_another_one_takes_its_place(
     for role in ("rig", "controller"):
         with pytest.raises(TransportError, match=r"^link .*/revoked: the name controller is revoked; `hil keys issue DIR NAME`"):
             open_link(uri, role)
-    fine, finding, _ = doctor._certificates(uri)
+    fine, finding, _ = doctor._certificates(doctor._certificates_of(uri))
     assert not fine and "the name controller is revoked" in finding
     hil_keys("issue", folder, "bench2")
     assert (folder / "bench2.key").stat().st_mode & 0o777 == 0o600
     with open_link(f"{uri}&controller=bench2", "rig") as rig, open_link(f"{uri}&controller=bench2", "controller") as controller:
         both_directions_work(rig, controller)
-    assert doctor._certificates(f"{uri}&controller=bench2")[0]
+    assert doctor._certificates(doctor._certificates_of(f"{uri}&controller=bench2"))[0]
 
 
 def test_the_old_key_of_a_revoked_name_connects_and_is_kept_silent_counted_and_said(folder: Path) -> None:
