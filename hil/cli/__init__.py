@@ -34,6 +34,7 @@ COMMANDS = {
     "design": "Solve a design and certify it.",
     "solve": "Solve the gains of an experiment and store them beside it.",
     "identify": "Estimate a plant from logs, or a network law from packets.",
+    "problems": "Show a set of problems, and run a controller against it.",
     "probe": "Measure a real link with our own frames, and log every round trip.",
     "stiffness-map": "Map how stiff a virtual wall may be, certified.",
     "reproduce": "Put the thesis's numbers beside computed ones.",
