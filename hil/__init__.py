@@ -34,82 +34,34 @@ Importing this package costs nothing: each name brings its module when it is fir
 
 from __future__ import annotations
 
-TYPE_CHECKING = False  # as typing has it, whose import takes longer than all of this: a signal may come meanwhile
-if TYPE_CHECKING:
-    from hil.api.assertions import assert_law, assert_probability
-    from hil.api.design_result import DesignResult
-    from hil.api.experiment_source import load_experiment
-    from hil.api.face import compare, report, run, simulate, sweep, verify
-    from hil.api.questions import design, laws, reproduce_chapter
-    from hil.errors import ExperimentError, HilError
-    from hil.experiment import Experiment
-    from hil.log.read.run import read_run
-    from hil.log.run import Run
-    from hil.session import Session
-    from hil.sweeps.comparison import Comparison
-    from hil.sweeps.parameters import ParameterSweep
-    from hil.sweeps.sweep import Sweep
-
-_HOMES = {
-    "Comparison": "hil.sweeps.comparison",
-    "DesignResult": "hil.api.design_result",
-    "Experiment": "hil.experiment",
-    "ExperimentError": "hil.errors",
-    "HilError": "hil.errors",
-    "ParameterSweep": "hil.sweeps.parameters",
-    "Run": "hil.log.run",
-    "Session": "hil.session",
-    "Sweep": "hil.sweeps.sweep",
-    "assert_law": "hil.api.assertions",
-    "assert_probability": "hil.api.assertions",
-    "compare": "hil.api.face",
-    "design": "hil.api.questions",
-    "laws": "hil.api.questions",
-    "load_experiment": "hil.api.experiment_source",
-    "read_run": "hil.log.read.run",
-    "report": "hil.api.face",
-    "reproduce_chapter": "hil.api.questions",
-    "run": "hil.api.face",
-    "simulate": "hil.api.face",
-    "sweep": "hil.api.face",
-    "verify": "hil.api.face",
+_NAMES = {
+    "hil.api.assertions": "assert_law assert_probability",
+    "hil.api.design_result": "DesignResult",
+    "hil.api.experiment_source": "load_experiment",
+    "hil.api.face": "compare report run simulate sweep verify",
+    "hil.api.questions": "design laws reproduce_chapter",
+    "hil.errors": "ExperimentError HilError",
+    "hil.experiment": "Experiment",
+    "hil.log.read.run": "read_run",
+    "hil.log.run": "Run",
+    "hil.session": "Session",
+    "hil.sweeps.comparison": "Comparison",
+    "hil.sweeps.parameters": "ParameterSweep",
+    "hil.sweeps.sweep": "Sweep",
 }
 
-__all__ = [
-    "Comparison",
-    "DesignResult",
-    "Experiment",
-    "ExperimentError",
-    "HilError",
-    "ParameterSweep",
-    "Run",
-    "Session",
-    "Sweep",
-    "assert_law",
-    "assert_probability",
-    "compare",
-    "design",
-    "laws",
-    "load_experiment",
-    "read_run",
-    "report",
-    "reproduce_chapter",
-    "run",
-    "simulate",
-    "sweep",
-    "verify",
-]
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+__all__ = sorted(_HOMES)  # noqa: PLE0605
 
 
-if not TYPE_CHECKING:  # a type checker shall tell a name that is not there
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
 
-    def __getattr__(name: str) -> object:
-        if name not in _HOMES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        from importlib import import_module
-
-        import_module("hil.plugins.shadowed_packages").refuse_shadowed_packages()
-        return getattr(import_module(_HOMES[name]), name)
+    import_module("hil.plugins.shadowed_packages").refuse_shadowed_packages()
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
