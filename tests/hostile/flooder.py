@@ -1,0 +1,94 @@
+"""A flood on the rig's identifiers, from a process at normal priority.
+
+Usage: flooder.py CHANNEL SECONDS KIND; it says "up" once it is on the bus, and begins at a line of standard input.
+"""
+
+import os
+import sys
+import time
+from collections import deque
+from itertools import count
+from typing import Final
+
+from transport import ControlPacket, SensorPacket, decode, encode_control
+from transport.links.can_bus import HilBus
+from transport.wire.tags import with_tag
+
+KINDS: Final = ("filtered", "garbage", "forged tags", "half a tag", "own frames, late", "another session", "wrapped numbers")
+"""Frames of another identifier; no packets; codes that are none; codes that hold in part; what the rig and its controller said,
+again; sound answers of another session to the slot at hand; and numbers at the end of their range."""
+
+NUMBERS: Final = (0, 1, 2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1)
+CONTROL, SENSOR = 0x140, 0x100
+
+
+class Flood:
+    """Frames of a kind, one after the other.
+
+    Args:
+        kind: one of `KINDS`.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._kind, self._number = kind, count()
+        self._heard: deque[tuple[int, bytes]] = deque(maxlen=64)
+        self._slot = 0
+
+    def hear(self, identifier: int, data: bytes) -> None:
+        """Keep what was said on the bus."""
+        packet = decode(data)
+        if packet is not None:
+            self._heard.append((identifier, data))
+        if isinstance(packet, SensorPacket) and packet.seq != 0xFFFFFFFF:
+            self._slot = packet.seq
+
+    def next(self) -> tuple[int, bytes]:
+        """Return identifier and bytes of the next frame."""
+        i = next(self._number)
+        if self._kind == "filtered":
+            return 0x300, b"garbage!"
+        if self._kind == "own frames, late" and self._heard:
+            return self._heard[i % len(self._heard)]
+        if self._kind in ("forged tags", "half a tag"):
+            code = b"forgery!" if self._kind == "forged tags" else self._half(i)
+            data = with_tag(answer(self._slot if i % 2 else 7, counter=2**31 + i % 2**31), lambda signed: code)
+            return CONTROL, data or b""
+        if self._kind == "another session":
+            return CONTROL, answer(self._slot, counter=i % 2**32, echo=i)
+        if self._kind == "wrapped numbers":
+            seq, counter = NUMBERS[i % len(NUMBERS)], NUMBERS[i // len(NUMBERS) % len(NUMBERS)]
+            return CONTROL, answer(seq, counter=counter, sample_ns=2**63 - 1 if i % 3 else -(2**63))
+        return CONTROL, b"garbage!"
+
+    def _half(self, i: int) -> bytes:
+        """Return a code of which half comes from a frame of the controller."""
+        said = next((data for identifier, data in reversed(self._heard) if identifier == CONTROL), b"")
+        packet = decode(said)
+        tag = packet.tag if packet is not None else b""
+        return tag[:4] + i.to_bytes(8, "little")[:4] if len(tag) == 8 else b"forgery!"
+
+
+def answer(seq: int, *, counter: int, echo: int = 1, sample_ns: int = 0) -> bytes:
+    """Return an answer of 4 V to a slot."""
+    return encode_control(ControlPacket(seq, sample_ns, 0, 0, 0, ((4.0,),), echo, counter))
+
+
+def main() -> None:
+    channel, seconds, kind = sys.argv[1:]
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    flood = Flood(kind)
+    with HilBus(channel) as bus:
+        print("up", flush=True)
+        end = time.monotonic() + float(seconds) if sys.stdin.readline() else 0.0
+        while time.monotonic() < end:
+            for _ in range(100):
+                bus.send_frame(*flood.next())  # the rig's queue is full soon; the rest is dropped there
+            for _ in range(20):
+                heard = bus.recv_frame(0.0)
+                if heard is None:
+                    break
+                flood.hear(heard[0], heard[2])
+
+
+if __name__ == "__main__":
+    main()
