@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel
+from hil.certify.jump_step import JumpStep
 from hil.plugins.protocols import BeyondModel, HasOwnInputs, HasStateDelays, JumpPlant, Plant
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class Watched:
         laws: which network laws are the user's own and state a chain, as places among those of the rig.
     """
 
-    plant: OneStep | None
+    plant: OneStep | JumpStep | None
     controller: Controller | None
     claimed: bool
     laws: tuple[int, ...] = ()

@@ -35,9 +35,10 @@ from hil.certify.certify import certify as certified
 from hil.certify.certify import digest_of, of_external
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.certify.jump_plant import process_of, system_of
+from hil.certify.jump_step import JumpStep, jump_step
 from hil.certify.own_laws import own_laws
 from hil.certify.stated_controller import stated_by
-from hil.certify.watched import Watched, one_step
+from hil.certify.watched import OneStep, Watched, one_step
 from hil.compose.fit import check_own, check_references
 from hil.compose.law_files import with_law_files
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
@@ -45,7 +46,7 @@ from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.table_check import fault_at
 from hil.experiment.unavailable_plugin import UnavailablePlugin
-from hil.plugins.protocols import Designer, GivesGains, JumpPlant, NamedController
+from hil.plugins.protocols import Designer, GivesGains, JumpPlant, NamedController, Plant
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
@@ -291,6 +292,10 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
     )  # fmt: skip
 
 
+def _step_of(plant: Plant, model: LoopModel) -> OneStep | JumpStep | None:
+    return jump_step(plant, model) if isinstance(plant, JumpPlant) else one_step(plant, model)
+
+
 def _watched(judged: CertificationProblem, verdict: Verdict, external: bool) -> Watched | None:
     """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
 
@@ -302,7 +307,7 @@ def _watched(judged: CertificationProblem, verdict: Verdict, external: bool) -> 
     twin = None if stated is None else stated[0]
     if twin is not None and type(twin) is type(judged.controller):
         twin = None
-    return Watched(plant=one_step(judged.plant, judged.motion), controller=twin, claimed=not external)
+    return Watched(plant=_step_of(judged.plant, judged.motion), controller=twin, claimed=not external)
 
 
 def _judged(

@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from hil.certify.jump_step import JumpStep
 from hil.certify.motion_test import EQUAL
+from hil.certify.watched import OneStep
 from hil.compose.loop import Loop
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
+from hil.plugins.protocols import Plant, PlantRun
 from hil.rig.can_bus import can_bus_of
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import ActuatorNode
@@ -22,6 +25,7 @@ from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.can_network import CanNetwork
 from hil.runtime.nodes.fault_injector import FaultInjector
 from hil.runtime.nodes.journal import Journal
+from hil.runtime.nodes.jump_watch import JumpWatch
 from hil.runtime.nodes.law_watch import LawWatch
 from hil.runtime.nodes.plant_watch import PlantWatch
 from hil.runtime.nodes.port_damper import damper_of
@@ -104,12 +108,16 @@ class Rig:
         self._names = [type(law).__qualname__ for law in loop.rig.laws]
         of_laws = () if loop.watched is None else loop.watched.laws
         self._laws = [(i, LawWatch(loop.rig.laws[i])) for i in of_laws]
-        self._watch: PlantWatch | None = None
-        if loop.watched is not None and loop.watched.plant is not None:
-            streams = ("plant", "plant, again")
-            self._watch = PlantWatch(
-                loop.watched.plant, lambda which: e.plant.start(rng_for(seed, streams[which])), self._disturbance, e.period_ns
-            )
+        self._watch = None if loop.watched is None else self._watch_of(loop.watched.plant, e.plant, seed)
+
+    def _watch_of(self, step: OneStep | JumpStep | None, plant: Plant, seed: int) -> PlantWatch | JumpWatch | None:
+        def start(again: int = 0) -> PlantRun:
+            return plant.start(rng_for(seed, "plant, again" if again else "plant"))
+
+        if step is None:
+            return None
+        watch = JumpWatch if isinstance(step, JumpStep) else PlantWatch
+        return watch(step, start, self._disturbance, self._period_ns)  # type: ignore[arg-type]  # each of its own step
 
     def sense(self, t_ns: int) -> list[bytes]:
         """Advance the plant to t_k, measure, and return the frames of what the medium lets arrive in this slot."""

@@ -1,0 +1,98 @@
+"""A plant that jumps and leaves the matrices of its modes in the run loses the certificate; one that keeps to them does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.api.experiment_source import load_experiment
+from hil.certify.jump_step import JumpStep
+from hil.compose.loop import NOT_COMPARED, compose
+from hil.runtime.nodes.jump_watch import JumpWatch
+from hil.session import simulated_session
+from plants import SwitchedExample
+from plants.vtol_fault import FaultyVTOL
+from tests.hil.test_left_model import said
+
+FROM = 900
+Lie = Callable[[list[float], Sequence[float], int], list[float]]
+LIES: dict[str, Lie] = {
+    "a pole": lambda x, u, mode: [1.02 * v for v in x],
+    "a pole of the first mode": lambda x, u, mode: [1.02 * v for v in x] if mode == 1 else x,
+    "the input": lambda x, u, mode: [x[0] - 0.05 * u[0], *x[1:]],
+    "what both states are": lambda x, u, mode: [1.02 * v for v in x] if x[0] * x[1] > 0 else [0.98 * v for v in x],
+}
+
+
+class Bent:
+    """A run that moves otherwise from a slot on."""
+
+    def __init__(self, run: Any, lie: Lie) -> None:
+        self.run, self.lie, self.slots = run, lie, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.run, name)
+
+    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
+        self.run.advance(dt_ns, u, w)
+        self.slots += 1
+        if self.slots > FROM:
+            self.run._x = self.lie(list(self.run._x), u, int(self.run.measure()[-1]))
+
+
+def own(cls: type[Any], name: str, lie: Lie | None) -> Any:
+    plant = load_experiment(name).plant
+    bent = type(f"Own{cls.__name__}", (cls,), {
+        "start": lambda self, rng: cls.start(self, rng) if lie is None else Bent(cls.start(self, rng), lie),
+    })  # fmt: skip
+    return bent(**{f.name: getattr(plant, f.name) for f in fields(plant)})  # type: ignore[arg-type]
+
+
+CASES = [(SwitchedExample, "smjls-robust"), (FaultyVTOL, "vtol-fault")]  # all measured and none noisy; hidden modes and gusts
+
+
+@pytest.mark.parametrize("lie", LIES)
+@pytest.mark.parametrize(("cls", "name"), CASES)
+def test_a_plant_that_leaves_its_modes_late_loses_the_certificate(cls: type[Any], name: str, lie: str) -> None:
+    period = 0.005 if name == "smjls-robust" else 0.001
+    loop = compose(load_experiment(name, plant=own(cls, name, LIES[lie]), duration=1500 * period, **{"limits.state": {}}))
+    assert loop.verdict is not None and loop.verdict.certified and NOT_COMPARED not in loop.verdict.assumptions
+    told = said(simulated_session(loop, 2))
+    assert told.startswith("certificate withdrawn: the plant left its model at slot "), told
+    assert FROM <= int(told.split(" slot ")[1].split()[0]) < 1500
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(("cls", "name"), CASES)
+def test_one_that_keeps_to_its_modes_keeps_the_certificate(cls: type[Any], name: str, seed: int) -> None:
+    pulse = {"at": "0.5 s", "samples": 100, "value": [0.3] * (1 if name == "smjls-robust" else 2)}
+    loop = compose(load_experiment(name, plant=own(cls, name, None), disturbance=[pulse], duration=3, **{"limits.state": {}}))
+    assert loop.watched is not None and isinstance(loop.watched.plant, JumpStep)
+    assert not said(simulated_session(loop, seed))
+
+
+@pytest.mark.parametrize(("scale", "kept"), [(1.0, True), (3.0, False)])
+def test_uncertain_matrices_may_vary_within_their_bounds_and_not_beyond(scale: float, kept: bool) -> None:
+    shipped = load_experiment("smjls-robust", **{"plant.uncertainty": "sampled"})
+    given = {f.name: getattr(shipped.plant, f.name) for f in fields(SwitchedExample)}
+    wide, watched = SwitchedExample(**given | {"uncertainty_scale": scale}), compose(shipped).watched
+    assert watched is not None and isinstance(watched.plant, JumpStep)
+
+    def start() -> Any:
+        return wide.start(np.random.default_rng(4))
+
+    watch, run = JumpWatch(watched.plant, start, lambda k: (0.0,), 5_000_000), start()
+    for k in range(500):
+        u = (0.2 * (-1) ** (k // 7),)
+        watch.take(run.state, run.measure(), u, (0.0,))
+        run.advance(5_000_000, u, (0.0,))
+    assert (watch.departed() is None) is kept
+
+
+def test_a_plant_with_a_delay_inside_is_not_compared_and_the_verdict_says_so() -> None:
+    loop = compose(load_experiment("vtol-delayed"))
+    assert loop.verdict is not None and NOT_COMPARED in loop.verdict.assumptions
