@@ -14,7 +14,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-Kind = Literal["mean-square stability", "L2 gain", "guaranteed cost", "passivity"]
+Kind = Literal["mean-square stability", "practical stability", "L2 gain", "guaranteed cost", "passivity"]
 State = Literal["certified", "refused", "undecided"]
 
 

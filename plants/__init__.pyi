@@ -19,7 +19,9 @@ from plants.parts.linear import LinearRun as LinearRun
 from plants.parts.linear import Signal as Signal
 from plants.parts.linear import StateSpace as StateSpace
 from plants.parts.protocols import BeyondModel as BeyondModel
+from plants.parts.protocols import Departure as Departure
 from plants.parts.protocols import HasCost as HasCost
+from plants.parts.protocols import HasDepartures as HasDepartures
 from plants.parts.protocols import HasOwnInputs as HasOwnInputs
 from plants.parts.protocols import HasSensorNoise as HasSensorNoise
 from plants.parts.protocols import HasStateDelays as HasStateDelays

@@ -16,10 +16,12 @@ from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.friction_many import RubbingAxes
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.motor_many import Axes, FreeAxes, MotorRuns
+from plants.parts.protocols import Departure
 from plants.parts.sensors import Encoder
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _NEVER_NS = 1 << 62
+DRIVER, DRY, ROUNDS = "a driver that saturates, rounds or has a dead zone", "dry friction", "an encoder that rounds"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,9 +161,25 @@ class DCMotor:
 
     def beyond_model(self) -> tuple[str, ...]:
         """Return what acts on this motor and is not in `motion`; a load is, as it only moves the point of rest."""
-        found = [] if self.driver.ideal else ["a driver that saturates, rounds or has a dead zone"]
-        found += ["dry friction"] if self.friction.dry else []
-        found += ["an encoder that rounds"] if self.encoder.step_rad else []
+        found = [] if self.driver.ideal else [DRIVER]
+        found += [DRY] if self.friction.dry else []
+        found += [ROUNDS] if self.encoder.step_rad else []
+        return tuple(found)
+
+    def departures(self) -> tuple[Departure, ...]:
+        """Return what of `beyond_model` is bounded: all but a supply that saturates.
+
+        Friction is at most the break-away torque; a driver without saturation misses its command by half a count and the dead
+        zone, an encoder the angle by half a count.
+        """
+        driver, found = self.driver, []
+        if not driver.ideal and driver.saturation_v is None:
+            found.append(Departure(DRIVER, "input", (0.5 * driver.pwm_step_v + driver.dead_zone_v,)))
+        if self.friction.dry:
+            found.append(Departure(DRY, "input", (self.friction.breakaway_v,)))
+        if self.encoder.step_rad:
+            bounds = (0.5 * self.encoder.step_rad, 0.0)[: len(self.outputs)]
+            found.append(Departure(ROUNDS, "output", bounds))
         return tuple(found)
 
     def own_inputs(self) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from design.semi_markov_loop.sampled_detection import DetectionLoop, lyapunov_de
 from design.semi_markov_loop.sampled_growth import growth_while_it_stays
 from design.semi_markov_loop.sampled_random_delay import random_delay_verdict
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded
+from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded, VertexUncertainty
 from design.verdict import State, Verdict
 
 TOLERANCE = 1e-6
@@ -132,13 +133,27 @@ def _renewal(
                 break
     if upper < 1.0 - TOLERANCE:
         return _decided("certified", f"second moments are multiplied by at most {upper:.6g}", upper, assumed, modes)
-    nominal = SampledLoop(system=JumpSystem(a=system.a, b=system.b), process=process, gain=gain, period_s=period_s, tau=tau, d=d)
-    lower = renewal_radius(nominal, modes, upper=False)
-    if lower > 1.0 + TOLERANCE:
-        which = "" if system.uncertainty is None else " of the nominal loop"
-        return _decided("refused", f"second moments{which} are multiplied by at least {lower:.6g}", lower, assumed, modes)
-    why = f"second moments{'' if system.uncertainty is None else ' of the nominal loop'} are multiplied by at least {lower:.6g}"
+    lower, which = 0.0, ""
+    for name, plant in _constant_plants(system):
+        own = renewal_radius(replace(loop, system=plant), modes, upper=False)
+        if own > lower:
+            lower, which = own, name
+        if lower > 1.0 + TOLERANCE:
+            return _decided("refused", f"second moments{which} are multiplied by at least {lower:.6g}", lower, assumed, modes)
+    why = f"second moments{which} are multiplied by at least {lower:.6g}"
     return _decided("undecided", f"{why}, and by at most {upper:.6g}", upper, assumed, modes)
+
+
+def _constant_plants(system: JumpSystem) -> Iterable[tuple[str, JumpSystem]]:
+    """Plants that the uncertainty lets be, each for ever, with what to call them: one that is not stable refutes."""
+    plain = JumpSystem(a=system.a, b=system.b)
+    if system.uncertainty is None:
+        yield "", plain
+        return
+    yield " of the nominal loop", plain
+    if isinstance(system.uncertainty, VertexUncertainty):
+        for i, (da, db) in enumerate(zip(system.uncertainty.da, system.uncertainty.db)):
+            yield f" of the loop at vertex {i + 1} of the uncertainty", JumpSystem(a=system.a + da, b=system.b + db)
 
 
 def _slacks(system: JumpSystem) -> list[float]:

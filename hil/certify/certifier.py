@@ -40,6 +40,7 @@ class CertificationProblem:
         neglects: what the chains leave out; empty: nothing.
         chainless: what keeps the experiment from having a chain of ages on both links; empty: nobody looked, or nothing does.
         port: force and position of a device under one force, None for another plant.
+        slack: how far what the controller has of each output may be from what was measured, by triggers; empty: nowhere.
     """
 
     plant: Plant
@@ -58,6 +59,7 @@ class CertificationProblem:
     neglects: str = ""
     chainless: str = ""
     port: Port | None = None
+    slack: tuple[float, ...] = ()
 
     @property
     def motion(self) -> LoopModel:

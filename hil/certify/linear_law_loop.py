@@ -7,9 +7,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from design.controllers import AgedFeedback, LinearFeedback, LinearLaw, LoopModel, RowsLaw
 from design.verdict import Verdict
+from hil.certify.bounded_departures import ends_within
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.certify.send_all_loop import second_moment_verdict
 from hil.plugins.protocols import JumpPlant
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
 
 
+Array = NDArray[np.float64]
 UNSEEN = "{} directions of the controller's state, seen by neither plant nor input, do not grow by any factor: left out"
 
 
@@ -40,10 +43,18 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
             return undecided(loop, "mean-square stability", "its matrices change with an age that has no bound")
         laws, selection = laws_of(loop, controller, int(loop.sc.label.max()) + 1), controller.start(loop.model).selection
         verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, laws, selection, digest=loop.digest)
-    else:
-        law = loop.said.once("law", lambda: controller.linear_law(loop.model))
-        verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, law, digest=loop.digest)
-    return limited_to_model(loop.plant, verdict)
+        return limited_to_model(loop.plant, verdict)
+    law, sc, ca = loop.said.once("law", lambda: controller.linear_law(loop.model)), loop.sc, loop.ca
+    verdict = judge_linear_law(loop.motion, sc, ca, law, digest=loop.digest)
+
+    def modes(A: Array, B: Array, C: Array) -> tuple[Array, Array]:
+        from design.networked_loop.dynamic_loop import dynamic_loop
+
+        found = dynamic_loop(A, B, C, sc, ca, law)
+        chances = np.asarray(found.system.transition) if found.between is None else found.between[1]
+        return np.asarray(found.system.A), chances
+
+    return ends_within(loop, verdict, modes)
 
 
 def laws_of(loop: CertificationProblem, controller: AgedFeedback, ages: int) -> tuple[RowsLaw, ...]:

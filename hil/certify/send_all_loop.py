@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, integrates, packet_samples
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem, limited_to_model, table_of, undecided
+from hil.certify.bounded_departures import ends_within
+from hil.certify.certifier import CertificationProblem, table_of, undecided
 from hil.plugins.protocols import JumpPlant
 from hil.rig.delay_chains import gains_within
 
 if TYPE_CHECKING:
     from design.jump_linear.certificate import Certificate
     from design.processes.delay_chain import DelayChain
+
+Array = NDArray[np.float64]
 
 
 def certify_send_all(loop: CertificationProblem) -> Verdict | None:
@@ -37,7 +40,16 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
         loop.motion, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),
         integral=integrates(controller), digest=loop.digest,
     )  # fmt: skip
-    return limited_to_model(loop.plant, verdict)
+    sc, ca, selection = loop.sc, loop.ca, controller.selection
+    samples, integral = packet_samples(controller), float(integrates(controller))
+
+    def modes(A: Array, B: Array, C: Array) -> tuple[Array, Array]:
+        from design.networked_loop.closed_loop import loop_structure
+
+        structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral)
+        return structure.matrices(gains), structure.transition if structure.between is None else structure.between[1]
+
+    return ends_within(loop, verdict, modes)
 
 
 def judge_gains(

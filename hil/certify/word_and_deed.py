@@ -13,11 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from design.verdict import State, Verdict
+from hil.certify.bounded_departures import departure_check
 from hil.certify.certifier import CertificationProblem
 from hil.certify.free_motion import FreeMotion, free_motion
 from hil.certify.motion_test import ALIKE, EQUAL, SEED, SLOTS, Array, Departure, departure, drive, foretold, random_inputs
 from hil.certify.stated_controller import answers_of
-from hil.plugins.protocols import BeyondModel, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
+from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
 """Share of a limit that counts as small; without limits, the sizes of the inputs, in their units."""
@@ -39,8 +40,9 @@ def tested(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """
     if verdict.state == "undecided" and isinstance(loop.plant, BeyondModel) and loop.plant.beyond_model():
         return verdict
+    departs = verdict.kind == "practical stability" and isinstance(loop.plant, HasDepartures) and bool(loop.plant.departures())
     assumptions: list[str] = []
-    for what, check in (("plant", plant_check), ("controller", answers_of)):
+    for what, check in (("plant", departure_check if departs else plant_check), ("controller", answers_of)):
         try:
             state, said = check(loop)
         except Exception as error:  # whatever an author's plant or controller does when it is driven

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from design.controllers import LoopModel, RunningController
 from plants.parts.protocols import (
     BeyondModel,
+    Departure,
     HasCost,
+    HasDepartures,
     HasOwnInputs,
     HasSensorNoise,
     HasStateDelays,
@@ -27,9 +29,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BeyondModel",
+    "Departure",
     "Designer",
     "FieldFault",
     "HasCost",
+    "HasDepartures",
     "HasOwnInputs",
     "HasSensorNoise",
     "HasStateDelays",

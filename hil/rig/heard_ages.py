@@ -90,13 +90,18 @@ def law_states(way: Received) -> LawStates | str:
     return LawStates(tuple(states.ages.tolist()), follows, tuple(np.flatnonzero(states.initial > 0.0).tolist()))
 
 
-def heard_ages(rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[int]) -> DelayChain | str:
+def heard_ages(
+    rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[int], *, dead_bands: bool = False
+) -> DelayChain | str:
     """Return the chain of the ages of every output's newest sample at the controller; or in words why there is none.
+
+    A node with a dead band counts as one that sends whenever it may, where that is asked for.
 
     Args:
         rig: its laws' files read.
         arriving: the law of each sensor node, as the controller meets it.
         told: how many ages 0, 1, ... the controller tells apart, of the oldest sample or of every node; the last for all beyond.
+        dead_bands: whether nodes with a dead band are known.
     """
     from design.processes.delay_chain import DelayChain
 
@@ -105,7 +110,7 @@ def heard_ages(rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[
         if medium.table.kind not in _MEDIA:
             return f"network.media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows"
     for sensor in sensors:
-        if sensor.trigger.kind != "every-slot":
+        if sensor.trigger.kind != "every-slot" and not (dead_bands and sensor.trigger.kind == "dead-band"):
             return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
         if sensor.clock.drawn:
             return f"{sensor.path}.clock draws when it sends"

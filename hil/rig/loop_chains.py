@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from design.controllers import AgedFeedback, Controller, GainTable, LoopModel, ages_told, sojourns_told
+from design.controllers import AgedFeedback, Controller, GainTable, LoopModel, ages_told, packet_samples, sojourns_told
 from hil.rig.delay_chains import Chains, delay_chain, within_reach
 from hil.rig.heard_ages import heard_ages, recorded_cycle
 from hil.rig.spec import RigSpec
@@ -21,12 +21,16 @@ OLDEST_TOLD = 16
 
 
 class LoopChains(NamedTuple):
-    """Both chains, None where there is none; what of the laws never happens, why there is no chain: empty for nothing."""
+    """Both chains, None where there is none; what of the laws never happens, why there is no chain: empty for nothing.
+
+    `slack` is how far what the controller has of each output may be from what was measured, by dead bands; empty: nowhere.
+    """
 
     sc: DelayChain | None
     ca: DelayChain | None
     unmet: str
     chainless: str
+    slack: tuple[float, ...] = ()
 
 
 def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel) -> LoopChains:
@@ -59,11 +63,28 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         ca = within_reach(ca, chains.applied.states.initial)
     if sc is None:
         told = _told(controller, model)
-        found = _packets(rig, chains, told, model, controller) or heard_ages(rig, chains.arriving, told)
+        slack = _slack(rig) if told == 1 and packet_samples(controller) == 1 else ()
+        found = _packets(rig, chains, told, model, controller) or heard_ages(rig, chains.arriving, told, dead_bands=bool(slack))
         if isinstance(found, str):
             return LoopChains(None, ca, "", found)
-        sc = found
+        return LoopChains(*settled(found, ca), "", "", slack)
     return LoopChains(*settled(sc, ca), "", "")
+
+
+def _slack(rig: RigSpec) -> tuple[float, ...]:
+    """How far a silent node's last packet is from what it measures; empty where no node has a dead band, or it is not known.
+
+    A node that is silent was asked: no output differs from what it sent last by more than the threshold. So the controller has
+    what it would have if all had been sent, but for the threshold. It is not known where a packet may be lost, where silence lets
+    others send sooner, and where gains know ages.
+    """
+    bands = [s for s in rig.sensors if s.trigger.kind == "dead-band"]
+    if not bands or any(medium.table.loss or medium.table.kind == "can-arbitration" for medium in rig.media):
+        return ()
+    slack = np.zeros(len(rig.outputs))
+    for sensor in bands:
+        slack[list(sensor.outputs)] = sensor.trigger.threshold
+    return tuple(slack.tolist())
 
 
 def _told(controller: Controller, model: LoopModel) -> int | Sequence[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, Self, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,29 @@ class MovesOtherwise(Protocol):
 
     def motion(self) -> StateSpace | DiscreteStateSpace:
         """Return the linear model by which it moves, in the states, inputs and outputs of `model`."""
+        ...
+
+
+class Departure(NamedTuple):
+    """What a plant does beyond its motion, and never by more than a bound, whatever it does.
+
+    Attributes:
+        name: noun phrase, as in `BeyondModel.beyond_model`.
+        at: ``input``: acts beside the input at any instant; ``output``: adds to what is measured.
+        bounds: largest magnitude, one entry per input in its unit, or per output in its unit.
+    """
+
+    name: str
+    at: Literal["input", "output"]
+    bounds: tuple[float, ...]
+
+
+@runtime_checkable
+class HasDepartures(Protocol):
+    """A plant that says which of what it has beyond its model is bounded: a loop over it ends within a bound, or is undecided."""
+
+    def departures(self) -> tuple[Departure, ...]:
+        """Return them, each by the name that `beyond_model` gives it; states are those of the model."""
         ...
 
 

@@ -25,7 +25,7 @@ from design.semi_markov_loop.period_moments import isometry, smat
 from design.semi_markov_loop.sampled import sampled_verdict
 from design.semi_markov_loop.second_moments import second_moment_radius
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_matrix, renewal_radius
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop.system import JumpSystem, VertexUncertainty
 
 
 def _constant_process(rates):
@@ -166,6 +166,18 @@ def test_uncertainty_that_varies_freely_is_certified_within_its_bounds_only():
     assert sampled_verdict(system.scaled(12.0), process, gain, period_s=0.02).state == "undecided"
     vertices = chapter2_system("vertices").scaled(0.3)
     assert sampled_verdict(vertices, process, gain, period_s=0.005).certified
+
+
+@pytest.mark.parametrize(("size", "state"), [(0.2, "certified"), (4.0, "refused")])
+def test_a_vertex_that_is_not_stable_for_ever_refutes(size, state):
+    """The nominal loop is stable; at a constant vertex its mean square grows as exp(2 (size - 1) t) at least."""
+    change = np.full((1, 2, 1, 1), size)
+    uncertainty = VertexUncertainty(da=np.concatenate([-change, change]), db=np.zeros((2, 2, 1, 1)))
+    system = JumpSystem(a=np.array([[[-1.0]], [[-2.0]]]), b=np.zeros((2, 1, 1)), uncertainty=uncertainty)
+    process = _constant_process([[0.0, 1.0], [1.0, 0.0]])
+    found = sampled_verdict(system, process, constant_gain(np.zeros((2, 1, 1))), period_s=0.05)
+    assert found.state == state
+    assert ("at vertex 2" in found.reason) == (state == "refused")
 
 
 def test_a_mode_that_is_never_reached_does_not_count():

@@ -1,0 +1,161 @@
+"""A loop whose plant, sensors or triggers depart from the linear one by bounded amounts: it ends within a bound.
+
+The linear loop is mean-square stable, and what departs from it is a signal that pushes it, whatever that depends on. Then the
+root mean square of every output ends within a bound that the loop's own second moments give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import LoopModel
+from design.errors import NotStable
+from design.verdict import State, Verdict
+from hil.certify.certifier import CertificationProblem, limited_to_model
+from hil.certify.motion_test import SEED, SLOTS, random_inputs
+from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
+
+Array = NDArray[np.float64]
+PARTS = 64
+"""Parts of a slot over which the motion of an input that changes within the slot is bounded."""
+ROUNDING = 1e-9
+Modes = Callable[[Array, Array, Array], tuple[Array, Array]]
+"""Matrices of the closed loop of a plant (A, B, C), (N, size, size), its state first; and the transition probabilities."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pushed:
+    """What pushes a loop from within.
+
+    Args:
+        names: noun phrases.
+        states: what it moves each state by in a slot at most, (n,).
+        outputs: what it adds to each output at most, (p,).
+    """
+
+    names: tuple[str, ...]
+    states: Array
+    outputs: Array
+
+
+def pushed_by(loop: CertificationProblem) -> Pushed | None:
+    """Return what pushes a loop from within; None where nothing does, or where something beyond the model has no bound."""
+    plant, model = loop.plant, loop.motion
+    beyond = set(plant.beyond_model()) if isinstance(plant, BeyondModel) else set()
+    known = tuple(plant.departures()) if isinstance(plant, HasDepartures) else ()
+    if beyond - {each.name for each in known} or len(plant.states) != len(model.A) or not (known or loop.slack):
+        return None
+    inputs, outputs = np.zeros(model.B.shape[1]), np.zeros(len(model.C))
+    for each in known:
+        (inputs if each.at == "input" else outputs)[:] += each.bounds
+    names = tuple(each.name for each in known) + (("a dead-band trigger",) if loop.slack else ())
+    return Pushed(names=names, states=_moved(plant, model, inputs), outputs=outputs + _slack(loop))
+
+
+def _slack(loop: CertificationProblem) -> Array:
+    return np.array(loop.slack) if loop.slack else np.zeros(len(loop.model.C))
+
+
+def _moved(plant: Plant, model: LoopModel, inputs: Array) -> Array:
+    r"""What inputs up to a size, at any instants of a slot, move each state by at most.
+
+    .. math:: \int_0^T |e^{A s} B| F ds \le \sum_k h\, e^{|A| h} |e^{A k h} B| F
+    """
+    if not inputs.any():
+        return np.zeros(len(model.A))
+    from scipy.linalg import expm
+
+    from plants.parts.linear import StateSpace
+
+    moves = plant.motion() if isinstance(plant, MovesOtherwise) else plant.model()
+    if not isinstance(moves, StateSpace):  # in slots an input changes with the slot
+        return np.asarray(np.abs(model.B) @ inputs)
+    h = model.period_s / PARTS
+    step, reached, total = expm(moves.A * h), moves.B, np.zeros_like(moves.B)
+    for _ in range(PARTS):
+        total, reached = total + np.abs(reached), step @ reached
+    return np.asarray(h * expm(np.abs(moves.A) * h) @ total @ inputs)
+
+
+def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Verdict:
+    """Return a verdict on the linear loop as one on the loop that is pushed: where its outputs end, or undecided.
+
+    Args:
+        loop: the loop.
+        verdict: on the linear loop.
+        modes: makes the closed loop of a plant.
+    """
+    pushed = pushed_by(loop)
+    if pushed is None or not verdict.certified:
+        return limited_to_model(loop.plant, verdict) if not loop.slack else _undecided(verdict, "a dead-band trigger")
+    from design.jump_linear.ultimate_bound import ultimate_bound
+
+    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
+    (n, m), p = B.shape, len(C)
+    # the plant with what is added to its outputs as p states that last no slot
+    closed, chances = modes(
+        np.block([[A, np.zeros((n, p))], [np.zeros((p, n + p))]]), np.vstack([B, np.zeros((p, m))]), np.hstack([C, np.eye(p)])
+    )
+    kept = np.r_[0:n, n + p : closed.shape[-1]]
+    own, E = closed[:, kept][:, :, kept], np.zeros((len(closed), len(kept), n + p))
+    E[:, :n, :n], E[:, :, n:] = np.diag(pushed.states), closed[:, kept][:, :, n : n + p] * pushed.outputs
+    ends = {}
+    try:
+        for row, signal in zip(C, loop.plant.outputs):
+            z = np.zeros((1, len(kept)))
+            z[0, :n] = row
+            ends[str(signal.name)] = (float(ultimate_bound(own, chances, E, z).sum()), str(signal.unit))
+    except (NotStable, np.linalg.LinAlgError) as error:
+        return _undecided(verdict, f"{', '.join(pushed.names)}: {error}")
+    said = ", ".join(f"{name} within {bound:.4g} {unit}" for name, (bound, unit) in ends.items())
+    return replace(
+        verdict, kind="practical stability",
+        reason=f"with {', '.join(pushed.names)} it ends, in the root mean square, with {said}; without, {verdict.reason}",
+        details={**verdict.details, "ends_within": {name: bound for name, (bound, _) in ends.items()}},
+        assumptions=(*verdict.assumptions, "the bound is of the motion around the reference, without loads and noise"),
+        method=f"{verdict.method}; what departs from it is bounded, and pushes it",
+    )
+
+
+def _undecided(verdict: Verdict, what: str) -> Verdict:
+    return replace(
+        verdict, state="undecided", reason=f"{verdict.state} without {what}; not decided with it ({verdict.reason})",
+        details={**verdict.details, "stable": False},
+    )  # fmt: skip
+
+
+def departure_check(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+    """Return whether a plant departs from its motion by no more than it says, step by step under random inputs."""
+    plant, model, pushed = loop.plant, loop.motion, pushed_by(loop)
+    if pushed is None:
+        return "undecided", "what the plant says of its departures changes from call to call"
+    if isinstance(plant, HasOwnInputs) and plant.own_inputs():
+        return None, ("the plant departs from its model by no more than it says: not compared, as it is moved from within too",)
+    m = model.B.shape[1]
+    unit = np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float)
+    still, steps = (0.0,) * m, 0
+    for size in (1e-3, 0.03, 1.0):
+        run = plant.start(np.random.default_rng(SEED))
+        for u in random_inputs(SLOTS, m) * unit * size:
+            x = np.array(run.state)
+            run.advance(round(model.period_s * 1e9), tuple(u.tolist()), still)
+            after, y = np.array(run.state), np.array(run.measure())
+            if not np.isfinite(after).all() or np.abs(after).max() > 1e12:
+                break
+            lost = ROUNDING * (np.abs(x).max() + np.abs(after).max() + (np.abs(model.B) @ np.abs(u)).max() + 1e-300)
+            for what, found, most in (
+                ("states", after - model.A @ x - model.B @ u, pushed.states),
+                ("outputs", y - model.C @ after, pushed.outputs - _slack(loop)),
+            ):
+                if (np.abs(found) > most + lost).any():
+                    at = int((np.abs(found) - most).argmax())
+                    return "refused", (
+                        f"your plant is not what it tells: inputs up to {size * float(unit.max()):.3g} move its {what} by "
+                        f"{abs(found[at]):.4g} beyond its model in a slot, and departures() says at most {float(most[at]):.4g}"
+                    )
+            steps += 1
+    return None, (f"the plant departs from its model by no more than it says: compared in {steps} slots",)

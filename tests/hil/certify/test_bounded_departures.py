@@ -1,0 +1,100 @@
+"""Friction, dead zones, encoders and dead bands over a stable linear loop: where it ends, beside runs and beside a lie."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from design.errors import NotStable
+from design.jump_linear.ultimate_bound import ultimate_bound
+from hil.api.experiment_source import load_experiment
+from hil.compose.loop import Loop, compose
+from hil.session import simulate
+from plants import DCMotor, Departure
+
+NO_AGES = {"kind": "local", "gain": [[-0.05, -0.006]]}
+DRY = {"coulomb_v": 0.0017, "static_v": 0.0026}
+CASES: list[tuple[str, dict[str, Any]]] = [
+    ("dc-motor-h2", {"plant.friction": DRY}),
+    ("dc-motor-h2", {"plant.driver": {"dead_zone_v": 0.0033, "pwm_step_v": 0.001}}),
+    ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}}),
+    ("dc-motor-h2", {"plant.friction": DRY | {"viscous_v_s_per_rad": 0.002}, "plant.encoder": {"step_rad": 0.0038}}),
+    ("dc-motor-two-nodes", {"controller": NO_AGES, "nodes.angle.trigger": {"kind": "dead-band", "threshold": 0.05}}),
+    ("dc-motor-two-nodes", {
+        "controller": NO_AGES, "nodes.angle.trigger": {"kind": "dead-band", "threshold": 0.05},
+        "media": {"bus": {"kind": "round-robin", "nodes": ["angle", "speed"]}}, "plant.encoder": {"step_rad": 0.01},
+    }),
+    ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}, "controller": {
+        "kind": "output-feedback", "A": [[0.5]], "B": [[0.1]], "C": [[-0.01]], "D": [[-0.05]],
+    }}),
+]  # fmt: skip
+
+
+def composed(name: str, **changes: Any) -> Loop:
+    calm = {"reference": [], "disturbance": [], "duration": 20, "allow_uncertified": True, "plant.initial_angle_rad": 1.0}
+    return compose(load_experiment(name, **calm | changes))
+
+
+@pytest.mark.parametrize(("name", "changes"), CASES)
+def test_runs_end_within_the_bound_and_it_is_not_idle(name: str, changes: dict[str, Any]) -> None:
+    """12 runs from 1 rad, which they have forgotten by then (0.92^150): within the bound, and not 40 times below it."""
+    loop = composed(name, **changes)
+    assert loop.verdict is not None and loop.verdict.certified and loop.verdict.kind == "practical stability"
+    compared = ("departs from its model by no more than it says", "moves as its model says")
+    assert any(said in each for said in compared for each in loop.verdict.assumptions)
+    bounds: Any = loop.verdict.details["ends_within"]
+    ended = [simulate(loop, seed, ["/plant/state"]).arrays["/plant/state"][150:] for seed in range(12)]
+    for output, bound in bounds.items():
+        level = float(np.sqrt(np.mean([run[output] ** 2 for run in ended], axis=0)).max())
+        assert level <= bound
+        if output == "angle":
+            assert level > bound / 40
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("dc-motor-h2", {"plant.driver": {"saturation_v": 0.058}}),
+        ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}, "controller": {"kind": "local", "gain": [[-0.6]]}}),
+        ("dc-motor-two-nodes", {"nodes.angle.trigger": {"kind": "dead-band", "threshold": 0.05},  # its gains know the ages
+                                "controller": {"kind": "send-all", "selection": "constant", "gains": [[[[-0.05, -0.006]]],
+                                                                                                       [[[-0.04, -0.006]]]]}}),
+        ("dc-motor-two-nodes", {"nodes.angle.trigger": {"kind": "error", "threshold": 0.05}, "controller": NO_AGES}),
+        ("dc-motor-two-nodes", {"nodes.angle.trigger": {"kind": "dead-band", "threshold": 0.05}, "controller": NO_AGES,
+                                "media": {"bus": {"kind": "round-robin", "nodes": ["angle", "speed"], "loss": 0.1}}}),
+    ],
+)  # fmt: skip
+def test_what_has_no_bound_stays_undecided(name: str, changes: dict[str, Any]) -> None:
+    loop = composed(name, **changes)
+    assert loop.verdict is not None and loop.verdict.state == "undecided"
+
+
+class Flatterer(DCMotor):
+    """Says that its friction is half of what it is."""
+
+    def departures(self) -> tuple[Departure, ...]:
+        return tuple(each._replace(bounds=tuple(0.5 * b for b in each.bounds)) for each in DCMotor.departures(self))
+
+
+@pytest.mark.parametrize("changes", [{"friction": {"coulomb_v": 0.01}}, {"encoder": {"step_rad": 0.01}}])
+def test_a_plant_that_departs_by_more_than_it_says_is_refused(changes: dict[str, Any]) -> None:
+    import msgspec
+
+    plant = msgspec.convert(changes, DCMotor)
+    lie = Flatterer(friction=plant.friction, encoder=plant.encoder)
+    verdict = compose(load_experiment("dc-motor-h2", plant=lie, allow_uncertified=True)).verdict
+    assert verdict is not None and verdict.state == "refused" and "departures() says at most" in verdict.reason
+
+
+def test_the_bound_of_a_scalar_loop_is_that_of_its_worst_signal() -> None:
+    """|x| ends within 1 / (1 - a) for x' = a x + e, where a constant e comes; of two modes by chance a is that of E x^2."""
+    one = ultimate_bound(np.array([[[0.9]]]), np.ones((1, 1)), np.ones((1, 1, 1)), np.ones((1, 1)))
+    assert 10.0 <= one[0] <= 10.0 * 1.002
+    A, P = np.array([[[0.2]], [[0.9]]]), np.full((2, 2), 0.5)
+    both = ultimate_bound(A, P, np.ones((2, 1, 1)), np.ones((1, 1)))
+    share = np.sqrt(0.5 * (0.2**2 + 0.9**2))
+    assert 1.0 / (1.0 - share) <= both[0] <= 1.002 / (1.0 - share)
+    with pytest.raises((NotStable, np.linalg.LinAlgError)):
+        ultimate_bound(np.array([[[1.0 + 1e-12]]]), np.ones((1, 1)), np.ones((1, 1, 1)), np.ones((1, 1)))
