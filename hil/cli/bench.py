@@ -50,10 +50,10 @@ def show_table(title: str, rows: list[dict[str, Any]]) -> None:
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
 @click.option("--experiment", "experiments", multiple=True, metavar="NAME|FILE",
               help="Experiment; several are measured in turns [dc-motor-1khz].")  # fmt: skip
-@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change it, e.g. timing.idle=awake.")
+@click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field, such as timing.idle=awake.")
 @click.option("--affinity", "affinities", multiple=True, type=click.Choice(get_args(Affinity)),
               help="CPUs of rig and controller; several are measured in turns.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def timing(
     duration: float, turns: int, links: tuple[str, ...], experiments: tuple[str, ...], sets: tuple[str, ...],
     affinities: tuple[str, ...], as_json: bool,
@@ -96,7 +96,7 @@ def timing(
 @command.command()
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Round trips per second.")
 @click.option("--duration", type=Duration(), default="10s", show_default=True, help="On each link.")
-@click.option("--json", "as_json", is_flag=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def links(rate: float, duration: float, as_json: bool) -> None:
     """Round trips of all links side by side, with C over UDP as the floor."""
     from hil.bench.links import bench_links
@@ -115,7 +115,7 @@ def links(rate: float, duration: float, as_json: bool) -> None:
               help="Length of the long session.")  # fmt: skip
 @click.option("--sessions", type=click.IntRange(0, 1000), default=0, show_default=True, help="Short sessions in a row.")
 @click.option("--at-once", type=click.IntRange(0, 64), default=0, show_default=True, help="Short sessions at the same time.")
-@click.option("--json", "as_json", is_flag=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def soak(duration: float, sessions: int, at_once: int, as_json: bool) -> None:
     """Endurance at 1 kHz over can:hil: memory of each process, log, overruns beside cyclictest.
 

@@ -16,12 +16,12 @@ GROUPS = ("plants", "controllers", "laws", "links", "measures")
 @click.command()
 @click.argument("group", type=click.Choice(GROUPS))
 @click.argument("kind")
-@click.option("--set", "sets", multiple=True, type=CHANGE, metavar="KEY=VALUE", help="A key of the plug-in's table; repeatable.")
+@click.option("--parameter", "sets", multiple=True, type=CHANGE, metavar="KEY=VALUE", help="A key of its table; repeatable.")
 @click.option("--in", "experiment", default="dc-motor-hinf", show_default=True, type=EXPERIMENT, metavar="EXPERIMENT",
               help="The experiment whose model a controller, and whose run a measure is checked with.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_json: bool) -> None:
-    """Check a plug-in and say what it has earned: hil check laws my_module:Mine --set p=0.3
+    """Check a plug-in and say what it has earned: hil check laws my_module:Mine --parameter p=0.3
 
     KIND is the name of an installed plug-in or module:Class of a file in this folder; of a link it is a URI. What is not kept is
     one message and exit status 2.
@@ -86,7 +86,7 @@ def _measure(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
     from hil.session import rehearsal
 
     if sets:
-        raise HilError("--set: a measure has no keys")
+        raise HilError("--parameter: a measure has no keys")
     made = made_of(registry.load("hil.measures", kind))
     view = rehearsal(compose(load_experiment(experiment), certify=False))
     return check_measure(made, view) + check_section(made, view)
@@ -96,5 +96,5 @@ def _link(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
     from transport import check_link, open_link
 
     if sets:
-        raise HilError("--set: a link's options stand in its URI")
+        raise HilError("--parameter: a link's options stand in its URI")
     return check_link(lambda: (open_link(kind, "rig"), open_link(kind, "controller")))

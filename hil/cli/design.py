@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.durations import Duration
+from hil.cli.plain_number import Number
 from hil.errors import HilError
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
     from hil.design_questions.design_problem import TrackingTarget
 
-NUMBER = click.FloatRange(-1e30, 1e30)
-"""As in an experiment: products of larger ones leave what a double holds."""
+NUMBER = Number()
 
 
 class GainsOrWall(click.Command):
@@ -50,7 +50,7 @@ class GainsOrWall(click.Command):
 @click.option("--gain-bound", type=NUMBER, help="Bound on every |entry| of every gain.")
 @click.option("--hinf-bound", type=NUMBER, help="Bound of a mixed design [1.05 times the smallest H-infinity norm].")
 @click.option("--input-weight", type=NUMBER, help="Weight R of the input, equal for every input [0.01].")
-@click.option("--output", "z", type=click.Choice(["stacked", "sum"]), default="stacked", show_default=True,
+@click.option("--z", "z", type=click.Choice(["stacked", "sum"]), default="stacked", show_default=True,
               help="z = [Q x; R u], or Q x + R u as printed, whose terms may cancel.")  # fmt: skip
 @click.option("--period", type=Duration(above=True), help="Sample period, such as 25ms [the thesis's, or the experiment's].")
 @click.option("--samples", type=click.IntRange(1, 2), default=1, show_default=True, help="Samples per sensor packet.")
@@ -70,8 +70,8 @@ class GainsOrWall(click.Command):
               help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves possible.")
 @click.option("--orders", is_flag=True, help="Gains over historical data: try every order of the nodes' turns.")
 @click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
-@click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
-@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+@click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,

@@ -19,9 +19,9 @@ from hil.errors import HilError
 @click.option("--damping", type=click.FloatRange(min=0.0), help="Damping b of the device in N s/m [the Omni's].")
 @click.option("--stiffness", type=click.FloatRange(min=0.0, min_open=True), help="Static stiffness in N/m to be reached.")
 @click.option("--taps", type=click.IntRange(1), help="Number of taps [as the delays call for].")
-@click.option("-o", "--file", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design as JSON here.")
+@click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design as JSON here.")
 @click.option("--c", "header", type=click.Path(path_type=Path, dir_okay=False), help="Write a C99 header here.")
-@click.option("--force", is_flag=True, help="Overwrite existing files.")
+@click.option("--force", is_flag=True, help="Replace files that are there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     period: float, delay: tuple[float, ...], hand: float, damping: float | None, stiffness: float | None, taps: int | None,

@@ -28,7 +28,7 @@ command.add_command(law)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--plant", "kind", type=click.Choice(["omni", "dc-motor"]), help="Axis [the plant of the log].")
 @click.option("--input", "u_name", metavar="NAME", help="Signal that drives the axis [the plant's].")
-@click.option("--output", "y_name", metavar="NAME", help="Signal that is measured [the plant's].")
+@click.option("--measured", "y_name", metavar="NAME", help="Signal that is measured [the plant's].")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: str | None, as_json: bool) -> None:
     """Estimate inertia and damping (omni), or gain and pole (dc-motor), from one or more LOGs: .mcap, or .csv with times.

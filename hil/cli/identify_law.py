@@ -41,7 +41,7 @@ class Identifier(click.ParamType):  # type: ignore[type-arg]
 @click.option("--can-id", type=Identifier(), help="CAN logs: only frames of this identifier.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the law here, for experiments.")
 @click.option("--page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page: measured and fitted side by side.")
-@click.option("--force", is_flag=True, help="Overwrite existing files.")
+@click.option("--force", is_flag=True, help="Replace files that are there.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def law(
     files: tuple[Path, ...], period: float | None, deadline: float, halve: bool, one_clock: bool, can_id: int | None,

@@ -13,7 +13,7 @@ from hil.log.topics import channels_of
 @click.argument("viewer", type=click.Choice(["foxglove", "lichtblick", "plotjuggler"]))
 @click.argument("source", metavar="SOURCE")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE", help="File to write; by default it is printed.")
-@click.option("--force", is_flag=True, help="Replace FILE if it exists.")
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
 def command(viewer: str, source: str, output: Path | None, force: bool) -> None:
     """Make a layout for the logs of SOURCE, an experiment or a log: outputs, states, inputs, delays, timing and events.
 

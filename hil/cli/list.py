@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+import textwrap
+from typing import Any, Final
 
 import click
 
 from hil.errors import HilError
 
+FIRST: Final = "dc-motor-hinf"
+"""The experiment to begin with: Chapter 7's, certified, of which every page of the guide speaks."""
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
 
 
@@ -45,23 +48,38 @@ def _all(as_json: bool) -> None:
     from hil.experiment import shipped
     from hil.plugins import registry
 
-    experiments = {
-        name: tomllib.loads(path.read_text()).get("description", "") for name, path in shipped().items()
-    }
+    tables = {name: tomllib.loads(path.read_text()) for name, path in shipped().items()}
+    experiments = {name: table.get("description", "") for name, table in tables.items()}
+    of = {name: str(table["plant"]["kind"]) for name, table in tables.items()}
     plugins = {
         group: {name: registry.provider(f"hil.{group}", name) for name in registry.names(f"hil.{group}")}  # type: ignore[arg-type]
         for group in GROUPS
     }
     if as_json:
-        print(json.dumps({"experiments": experiments, "plugins": plugins}, indent=2))
+        print(json.dumps({"experiments": experiments, "plants": of, "first": FIRST, "plugins": plugins}, indent=2))
         return
-    print("experiments")
-    _pairs({name: visible(description) for name, description in experiments.items()})
+    print(f"to begin with: hil run {FIRST}; hil show {FIRST} prints its file\n")
+    for plant in dict.fromkeys([of[FIRST], *of.values()]):
+        print(f"experiments with the plant {visible(plant)}")
+        names = [name for name in experiments if of[name] == plant]
+        width = max(map(len, names))
+        for name in sorted(names, key=lambda name: (name != FIRST, name)):
+            print(f"  {name:<{width}}  {visible(one_line(experiments[name], _columns() - width - 4))}")
+        print()
     for group, found in plugins.items():
         ours = [name for name, dist in found.items() if dist == "hilrig"]
         theirs = [f"{name} (from {dist})" for name, dist in found.items() if dist != "hilrig"]
         print(f"{group} (hil list {group} shows what they are)")
         _pairs({"": visible(", ".join(ours + theirs))})
+
+
+def one_line(text: str, width: int) -> str:
+    """Return the words of a text that have room in one line.
+
+    >>> one_line("Networked DC motor, published gains", 24)
+    'Networked DC motor, ...'
+    """
+    return textwrap.shorten(text, max(width, 20), placeholder=" ...")
 
 
 def _group(group: str, as_json: bool) -> None:
@@ -83,8 +101,6 @@ def _group(group: str, as_json: bool) -> None:
 
 
 def _kind(group: str, kind: str, as_json: bool) -> None:
-    import textwrap
-
     from hil.cli.terminal import visible
     from hil.plugins import registry
     from hil.plugins.fields import about, fields_of
@@ -124,8 +140,6 @@ def visible_lines(text: str) -> list[str]:
 
 
 def _wrapped(lines: list[str], indent: str) -> None:
-    import textwrap
-
     for line in lines:
         if line.startswith(" ") or not line:
             print(f"{indent}{line}".rstrip())
@@ -135,8 +149,6 @@ def _wrapped(lines: list[str], indent: str) -> None:
 
 def _pairs(texts: dict[str, str]) -> None:
     """Print names and texts in two columns, the texts folded."""
-    import textwrap
-
     width = max(map(len, texts), default=0)
     for name, text in texts.items():
         first = f"  {name:<{width}}  " if name else "  "

@@ -18,7 +18,7 @@ PARTS = ("plant", "controller", "law", "measure", "experiment")
 @click.argument("name")
 @click.option("-o", "--output", "folder", type=click.Path(file_okay=False, path_type=Path), default=Path("."),
               help="Folder to write to; made where it is not there. The working folder by default.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace files that exist.")
+@click.option("--force", is_flag=True, help="Replace files that are there.")
 def command(part: str, name: str, folder: Path, force: bool) -> None:
     """Write a plant, controller, law, measure or experiment of your own: hil new plant cart
 

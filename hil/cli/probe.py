@@ -20,7 +20,7 @@ MOST_FRAMES = 5_000_000
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the log here [link.mcap].")
 @click.option("--answer", "answers", is_flag=True, help="Be the other end: answer until Ctrl-C, and log nothing.")
 @click.option("--both", is_flag=True, help="Be both ends, for a link within this machine.")
-@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
 def command(
     link: str, seconds: float, rate: float, output: Path | None, answers: bool, both: bool, force: bool
 ) -> None:  # fmt: skip

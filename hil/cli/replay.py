@@ -28,7 +28,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.option("--key", type=click.Path(path_type=Path), metavar="PUB", help="With --verify: who signed the log (signing.pub).")
 @click.option("--auth", type=click.Path(path_type=Path), metavar="KEY", help="With --verify: check all tags (frames.key).")
 @click.option("--controller", metavar="NAME", help="What would this controller have commanded?")
-@click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller.")
+@click.option("--parameter", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller; repeatable.")
 @click.option("--onto", metavar="URI", help="Put the recorded frames on this link.")
 @click.option("--process", metavar="URI", help="Put its questions to the controller's process there; compare the answers.")
 @click.option("--speed", type=float, default=1.0, show_default=True, help="With --onto: how many times faster.")
@@ -71,7 +71,7 @@ def command(
         raise HilError(f"{' and '.join(chosen)}: choose one")
     if not SLOWEST <= speed < float("inf"):
         raise HilError(f"--speed: {speed}; expected a number of at least {SLOWEST:g}")
-    companions = (("--set", sets, "--controller"), ("-o", output, "--controller"), ("--speed", speed != 1, "--onto"))
+    companions = (("--parameter", sets, "--controller"), ("-o", output, "--controller"), ("--speed", speed != 1, "--onto"))
     for name, given, needed in companions:
         if given and not ways[needed]:
             raise HilError(f"{name}: needs {needed}")

@@ -21,7 +21,7 @@ from hil.errors import HilError
 @click.option("--lever", type=float, default=1.0, show_default=True, help="Tip per angle, m/rad; 1: kg and N s/m at the tip.")
 @click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), help="Write the table with the taps here.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page with the contours here.")
-@click.option("--force", is_flag=True, help="Overwrite existing files.")
+@click.option("--force", is_flag=True, help="Replace a table that is there; a page always is.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(
     period: tuple[float, ...], delay: tuple[float, ...], hand: tuple[float, ...], lever: float, table: Path | None,
@@ -42,7 +42,7 @@ def command(
     if max(delay) > 40:
         raise HilError(f"--delay: {max(delay):g}; a coupler for every delay up to it takes minutes, expected at most 40")
     for path in filter(None, (table, output)):
-        check_output(path, fresh=not force, remedy="choose another name or add --force")
+        check_output(path, fresh=path is table and not force, page=path is output, remedy="choose another name or add --force")
     device = Omni(hand=Hand(), lever_m=lever)
     cells = stiffness_map(
         mass_kg=device.tip_mass_kg, damping_n_s_per_m=device.tip_damping_n_s_per_m, periods_s=period,

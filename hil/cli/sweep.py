@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 @click.option("--range", "ranges", type=CHANGE, multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
 @click.option("--points", type=int, metavar="N", help="So many points of a Latin hypercube over the ranges.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="With --grid or --range: a page.")
-@click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE", help="With --grid or --range: a row per run.")
+@click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE", help="Write a row per run.")
+@click.option("--force", is_flag=True, help="Replace a table that is there; a page always is.")
 @click.option(
     "--until", metavar="METRIC=HALFWIDTH", help="Stop when the interval of this metric's mean (sd:METRIC: deviation) is narrow."
 )
@@ -52,6 +53,7 @@ def command(
     points: int | None,
     output: Path | None,
     table: Path | None,
+    force: bool,
     until: str | None,
     level: float,
     resume: Path | None,
@@ -75,9 +77,10 @@ def command(
     from rich.progress import Progress, TimeRemainingColumn
 
     from design.monte_carlo.parallel import Workers
-    from hil.cli.sweep_parameters import points_of, run_points
+    from hil.cli.sweep_parameters import as_points, csv_of, points_of, run_points
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
+    from hil.files.outputs import check_output, write_output
     from hil.sweeps.seeds import columns_of, here, run_sweep
     from hil.sweeps.store import SweepStore
     from hil.sweeps.sweep import statistics
@@ -101,11 +104,13 @@ def command(
         run_points(
             experiment, points_of(grids, ranges, points), sets=sets, runs=runs, first_seed=first_seed, resume=resume,
             workers=Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs),
-            page=output, table=table, as_json=as_json,
+            page=output, table=table, force=force, as_json=as_json,
         )  # fmt: skip
         return
-    if output is not None or table is not None:
-        raise HilError("-o and --csv: only with --grid or --range")
+    if output is not None:
+        raise HilError("-o: only with --grid or --range")
+    if table is not None:
+        check_output(table, fresh=not force, remedy="choose another --csv or add --force")  # now, and not after the work
     checked = load_experiment(experiment, sets)
     columns = columns_of(checked)
     metrics = columns[1:]
@@ -149,7 +154,11 @@ def command(
             "reached": found.reached,
             "interval": None if seen is None or not isfinite(seen.half_width) else seen._asdict(),
         }
-    _show(out, as_json)
+    if table is not None:
+        write_output(table, csv_of(as_points(found)), replace=force)
+    _show(out, {q.name: q.unit for q in found.quantities}, as_json)
+    if table is not None and not as_json:
+        print(f"csv: {visible(table)}")
     if found.interrupted:
         if resume is not None:
             print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
@@ -202,7 +211,7 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
         raise HilError(f"--until: {e}") from e
 
 
-def _show(out: dict[str, Any], as_json: bool) -> None:
+def _show(out: dict[str, Any], units: dict[str, str], as_json: bool) -> None:
     from shutil import get_terminal_size
     from textwrap import fill
 
@@ -211,6 +220,7 @@ def _show(out: dict[str, Any], as_json: bool) -> None:
 
     from hil.cli.tables import print_table
     from hil.cli.terminal import visible
+    from hil.measure.signals import with_unit
 
     if as_json:
         print(json.dumps(out, indent=2))
@@ -224,7 +234,7 @@ def _show(out: dict[str, Any], as_json: bool) -> None:
         table.add_column(head, justify="left" if head == "metric" else "right")
     for name, s in out["metrics"].items():
         values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
-        table.add_row(name, str(s["n"]), *("-" if v is None else f"{v:.4g}" for v in values))
+        table.add_row(with_unit(name, units[name]), str(s["n"]), *("-" if v is None else f"{v:.4g}" for v in values))
     print_table(table)
     wanted = out.get("until")
     if wanted and not wanted["interval"]:

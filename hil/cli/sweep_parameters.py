@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from design.monte_carlo.parallel import Workers
     from hil.sweeps.parameters import ParameterSweep
     from hil.sweeps.points import Points
+    from hil.sweeps.sweep import Sweep
 
 
 def run_points(
@@ -30,6 +31,7 @@ def run_points(
     resume: Path | None,
     page: Path | None,
     table: Path | None,
+    force: bool,
     as_json: bool,
 ) -> None:
     """Run an experiment at many points; print a table, and write a page and a CSV file where asked to.
@@ -44,6 +46,7 @@ def run_points(
         resume: folder of finished runs.
         page: HTML page to write.
         table: CSV file to write, a row per run.
+        force: replace a table that is there.
         as_json: print one JSON object instead of a table.
 
     Raises:
@@ -60,7 +63,8 @@ def run_points(
 
     for path in (page, table):
         if path is not None:
-            check_output(path, page=path is page)
+            fresh = path is table and not force
+            check_output(path, page=path is page, fresh=fresh, remedy="choose another name or add --force")
     experiments = load_points(lambda changes: load_experiment(experiment, [*sets, *changes]), points)
     begun = time.perf_counter()
     err = Console(stderr=True)
@@ -74,7 +78,7 @@ def run_points(
     if found.alone:
         print(f"hil: {found.alone}", file=sys.stderr)
     if table is not None:
-        write_output(table, csv_of(found))
+        write_output(table, csv_of(found), replace=force)
     if page is not None and found.columns:
         write_output(page, parameter_page(found))
     out: dict[str, Any] = {
@@ -102,6 +106,15 @@ def run_points(
         if resume is not None:
             print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
         sys.exit(found.interrupted)
+
+
+def as_points(sweep: Sweep) -> ParameterSweep:
+    """Return a sweep of one point, where nothing is changed."""
+    from hil.sweeps.parameters import ParameterSweep
+    from hil.sweeps.points import Points
+
+    nowhere = Points(keys=(), values=((),))
+    return ParameterSweep(experiment=sweep.experiment, points=nowhere, columns=(sweep.values,), quantities=sweep.quantities)
 
 
 def csv_of(sweep: ParameterSweep) -> str:

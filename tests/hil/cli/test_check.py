@@ -41,7 +41,7 @@ class Process:
 @pytest.mark.parametrize(
     ("words", "earned"),
     [
-        (("laws", "mine:Coin", "--set", "p=0.5"), "Coin is a ChainLaw: loops over it can be certified"),
+        (("laws", "mine:Coin", "--parameter", "p=0.5"), "Coin is a ChainLaw: loops over it can be certified"),
         (("measures", "measures:Whole"), "Whole is a Measure: its numbers stand in summary"),
         (("plants", "dc-motor"), "DCMotor is a Plant: a rig can run it"),
         (("controllers", "hinf"), "PublishedHinf is a GainTable: its loop over delay chains is certified exactly"),
@@ -62,12 +62,12 @@ def test_a_plug_in_says_what_it_has_earned(cli: Hil, words: tuple[str, ...], ear
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("laws", "mine:Coin", "--set", "q=0.5"), "hil: law.q: unknown field; there are p"),
+        (("laws", "mine:Coin", "--parameter", "q=0.5"), "hil: law.q: unknown field; there are p"),
         (("laws", "mine:Coyn"), "has no 'Coyn'; it has Coin, Process"),
         (("laws", "nowhere:Coin"), "there is no nowhere.py in "),
         (("measures", "measures:Number"), "hil: check_measure: measures:Number: a run: of(view) returned 3.0, expected numbers"),
         (("measures", "measures:Leaves"), "of(view): SystemExit: 0 ("),
-        (("measures", "measures:Whole", "--set", "a=1"), "--set: a measure has no keys"),
+        (("measures", "measures:Whole", "--parameter", "a=1"), "--parameter: a measure has no keys"),
         (("links", "nope:x"), "no link is called 'nope'"),
         (("controllers", "mine:Coin"), "check_controller: "),
     ],

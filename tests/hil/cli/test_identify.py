@@ -68,7 +68,7 @@ def test_a_table_says_what_its_log_says(cli: Hil, omni_log: Path, tmp_path: Path
     of_table = json.loads(cli("identify", "plant", "omni.csv", "--plant", "omni", "--json")[1])["estimates"]
     for name, found in of_log.items():
         assert of_table[name] == pytest.approx(found, rel=1e-9)
-    assert cli("identify", "plant", "omni.csv", "--plant", "omni", "--input", "torque", "--output", "angle")[0] == 0
+    assert cli("identify", "plant", "omni.csv", "--plant", "omni", "--input", "torque", "--measured", "angle")[0] == 0
 
 
 def test_faults_are_told_with_status_2(cli: Hil, omni_log: Path, tmp_path: Path, hil_log: Path) -> None:

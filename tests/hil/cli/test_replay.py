@@ -52,7 +52,7 @@ def test_frames_go_onto_a_bus(cli: Hil, hil_log: Path) -> None:
         (["--onto", "can:hil:x", "--speed", "nan"], "--speed: nan"),
         (["--onto", "can:hil:x", "--speed", "1e-300"], "--speed: 1e-300"),
         (["--speed", "2"], "--speed: needs --onto"),
-        (["--set", "gain=1"], "needs --controller"),
+        (["--parameter", "gain=1"], "needs --controller"),
         (["-o", "x.csv"], "needs --controller"),
         (["--controller", "h2", "-o", "nowhere/x.csv"], "no folder nowhere"),
         (["--controller", "h2", "-o", "."], "is a folder"),

@@ -94,7 +94,7 @@ def test_the_command_writes_a_page_and_a_table_of_runs(tmp_path: Path, capsys: p
     text = page.read_text()
     assert 'class="matrix"' in text and "plant.gain 150" in text and text.startswith("<!doctype html")
     with pytest.raises(SystemExit):
-        main(arguments)
+        main([*arguments, "--force"])
     shown = capsys.readouterr().out
     assert f"page: {page}" in shown and "sse (rad² s)" in shown
 
@@ -105,7 +105,7 @@ def test_the_command_writes_a_page_and_a_table_of_runs(tmp_path: Path, capsys: p
         (["--grid", "period=1,2", "--range", "period=1:2"], "one or the other"),
         (["--range", "plant.gain=1:2"], "belong together"),
         (["--points", "3"], "belong together"),
-        (["--csv", "x.csv"], "only with --grid"),
+        (["-o", "x.html"], "only with --grid"),
         (["--grid", "plant.gain=150", "--until", "sse=1"], "--until"),
     ],
 )

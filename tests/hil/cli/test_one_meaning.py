@@ -1,0 +1,90 @@
+"""One option, one meaning, in all commands; and what `hil list` and `hil sweep` say of themselves."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+
+from hil.cli import COMMANDS
+from hil.cli.list import FIRST
+from tests.hil.cli.conftest import Hil
+
+
+def commands(group: click.Command, path: str) -> Iterator[tuple[str, click.Command]]:
+    yield path, group
+    for name, command in getattr(group, "commands", {}).items():
+        yield from commands(command, f"{path} {name}")
+
+
+def options() -> Iterator[tuple[str, click.Option]]:
+    for name in COMMANDS:
+        top: Any = importlib.import_module(f"hil.cli.{name.replace('-', '_')}").command
+        for path, command in commands(top, name):
+            yield from ((path, p) for p in command.params if isinstance(p, click.Option))
+
+
+def said(option: click.Option) -> str:
+    return option.help or ""
+
+
+def test_an_option_of_one_name_means_one_thing_in_all_commands() -> None:
+    seen = list(options())
+    assert len(seen) > 100
+    for path, option in seen:
+        names = set(option.opts)
+        if "-o" in names:
+            assert "--output" in names, f"{path}: -o is --output everywhere"
+        if "--output" in names:
+            assert "-o" in names and isinstance(option.type, click.Path), f"{path}: --output is a file or folder to write"
+        if "--force" in names:
+            assert option.is_flag and said(option).startswith("Replace "), f"{path}: --force replaces what is there"
+        if "--json" in names:
+            assert option.is_flag and said(option).startswith("Print "), f"{path}: --json prints"
+        if "--csv" in names:
+            assert isinstance(option.type, click.Path) and said(option).startswith("Write "), f"{path}: --csv writes a file"
+        if "--set" in names:
+            assert option.metavar == "PATH=VALUE" and said(option).startswith("Change a field"), f"{path}: --set changes a field"
+
+
+def test_no_help_says_a_range_that_nobody_comes_near() -> None:
+    for path, option in options():
+        context = click.Context(click.Command(path))
+        record = option.get_help_record(context)
+        assert record is None or "e+30" not in record[1], path
+
+
+@pytest.mark.parametrize(("text", "said"), [("1e31", "at most 1e+30"), ("x", "is not a number")])
+def test_a_number_is_finite_all_the_same(text: str, said: str, cli: Hil) -> None:
+    status, _, err = cli("design", "dc-motor", "--gain-bound", text)
+    assert status == 2 and said in err
+
+
+def test_the_list_begins_with_what_to_try_and_has_groups_of_one_line_each(cli: Hil) -> None:
+    lines = cli("list")[1].splitlines()
+    assert lines[0].startswith(f"to begin with: hil run {FIRST}") and max(map(len, lines)) <= 80
+    heads = [line for line in lines if line.startswith("experiments with the plant ")]
+    found = json.loads(cli("list", "--json")[1])
+    assert len(heads) == len(set(found["plants"].values())) > 4
+    first = lines.index(heads[0])
+    assert lines[first + 1].split()[0] == FIRST
+    named = [line.split()[0] for line in lines if line.startswith("  ")]
+    assert all(named.count(name) == 1 for name in found["experiments"])
+
+
+def test_a_sweep_says_units_and_writes_a_row_per_run(cli: Hil, tmp_path: Path) -> None:
+    table = tmp_path / "runs.csv"
+    arguments = ("sweep", "dc-motor-hinf", "--runs", "3", "--jobs", "1", "--duration", "2s", "--csv", str(table))
+    status, out, _ = cli(*arguments)
+    assert status == 0 and "sse (rad² s)" in out and "overshoot (%)" in out
+    rows = list(csv.DictReader(table.open()))
+    assert [row["seed"] for row in rows] == ["0", "1", "2"] and all(float(row["sse"]) > 0 for row in rows)
+    status, _, err = cli(*arguments)
+    assert status == 2 and "add --force" in err
+    assert cli(*arguments, "--force")[0] == 0
