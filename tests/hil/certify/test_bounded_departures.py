@@ -15,16 +15,19 @@ from hil.session import simulate
 from plants import DCMotor, Departure
 
 NO_AGES = {"kind": "local", "gain": [[-0.05, -0.006]]}
+AGES = {"kind": "send-all", "selection": "constant", "gains": [[[[-0.05, -0.006]]], [[[-0.04, -0.006]]]]}
+BAND = {"kind": "dead-band", "threshold": 0.05}
+LOSSY_BUS = {"kind": "round-robin", "nodes": ["angle", "speed"], "loss": 0.1}
 DRY = {"coulomb_v": 0.0017, "static_v": 0.0026}
 CASES: list[tuple[str, dict[str, Any]]] = [
     ("dc-motor-h2", {"plant.friction": DRY}),
     ("dc-motor-h2", {"plant.driver": {"dead_zone_v": 0.0033, "pwm_step_v": 0.001}}),
     ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}}),
     ("dc-motor-h2", {"plant.friction": DRY | {"viscous_v_s_per_rad": 0.002}, "plant.encoder": {"step_rad": 0.0038}}),
-    ("dc-motor-two-nodes", {"controller": NO_AGES, "nodes.angle.trigger": {"kind": "dead-band", "threshold": 0.05}}),
+    ("dc-motor-two-nodes", {"controller": NO_AGES, "network.nodes.angle.trigger": BAND}),
     ("dc-motor-two-nodes", {
-        "controller": NO_AGES, "nodes.angle.trigger": {"kind": "dead-band", "threshold": 0.05},
-        "media": {"bus": {"kind": "round-robin", "nodes": ["angle", "speed"]}}, "plant.encoder": {"step_rad": 0.01},
+        "controller": NO_AGES, "network.nodes.angle.trigger": BAND,
+        "network.media": {"bus": {"kind": "round-robin", "nodes": ["angle", "speed"]}}, "plant.encoder": {"step_rad": 0.01},
     }),
     ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}, "controller": {
         "kind": "output-feedback", "A": [[0.5]], "B": [[0.1]], "C": [[-0.01]], "D": [[-0.05]],
@@ -58,12 +61,9 @@ def test_runs_end_within_the_bound_and_it_is_not_idle(name: str, changes: dict[s
     [
         ("dc-motor-h2", {"plant.driver": {"saturation_v": 0.058}}),
         ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}, "controller": {"kind": "local", "gain": [[-0.6]]}}),
-        ("dc-motor-two-nodes", {"nodes.angle.trigger": {"kind": "dead-band", "threshold": 0.05},  # its gains know the ages
-                                "controller": {"kind": "send-all", "selection": "constant", "gains": [[[[-0.05, -0.006]]],
-                                                                                                       [[[-0.04, -0.006]]]]}}),
-        ("dc-motor-two-nodes", {"nodes.angle.trigger": {"kind": "error", "threshold": 0.05}, "controller": NO_AGES}),
-        ("dc-motor-two-nodes", {"nodes.angle.trigger": {"kind": "dead-band", "threshold": 0.05}, "controller": NO_AGES,
-                                "media": {"bus": {"kind": "round-robin", "nodes": ["angle", "speed"], "loss": 0.1}}}),
+        ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND, "controller": AGES}),
+        ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND | {"kind": "error"}, "controller": NO_AGES}),
+        ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND, "controller": NO_AGES, "network.media": {"bus": LOSSY_BUS}}),
     ],
 )  # fmt: skip
 def test_what_has_no_bound_stays_undecided(name: str, changes: dict[str, Any]) -> None:
