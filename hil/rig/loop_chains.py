@@ -96,7 +96,7 @@ def _told(controller: Controller, model: LoopModel) -> int | Sequence[int]:
     if len(own := ages_told(controller)) > 1:
         return own
     K = np.array(controller.table(model), dtype=float)
-    return 1 + int(np.flatnonzero((K[1:] != K[:-1]).reshape(len(K) - 1, -1).any(axis=1)).max(initial=-1) + 1)
+    return 1 + int(np.flatnonzero((K[1:] != K[:-1]).any(axis=(1, 2, 3))).max(initial=-1) + 1)
 
 
 def _recorded(law: NetworkLaw) -> tuple[DelayChain | None, str]:

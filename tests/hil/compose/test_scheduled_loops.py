@@ -143,3 +143,12 @@ def test_a_cycle_forgets_how_it_began() -> None:
     assert not isinstance(chain, str)
     late, _ = settled(chain, chain)
     assert late.modes < chain.modes and (late.matrix.sum(axis=0) > 0.0).all()
+
+
+def test_one_gain_for_an_age_that_never_changes_is_decided_over_a_clock() -> None:
+    law = {"kind": "constant", "age": 0}
+    node = {"outputs": ["angle"], "law": law, "clock": {"every": 2}}
+    found = compose(load_experiment(
+        "dc-motor-h2", controller=[[-0.05]], **{"network.sc.law": law, "network.sc.max_age": 0, "network.nodes.sensor": node}
+    )).verdict  # fmt: skip
+    assert found is not None and found.certified, found
