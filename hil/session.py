@@ -22,6 +22,7 @@ from hil.log.events import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, de
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import BUS, CA, SC, channels_of
+from hil.log.write.live_signals import published
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
@@ -187,6 +188,7 @@ def run_session(
     path: Path,
     external: bool = False,
     taps: Mapping[str, PayloadWriter] | None = None,
+    signals: str | None = None,
     index: Index = "full",
 ) -> Session:
     """Run an experiment, log it, and sum it up.
@@ -198,6 +200,7 @@ def run_session(
         path: the log to write.
         external: somebody else's controller answers on the link.
         taps: topic to a function that gets its records as they come, for a live view.
+        signals: where subscribers over zenoh read named signals as they come, such as ``zenoh:tcp/127.0.0.1:7448``.
         index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
 
     Raises:
@@ -231,12 +234,16 @@ def run_session(
     begun = monotonic_ns()
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
     keep = _summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
-    with McapSink(path, channels_of(loop, on_can=on.on_can), provenance, now=now, index=index, keep=keep) as sink:
+    table = channels_of(loop, on_can=on.on_can)
+    with (
+        published(signals, table, taps) as observers,
+        McapSink(path, table, provenance, now=now, index=index, keep=keep) as sink,
+    ):
         outcome: dict[str, Any] = {}
         if clock == "virtual":
-            outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(taps)) if taps else sink)
+            outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(observers)) if observers else sink)
         else:
-            outcome = _run_real(loop, on, sink, external, taps)
+            outcome = _run_real(loop, on, sink, external, observers)
         sink.commit()
         outcome |= _unreached(loop)
         problems = {name: text for name, text in outcome.items() if text}

@@ -66,6 +66,7 @@ def run(
     link: str | None = None,
     log: str | Path | None = None,
     force: bool = False,
+    signals: str | None = None,
     external: bool = False,
     **changes: Any,
 ) -> Session:
@@ -78,6 +79,7 @@ def run(
         link: URI of the real link; the experiment's own by default.
         log: where to keep the log, a new file; without it none is kept.
         force: replace a log that is there already.
+        signals: where subscribers over zenoh read named signals while it runs, such as "zenoh:tcp/127.0.0.1:7448".
         external: somebody else's controller answers on the link.
         changes: path to value, as in `load_experiment`; of a loaded experiment plant and controller alone.
 
@@ -92,9 +94,10 @@ def run(
         raise HilError("link and external need clock='real': virtual time runs in one process, without a link")
     if log is not None:
         path = check_output(Path(log), fresh=not force, remedy="choose another log=..., or add force=True")
-        return run_session(checked, clock=clock, link=link, path=path, external=external)
+        return run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals)
     with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
-        session = run_session(checked, clock=clock, link=link, path=Path(folder) / "run.mcap", external=external)
+        path = Path(folder) / "run.mcap"
+        session = run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals)
         run = session.run  # before its file is gone
     summary = session.summary | {"log": session.summary["log"] | {"path": None}}
     return replace(session, log=lambda: run, summary=summary)

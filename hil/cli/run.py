@@ -87,6 +87,7 @@ def _let_go(path: Path) -> None:
               help="Index of the log; chunk: half the size, but Foxglove and Lichtblick refuse it.")  # fmt: skip
 @click.option("--sign", "sign", type=click.Path(path_type=Path), metavar="KEY",
               help="Sign the log with this key (hil keys signing); the signature stands in FILE.mcap.sig.")  # fmt: skip
+@click.option("--signals", metavar="URI", help="Publish named signals over zenoh at zenoh:tcp/127.0.0.1:7448, say.")
 @click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link within 120 s.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
@@ -103,6 +104,7 @@ def command(
     log_mode: str,
     index: str,
     sign: Path | None,
+    signals: str | None,
     external: bool,
     require_valid_timing: bool,
     as_json: bool,
@@ -149,13 +151,16 @@ def command(
         with signals_later():
             path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force, mode)
         if as_json or quiet or sys.stderr is None or not sys.stderr.isatty():
-            session = run_session(checked, clock=clock, link=uri, path=path, external=external, index=index)  # type: ignore[arg-type]
+            session = run_session(
+                checked, clock=clock, link=uri, path=path, external=external, signals=signals, index=index,  # type: ignore[arg-type]
+            )
         else:
             from hil.cli.live_view import LiveView
 
             with LiveView(checked, clock, link=uri) as view:
                 session = run_session(
-                    checked, clock=clock, link=uri, path=path, external=external, taps=view.taps, index=index,  # type: ignore[arg-type]
+                    checked, clock=clock, link=uri, path=path, external=external, taps=view.taps,  # type: ignore[arg-type]
+                    signals=signals, index=index,  # type: ignore[arg-type]
                 )
     except BaseException:  # Ctrl-C too
         if path is not None:

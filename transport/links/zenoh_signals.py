@@ -1,0 +1,98 @@
+"""Named signals of a running session over zenoh: each topic's records under a key of its own, as they are logged.
+
+``hil/<name>/signals/plant/measurement`` has the records of the topic ``/plant/measurement``, each a ROS 2 message in CDR
+(encoding ``application/cdr;<schema>``, attachment ``t_ns=<session time>``). Queries for ``hil/<name>/signals/schemas`` are
+answered with the ``ros2msg`` text of every topic, as JSON. It only publishes: nothing that a peer sends here is read.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from typing import Any, Final
+
+from transport.links.link import Closing, TransportError, split_uri
+from transport.links.private_directory import private_directory
+from transport.links.zenoh_link import ONE_THREAD, config, zenoh_directory
+from transport.links.zenoh_package import require_zenoh
+
+_NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_LOOPBACK: Final = re.compile(r"tcp/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):\d{1,5}")
+_ANY_HOST: Final = re.compile(r"tcp/[^/#?]+:\d{1,5}")
+
+
+class SignalPublisher(Closing):
+    """Publishes records by topic; use it with ``with``.
+
+    Args:
+        uri: ``zenoh:`` (a Unix socket of this user) or ``zenoh:tcp/127.0.0.1:7448``, where subscribers connect; options ``name``
+            (default rig0) and ``lan`` (1 lets other machines read). No other link may have that endpoint.
+        schemas: topic to name and text of its schema.
+
+    Raises:
+        TransportError: a bad URI, an endpoint that other machines reach or that is taken, or zenoh is not installed.
+    """
+
+    def __init__(self, uri: str, schemas: Mapping[str, tuple[str, str]]) -> None:
+        endpoint, name = _endpoint(uri)
+        require_zenoh(uri)
+        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
+        import zenoh
+
+        self._error, self._closed = zenoh.ZError, False
+        try:
+            self._session = zenoh.open(config("rig", endpoint, {}))
+        except zenoh.ZError as error:
+            raise TransportError(f"signals {uri!r}: {error}; is another session there?") from error
+        base = f"hil/{name}/signals"
+        told = json.dumps({topic: {"schema": of, "text": text} for topic, (of, text) in schemas.items()})
+        answer = zenoh.handlers.Callback(partial(_answer, f"{base}/schemas", told), indirect=False)
+        self._session.declare_queryable(f"{base}/schemas", answer)
+        self._publishers = {
+            topic: self._session.declare_publisher(
+                f"{base}{topic}", encoding=f"application/cdr;{of}", congestion_control=zenoh.CongestionControl.DROP
+            )
+            for topic, (of, _) in schemas.items()
+        }
+
+    @property
+    def observers(self) -> dict[str, Callable[[int, bytes], None]]:
+        """Topic to the function that publishes a record: session time in ns, and its bytes. None of them raises."""
+        return {topic: partial(self._put, publisher.put) for topic, publisher in self._publishers.items()}
+
+    def _put(self, put: Callable[..., Any], t_ns: int, payload: bytes) -> None:
+        with suppress(self._error):
+            put(bytes(payload), attachment=f"t_ns={t_ns}")
+
+    def close(self) -> None:
+        """End it; a second call does nothing."""
+        if not self._closed:
+            self._closed = True
+            with suppress(self._error):
+                self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _endpoint(uri: str) -> tuple[str, str]:
+    """Return zenoh's endpoint and the name of the keys.
+
+    Raises:
+        TransportError: a URI of another form, or an endpoint that other machines reach and no ``lan=1``.
+    """
+    scheme, endpoint, options = split_uri(uri)
+    name, lan = options.pop("name", "rig0"), options.pop("lan", "0")
+    if scheme != "zenoh" or (endpoint and not _ANY_HOST.fullmatch(endpoint)):
+        raise TransportError(f"signals {uri!r}: expected zenoh: or zenoh:tcp/HOST:PORT, as in zenoh:tcp/127.0.0.1:7448")
+    if options or lan not in ("0", "1") or not _NAME.fullmatch(name):
+        raise TransportError(f"signals {uri!r}: expected no options but name=NAME (letters, digits, '_', '-', '.') and lan=1")
+    if endpoint and lan != "1" and not _LOOPBACK.fullmatch(endpoint):
+        raise TransportError(f"signals {uri!r}: other machines could read them there; use 127.0.0.1, or append ?lan=1")
+    return endpoint or f"unixsock-stream/{private_directory(zenoh_directory())}/{name}-signals", name
+
+
+def _answer(key: str, text: str, query: Any) -> None:
+    with suppress(Exception):  # a query that ended meanwhile
+        query.reply(key, text, encoding="application/json")
