@@ -190,6 +190,9 @@ class HeldRun:
         if self._push.next_ns > end_ns < self._path.next_ns and end_ns < slide.next_ns:  # nothing happens on the way
             if dt_ns:
                 self._move(now_ns, end_ns)
+        elif dt_ns and self._push.next_ns == end_ns < self._path.next_ns and end_ns < slide.next_ns:  # at its end the push
+            self._move(now_ns, end_ns)
+            self._push.fire()
         else:
             pass_time(now_ns, end_ns, self._sources, self._move)
         self._now_ns = end_ns

@@ -12,8 +12,6 @@ Reference: thesis chapter 7, (7.9)-(7.13) for the rows, (7.35) for the packet.
 from __future__ import annotations
 
 from binascii import crc_hqx
-from collections.abc import Callable
-from typing import Final
 
 from transport.errors import FieldError
 from transport.wire import layout
@@ -28,7 +26,6 @@ from transport.wire.fields import (
     SELECTIONS,
     TAU_LIMIT,
     ControlPacket,
-    Reader,
     SensorPacket,
     frame_length,
 )
@@ -39,12 +36,6 @@ __all__ = [
     "ControlPacket", "SensorPacket", "decode", "encode_control", "encode_sensor", "frame_length", "node_of",
     "packet_size",
 ]  # fmt: skip
-
-_READERS: Final[dict[int, Callable[[bytes], Reader[SensorPacket] | Reader[ControlPacket] | None]]] = {
-    layout.SENSOR: layout.sensor_reader,
-    layout.CONTROL: layout.control_reader,
-}
-"""What finds, by byte 2 of a packet, its length and what reads it; None if more bytes are needed to tell."""
 
 
 def encode_sensor(packet: SensorPacket) -> bytes:
@@ -104,9 +95,11 @@ def packet_size(data: bytes) -> int | None:
     """
     if len(data) < 4:
         return None
-    reader_of = _READERS.get(data[2])
-    found = (0, None) if reader_of is None else reader_of(data)
-    return None if found is None else found[0]
+    kind = layout.KINDS.get(data[2])
+    if kind is None:
+        return 0
+    least, shape_of, reader_of = kind
+    return reader_of(*shape_of(data))[0] if len(data) >= least else None
 
 
 def node_of(data: bytes) -> int:
@@ -134,13 +127,13 @@ def decode(data: bytes) -> SensorPacket | ControlPacket | None:
     True
     """
     length = len(data)
-    reader_of = _READERS.get(data[2]) if length >= 4 else None
-    if reader_of is None:
+    kind = layout.KINDS.get(data[2]) if length >= 4 else None
+    if kind is None:
         return None
-    found = reader_of(data)
-    if found is None:
+    least, shape_of, reader_of = kind
+    if length < least:
         return None
-    size, read = found
+    size, read = reader_of(*shape_of(data))
     if length != size:
         if not size or not 0 < length - size <= 7 or any(data[size:]):
             return None

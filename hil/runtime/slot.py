@@ -33,8 +33,8 @@ class Exchange(Protocol):
         ...
 
 
-def nothing_more(t_ns: int) -> None:
-    """Close a slot of which nobody keeps a record."""
+def nothing_more() -> None:
+    """Close a slot of which no record is kept."""
 
 
 class Slot:
@@ -43,7 +43,7 @@ class Slot:
     Args:
         rig: the emulated hardware and network.
         exchange: the way to the controller and back.
-        commit: called with the nominal time once the slot is complete: its records may leave.
+        commit: called once the slot is complete: its records may leave.
         stopped: whether the run was ended from outside; a slot that is cut off is not completed.
     """
 
@@ -51,7 +51,7 @@ class Slot:
         self,
         rig: Rig,
         exchange: Exchange,
-        commit: Callable[[int], None] = nothing_more,
+        commit: Callable[[], None] = nothing_more,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         self._rig, self._exchange, self._commit, self._stopped = rig, exchange, commit, stopped
@@ -70,4 +70,4 @@ class Slot:
         if self._stopped():
             return
         rig.actuate(t_ns)
-        self._commit(t_ns)
+        self._commit()

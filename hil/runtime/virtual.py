@@ -55,7 +55,7 @@ def run_virtual(
     stoppable(kernel.stop)
     rig = Rig(loop, seed, sink, channels_of(loop), kernel.stop)
     node = ControlNode(loop)
-    slot = Slot(rig, DirectExchange(node), lambda t_ns: sink.commit(), lambda: kernel.stopped)
+    slot = Slot(rig, DirectExchange(node), sink.commit, lambda: kernel.stopped)
     kernel.every(e.period_ns, e.slots, slot.run)
     try:
         kernel.run()

@@ -135,7 +135,10 @@ class Hand:
 class PushRun:
     """The push over time: what it is now, and when it changes next."""
 
-    __slots__ = ("_decay", "_edges", "_hold_ns", "_normals", "_push", "_spread", "_tremor", "force_n", "next_ns")
+    __slots__ = (
+        "_constant_n", "_decay", "_edge_ns", "_edges", "_hold_ns", "_normals", "_push", "_spread", "_tremor", "force_n",
+        "next_ns",
+    )  # fmt: skip
 
     def __init__(self, push: Push, rng: np.random.Generator) -> None:
         stop_ns = NEVER_NS if push.stop_s is None else round(push.stop_s * NS_PER_S)
@@ -144,20 +147,24 @@ class PushRun:
         self._decay = exp(-push.tremor_hold_s / push.tremor_correlation_s)
         self._spread = push.tremor_n * math.sqrt(1.0 - self._decay * self._decay)
         self._tremor = push.tremor_n * self._normals() if push.tremor_n else 0.0
-        self.next_ns = 0
+        self._pass_edges(0)
         self._settle(0)
 
-    def _settle(self, now_ns: int) -> None:
+    def _pass_edges(self, now_ns: int) -> None:
         start_ns, stop_ns = self._edges
-        self.force_n = (self._push.force_n if start_ns <= now_ns < stop_ns else 0.0) + self._tremor
-        edges = [edge for edge in self._edges if edge > now_ns]
+        self._constant_n = self._push.force_n if start_ns <= now_ns < stop_ns else 0.0
+        self._edge_ns = min((edge for edge in self._edges if edge > now_ns), default=NEVER_NS)
+
+    def _settle(self, now_ns: int) -> None:
+        self.force_n, self.next_ns = self._constant_n + self._tremor, self._edge_ns
         if self._push.tremor_n:
-            edges.append((now_ns // self._hold_ns + 1) * self._hold_ns)
-        self.next_ns = min(edges, default=NEVER_NS)
+            self.next_ns = min(self._edge_ns, now_ns - now_ns % self._hold_ns + self._hold_ns)
 
     def fire(self) -> None:
         """Let the change that is due happen."""
         now_ns = self.next_ns
+        if now_ns >= self._edge_ns:
+            self._pass_edges(now_ns)
         if self._push.tremor_n and now_ns % self._hold_ns == 0:
             self._tremor = self._decay * self._tremor + self._spread * self._normals()
         self._settle(now_ns)

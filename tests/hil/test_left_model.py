@@ -49,6 +49,20 @@ def test_a_plant_that_lies_late_loses_its_certificate(lie: str) -> None:
     assert told.startswith("certificate withdrawn: the plant left its model at slot 3"), told
 
 
+@pytest.mark.parametrize("lie", ["very late", "noise, and very late"])
+def test_a_plant_that_lies_behind_what_is_run_again_loses_its_certificate(lie: str) -> None:
+    """Slot 2500 of 3000: without noise every slot is compared; with noise what the model does not explain grows."""
+    told = said(simulated_session(loop_of(Plant(lie), Table(), duration="150 s"), 3))
+    assert told.startswith("certificate withdrawn: the plant left its model at slot ")
+    if lie == "very late":
+        assert told.split(" slot ")[1].split()[0] == "2501"
+
+
+@pytest.mark.parametrize("honest", ["a load, and late noise", "noise, and a late load"])
+def test_noise_and_loads_that_set_in_behind_what_is_run_again_are_no_lie(honest: str) -> None:
+    assert not said(simulated_session(loop_of(Plant(honest), Table(), duration="150 s"), 3))
+
+
 @pytest.mark.parametrize("late", WHEN)
 def test_a_controller_that_lies_late_loses_its_certificate(late: str) -> None:
     told = said(simulated_session(loop_of(Plant(), LateTable(late=late)), 3))

@@ -93,16 +93,13 @@ class AgeImpairment:
         if k != self._next:
             _check_collect(k, self._next)
             for slot in range(self._next, k):
-                self._step(slot, draws)
+                draws += self.collect(slot)[0]
         self._next = k + 1
-        return draws, self._step(k, draws)
-
-    def _step(self, k: int, draws: list[Draw]) -> Arrivals:
         mode, age = self._draw()
         target = k - age
         if target < 0:
             draws.append(Draw(k, -1, mode, age, nan, NONE_YET))
-            return []
+            return draws, []
         used, held, reason = self._used, self._held, REPEATED
         while held and held[0][0] <= target:
             if used is not None and reason == DELIVERED:
@@ -111,11 +108,11 @@ class AgeImpairment:
         if used is None or used[0] != target:
             draws.append(Draw(k, target, mode, age, nan, ABSENT))
             if used is None or used[0] > target:
-                return []
+                return draws, []
             mode, age = NO_MODE, k - used[0]
         self._used = used
         draws.append(_new(Draw, (k, used[0], mode, age, age * self._period_s, reason)))
-        return [used]
+        return draws, [used]
 
 
 class GappedAgeImpairment:

@@ -34,8 +34,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from itertools import chain
+from operator import itemgetter
 from struct import Struct
-from typing import Final
+from typing import Any, Final
 
 from transport.errors import FieldError
 from transport.wire.fields import (
@@ -194,17 +195,12 @@ def _nothing(data: bytes) -> None:
     """Read a packet of a shape that no packet has."""
 
 
-def sensor_reader(data: bytes) -> Reader[SensorPacket] | None:
-    """Length and reader of the sensor packet that begins with these bytes; length 0 if too long, None if more are needed to tell.
-
-    The reader takes bytes of that length whose CRC is right.
-    """
-    return _sensor_reader(data[3], data[25], data[26], data[27]) if len(data) >= 32 else None
-
-
-def control_reader(data: bytes) -> Reader[ControlPacket] | None:
-    """Length and reader of the control packet that begins with these bytes, as in `sensor_reader`."""
-    return _control_reader(data[3], data[34], data[35]) if len(data) >= 40 else None
+KINDS: Final[dict[int, tuple[int, Callable[[bytes], tuple[int, ...]], Callable[..., Reader[Any]]]]] = {
+    SENSOR: (32, itemgetter(3, 25, 26, 27), _sensor_reader),
+    CONTROL: (40, itemgetter(3, 34, 35), _control_reader),
+}
+"""Of each kind of packet, by byte 2: how many bytes say its shape, which ones, and what returns for these its length (0 if too
+long) and its reader. The reader takes bytes of that length whose CRC is right."""
 
 
 def sensor_length(values: int, tagged: bool = False) -> int:

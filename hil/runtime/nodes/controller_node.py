@@ -52,9 +52,9 @@ class ControlNode:
         if seq == HELLO:
             return self._greet(packet, data, now_ns)
         if not packet.nonce and not self._questions.running:  # virtual time: nobody else can speak
-            if (self._restarts and self._down(seq)) or not self._keep(packet) or packet.flags & MORE:
+            if self._restarts and self._down(seq):
                 return None
-            return self._answer(seq, 0)
+            return self._answer(seq, 0) if self._keep(packet, seq) and not packet.flags & MORE else None
         frames = self._questions.take(packet, data, now_ns)
         if self._questions.begun:
             self._heard, self._to_come, self._counter = self._begin(), 0, 0
@@ -62,7 +62,7 @@ class ControlNode:
             return None
         sound = [(packet, data) for packet, data in frames if data]
         for packet, _ in sound:
-            if not self._keep(packet):
+            if not self._keep(packet, packet.seq):
                 return None
         return self._answer(seq, echo([data for _, data in sound]))
 
@@ -71,11 +71,11 @@ class ControlNode:
         """The slot in which the answers left the controller's table, and by how much; None if they did not."""
         return None if self._heard.watch is None else self._heard.watch.departed
 
-    def _keep(self, packet: SensorPacket) -> bool:
+    def _keep(self, packet: SensorPacket, seq: int) -> bool:
         """Keep the sample of a packet; return False where it is not of this loop, or from the future."""
         if packet.flags & EMPTY:
             return True
-        if packet.sample_ns > packet.seq * self._period_ns or not self._heard.take(packet):
+        if packet.sample_ns > seq * self._period_ns or not self._heard.take(packet):
             self.counts.malformed += 1  # two rigs on one link, or a rig with another plant
             return False
         return True

@@ -6,8 +6,9 @@ loads are the same in both, and only what depends on the motion differs.
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Sequence
+from operator import add
+from struct import Struct
 from typing import Final
 
 import numpy as np
@@ -20,8 +21,11 @@ from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
 BLOCK: Final = 1024
+"""Slots that are compared at once."""
 MOST_KEPT: Final = 200_000
-"""Slots with loads or noise that are compared; what comes behind them is not."""
+"""Slots with loads or noise in which what is left over may not grow; what comes behind them is not looked at."""
+RUN_AGAIN: Final = 2048
+"""Slots with loads or noise that are run once more: every one costs as much as the plant itself."""
 
 
 class PlantWatch:
@@ -38,32 +42,28 @@ class PlantWatch:
         self, step: OneStep, start: Callable[[int], PlantRun], disturbance: Callable[[int], Sequence[float]], period_ns: int
     ) -> None:
         self._step, self._start, self._disturbance, self._period_ns = step, start, disturbance, period_ns
-        self._slots = array("d")  # states, outputs, command and disturbance of each, one behind the other
-        self._width = 0
+        slot = Struct(f"{step.taps.shape[2]}d")
+        self._pack, self._bytes, self._filled = slot.pack_into, slot.size, 0
+        self._seen = bytearray(BLOCK * slot.size)  # numbers, not objects: what is kept as objects leaves the cache cold
         self._past = np.zeros((0, step.taps.shape[2]))
         self._scale = np.zeros(step.taps.shape[1])
-        self._next = 0  # slot of the first of `_slots`
+        self._next = 0  # slot of the first of `_seen`
         self._first = -1  # slot of the first of what was kept
         self._kept: list[tuple[Array, Array]] = []
         self._count = 0
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
         """Take what a slot has come to: states, outputs, command and disturbance."""
-        slots = self._slots
-        slots.extend((*x, *y, *u, *w))
-        if len(slots) >= BLOCK * self._width:
-            if self._width:
-                self._block()
-            else:
-                self._width = len(slots)
+        self._pack(self._seen, self._filled, *x, *y, *(map(add, u, w) if any(w) else u))
+        self._filled += self._bytes
+        if self._filled == len(self._seen):
+            self._compare()
 
-    def _block(self) -> None:
-        m, begin, history = self._width - self._step.taps.shape[2], self._next, len(self._step.taps) - 1
-        z = np.array(self._slots).reshape(-1, self._width)
-        self._next += len(z)
-        del self._slots[:]
-        z[:, -2 * m : -m] += z[:, -m:]
-        z = np.concatenate([self._past, z[:, :-m]])
+    def _compare(self) -> None:
+        begin, history, count = self._next, len(self._step.taps) - 1, self._filled // self._bytes
+        z = np.concatenate([self._past, np.frombuffer(self._seen)[: self._filled // 8].reshape(count, -1)])
+        self._next += count
+        self._filled = 0
         self._past = z[-history:] if history else z[:0]
         if len(z) <= history or self._count >= MOST_KEPT:
             return
@@ -80,15 +80,16 @@ class PlantWatch:
 
     def departed(self) -> tuple[int, str] | None:
         """Return the slot in which the plant left its model, and by how much, once the run has ended; None if it did not."""
-        if self._slots:
-            self._block()
+        if self._filled:
+            self._compare()
         if not self._kept:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
             return self._judged(*(np.concatenate(parts) for parts in zip(*self._kept)))
 
     def _judged(self, left: Array, scale: Array) -> tuple[int, str] | None:
-        free, of_free = self._alone(0, len(left))
+        again = min(len(left), RUN_AGAIN)
+        free, of_free = self._alone(0, again)
         same, lost = left[: len(free)], CANCELS * np.maximum.accumulate(of_free)
         beyond = ~(np.abs(same - free) - lost <= EQUAL * scale[: len(free)])
         if beyond.any():
@@ -96,10 +97,12 @@ class PlantWatch:
             i = int(beyond[k].argmax())
             name, unit = self._step.names[i]
             return self._first + k, f"{_rounded(abs(same[k, i] - free[k, i]))} {unit} ({name})".replace(" 1 (", " (")
-        if self._step.stated or len(free) < len(left):
+        if self._step.stated or len(free) < again:
             return None
-        other, _ = self._alone(1, len(left))
-        own = kind_of(left, other, scale, list(self._step.names))
+        other, _ = self._alone(1, again)
+        own = kind_of(left[:again], other, scale[:again], list(self._step.names))
+        if own.kind == "noise" and len(left) > again:  # what was not run again is judged by its growth alone
+            own = kind_of(left, other, scale, list(self._step.names))
         if own.kind != "moves":
             return None
         k = int((np.abs(left) > EQUAL * scale).any(axis=1).argmax())
@@ -131,14 +134,13 @@ class PlantWatch:
 def left_over(taps: Array, z: Array) -> tuple[Array, Array]:
     """Return e(k) = sum_i taps[i] z(k - i) and the sum of the absolute values, (slots - h, q); in one order on every machine."""
     history, count = len(taps) - 1, len(z) - len(taps) + 1
-    left, scale = np.zeros((count, taps.shape[1])), np.zeros((count, taps.shape[1]))
-    for i, tap in enumerate(taps):
-        part = z[history - i : history - i + count]
-        for column in np.flatnonzero(tap.any(axis=0)).tolist():
-            term = part[:, column : column + 1] * tap[:, column]
-            left += term
-            scale += np.abs(term)
-    return left, scale
+    columns = np.ascontiguousarray(z.T)
+    left, scale = np.zeros((taps.shape[1], count)), np.zeros((taps.shape[1], count))
+    for i, j, column in zip(*np.nonzero(taps)):
+        term = taps[i, j, column] * columns[column, history - i : history - i + count]
+        left[j] += term
+        scale[j] += np.abs(term)
+    return left.T, scale.T
 
 
 def _rounded(value: float) -> str:

@@ -58,11 +58,8 @@ class Questions:
         self._spoilt: set[int] = set()
         self.begun = False
         """Whether the frame taken last began a session."""
-
-    @property
-    def running(self) -> bool:
+        self.running = False
         """Whether a session with nonces has begun."""
-        return self._slot >= 0
 
     def hello(self, nonce: int, now_ns: int) -> bool:
         """Return whether a question "is anybody there" is to be answered: not one of another session while one runs.
@@ -95,7 +92,7 @@ class Questions:
             if not self._goes_on(seq, packet.nonce, now_ns) and not self._begins(seq, packet.nonce):
                 self._counts.refused += 1
                 return None
-            self._slot, self._nonce, self._closed = seq, packet.nonce, False
+            self._slot, self._nonce, self._closed, self.running = seq, packet.nonce, False, True
             self._frames, self._spoilt = {}, set()
             self._candidates.clear()
         counter = packet.counter

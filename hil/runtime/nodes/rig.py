@@ -59,6 +59,12 @@ class Rig:
         woken: when the slot of a nominal time really began, session time, ns; in virtual time at its nominal time.
     """
 
+    __slots__ = (  # so many attributes in a dictionary would be found by its hashes, slowly
+        "_after_trip", "_claimed", "_counter", "_disturbance", "_disturbed", "_downlink", "_end", "_faults", "_journal", "_laws",
+        "_names", "_nonce", "_period_ns", "_plant", "_port", "_put_out", "_r", "_reference", "_samples", "_sensors", "_sent",
+        "_slots", "_stop", "_uplink", "_w", "_watch", "_woken", "_x", "_y", "actuator", "answers", "k",
+    )  # fmt: skip
+
     def __init__(
         self,
         loop: Loop,
@@ -66,9 +72,9 @@ class Rig:
         sink: Sink,
         channels: dict[str, Channel],
         stop: Callable[[], None],
-        wire: Wire | None = None,
+        wire: Wire = VIRTUAL,
         identifiers: FirstIdentifiers | None = None,
-        woken: Callable[[int], int] = lambda t_ns: t_ns,
+        woken: Callable[[int], int] | None = None,
     ) -> None:
         e = loop.experiment
         inputs, names = len(e.plant.inputs), [s.name for s in e.plant.states]
@@ -89,16 +95,16 @@ class Rig:
         self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop))
         numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.rig.sensors)]
         self._journal = Journal(sink, channels, loop.rows * inputs, numbers, identifiers)
-        self._wire = wire or VIRTUAL
+        self._nonce = None if wire is VIRTUAL else wire.nonce
         self._counter = 0
         self.answers = AnswerMatcher(inputs, loop.model.d_max, self._journal, e.period_ns)
-        self._reference, self._disturbance = loop.reference(), loop.disturbance()
+        self._reference, self._disturbance, self._disturbed = loop.reference(), loop.disturbance(), bool(e.disturbance)
         self._after_trip = round(e.limits.after_trip / e.period)
         self._end: int | None = None
         self._stop = stop
         self.k = -1
         self._slots = 0  # that were completed
-        self._x: Sequence[float] = ()
+        self._x: Sequence[float] = self._plant.state
         self._y: tuple[float, ...] = ()
         self._r: tuple[float, ...] = ()
         self._w: tuple[float, ...] = (0.0,) * inputs
@@ -127,18 +133,20 @@ class Rig:
             plant.advance(self._period_ns, self.actuator.u, self._w)
         y = self._y = plant.measure()
         self._r = self._reference(k)
-        nonce = self._wire.nonce(k)
+        nonce = self._nonce(k) if self._nonce is not None else 0
         for i, node in enumerate(self._sensors):
             sample = node.measure(k, y, uplink.may_send(i, k))
             if sample is not None:
                 uplink.offer(i, k, sample)
         self._sent = uplink.collect(k)
-        mangled: list[bytes] = []
-        if self._faults is not None:
-            mangled = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
+        if self._faults is None:
+            frames = self._frames(k, nonce)
+            self.answers.open(t_ns, k, frames if nonce else ())
+            return frames
+        mangled = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
         frames = self._frames(k, nonce)
         self.answers.open(t_ns, k, frames if nonce else ())
-        return [*mangled, *frames] if mangled else frames
+        return [*mangled, *frames]
 
     def _frame(self, k: int, nonce: int, flags: int, node: int, g: int, y: tuple[float, ...]) -> bytes:
         self._counter += 1
@@ -211,10 +219,11 @@ class Rig:
         draws, arrivals = self._downlink.collect(k)
         for i, law in self._laws:
             law.take(draws if i == len(self._sensors) else self._sent[i][0])
-        applied = self.actuator.apply(k, arrivals, self._woken(t_ns))
+        applied = self.actuator.apply(k, arrivals, t_ns if self._woken is None else self._woken(t_ns))
         if applied.tripped is not None:
             self._note_trip(t_ns, applied.tripped)
-        self._w = self._disturbance(k)
+        if self._disturbed:
+            self._w = self._disturbance(k)
         self._journal.slot_answered(t_ns, k, applied, self._w, draws, packet, self.answers.data)
         self._slots = k + 1
         if self._watch is not None:

@@ -28,14 +28,6 @@ class Clock(Protocol):
         ...
 
 
-class EverySlot:
-    """The node sends in every slot."""
-
-    def sends(self, k: int, y: Sequence[float]) -> bool:
-        """See `Trigger.sends`."""
-        return True
-
-
 class SensorNode:
     r"""Carries :math:`(y_i(k), y_i(k-1), \ldots, y_i(k-n+1))` of the outputs i of this node.
 
@@ -44,14 +36,15 @@ class SensorNode:
     Args:
         outputs: indices of the plant's outputs that this node measures.
         buffer: samples n in one packet.
-        trigger: decides whether the node sends.
+        trigger: decides whether the node sends; None: in every slot.
         clock: says in which slots it has something to send; None: in every one.
     """
 
     def __init__(
-        self, outputs: Sequence[int], buffer: int, trigger: Trigger, clock: Clock | None = None
+        self, outputs: Sequence[int], buffer: int, trigger: Trigger | None = None, clock: Clock | None = None
     ) -> None:  # fmt: skip
-        self._own, self._samples, self._sends = _picker(tuple(outputs)), buffer, trigger.sends
+        self._own, self._samples = _picker(tuple(outputs)), buffer
+        self._sends = None if trigger is None else trigger.sends
         self._due = None if clock is None else clock.due
         self._buffer: tuple[float, ...] = ()
 
@@ -69,12 +62,11 @@ class SensorNode:
         else:
             self._buffer = (own + self._buffer)[: len(own) * self._samples] if k else own * self._samples
         due = self._due is None or self._due(k)
-        return self._buffer if due and turn and self._sends(k, own) else None
+        return self._buffer if due and turn and (self._sends is None or self._sends(k, own)) else None
 
 
 def _picker(outputs: tuple[int, ...]) -> Callable[[tuple[float, ...]], tuple[float, ...]]:
     """Return what picks some outputs of all of them."""
     if len(outputs) == 1:
-        (only,) = outputs
-        return lambda y: (y[only],)
+        return itemgetter(slice(outputs[0], outputs[0] + 1))
     return itemgetter(*outputs)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.experiment.nodes import TriggerTable
-from hil.runtime.nodes.sensor_node import EverySlot, Trigger
+from hil.runtime.nodes.sensor_node import Trigger
 
 
 class Magnitude:
@@ -68,8 +68,8 @@ class DeadBand:
         return True
 
 
-def trigger_of(table: TriggerTable) -> Trigger:
-    """Return the trigger that an experiment asks for."""
+def trigger_of(table: TriggerTable) -> Trigger | None:
+    """Return the trigger that an experiment asks for; None: the node sends in every slot."""
     threshold = table.threshold
     made: dict[str, Trigger] = {"magnitude": Magnitude(threshold), "error": Error(threshold), "dead-band": DeadBand(threshold)}
-    return made.get(table.kind, EverySlot())
+    return made.get(table.kind)

@@ -70,7 +70,7 @@ class RealLoop:
         self._sink = sink
         self._period_ns = e.period_ns
         self._log = record_to(sink, channels[TIMING.name])
-        self._woken_ns = self._late = 0
+        self._t_ns = self._woken_ns = self._late = 0
         deadline_ns = round(e.timing.deadline * e.period_ns)
         self._exchange = LinkExchange(
             link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, sink.behind
@@ -89,12 +89,12 @@ class RealLoop:
         self._sink.begin(wall_clock_ns(start_ns))
 
     def _run(self, t_ns: int) -> None:
-        self._woken_ns = self.clock.now()
+        self._t_ns, self._woken_ns = t_ns, self.clock.now()
         self._late = self.rig.answers.late
         self._slot.run(t_ns)
 
-    def _commit(self, t_ns: int) -> None:
-        rig, exchange, end = self.rig, self._exchange, self.clock.now()
+    def _commit(self) -> None:
+        t_ns, rig, exchange, end = self._t_ns, self.rig, self._exchange, self.clock.now()
         overrun = end > t_ns + self._period_ns
         self.overruns += overrun
         if self._log is not None:

@@ -57,7 +57,7 @@ class WarmUpRig:
         self._sink = PipeSink(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), channels)
         rig = Rig(loop, 0, self._sink, channels, lambda: None, wire)
         exchange = DirectExchange(ControlNode(loop)) if local else WarmUpExchange(loop, wire)
-        self._slot = Slot(rig, exchange, lambda t_ns: self._sink.commit())
+        self._slot = Slot(rig, exchange, self._sink.commit)
 
     def run(self) -> None:
         """Run the next slot."""

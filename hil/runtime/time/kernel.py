@@ -52,5 +52,11 @@ class Kernel:
                 return
             t_ns, _, handler, period_ns, last = pop(heap)
             handler(t_ns)
+            while not heap and t_ns < last and not self.stopped:  # nothing else is to come: a slot after the other
+                t_ns += period_ns
+                wait(t_ns)
+                if self.stopped:
+                    return
+                handler(t_ns)
             if t_ns < last:
                 push(heap, (t_ns + period_ns, next(seq), handler, period_ns, last))

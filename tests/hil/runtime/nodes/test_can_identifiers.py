@@ -29,7 +29,7 @@ SLOTS = 20
 def recorded(loop: Loop, uri: str, sink: Sink) -> None:
     """Record what a session over this link records, in virtual time."""
     link = link_of(loop.rig, uri)
-    rig = Rig(loop, 0, sink, channels_of(loop, on_can=link.on_can), lambda: None, None, link.first_identifiers())
+    rig = Rig(loop, 0, sink, channels_of(loop, on_can=link.on_can), lambda: None, identifiers=link.first_identifiers())
     slot = Slot(rig, DirectExchange(ControlNode(loop)))
     for k in range(SLOTS):
         slot.run(k * loop.experiment.period_ns)

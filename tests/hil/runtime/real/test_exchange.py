@@ -260,7 +260,7 @@ def test_an_overrun_is_a_slot_that_ends_after_its_period() -> None:
     period = loop.experiment.period_ns
     for end, overruns in ((period, 0), (period + 1, 1), (3 * period, 2)):
         real.clock = SimpleNamespace(now=lambda end=end: end)  # type: ignore[assignment]
-        real._commit(0)
+        real._commit()
         assert real.overruns == overruns
     for fd in (read, write):
         os.close(fd)
