@@ -117,8 +117,6 @@ def _why_no_chain(rig: RigSpec, arriving: Sequence[Received]) -> str:
     for sensor, way in zip(rig.sensors, arriving):
         if way.states is None:
             return f"the law of {sensor.path} {why_no_ages(way.law, way.at)}"
-        if len(arriving) > 1 and way.of_packets:
-            return f"{sensor.path}.law is a packet law, whose chain is known for one node alone"
     modes = prod(len(way.states.ages) for way in arriving if way.states is not None)
     if len(arriving) > 1 and modes > MOST_MODES:
         return f"the chains of {len(arriving)} nodes together have {modes} modes, at most {MOST_MODES}"

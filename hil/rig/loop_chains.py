@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from design.controllers import AgedFeedback, Controller, GainTable, LoopModel, ages_told, packet_samples, sojourns_told
-from hil.rig.delay_chains import Chains, delay_chain, within_reach
+from hil.rig.delay_chains import Chains, within_reach
 from hil.rig.heard_ages import heard_ages, recorded_cycle
 from hil.rig.spec import RigSpec
 from transport.laws.protocols import NetworkLaw, RecordedLaw
@@ -64,7 +64,7 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
     if sc is None:
         told = _told(controller, model)
         slack = _slack(rig) if told == 1 and packet_samples(controller) == 1 else ()
-        found = _packets(rig, chains, told, model, controller) or heard_ages(rig, chains.arriving, told, dead_bands=bool(slack))
+        found = heard_ages(rig, chains.arriving, told, dead_bands=bool(slack))
         if isinstance(found, str):
             return LoopChains(None, ca, "", found)
         return LoopChains(*settled(found, ca), "", "", slack)
@@ -108,23 +108,6 @@ def _recorded(law: NetworkLaw) -> tuple[DelayChain | None, str]:
         return None, f"states no chain: {cycle}"
     first = np.arange(len(cycle)) == 0
     return DelayChain(transition=np.roll(np.eye(len(cycle)), 1, axis=1), delays=cycle, begins=first), ""
-
-
-def _packets(
-    rig: RigSpec, chains: Chains, told: int | Sequence[int], model: LoopModel, controller: Controller
-) -> DelayChain | None:
-    """The chain of several nodes that send in every slot, some of them over packet laws; None for other nodes."""
-    from design.processes.product_chain import MOST_MODES, product_chain
-
-    if rig.media or (isinstance(told, int) and told > model.tau_max + 1):
-        return None
-    if any(s.trigger.kind != "every-slot" or s.clock.every > 1 for s in rig.sensors):
-        return None
-    own = [way.delays() if way.of_packets else delay_chain(way.law, states=way.states) for way in chains.arriving]
-    known = tuple(chain for chain in own if chain is not None)
-    if len(known) < len(own) or np.prod([chain.modes for chain in known]) > MOST_MODES:
-        return None
-    return product_chain(known, [sensor.outputs for sensor in rig.sensors], ages_told(controller))
 
 
 def settled(sc: DelayChain, ca: DelayChain) -> tuple[DelayChain, DelayChain]:

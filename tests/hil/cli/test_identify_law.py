@@ -17,9 +17,9 @@ N = 2000
 def motor_over(sc: str, ca: str) -> str:
     """The motor over laws that stand in files."""
     source = (Path(load_experiment("dc-motor-packets").folder) / "dc-motor-packets.toml").read_text()
-    head, _, _ = source.partition("[links]")
+    head, _, _ = source.partition("# Gamma latency")
     laws = "".join(f'[network.{way}]\nlaw = {{ file = "{name}" }}\n' for way, name in (("sc", sc), ("ca", ca)))
-    return f'{head}[links]\nuri = "can:hil:rig0"\n{laws}'
+    return head + laws
 
 
 @pytest.fixture
