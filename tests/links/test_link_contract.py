@@ -29,6 +29,8 @@ LINKS = [
     pytest.param("can:hil:contract", id="hil-fd"),
     pytest.param("can:hil:contract?fd=0&base=0x300", id="hil-classic"),
     pytest.param("can:hil:contract?pad=1", id="hil-padded"),
+    pytest.param("can:hil:contract?timed=1&bitrate=1M&dbitrate=8M", id="hil-timed"),
+    pytest.param("can:hil:contract?fd=0&timed=1&bitrate=1M", id="hil-timed-classic"),
     pytest.param("can:virtual:contract", id="virtual"),
     pytest.param("can:udp_multicast:239.74.163.2?port={port}", id="udp-multicast", marks=multicast),
     pytest.param("zenoh:tcp/127.0.0.1:{port}", id="zenoh-tcp"),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, FrameLength, WireBits, wire_bits
@@ -25,6 +25,8 @@ from transport.can_bus_model.noise import flag_bits
 from transport.can_bus_model.transmit_buffer import BufferKind, TransmitBuffer, Waiting
 
 _DELIMITER: Final = 8
+_MISREAD: Final = 12
+"""The bit at which a node with other bit rates has seen what can be no frame: about behind the identifier."""
 
 
 class Noise(Protocol):
@@ -62,10 +64,12 @@ class CanNode:
     Args:
         buffer: how its frames wait.
         recovers: whether it comes back by itself from bus-off.
+        rates: bit rates that are not the bus's: it hears no frame, and destroys every one while it is error active.
     """
 
     buffer: BufferKind = "priority"
     recovers: bool = True
+    rates: BitRates | None = None
     waiting: TransmitBuffer = field(init=False)
     errors: ErrorCounters = field(default_factory=ErrorCounters)
 
@@ -195,6 +199,8 @@ class CanBus:
         if error is None and self._noise is not None:
             error = self._noise.first(sum(length) - INTERMISSION - 1)
         listeners = len(self.nodes) - len(self._off) - len(senders)
+        if error is None and self._disturbed(senders):
+            error = _MISREAD
         unanswered = not listeners
         if unanswered and (error is None or error > sum(length) - 12):
             error = sum(length) - 12  # the ACK slot stays recessive
@@ -205,6 +211,14 @@ class CanBus:
             idle = start + self._broken(sent, length, error, senders, answered=not unanswered)
         transmission = Transmission(senders[0], sent, start, idle - INTERMISSION * self.rates.bit, idle, error)
         self._now.append((transmission, tuple((i, heads[i]) for i in senders)))
+
+    def _disturbed(self, senders: Sequence[int]) -> bool:
+        """Return whether a node with other bit rates than the sender's destroys the frame."""
+        rates = self.nodes[senders[0]].rates
+        return any(
+            node.rates != rates and not node.errors.passive and i not in self._off
+            for i, node in enumerate(self.nodes) if node.rates is not None or rates is not None
+        )  # fmt: skip
 
     def _broken(self, sent: Waiting, length: FrameLength, error: int, senders: Sequence[int], *, answered: bool) -> int:
         """Return how long a destroyed frame holds the bus, with error flags, delimiter and intermission."""
@@ -255,3 +269,41 @@ class CanBus:
                 if errors.state != before:
                     self._status(done.end, i)
         return done
+
+    @property
+    def sending(self) -> Sequence[tuple[Transmission, tuple[tuple[int, Waiting], ...]]]:
+        """What is on the bus, with all who send it: nothing, or one frame."""
+        return tuple(self._now)
+
+    def next_instant(self) -> int | None:
+        """Return when something happens next by itself, in units; None if nothing does."""
+        if self._now:
+            return self._now[0][0].end
+        instants = [each for each in (self._next_start(), self._next_recovery()) if each is not None]
+        return min(instants, default=None)
+
+    def join(self, node: CanNode, place: int | None = None) -> int:
+        """Take a node onto the bus, in the place of one that left where given; return its number."""
+        if place is None:
+            self.nodes.append(node)
+            return len(self.nodes) - 1
+        self.nodes[place] = node
+        self._off.discard(place)
+        self._not_before.pop(place, None)
+        return place
+
+    def leave(self, i: int) -> None:
+        """Take a node off the bus for good: what it sends now ends, nobody else of it is heard."""
+        self.nodes[i] = CanNode(recovers=False)
+        self._off.add(i)
+        self._busy.discard(i)
+
+    def memory(self) -> list[Any]:
+        """Return what it remembers besides its nodes and what is being sent, as plain values."""
+        return [self._idle, self._recessive_since, sorted(self._off), sorted(self._not_before.items())]
+
+    def remember(self, memory: list[Any], now: Sequence[tuple[Transmission, tuple[tuple[int, Waiting], ...]]]) -> None:
+        """Take over what `memory` returned, and what is being sent."""
+        self._idle, self._recessive_since, off, not_before = memory
+        self._off, self._not_before, self._now = set(off), dict(not_before), list(now)
+        self._busy = {i for i, node in enumerate(self.nodes) if node.waiting}

@@ -54,6 +54,11 @@ class TransmitBuffer:
     def __len__(self) -> int:
         return len(self._waiting)
 
+    @property
+    def frames(self) -> tuple[Waiting, ...]:
+        """What waits, in the order in which it was queued."""
+        return tuple(self._waiting)
+
     def queue(self, new: Waiting) -> Waiting | None:
         """Let a frame wait; return the older one whose place it takes."""
         if self._kind == "overwritten":

@@ -4,22 +4,27 @@
 `can_player` and `cantools monitor`. Frames travel over Unix sockets (see `transport.links.unix_mesh`) in the directory
 ``/tmp/hil-can-<uid>/<channel>``, or under `HIL_CAN_DIR` if that is set.
 
-Every frame carries the sender's time stamp, the same for all who hear it. There is no arbitration and no bit time. A
-frame is lost only for a participant that has `transport.links.unix_mesh.QUEUE_LIMIT` unread frames waiting, and the loss is
-counted at both ends (`dropped`, `lost`).
+Every frame carries the sender's time stamp, the same for all who hear it. There is no arbitration and no bit time, unless all
+participants say ``timed=True``: see `transport.links.shared_bus`. A frame is lost only for a participant that has
+`transport.links.unix_mesh.QUEUE_LIMIT` unread frames waiting, and the loss is counted at both ends (`dropped`, `lost`).
 """
 
 from __future__ import annotations
 
 import re
 from struct import Struct
-from time import monotonic, time
+from time import monotonic, monotonic_ns, time
 from typing import TYPE_CHECKING, Any, Final
 
+from transport.can_bus_model.frame import CanFrame
+from transport.errors import FieldError
 from transport.links.dead_channels import bus_directory as bus_directory
 from transport.links.link import LOOK_S, TransportError
 from transport.links.python_can import can
+from transport.links.shared_bus import Seen
+from transport.links.timed_sender import TimedSender, timed_rates
 from transport.links.unix_mesh import Mesh
+from transport.wire.fields import frame_length
 
 if TYPE_CHECKING:
     from can.typechecking import AutoDetectedConfig, CanFilters, Channel
@@ -34,6 +39,11 @@ BITRATE_SWITCH, ERROR_STATE, FD_FRAME, OWN = 0x01, 0x02, 0x04, 0x80
 _SKIPPED: Final = 64
 """So many frames that a filter keeps out are passed over in one call, lest a flood of them holds it for ever."""
 
+_ERROR_CLASSES: Final = {"active": (0x004, 0x40), "warning": (0x004, 0x08), "passive": (0x004, 0x20), "off": (0x040, 0)}
+"""Error class and status of the controller, by the state that was reached; <linux/can/error.h>."""
+
+_STATES: Final = {"passive": can.BusState.PASSIVE, "off": can.BusState.ERROR}
+
 _CHANNEL = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,31}")
 
 
@@ -45,10 +55,14 @@ class HilBus(can.BusABC):
         can_filters: as in `can.BusABC.set_filters`; error frames always pass.
         receive_own_messages: hear one's own frames, marked ``is_rx=False``.
         fd: send and hear CAN FD frames; without it the bus is a classic one, to which FD frames are invisible.
-        kwargs: bit rates and timings are taken and ignored.
+        timed: frames last as long as their bits, and identifiers are arbitrated (see `transport.links.shared_bus`); all
+            participants of a bus say so, or none.
+        bitrate: nominal bit rate in bit/s, or as in ``500k``; without ``timed`` it times nothing, which a warning says.
+        dbitrate, data_bitrate: data bit rate of CAN FD, likewise.
+        kwargs: other timings are taken and ignored.
 
     Raises:
-        can.CanInitializationError: the name is not allowed, or the directory cannot be had.
+        can.CanInitializationError: the name or a rate is not allowed, or the directory cannot be had.
     """
 
     def __init__(
@@ -57,13 +71,21 @@ class HilBus(can.BusABC):
         can_filters: CanFilters | None = None,
         receive_own_messages: bool = False,
         fd: bool = True,
+        timed: bool = False,
+        bitrate: object = None,
+        dbitrate: object = None,
+        data_bitrate: object = None,
         **kwargs: object,
     ) -> None:
         name = str(channel)
         if not _CHANNEL.fullmatch(name):
             raise can.CanInitializationError(f"hil: channel {name!r}: expected up to 32 letters, digits, '_', '-', '.'")
         try:
-            self._mesh = Mesh(bus_directory() / name, echo=receive_own_messages)
+            rates = timed_rates(timed, bitrate, dbitrate if data_bitrate is None else data_bitrate)
+        except FieldError as error:
+            raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
+        try:
+            self._mesh = Mesh(bus_directory() / name, echo=receive_own_messages or timed)
         except (TransportError, OSError) as error:
             raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
         self.channel = name
@@ -73,6 +95,13 @@ class HilBus(can.BusABC):
         self._own = receive_own_messages
         self._matches: tuple[tuple[int, int], ...] | None = None
         self.filtered = 0
+        self._timed: TimedSender | None = None
+        if rates is not None:
+            try:
+                self._timed = TimedSender(bus_directory() / name, rates, self._got_through, self._state_changed)
+            except TransportError as error:
+                self._mesh.close()
+                raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     @property
@@ -120,10 +149,39 @@ class HilBus(can.BusABC):
         flags = 0
         if msg.is_fd:
             flags = FD_FRAME | msg.bitrate_switch | msg.error_state_indicator << 1
-        self._put(identifier, length, flags, data, timeout or 0.0)
+        if not self._put(identifier, length, flags, data, timeout or 0.0) and self._timed is not None:
+            told = "the transmit buffer is full: nobody acknowledges, or the bus is busy"
+            raise can.CanOperationError(f"{self.channel_info}: {told}")
+
+    def _got_through(self, item: Any, end_ns: int) -> None:
+        """Hand a frame to everybody, with the end of its EOF as its time."""
+        identifier, length, flags, data = item
+        stamp = time() - (monotonic_ns() - end_ns) / 1e9
+        self._mesh.send(FRAME.pack(stamp, 0, identifier, length, flags) + data)
+        if self._own:
+            self._mesh.echo(FRAME.pack(stamp, 0, identifier, length, flags | OWN) + data)
+
+    def _state_changed(self, seen: Seen) -> None:
+        """Put an error frame into our own queue, as a driver of SocketCAN does."""
+        kind, control = _ERROR_CLASSES[seen.state]
+        data = bytes((0, control, 0, 0, 0, 0, min(seen.tec, 255), min(seen.rec, 255)))
+        self._mesh.echo(FRAME.pack(time(), 0, ERROR | kind, 8, 0) + data)
+
+    @property
+    def state(self) -> can.BusState:
+        """Error active, error passive, or (off the bus) in error; a bus without time is always active."""
+        if self._timed is None or self._is_shutdown:
+            return can.BusState.ACTIVE
+        return _STATES.get(self._timed.look().state, can.BusState.ACTIVE)
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        raise NotImplementedError("hil: the state of a bus follows from its errors")
 
     def _put(self, identifier: int, length: int, flags: int, data: bytes | bytearray, wait_s: float) -> bool:
         now = time()
+        if self._timed is not None and not identifier & ERROR:
+            return self._timed.send(_frame(identifier, length, flags, data), (identifier, length, flags, bytes(data)), wait_s)
         heard = self._mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
         if self._own:
             self._mesh.echo(FRAME.pack(now, 0, identifier, length, flags | OWN) + data)
@@ -225,6 +283,9 @@ class HilBus(can.BusABC):
     def shutdown(self) -> None:
         """Leave the bus; frames already sent still arrive."""
         super().shutdown()
+        timed: TimedSender | None = getattr(self, "_timed", None)
+        if timed is not None:
+            timed.close()
         mesh: Mesh | None = getattr(self, "_mesh", None)
         if mesh is not None:
             mesh.close()
@@ -237,3 +298,14 @@ class HilBus(can.BusABC):
             names = []
         found: list[AutoDetectedConfig] = [{"interface": "hil", "channel": name} for name in names]
         return found
+
+
+def _frame(identifier: int, length: int, flags: int, data: bytes | bytearray) -> CanFrame:
+    """Return what travels of a frame; CAN FD data are padded to a length that a frame has."""
+    fd, remote = bool(flags & FD_FRAME), bool(identifier & REMOTE)
+    padded = b"" if remote else bytes(data).ljust(frame_length(len(data)) if fd else len(data), b"\0")
+    return CanFrame(
+        identifier=identifier & ID_MASK, extended=bool(identifier & EXTENDED), remote=remote, data=padded, fd=fd,
+        dlc=min(length, 8) if remote else None,
+        bitrate_switch=fd and bool(flags & BITRATE_SWITCH), error_state=fd and bool(flags & ERROR_STATE),
+    )  # fmt: skip

@@ -12,6 +12,10 @@ from typing import Final
 from transport.links.link import TransportError
 from transport.links.private_directory import locked
 
+BUS_FILE: Final = "bus"
+LEFT_BEHIND: Final = ("joined", BUS_FILE)
+"""Files beside the sockets of a channel: the mark of the mesh, and the state of a bus that takes time."""
+
 SOCKETS: Final = "[0-9]*-[0-9]*.sock"
 """Process and number: the names of the sockets of a channel."""
 
@@ -42,8 +46,9 @@ def clear_dead_channels(directory: Path) -> None:
                 for path in channel.glob(SOCKETS):
                     if _is_dead(path):
                         path.unlink(missing_ok=True)
-                if not any(channel.glob(SOCKETS)) and {path.name for path in channel.iterdir()} <= {"joined"}:
-                    (channel / "joined").unlink(missing_ok=True)
+                if not any(channel.glob(SOCKETS)) and {path.name for path in channel.iterdir()} <= set(LEFT_BEHIND):
+                    for name in LEFT_BEHIND:
+                        (channel / name).unlink(missing_ok=True)
                     channel.rmdir()
 
 

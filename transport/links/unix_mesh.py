@@ -26,7 +26,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Final
 
-from transport.links.dead_channels import SOCKETS
+from transport.links.dead_channels import LEFT_BEHIND, SOCKETS
 from transport.links.link import Closing, TransportError
 from transport.links.mesh_peer import HEAD, Peer
 from transport.links.private_directory import locked
@@ -298,7 +298,8 @@ class Mesh(Closing):
                 for path in self.directory.glob(SOCKETS):
                     if stat.S_ISSOCK(path.lstat().st_mode):
                         path.unlink(missing_ok=True)
-                (self.directory / "joined").unlink(missing_ok=True)
+                for name in LEFT_BEHIND:
+                    (self.directory / name).unlink(missing_ok=True)
                 self.directory.rmdir()
         with self._lock:
             if self._closed:

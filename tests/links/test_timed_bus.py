@@ -1,0 +1,146 @@
+"""The `hil` bus with time: arbitration, exact lengths, errors and bus-off between real processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import pairwise
+from time import time
+from typing import Any
+
+import can
+import pytest
+
+from tests.waiting import until
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.bits import frame_length
+from transport.can_bus_model.frame import CanFrame
+from transport.links.can_bus import HilBus
+from transport.links.link import TransportError
+from transport.links.opening import open_link
+
+CLOCKS = 1e-3  # s between readings of the two clocks of a stamp, on a busy machine
+
+
+def bus(**options: Any) -> HilBus:
+    joined = can.Bus("t", interface="hil", **{"timed": True, "bitrate": "50k", **options})
+    assert isinstance(joined, HilBus)
+    return joined
+
+
+def message(identifier: int, data: bytes = b"12345678", **rest: Any) -> can.Message:
+    return can.Message(arbitration_id=identifier, data=data, is_extended_id=False, **rest)
+
+
+def received(listener: can.BusABC, count: int) -> list[can.Message]:
+    found = [listener.recv(20.0) for _ in range(count)]
+    assert None not in found
+    return found  # type: ignore[return-value]
+
+
+def test_frames_that_wait_are_arbitrated_and_follow_each_other_by_exactly_their_bits() -> None:
+    """Whatever the machine does meanwhile: who was queued before a frame began and wins over it is never sent after it."""
+    queued: dict[int, float] = {}
+    identifiers = [0x400, 0x300, 0x100, 0x200, *range(0x3F0, 0x380, -8)]
+    with bus() as first, bus() as second, bus() as listener:
+        for n, identifier in enumerate(identifiers):
+            (first, second)[n % 2].send(message(identifier))
+            queued[identifier] = time()
+        found = received(listener, len(identifiers))
+    sent_by = {i: set(identifiers[n % 2 :: 2]) for n, i in enumerate(identifiers)}
+    length = {i: sum(frame_length(CanFrame(identifier=i, data=b"12345678"))) / 50_000 for i in identifiers}
+    assert sorted(each.arbitration_id for each in found) == sorted(identifiers)
+    for n, one in enumerate(found):
+        started = one.timestamp - length[one.arbitration_id]
+        rest = [each.arbitration_id for each in found[n + 1 :] if each.arbitration_id not in sent_by[one.arbitration_id]]
+        if rest and rest[0] < one.arbitration_id:  # the next frame of the other participant would have won
+            assert queued[rest[0]] > started - CLOCKS
+    for before, after in pairwise(found):
+        gap = after.timestamp - before.timestamp
+        assert gap >= length[after.arbitration_id] - CLOCKS
+        if queued[after.arbitration_id] < before.timestamp:
+            assert gap == pytest.approx(length[after.arbitration_id], abs=CLOCKS)
+
+
+def test_can_fd_takes_the_time_of_both_rates() -> None:
+    rates, queued = BitRates(125_000, 1_000_000), {}
+    with bus(bitrate=125_000, dbitrate="1M") as sender, bus(bitrate=125_000, data_bitrate=1_000_000) as listener:
+        for n in range(20):
+            sender.send(message(0x100, bytes([n]) * 64, is_fd=True, bitrate_switch=True))
+            queued[n] = time()
+        found = received(listener, 20)
+    assert [bytes(each.data) for each in found] == [bytes([n]) * 64 for n in range(20)]
+    for n, (before, after) in enumerate(pairwise(found), 1):
+        frame = CanFrame(identifier=0x100, data=bytes([n]) * 64, fd=True, bitrate_switch=True)
+        expected, gap = rates.duration(frame_length(frame)) / 2e9, after.timestamp - before.timestamp
+        assert gap >= expected - CLOCKS
+        if queued[n] < before.timestamp:  # it waited
+            assert gap == pytest.approx(expected, abs=CLOCKS)
+
+
+def test_a_lone_sender_becomes_passive_and_its_frame_goes_when_somebody_joins() -> None:
+    with bus(bitrate=500_000, receive_own_messages=True) as lone:
+        assert lone.state is can.BusState.ACTIVE
+        lone.send(message(0x100))
+        until(lambda: lone.state is can.BusState.PASSIVE, "error passive")
+        told = received(lone, 1)[0]
+        while not told.data[1] & 0x20:
+            assert told.is_error_frame and told.arbitration_id == 0x004
+            told = received(lone, 1)[0]
+        assert told.data[6] == 128
+        with bus(bitrate=500_000) as listener:
+            assert received(listener, 1)[0].arbitration_id == 0x100
+
+
+def test_participants_with_other_rates_disturb_each_other_until_one_is_off_the_bus() -> None:
+    with bus(bitrate=500_000) as first, bus(bitrate=250_000) as second:
+        first.send(message(0x100))
+        until(lambda: first.state is can.BusState.ERROR, "bus-off")
+        assert second.recv(0.0) is None
+        told: list[can.Message] = []
+        while (each := first.recv(0.0)) is not None:
+            told.append(each)
+        assert [each.arbitration_id for each in told if each.is_error_frame][-1] == 0x040  # CAN_ERR_BUSOFF
+
+
+def test_a_participant_that_was_killed_acknowledges_nothing_any_more() -> None:
+    program = "import can, sys\nbus = can.Bus('t', interface='hil', timed=1, bitrate='500k')\n"
+    program += "print('ready', flush=True)\nsys.stdin.read()"
+    with bus(bitrate=500_000) as ours, subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:  # fmt: skip
+        try:
+            assert other.stdout is not None and other.stdout.readline()
+            ours.send(message(0x100))
+            assert ours.state is can.BusState.ACTIVE
+        finally:
+            other.kill()
+            other.wait()
+
+        def unanswered() -> bool:
+            ours.send(message(0x101))
+            return ours.state is can.BusState.PASSIVE
+
+        until(unanswered, "nobody to acknowledge")
+
+
+def test_a_rate_without_time_is_warned_of_and_impossible_ones_are_refused() -> None:
+    with pytest.warns(UserWarning, match="bitrate times nothing on this bus; add timed=True"):
+        can.Bus("t", interface="hil", bitrate=500_000).shutdown()
+    for options, said in (
+        ({"bitrate": None}, "bitrate: missing"), ({"bitrate": "fast"}, "bitrate: 'fast', expected bit/s such as 500000"),
+        ({"bitrate": 501_000}, "bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is 500000"),
+        ({"dbitrate": "10k"}, "dbitrate: 10000 bit/s, expected 50000 to"), ({"timed": 2}, "timed: 2, expected True or False"),
+    ):  # fmt: skip
+        with pytest.raises(can.CanInitializationError, match=said):
+            bus(**options)
+    with pytest.raises(TransportError, match="bitrate: missing"):
+        open_link("can:hil:t?timed=1", "rig")
+
+
+def test_a_full_transmit_buffer_is_an_error_of_the_sender() -> None:
+    with bus() as lone:
+        for n in range(1024):
+            lone.send(message(n))
+        with pytest.raises(can.CanOperationError, match="the transmit buffer is full"):
+            lone.send(message(0x7FF))
