@@ -85,7 +85,7 @@ class HilBus(can.BusABC):
         except FieldError as error:
             raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
         try:
-            self._mesh = Mesh(bus_directory() / name, echo=receive_own_messages or timed)
+            self._mesh = Mesh(bus_directory() / name, echo=receive_own_messages or rates is not None, looks=rates is None)
         except (TransportError, OSError) as error:
             raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
         self.channel = name

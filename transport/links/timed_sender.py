@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections import deque
 from collections.abc import Callable
@@ -87,6 +88,7 @@ class TimedSender:
         self._swept = monotonic()
         self._more = Condition()
         self._closed = False
+        self._policy = os.sched_getscheduler(0)
         self._thread = Thread(target=self._run, name="hil bus", daemon=True)
         self._thread.start()
 
@@ -98,6 +100,7 @@ class TimedSender:
             item: what `deliver` gets.
             timeout_s: how long to wait for room, s.
         """
+        self._be_as_urgent()
         with self._more:
             if not self._more.wait_for(lambda: self._closed or len(self._items) < MOST_WAITING, timeout_s) or self._closed:
                 return False
@@ -114,6 +117,14 @@ class TimedSender:
             seen = self._bus.look()
             self._take(seen)
             return seen
+
+    def _be_as_urgent(self) -> None:
+        """Give the thread the scheduling of the thread that sends, as of a process that keeps time."""
+        policy = os.sched_getscheduler(0)
+        if policy != self._policy and self._thread.native_id is not None:
+            self._policy = policy
+            with suppress(OSError):
+                os.sched_setscheduler(self._thread.native_id, policy, os.sched_getparam(0))
 
     def _fill(self) -> None:
         """Hand frames to the bus, in the order in which they were sent."""

@@ -163,7 +163,8 @@ def _can(uri: str) -> LinkTraits:
     )  # fmt: skip
     interface, _, channel = address.partition(":")
     commanders = on_can(interface, channel, hops=options.get("hop_limit", "0"))
-    return LinkTraits(can=framing, commanders=commanders, one_process=interface == "virtual")
+    timed = options.get("timed") in ("1", "true")  # a thread hands out what has got through
+    return LinkTraits(can=framing, commanders=commanders, own_threads=timed, one_process=interface == "virtual")
 
 
 def _zenoh(uri: str) -> LinkTraits:

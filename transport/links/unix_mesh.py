@@ -50,6 +50,8 @@ class Mesh(Closing):
     Args:
         directory: where the participants' sockets are; made if missing, removed by the last one to leave.
         echo: hear one's own datagrams too (those given to `echo`).
+        looks: look for an answer before a short wait sleeps; not where another thread of this process sends it, which would
+            wait for the interpreter meanwhile.
 
     Attributes:
         dropped: datagrams this participant could not hand to another one whose queue was full.
@@ -60,7 +62,7 @@ class Mesh(Closing):
         TransportError: no such directory can be had, it belongs to somebody else, or the disk or the descriptors are used up.
     """
 
-    def __init__(self, directory: Path, *, echo: bool = False) -> None:
+    def __init__(self, directory: Path, *, echo: bool = False, looks: bool = True) -> None:
         self.directory = directory
         self.dropped = self.lost = self.refused = 0
         self._lock = Lock()
@@ -73,6 +75,7 @@ class Mesh(Closing):
         self._seen = b""
         self._closed = False
         self._knows_all = True
+        self._looks = looks
         self._rest = self._vain = 0  # short waits that will not look first; looks in vain, one after the other
         try:
             self._epoll = select.epoll()
@@ -256,7 +259,9 @@ class Mesh(Closing):
             return look(timeout_s)
         # Who waits this briefly waits for an answer, and waking up from a sleep would double its way. Where looking does
         # not help, as when both ends share one CPU, it is given up, and tried again ever more rarely.
-        if self._rest == 0:
+        if not self._looks:
+            pass
+        elif self._rest == 0:
             for _ in range(POLLS):
                 ready = look(0)
                 if ready:
