@@ -27,7 +27,7 @@ LOCK = "lock"
 YOUNG_S = 60.0
 """A folder without a lock may be one that is just being made."""
 
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 DONE, FAILED, ENDED = b"+", b"-", b"."
 STEP = struct.Struct("=qq")
 """Session time and length of a step, ns; the inputs follow as doubles."""
@@ -41,6 +41,7 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         os.dup2(2, 1)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # what a unit starts and leaves becomes a child of this one
         remove_left_behind(tempfile.gettempdir())
         folder = tempfile.mkdtemp(prefix=PREFIX)
         lock = os.open(os.path.join(folder, LOCK), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -49,9 +50,7 @@ def main() -> None:
         try:
             _serve(user, os.path.join(folder, "unit"), runners)
         finally:
-            for pid in [pid for pid, status in runners.items() if status is None]:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+            _sweep()
             shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -75,6 +74,22 @@ def _serve(user: socket.socket, folder: str, runners: dict[int, int | None]) -> 
             user.send(str(pid).encode())
         else:
             user.send(str(_how(int(data[1:]), runners)).encode())
+
+
+def _sweep() -> None:
+    """Kill and reap children until none is left: runners, and what units have started."""
+    while children := [pid for pid in map(int, filter(str.isdecimal, os.listdir("/proc"))) if _parent(pid) == os.getpid()]:
+        for pid in children:
+            os.kill(pid, signal.SIGKILL)  # not reaped yet, so the number is still its own
+        os.waitpid(children[0], 0)
+
+
+def _parent(pid: int) -> int:
+    try:
+        with open(f"/proc/{pid}/stat", "rb") as file:
+            return int(file.read().rpartition(b")")[2].split()[1])
+    except OSError:  # it has just ended
+        return 0
 
 
 def _reap(runners: dict[int, int | None]) -> None:

@@ -149,7 +149,11 @@ class FMURun:
             raise PlantError(f"{self._unit.path}: the unit failed {when}: {data[1:].decode(errors='replace')}")
         if data[:1] == ENDED:
             raise PlantError(f"{self._unit.path}: the unit ended the simulation {when}")
-        self._values = self._format.unpack(data[1:])
+        try:
+            self._values = self._format.unpack(data[1:])
+        except struct.error:  # native code that wrote to the descriptors of its process
+            told = f"{self._unit.path}: the unit's process answered {len(data)} bytes that are no values, {when}"
+            raise PlantError(told) from None
 
     def measure(self) -> tuple[float, ...]:
         """Return what is measured."""

@@ -34,6 +34,8 @@ TESTS: dict[str, tuple[str, ...]] = {
     "an FMU that fails": ("test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log",
                           "test_a_unit_without_an_end_is_ended_by_a_signal", "test_what_a_unit_prints_stays_out_of_our_output",
                           "test_in_real_time_a_unit_that_crashes_ends_the_session_in_order"),
+    "an FMU that starts": ("test_what_a_unit_starts_and_leaves_ends_with_the_session",
+                           "test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log"),
     "a session with an FMU": ("test_the_folder_of_a_killed_session_goes_with_it",
                               "test_what_a_killed_host_left_is_removed_by_the_next_and_what_runs_is_not"),
     "link cut": ("test_link_down_for_a_second_trips_the_watchdog_whose_safe_state_stays",

@@ -22,7 +22,7 @@ from hil.log.read.run import read_run
 from plants import FMU
 from plants.fmu_host import PREFIX, remove_left_behind
 from tests.plants.test_fmu import CART, LINEAR, REAL, RUN, SOURCE, VERSION_2
-from tests.waiting import ended, until
+from tests.waiting import ended, gone, until
 
 pytest.importorskip("fmpy", reason="FMPy is not installed: pip install 'hilrig[fmu]'")
 pytestmark = pytest.mark.skipif(
@@ -96,6 +96,7 @@ def left(temporary: Path, patience_s: float = 20.0) -> list[str]:
         ("exit(0);", "the unit ended its process with status 0"),
         ("for (int i = 0; i < 100; i++) close(i);", "the unit "),
         ("kill(getppid(), 9); sleep(60);", "the process that holds the unit is gone"),
+        ('for (int i = 3; i < 64; i++) write(i, "\\0\\0\\0\\10AAAAAAAA", 12);', "answered 8 bytes that are no values"),
     ],
 )
 def test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log(
@@ -111,6 +112,25 @@ def test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log(
     if "getppid" in late:  # nobody was left to remove it: the next one does
         remove_left_behind(str(temporary))
     assert not left(temporary)
+
+
+@pytest.mark.parametrize("started", ["%s", "setsid(); if (!fork()) { %s }"], ids=["a child", "a session of its own"])
+def test_what_a_unit_starts_and_leaves_ends_with_the_session(tmp_path: Path, temporary: Path, started: str) -> None:
+    note = f'FILE *f = fopen("{tmp_path}/pid", "w"); fprintf(f, "%d", getpid()); fclose(f); sleep(1000);'
+    unit(tmp_path, late=f"static int n = 0; if (!n++ && !fork()) {{ {started % note} _exit(0); }}")
+    done = subprocess.run(command(tmp_path), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=120)
+    pid = int((tmp_path / "pid").read_text())
+    assert done.returncode == 0
+    until(lambda: gone(pid), "the end of what the unit started")
+
+
+@pytest.mark.realtime
+def test_in_real_time_a_unit_that_kills_its_host_while_it_is_warmed_up_is_one_message(tmp_path: Path, temporary: Path) -> None:
+    unit(tmp_path, late="kill(getppid(), 9); sleep(60);")
+    words = command(tmp_path, "--clock", "real", "--link", "local:")
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    assert done.returncode in (1, 2) and "the process that holds the unit is gone" in done.stderr + done.stdout
+    assert "Traceback" not in done.stderr, done.stderr
 
 
 @pytest.mark.parametrize("late", ["for (;;);", "for (int i = 1; i < 65; i++) signal(i, SIG_IGN); for (;;);"])

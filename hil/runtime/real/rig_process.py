@@ -31,6 +31,7 @@ from hil.runtime.real.warm_up import WarmUpRig
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
+from plants.errors import PlantError
 from transport.links.link import Link, Tells, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
@@ -175,5 +176,5 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except TransportError as e:
+    except (TransportError, PlantError) as e:  # a plant that does not start
         sys.exit(f"hil: {e}")
