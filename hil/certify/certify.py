@@ -41,6 +41,11 @@ CERTIFIERS: tuple[Certifier, ...] = (
 """Asked in this order; the first that knows the kind of loop answers."""
 
 
+UNKNOWN = (
+    "no certificate covers this kind of controller; a linear one with states (an observer, say) is certified as "
+    'kind = "output-feedback" with its A, B, C, D, a static gain by its table(model)'
+)
+
 def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:
     """Return the digest of the loop that will run: its plant, controller, network, period and model, not its seed or schedule."""
     resolved = replace(experiment, controller=controller).resolved()
@@ -102,4 +107,4 @@ def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIE
             if loop.unmet and verdict.state != "undecided":
                 verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
             return limited_to_sound(loop, limited_to_undamped(loop, limited_to_whole(loop, verdict)))
-    return undecided(loop, "mean-square stability", "no certificate covers this kind of controller")
+    return undecided(loop, "mean-square stability", UNKNOWN)

@@ -185,7 +185,7 @@ def _tool(program: str, package: str, why: str) -> Check:
 
 
 @click.command()
-@click.option("--link", metavar="URI", help="Say who could command a rig on this link.")
+@click.option("--link", metavar="URI", help="Say from whom a rig on this link accepts commands.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list.")
 def command(link: str | None, as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
@@ -194,7 +194,7 @@ def command(link: str | None, as_json: bool) -> None:
     there = importlib.util.find_spec("zenoh") is not None
     certificates = None if link is None else _certificates_of(link)
     shown = [] if certificates is None else [_ours("certificates", partial(_certificates, certificates))]
-    checks = [_ours("who could command a rig", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
+    checks = [_ours("commands accepted from", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), _own_vcan(), _zenoh(),
               *([_ours("zenoh round trip", _zenoh_cpus)] if there else []), _scheduler(), _idle(), _clock(), _cpus(),
               _ours("kind of machine", _machine),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 from hil.cli.two_columns import Line, print_lines
 from transport.draws import CORRUPTED, CUT, OFF_BUS, REASONS
 
+UNLIKELY: Final = 0.01
+"""Below it, as on the page, a record does not fit its law: so it is in one right run of a hundred."""
 BROKEN: Final = tuple(REASONS[code] for code in (CUT, CORRUPTED, OFF_BUS))
 """What became of packets under a fault on the time line."""
 
@@ -33,11 +36,11 @@ def show(summary: dict[str, Any]) -> None:
             unit = units.get(name, "")
             row(name, number(value) + (f" {unit}" if unit and value is not None else ""))
     nodes = summary["network"]["nodes"]
-    ways = {f"network sc {name}" if len(nodes) > 1 else "network sc": found for name, found in nodes.items()}
-    for name, n in (ways | {"network ca": summary["network"]["ca"]}).items():
+    ways = {f"{name} to controller" if len(nodes) > 1 else "to controller": found for name, found in nodes.items()}
+    for name, n in (ways | {"to actuator": summary["network"]["ca"]}).items():
         row(
             name,
-            f"{n['law']}, modes {n['mode_counts']}, p = {number(n['p_value'])}, "
+            f"{n['law']} law, {in_modes(n['mode_counts'])}{fits(n['p_value'])}; "
             f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}"
             + "".join(f", {fate} {n['fates'][fate]}" for fate in BROKEN if n["fates"].get(fate)),
         )
@@ -79,6 +82,29 @@ def show(summary: dict[str, Any]) -> None:
     log = summary["log"]
     row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
     print_lines(lines)
+
+
+def in_modes(counts: Sequence[int]) -> str:
+    """Return how many slots a law spent in each of its modes.
+
+    >>> in_modes([130, 64, 6]), in_modes([200])
+    ('modes 0/1/2 in 130/64/6 slots', 'mode 0 in 200 slots')
+    """
+    if not counts:
+        return "no modes"
+    which = "/".join(map(str, range(len(counts))))
+    return f"mode{'s' if len(counts) > 1 else ''} {which} in {'/'.join(map(str, counts))} slots"
+
+
+def fits(p_value: float | None) -> str:
+    """Return what the test of the record says of its law.
+
+    >>> fits(0.908), fits(1e-6), fits(None)
+    ('; fits its law (p = 0.91)', '; does not fit its law (p = 1e-06)', '')
+    """
+    if p_value is None:
+        return ""
+    return f"; {'fits' if p_value >= UNLIKELY else 'does not fit'} its law (p = {p_value:.2g})"
 
 
 def least_cost(claim: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Plug-ins by entry point: plants, controllers and network laws, ours through the same door as a user's.
+"""Plug-ins by entry point: plants, controllers and network laws, the built-in ones registered like a user's.
 
 A kind with a colon is no entry point but a class of the user's own file, see :mod:`hil.plugins.user_modules`.
 """

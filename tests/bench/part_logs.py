@@ -18,7 +18,7 @@ SLOT = Figure(
     name="virtual slot with its log, CPU time", unit="us", peer=PLAIN, goal=AtMost(ours=35.0), condition=AtMost(ratio=60 / 104)
 )
 BARE = Figure(name="virtual slot without a log, CPU time", unit="us", peer="with a log")
-DIFFERENT = Figure(name="files that are not those of mcap's own writer", unit="", peer="files", condition=AtMost(ours=0.0))
+DIFFERENT = Figure(name="log files that differ from the mcap package's output", unit="", peer="files", condition=AtMost(ours=0.0))
 FULL = Figure(name="log per slot, --index full (the default)", unit="bytes", peer="--index chunk")
 CHUNK = Figure(name="log per slot, --index chunk", unit="bytes", peer="--index full")
 HELD = Figure(name="held per further slot while a log is written", unit="bytes", peer=PLAIN)

@@ -63,7 +63,7 @@ overruns at 4 kHz over can:hil
 overruns at 10 kHz over local:
 virtual slot with its log, CPU time
 virtual slot without a log, CPU time
-files that are not those of mcap's own writer
+log files that differ from the mcap package's output
 log per slot, --index full (the default)
 log per slot, --index chunk
 held per further slot while a log is written

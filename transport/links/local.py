@@ -10,7 +10,7 @@ LOCAL = "local:"
 
 
 def open_local(uri: str, role: Role) -> Never:
-    """Refuse: who runs the rig puts the controller beside it, and no end is left to open.
+    """The controller runs in the rig's process (`hil run --link local:`); no end is left to open by a URI.
 
     Raises:
         TransportError: always; it says what to use instead.

@@ -70,7 +70,7 @@ def memory_pair() -> tuple[MemoryLink, MemoryLink]:
 
 
 def open_memory(uri: str, role: Role) -> Never:
-    """Refuse: two ends that are opened by name, one by one, would need a registry of this process.
+    """Virtual time only: both ends lie in one process, and cannot be opened by a URI.
 
     Raises:
         TransportError: always; it names the link to use instead.

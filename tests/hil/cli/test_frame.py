@@ -65,8 +65,8 @@ def test_doctor_prints_a_line_for_every_check(cli: Hil, doctor: list[dict[str, A
 
 
 def test_doctor_says_in_one_line_who_could_command(doctor: list[dict[str, Any]]) -> None:
-    (line,) = (check for check in doctor if "who" in str(check))
-    assert "who could command a rig" in line.values() and "anyone on the CAN bus can0" in str(line)
+    (line,) = (check for check in doctor if "commands accepted" in str(check))
+    assert "commands accepted from" in line.values() and "anyone on the CAN bus can0" in str(line)
 
 
 @pytest.mark.parametrize(
