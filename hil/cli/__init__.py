@@ -27,6 +27,7 @@ COMMANDS = {
     "recover": "Rebuild an indexed log from a torn one.",
     "export": "Write a log's frames or signals in other formats.",
     "layout": "Make a layout of Foxglove, Lichtblick or PlotJuggler for a log.",
+    "can": "Bound the response times of the messages on a CAN bus.",
     "dbc": "Print the DBC of the frames, make a C codec of it, decode a CAN log.",
     "sweep": "Run an experiment for many seeds on all cores.",
     "compare": "Compare experiments under common random numbers.",

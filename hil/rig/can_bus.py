@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from design.controllers import row_count
@@ -85,7 +85,16 @@ def rates_of(medium: Medium) -> BitRates:
 
 def periodic(rig: RigSpec, bus: SharedMedium) -> list[Periodic]:
     """Return the background traffic, in the order of its table."""
-    medium, number = bus.table, {name: i for i, name in enumerate(bus_nodes(rig, bus))}
+    return periodic_traffic(bus.table, {name: i for i, name in enumerate(bus_nodes(rig, bus))})
+
+
+def periodic_traffic(medium: Medium, number: Mapping[str, int]) -> list[Periodic]:
+    """Return the messages of a table.
+
+    Args:
+        medium: the bus.
+        number: of each sender.
+    """
     return [
         Periodic(
             node=number[message.sender], frame=frame_of(message, medium), period_ns=_ns(message.period),
@@ -93,6 +102,15 @@ def periodic(rig: RigSpec, bus: SharedMedium) -> list[Periodic]:
         )
         for message in medium.traffic
     ]  # fmt: skip
+
+
+def periodic_message(message: TrafficTable, medium: Medium) -> PeriodicMessage:
+    """Return a message of a table for the analysis of its response time."""
+    frame = frame_of(message, medium)
+    return PeriodicMessage(
+        name=message.said, identifier=message.can_id, length=len(frame.data), period_ns=_ns(message.period),
+        jitter_ns=_ns(message.jitter), extended=message.extended, fd=message.fd, bitrate_switch=frame.bitrate_switch,
+    )  # fmt: skip
 
 
 def frame_of(message: TrafficTable, medium: Medium) -> CanFrame:
@@ -115,15 +133,7 @@ def analysed(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[P
                     name=name, identifier=packet.first + i, length=size, period_ns=packet.period_ns, fd=fd, bitrate_switch=fd
                 )
             )  # fmt: skip
-    for message in medium.traffic:
-        frame = frame_of(message, medium)
-        found.append(
-            PeriodicMessage(
-                name=message.said, identifier=message.can_id, length=len(frame.data), period_ns=_ns(message.period),
-                jitter_ns=_ns(message.jitter), extended=message.extended, fd=message.fd, bitrate_switch=frame.bitrate_switch,
-            )
-        )  # fmt: skip
-    return found
+    return found + [periodic_message(message, medium) for message in medium.traffic]
 
 
 def can_bus_faults(rig: RigSpec) -> Iterator[str]:

@@ -1,0 +1,139 @@
+"""``hil can analyse``: response times of the messages on a CAN bus."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.durations import Duration
+from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from hil.design_questions.bus_analysis import BusAnalysis
+    from transport.can_analysis.response_times import ErrorBursts
+
+_TRAFFIC = (".csv", ".dbc")
+
+
+@click.group()
+def command() -> None:
+    """Questions about CAN buses."""
+
+
+@command.command()
+@click.argument("target", type=EXPERIMENT, metavar="TRAFFIC|EXPERIMENT")
+@click.option("--bitrate", metavar="RATE", help="Nominal bit rate of TRAFFIC, as 500k or 500000.")
+@click.option("--dbitrate", metavar="RATE", help="Data bit rate of TRAFFIC, as 2M.")
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
+@click.option("--duration", type=Duration(above=True, most=3600.0), default="10", show_default=True, help="How long to simulate.")
+@click.option("--errors", type=click.IntRange(0), help="Errors that may come at once; the bounds allow for them.")
+@click.option("--error-interval", type=Duration(above=True), default="1s", show_default=True, help="Time between further ones.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page here.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def analyse(
+    target: str, bitrate: str | None, dbitrate: str | None, sets: tuple[str, ...], duration: float, errors: int | None,
+    error_interval: float, output: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Show bound, measured response and deadline of every message: hil can analyse car.dbc --bitrate 500k
+
+    TRAFFIC is a table of messages, .csv or .dbc; an EXPERIMENT has a medium of kind can. The exit status is 0 also where a
+    message may miss its deadline.
+    """
+    from hil.files.outputs import check_output, write_output
+    from transport.can_analysis.response_times import ErrorBursts
+
+    if output is not None:
+        check_output(output, page=True, remedy="choose another name")
+    bursts = None if errors is None else ErrorBursts(burst=errors, interval_ns=round(error_interval * 1e9))
+    if target.endswith(_TRAFFIC):
+        if sets:
+            raise HilError(f"--set: {target} is no experiment")
+        found = _of_traffic(Path(target), bitrate, dbitrate, duration, bursts)
+    else:
+        if bitrate is not None or dbitrate is not None:
+            raise HilError("--bitrate: an experiment says it itself; change it by --set network.media.NAME.bitrate=500000")
+        found = _of_experiment(target, sets, duration, bursts)
+    if output is not None:
+        from hil.pages.bus_page import bus_page
+
+        write_output(output, bus_page(found))
+    if as_json:
+        print(json.dumps(asdict(found), indent=2))
+    else:
+        _print(found)
+
+
+def _of_traffic(
+    path: Path, bitrate: str | None, dbitrate: str | None, seconds: float, errors: ErrorBursts | None
+) -> BusAnalysis:  # fmt: skip
+    from hil.design_questions.bus_analysis import analyse_traffic
+    from hil.rig.traffic_file import read_traffic
+    from hil.runtime.streams import rng_for
+    from transport.can_bus_model.bit_rates import BitRates
+    from transport.errors import FieldError
+    from transport.links.timed_sender import rate
+
+    if bitrate is None:
+        raise HilError(f"--bitrate: missing; {path} says no bit rate, such as 500k")
+    try:
+        rates = BitRates(rate(bitrate, "bitrate"), None if dbitrate is None else rate(dbitrate, "dbitrate"))
+        traffic = read_traffic(path)
+        if rates.dbitrate is None and any(each.fd for each in traffic):
+            raise HilError(f"--dbitrate: missing; {path} has CAN FD messages")
+        return analyse_traffic(path.name, traffic, rates, seconds, partial(rng_for, 0), errors)
+    except FieldError as error:
+        raise HilError(f"{path if error.field == 'identifier' else '--' + error.field}: {error.message}") from error
+
+
+def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: ErrorBursts | None) -> BusAnalysis:
+    from hil.compose.loop import compose
+    from hil.design_questions.bus_analysis import analyse
+    from hil.experiment import load_experiment
+    from hil.measure.bus_load import bus_of
+    from hil.measure.view import view_of
+    from hil.rig.can_bus import analysed, can_bus_of, rates_of
+    from hil.session import simulate
+
+    experiment = load_experiment(target, sets, duration=str(seconds))
+    loop = compose(experiment, certify=False)
+    bus = can_bus_of(loop.rig)
+    if bus is None:
+        raise HilError(f"{experiment.name}: no medium of kind 'can', see hil guide can-bus")
+    measured = bus_of(view_of(simulate(loop, experiment.seed), loop.experiment))
+    worst = {} if measured is None else {(each.extended, each.can_id): each.response_worst_ms for each in measured.messages}
+    return analyse(experiment.name, analysed(loop.rig, bus, loop.rows), rates_of(bus.table), worst, seconds, errors)
+
+
+def _print(found: BusAnalysis) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from hil.cli.tables import print_table
+    from hil.cli.terminal import visible
+
+    rate = f"{found.bitrate:,} bit/s" + (f", data {found.dbitrate:,} bit/s" if found.dbitrate else "")
+    table = Table(title=escape(visible(f"{found.name}: {rate}, load {100 * found.load:.2f} %")))
+    for head in ("identifier", "message", "bytes", "period, ms", "deadline, ms", "bound, ms", "measured, ms", "delayed by"):
+        table.add_column(head, justify="left" if head in ("message", "delayed by") else "right")
+    for each in found.messages:
+        identifier = f"{each.can_id:08X}" if each.extended else f"{each.can_id:03X}"
+        bound = "none" if each.bound_ms is None else f"{each.bound_ms:.3f}"
+        measured = "-" if each.measured_ms is None else f"{each.measured_ms:.3f}"
+        colour = "" if each.in_time else "red"
+        above = "-" if not each.delayed_by else f"{len(each.delayed_by)} down to {each.delayed_by[-1]}"
+        table.add_row(
+            identifier, escape(visible(each.name)), str(each.length), f"{each.period_ms:g}", f"{each.deadline_ms:g}", bound,
+            measured, escape(visible(above)), style=colour,
+        )  # fmt: skip
+    print_table(table)
+    late = [each for each in found.messages if not each.in_time]
+    said = f"{len(late)} of {len(found.messages)} may miss their deadline" if late else "every message meets its deadline"
+    print(f"{said}; measured over {found.simulated_s:g} s. Bounds: Davis, Burns, Bril, Lukkien 2007, to the end of EOF.")
+    if found.load > 1:
+        print(f"The messages need {100 * found.load:.1f} % of the bus: the lower ones are not sent, or ever later.")

@@ -1,0 +1,139 @@
+"""How long the messages on a CAN bus may take: their bounds, what a simulation measures beside them, and who delays whom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.experiment.can_traffic import TrafficTable
+from hil.experiment.nodes import Medium
+from hil.rig.can_bus import periodic_message, periodic_traffic, rates_of
+from transport.can_analysis.messages import PeriodicMessage, bus_load
+from transport.can_analysis.response_times import ErrorBursts, response_times
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.bus import CanBus, CanNode, Transmission
+from transport.can_bus_model.traffic import Traffic
+from transport.can_bus_model.transmit_buffer import Waiting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnalysedMessage:
+    """One message of the table.
+
+    Args:
+        name, can_id, extended: which message.
+        length: bytes of data.
+        frame_ms: its longest frame, with intermission.
+        period_ms, deadline_ms: how often it is due, and by when it has to be sent.
+        bound_ms: worst-case response time to the end of EOF, None if it has none.
+        measured_ms: the worst that the simulation saw, None if it saw none.
+        in_time: whether the bound meets the deadline.
+        delayed_by: messages that win over it; one frame of any other may block it once.
+    """
+
+    name: str
+    can_id: int
+    extended: bool
+    length: int
+    frame_ms: float
+    period_ms: float
+    deadline_ms: float
+    bound_ms: float | None
+    measured_ms: float | None
+    in_time: bool
+    delayed_by: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusAnalysis:
+    """A bus.
+
+    Args:
+        name: of the experiment or of the file.
+        bitrate, dbitrate: bit/s.
+        load: the longest frames over their periods, a share of the bus.
+        simulated_s: how long it was simulated.
+        messages: by priority.
+    """
+
+    name: str
+    bitrate: int
+    dbitrate: int | None
+    load: float
+    simulated_s: float
+    messages: tuple[AnalysedMessage, ...]
+
+
+def analyse(
+    name: str, messages: Sequence[PeriodicMessage], rates: BitRates, measured_ms: Mapping[tuple[bool, int], float | None],
+    simulated_s: float, errors: ErrorBursts | None = None,
+) -> BusAnalysis:  # fmt: skip
+    """Put bounds beside what was measured.
+
+    Args:
+        name: for the title.
+        messages: all that is sent.
+        rates: of the bus.
+        measured_ms: the worst response of each, by (extended, identifier).
+        simulated_s: how long that took.
+        errors: how many errors the bounds allow for.
+
+    Raises:
+        ValueError: two messages have one identifier.
+    """
+    found = []
+    for bound in response_times(messages, rates, errors):
+        own = bound.message
+        found.append(
+            AnalysedMessage(
+                name=own.name, can_id=own.identifier, extended=own.extended, length=own.length, frame_ms=bound.frame_ns / 1e6,
+                period_ms=own.period_ns / 1e6, deadline_ms=own.due_in_ns / 1e6,
+                bound_ms=None if bound.response_ns is None else bound.response_ns / 1e6,
+                measured_ms=measured_ms.get((own.extended, own.identifier)), in_time=bound.in_time, delayed_by=bound.delayed_by,
+            )
+        )  # fmt: skip
+    load = float(bus_load(messages, rates))
+    return BusAnalysis(
+        name=name, bitrate=rates.bitrate, dbitrate=rates.dbitrate, load=load, simulated_s=simulated_s, messages=tuple(found)
+    )
+
+
+def analyse_traffic(
+    name: str, traffic: Sequence[TrafficTable], rates: BitRates, seconds: float, stream: Callable[[str], np.random.Generator],
+    errors: ErrorBursts | None = None,
+) -> BusAnalysis:  # fmt: skip
+    """Analyse and simulate messages without a rig.
+
+    Args:
+        name: for the title.
+        traffic: the messages.
+        rates: of the bus.
+        seconds: how long to simulate.
+        stream: returns the random stream of a message, by its name.
+        errors: how many errors the bounds allow for; the simulation has none.
+
+    Raises:
+        ValueError: two messages have one identifier.
+    """
+    medium = Medium(kind="can", nodes=(), bitrate=rates.bitrate, dbitrate=rates.dbitrate, traffic=tuple(traffic))
+    senders = list(dict.fromkeys(message.sender for message in traffic))
+    messages = [periodic_message(message, medium) for message in traffic]
+    bus = CanBus(rates_of(medium), [CanNode() for _ in (*senders, "a listener")])
+    number = {sender: i for i, sender in enumerate(senders)}
+    sources = periodic_traffic(medium, number)
+    waiting = Traffic([each.frames(stream(message.said)) for each, message in zip(sources, traffic, strict=True)])
+    ended: list[Transmission] = []
+    end_ns = round(seconds * 1e9)
+    for due in waiting.until(end_ns):
+        at = BitRates.units(due.at_ns)
+        ended += bus.advance(at)
+        bus.queue(due.node, Waiting(due.frame, at))
+    ended += bus.advance(BitRates.units(end_ns))
+    worst: dict[tuple[bool, int], float | None] = {}
+    for each in ended:
+        key = (each.waiting.frame.extended, each.waiting.frame.identifier)
+        response = BitRates.ns(each.end - each.waiting.queued) / 1e6
+        worst[key] = max(worst.get(key) or 0.0, response)
+    return analyse(name, messages, rates, worst, seconds, errors)
