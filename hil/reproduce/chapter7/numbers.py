@@ -11,6 +11,7 @@ from hil.reproduce.chapter7.friction import EXPERIMENT_ROWS, experiment, fit
 from hil.reproduce.chapter7.local import LOCAL_DESIGNS, local_designs
 from hil.reproduce.chapter7.models import MODELS, models
 from hil.reproduce.chapter7.tables import TABLE_7_1_ROWS, TABLE_7_2_ROWS, motor_table, vtol_table
+from hil.reproduce.chapter7.trade_off import TRADE_OFF, trade_off
 
 
 def _experiment(report_progress: ReportProgress) -> dict[str, Any]:
@@ -32,5 +33,6 @@ CHAPTER = Chapter(
         Stage("fit of the motor, Table 7.2, experiment", _experiment, 35, EXPERIMENT_ROWS),
         Stage("what the actuator knows", information, 25, INFORMED),
         Stage("gain bounds", gain_bounds, 10),
+        Stage("trade-off of the norms, lost packets", trade_off, 5, TRADE_OFF),
     ),
 )

@@ -134,6 +134,17 @@ def test_the_predictor_answers_as_its_matrices_say_and_another_is_not_certified(
     assert verdict is not None and verdict.state == "refused" and "is not the one that it tells" in verdict.reason
 
 
+@pytest.mark.parametrize(("max_age", "state"), [(2, "undecided"), (3, "certified")])
+def test_a_predictor_knows_ages_that_a_table_does_not(max_age: int, state: str) -> None:
+    """Latencies up to three slots: with max_age 2 the chain labels ages 2 and 3 alike, and the predictor does not."""
+    changes, _ = smith(np.random.default_rng(3))
+    law = {"kind": "packet", "latency": {"table": [[0, 0], [1, "330 ms"]]}}
+    made = changes | {"network.sc": {"max_age": max_age, "law": law}}
+    made.pop("network.nodes", None)
+    verdict = composed(made | {"controller": {"kind": "smith", "gain": [[5.0]]}}).verdict
+    assert verdict is not None and verdict.state == state, verdict.reason
+
+
 def test_a_cycle_forgets_how_it_began() -> None:
     changes, _ = clocked(np.random.default_rng(11))
     loop = composed(changes | {"controller": table(np.random.default_rng(0), len(changes["plant"]["C"]))})

@@ -28,6 +28,7 @@ from hil.reproduce.chapter7.tables import (
     motor_signals,
     vtol_numbers,
 )
+from hil.reproduce.chapter7.trade_off import TRADE_OFF, trade_off
 from hil.reproduce.judgement import rank
 from hil.reproduce.pages import chapter_page
 from hil.reproduce.statements import judge
@@ -112,6 +113,15 @@ def test_the_networked_gains_of_the_vtol_bear_the_right_labels():
     assert found.verdict == "reproduced" and "0.1220 and 0.1271" in found.computed and "0.4051 and 0.3390" in found.computed
     local = next(r for r in rows if "is the local H2 gain" in r.item)
     assert local.verdict == "claim false" and not local.beside[0].holds
+    assert_every_number_decides(rows)
+
+
+def test_the_mixed_design_trades_one_norm_for_the_other_and_lost_packets_are_delays():
+    """The radius over the chain of ages, beside what each receiver holds and nothing else; one loss more in a row moves it."""
+    found = trade_off(quietly)
+    rows = judge(TRADE_OFF, found)
+    assert [row.verdict for row in rows] == ["reproduced", "reproduced"]
+    assert found["gamma"][0] < 0.95 * found["gamma"][-1] and found["beta"][0] > 1.02 * found["beta"][-1]
     assert_every_number_decides(rows)
 
 
