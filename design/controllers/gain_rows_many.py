@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,19 @@ def feedforward(model: LoopModel) -> NDArray[np.float64]:
     Raises:
         ValueError: if p <= m and N is rank deficient: no steady state tracks every reference.
     """
-    n, m = model.B.shape
-    p = model.C.shape[0]
-    N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((p, m))]])
+    matrices = (model.A, model.B, model.C)
+    return np.array(_feedforward(*(tuple(map(tuple, M.tolist())) for M in matrices)))
+
+
+@lru_cache(maxsize=16)
+def _feedforward(*matrices: tuple[tuple[float, ...], ...]) -> list[list[float]]:
+    A, B, C = map(np.array, matrices)
+    (n, m), p = B.shape, len(C)
+    N = np.block([[A - np.eye(n), B], [C, np.zeros((p, m))]])
     if p <= m and np.linalg.matrix_rank(N) < n + p:
         raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
-    return pseudo_inverse(N)[n:, n:]
+    found: list[list[float]] = pseudo_inverse(N)[n:, n:].tolist()
+    return found
 
 
 def held_exactly(model: LoopModel, r: Sequence[float]) -> bool:

@@ -10,8 +10,7 @@ import numpy as np
 from hil.experiment import Experiment
 from hil.log.events import WITHDRAWN
 from hil.log.run import Run
-from hil.log.topics import SC
-from hil.measure.bus_load import bus_summary
+from hil.log.topics import BUS, SC
 from hil.measure.measure import measured, quantities_of, run_measures
 from hil.measure.network import network_metrics
 from hil.measure.network_load import loads
@@ -107,6 +106,10 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
 
 
 def _bus(view: RunView) -> dict[str, Any]:
+    if BUS.name not in view.run.arrays:
+        return {}
+    from hil.measure.bus_load import bus_summary  # the analysis of a bus is loaded where there is one
+
     found = bus_summary(view)
     return {} if found is None else {"bus": found}
 

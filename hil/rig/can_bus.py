@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from design.controllers import row_count
 from hil.experiment.can_traffic import TrafficTable
@@ -11,12 +12,14 @@ from hil.experiment.nodes import Medium
 from hil.rig.can_frames import CONTROL, path_of
 from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
-from transport.can_analysis.messages import PeriodicMessage
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.frame import CanFrame
-from transport.can_bus_model.traffic import Periodic
 from transport.links.can_identifiers import derived
 from transport.wire.fields import frame_length
+
+if TYPE_CHECKING:
+    from transport.can_analysis.messages import PeriodicMessage
+    from transport.can_bus_model.traffic import Periodic
 
 CONTROLLER, ACTUATOR = "controller", "actuator"
 
@@ -95,6 +98,8 @@ def periodic_traffic(medium: Medium, number: Mapping[str, int]) -> list[Periodic
         medium: the bus.
         number: of each sender.
     """
+    from transport.can_bus_model.traffic import Periodic  # loaded where there is a bus
+
     return [
         Periodic(
             node=number[message.sender], frame=frame_of(message, medium), period_ns=_ns(message.period),
@@ -122,6 +127,8 @@ def frame_of(message: TrafficTable, medium: Medium) -> CanFrame:
 
 def analysed(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[PeriodicMessage]:
     """Return everything that is sent again and again on the bus, for the analysis of its response times."""
+    from transport.can_analysis.messages import PeriodicMessage  # loaded where there is a bus
+
     medium = bus.table
     fd = medium.dbitrate is not None
     found = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from math import nan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.log.records import Channel
 from hil.log.topics import APPLIED, BUS, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
@@ -16,10 +16,12 @@ from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.port_damper import Injected
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bus import CanNode, Transmission
 from transport.draws import Draw
 from transport.medium.medium import Delivery
 from transport.packets import ControlPacket, node_of
+
+if TYPE_CHECKING:
+    from transport.can_bus_model.bus import CanNode, Transmission
 
 _SENSED = (STATE.name, MEASUREMENT.name, REFERENCE.name)
 _ANSWERED = (CONTROL.name, ROWS.name)

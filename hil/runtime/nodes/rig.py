@@ -8,7 +8,7 @@ come, records go to a sink, and time is the nominal time that the kernel hands o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.certify.jump_step import JumpStep
 from hil.certify.motion_test import EQUAL
@@ -22,7 +22,6 @@ from hil.rig.can_bus import can_bus_of
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
-from hil.runtime.nodes.can_network import CanNetwork
 from hil.runtime.nodes.fault_injector import FaultInjector
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.jump_watch import JumpWatch
@@ -35,10 +34,13 @@ from hil.runtime.nodes.sensor_node import SensorNode
 from hil.runtime.nodes.triggers import trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
-from transport.can_bus_model.bus import CanNode, Transmission
 from transport.medium.independent import impair
 from transport.medium.medium import Delivery
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
+
+if TYPE_CHECKING:
+    from hil.runtime.nodes.can_network import CanNetwork
+    from transport.can_bus_model.bus import CanNode, Transmission
 
 STATES = {"active": "error active", "warning": "above the warning level", "passive": "error passive", "off": "off the bus"}
 
@@ -85,7 +87,7 @@ class Rig:
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.rig.sensors)
         faults = FaultInjector(loop, seed)
         self._faults = faults if e.fault else None
-        bus = CanNetwork(loop, seed, self._on_bus, self._bus_status) if can_bus_of(loop.rig) is not None else None
+        bus = None if can_bus_of(loop.rig) is None else self._bus_of(loop, seed)
         self._uplink = faults.uplink(sensor_medium_of(loop, seed, float(e.period), deadline_s, bus))
         channel = impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
         self._downlink = faults.downlink(channel if bus is None else bus.downlink(channel))
@@ -230,6 +232,11 @@ class Rig:
             self._watch.take(self._x, self._y, self.actuator.u, self._w)
         if self._end is not None and k >= self._end:
             self._stop()
+
+    def _bus_of(self, loop: Loop, seed: int) -> CanNetwork:
+        from hil.runtime.nodes.can_network import CanNetwork  # the model of a bus is loaded where there is one
+
+        return CanNetwork(loop, seed, self._on_bus, self._bus_status)
 
     def _on_bus(self, ended: Transmission, node: CanNode) -> None:
         self._journal.bus(max(self.k, 0) * self._period_ns, self.k, ended, node)

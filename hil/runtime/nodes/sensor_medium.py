@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from hil.compose.loop import Loop
 from hil.rig.sensor_list import Sensor
 from hil.rig.sensors import SharedMedium
-from hil.runtime.nodes.can_network import CanNetwork
 from hil.runtime.streams import rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.medium.arbitration import ArbitratedBus
@@ -16,6 +16,9 @@ from transport.medium.medium import Delivery, IndependentChannels, Medium
 from transport.medium.sample_clock import SampleClock
 from transport.medium.scheduled import RandomTurns, RoundRobin, ScheduledMedium, Turns
 from transport.medium.split import SplitMedium
+
+if TYPE_CHECKING:
+    from hil.runtime.nodes.can_network import CanNetwork
 
 _CAME = frozenset((DELIVERED, DISORDERED, DUPLICATED))
 
@@ -61,13 +64,19 @@ def _new(delivery: Delivery) -> Delivery:
     return draws, [(g, packet) for g, packet in arrivals if any(d.packet_tick == g and d.reason in _CAME for d in draws)]
 
 
+def _bus_of(loop: Loop, seed: int) -> CanNetwork:
+    from hil.runtime.nodes.can_network import CanNetwork  # the model of a bus is loaded where there is one
+
+    return CanNetwork(loop, seed)
+
+
 def _shared_medium(loop: Loop, channels: Sequence[Impairment], seed: int, bus: CanNetwork | None) -> Medium:
     parts: list[tuple[Sequence[int], Medium]] = []
     turning = []
     for shared in loop.rig.media:
         if shared.table.kind == "can":
             own = sorted(shared.nodes)
-            parts.append((own, (bus or CanNetwork(loop, seed)).uplink([channels[i] for i in own])))
+            parts.append((own, (bus or _bus_of(loop, seed)).uplink([channels[i] for i in own])))
             continue
         if shared.table.kind != "can-arbitration":
             turning.append(shared)
