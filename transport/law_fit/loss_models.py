@@ -21,9 +21,14 @@ Array = NDArray[np.float64]
 Lost = NDArray[np.bool_]
 
 ALL = ("p_gb", "p_bg", "loss_good", "loss_bad")
+STARTS = ((0.25, 0.7, 1.0), (0.2, 0.8, 0.6), (0.4, 0.6, 0.5))
+"""Where the search begins, as the likelihood has several tops: loss in the good mode as a share of all, in the bad one, and how
+much longer than they look the stays are."""
 AT_AN_END = 8.0
 """A logit beyond this is at its end: the good mode then loses nothing, or the bad one all, and it is estimated no more."""
 
+NEARLY = 0.15
+"""An end of an interval that is nearer to 0 (or 1) than this share of the estimate is 0 (or 1): the logit knows no end."""
 SUSPECT = 0.01
 FEWEST_LOSSES = 10
 """Of fewer losses no channel is estimated."""
@@ -98,14 +103,18 @@ def _channel(lost: Lost, names: tuple[str, ...], likelihood: Callable[[Array], f
     n, p = len(lost), float(lost.mean())
     again = float((lost[1:] & lost[:-1]).sum() / max(1, lost[:-1].sum()))  # Pr(lost | the one before was)
     leave = min(0.9, max(1e-3, 1.0 - again))
-    start = {"p_gb": min(0.5, max(2.0 / n, p * leave / (1.0 - p))), "p_bg": leave, "loss_good": p / 4.0, "loss_bad": 0.7}
+    start = {"p_gb": min(0.5, max(2.0 / n, p * leave / (1.0 - p))), "p_bg": leave}
 
     def cost(free: Array) -> float:
         return -likelihood(_all(free, names)) if np.abs(free).max() < 30.0 else 1e300
 
-    begin = special.logit([min(0.95, start[name]) for name in names])
-    best = optimize.minimize(cost, begin, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3, "maxiter": 600})
-    best = optimize.minimize(cost, best.x, method="BFGS", options={"gtol": 1e-3})
+    tried = []
+    for good, bad, rate in STARTS:
+        all_of_them = {name: rate * value for name, value in start.items()} | {"loss_good": p * good, "loss_bad": bad}
+        begin = special.logit([min(0.95, all_of_them[name]) for name in names])
+        found = optimize.minimize(cost, begin, method="Nelder-Mead", options={"xatol": 1e-2, "fatol": 1e-2, "maxiter": 400})
+        tried.append(optimize.minimize(cost, found.x, method="BFGS", options={"gtol": 1e-3}))
+    best = min(tried, key=lambda each: float(each.fun))
     ends = {name for name, x in zip(names, best.x.tolist()) if (x < -AT_AN_END if name == "loss_good" else x > AT_AN_END)}
     if ends & {"loss_good", "loss_bad"}:
         return _channel(lost, tuple(name for name in names if name not in ends or name.startswith("p_")), likelihood)
@@ -113,6 +122,10 @@ def _channel(lost: Lost, names: tuple[str, ...], likelihood: Callable[[Array], f
     if values[2] > values[3]:
         return None
     intervals = wald_logit(cost, best.x, names)
+    if "loss_good" in intervals and intervals["loss_good"].low < NEARLY * values[2]:
+        intervals["loss_good"] = Interval(0.0, intervals["loss_good"].high)
+    if "loss_bad" in intervals and 1.0 - intervals["loss_bad"].high < NEARLY * (1.0 - values[3]):
+        intervals["loss_bad"] = Interval(intervals["loss_bad"].low, 1.0)
     return LossFit(
         kind="gilbert-elliott", values=dict(zip(("p_gb", "p_bg", "loss_good", "loss_bad"), values.tolist())), intervals=intervals,
         log_likelihood=-float(best.fun), parameters=len(names), predicted=_predicted(lost, values),
