@@ -27,6 +27,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "a plug-in of Python": ("test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log",
                             "test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log"),
     "TAB (completion)": ("test_completion_runs_nothing_that_an_experiment_names",),
+    "a module of one's own that prints": ("test_what_a_module_of_ones_own_prints_stays_out_of_the_json",),
     "`--json` with standard": ("test_json_for_a_closed_output_runs_nothing",),
     "a measure that fails": ("test_a_measure_that_fails_behind_its_check_leaves_the_log_and_the_other_numbers",),
     "a signal before": ("test_a_signal_before_the_first_record_leaves_no_empty_log",

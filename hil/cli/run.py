@@ -116,6 +116,7 @@ def command(
     safety; 4 timing not valid (with --require-valid-timing); 5 a second controller answered too; 6 the link was flooded; 7 the
     plant or the controller was not what it says; 130, 143 interrupted.
     """
+    from hil.cli.json_output import only_json
     from hil.cli.run_summary import show
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
@@ -126,6 +127,7 @@ def command(
 
     if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
         raise HilError(f"--log-mode: {log_mode!r:.20}; expected an octal mode with which you can read and write, such as 640")
+    out = only_json(as_json)  # before a module of the experiment's own runs
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
@@ -177,7 +179,7 @@ def command(
     if status == 0 and require_valid_timing and not session.summary["timing"]["valid"]:
         status = 4
     if as_json:
-        print(json.dumps(session.summary, indent=2))
+        print(json.dumps(session.summary, indent=2), file=out)
     else:
         show(session.summary)
     sys.exit(status)

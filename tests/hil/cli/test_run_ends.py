@@ -182,3 +182,20 @@ def test_a_signal_while_the_log_is_made_leaves_none(
     monkeypatch.chdir(tmp_path)
     status, _, err = cli("run", "dc-motor-hinf", "--duration", "1", "-o", "a.mcap")
     assert status == 128 + number and "interrupted" in err and not list(tmp_path.iterdir())
+
+
+def test_what_a_module_of_ones_own_prints_stays_out_of_the_json(tmp_path: Path) -> None:
+    text = shipped()["dc-motor-hinf"].read_text().replace('kind = "hinf"', 'kind = "loud:Loud"')
+    (tmp_path / "e.toml").write_text(text)
+    (tmp_path / "loud.py").write_text(
+        "from dataclasses import dataclass\nfrom design.controllers import Constant\nprint('imported')\n"
+        "@dataclass(frozen=True, kw_only=True)\nclass Loud(Constant):\n    value: tuple[float, ...] = (0.0,)\n"
+        "    def __post_init__(self):\n        print('{}')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "run", "e.toml", "--duration", "1", "--json", "-o", "x.mcap",
+         "--set", "allow_uncertified=true"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert json.loads(done.stdout)["slots"] == 20, done.stderr
+    assert done.stderr.startswith("imported\n{}\n")
