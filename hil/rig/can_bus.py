@@ -111,6 +111,8 @@ def periodic_traffic(medium: Medium, number: Mapping[str, int]) -> list[Periodic
 
 def periodic_message(message: TrafficTable, medium: Medium) -> PeriodicMessage:
     """Return a message of a table for the analysis of its response time."""
+    from transport.can_analysis.messages import PeriodicMessage  # loaded where there is a bus
+
     frame = frame_of(message, medium)
     return PeriodicMessage(
         name=message.said, identifier=message.can_id, length=len(frame.data), period_ns=_ns(message.period),
