@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from design.jump_linear.interruptible import apart
 from design.jump_linear.stability_proof import is_positive
 
 Array = npt.NDArray[np.float64]
@@ -23,6 +24,8 @@ MOST_ENTRIES = 3_000_000
 """Entries of the sparse matrix; more of them fill the memory when it is factored."""
 DENSITY = 0.05
 """Share of entries that are not zero up to which a sparse factorisation pays."""
+QUICK = 100_000
+"""Entries that are factored in a moment; more take up to some seconds, in which no signal is seen."""
 ACCURATE = 1e-11
 MOST_SOLUTIONS = 60
 
@@ -60,10 +63,14 @@ def solve_sparse(operator: Any, right: Array, shift: float = 1.0) -> Array:
     from scipy.sparse.linalg import splu
 
     matrix = (shift * eye_array(operator.shape[0], format="csc") - operator).tocsc()
-    try:
-        return np.asarray(splu(matrix).solve(right))
-    except RuntimeError:  # exactly singular
-        return np.full_like(right, np.nan)
+
+    def solved() -> Array:
+        try:
+            return np.asarray(splu(matrix).solve(right))
+        except RuntimeError:  # exactly singular
+            return np.full_like(right, np.nan)
+
+    return apart(solved) if matrix.nnz > QUICK else solved()
 
 
 def positive_radius(operator: Any, unit: Array, family: Any) -> float:
