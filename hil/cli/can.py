@@ -105,6 +105,8 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
     bus = can_bus_of(loop.rig)
     if bus is None:
         raise HilError(f"{experiment.name}: no medium of kind 'can', see hil guide can-bus")
+    if bus.table.recorded:
+        raise HilError(f"{experiment.name}: recorded frames have no period, and no bound follows from them; hil run measures")
     measured = bus_of(view_of(simulate(loop, experiment.seed), loop.experiment))
     worst = {} if measured is None else {(each.extended, each.can_id): each.response_worst_ms for each in measured.messages}
     return analyse(experiment.name, analysed(loop.rig, bus, loop.rows), rates_of(bus.table), worst, seconds, errors)

@@ -41,6 +41,7 @@ from hil.certify.stated_controller import stated_by
 from hil.certify.watched import OneStep, Watched, one_step
 from hil.compose.fit import check_own, check_references
 from hil.compose.law_files import with_law_files
+from hil.compose.recorded_traffic import with_recorded_traffic
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
@@ -192,7 +193,7 @@ def _modelled(experiment: Experiment, known: RigSpec | None = None) -> tuple[Exp
     lost = [str(part.missing()) for part in (experiment.plant, experiment.controller) if isinstance(part, UnavailablePlugin)]
     if lost:
         raise ExperimentError(experiment.name, lost)
-    experiment = with_traffic_file(with_law_files(experiment))
+    experiment = with_traffic_file(with_recorded_traffic(with_law_files(experiment)))
     try:
         rig = rig_of(experiment) if known is None else known
         discrete = experiment.plant.model().discretise(float(experiment.period))

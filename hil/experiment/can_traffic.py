@@ -11,7 +11,7 @@ from transport.can_bus_model.frame import BASE_MOST, EXTENDED_MOST
 from transport.errors import FieldError
 from transport.wire.fields import FD_LENGTHS
 
-CAN_FIELDS: Final = ("bitrate", "dbitrate", "buffer", "control", "bit_error_rate", "traffic", "traffic_file")
+CAN_FIELDS: Final = ("bitrate", "dbitrate", "buffer", "control", "bit_error_rate", "traffic", "traffic_file", "recorded")
 MOST_TRAFFIC: Final = 2000
 _ZERO = typing.cast(Seconds, 0.0)
 

@@ -131,7 +131,9 @@ class Medium(Table, frozen=True, kw_only=True):
         control: ``can``: whether the control packets travel on this bus too.
         bit_error_rate: ``can``: probability that a bit is disturbed, for all nodes alike.
         traffic: ``can``: messages of other nodes.
-        traffic_file: ``can``: more of them, from a file beside the experiment: CSV, or a DBC with GenMsgCycleTime.
+        traffic_file: ``can``: more of them, from a file beside the experiment: CSV, a DBC with GenMsgCycleTime, or a recording
+            (candump .log, .asc, .blf).
+        recorded: ``can``: recorded frames, each with its time in ns, as in ``12000000 123#1122``; sent by one node, in order.
     """
 
     kind: Literal["independent", "round-robin", "random", "can-arbitration", "can"]
@@ -148,6 +150,7 @@ class Medium(Table, frozen=True, kw_only=True):
     bit_error_rate: float = 0.0
     traffic: tuple[TrafficTable, ...] = ()
     traffic_file: str = ""
+    recorded: tuple[str, ...] = ()
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:

@@ -30,7 +30,7 @@ class MessageOnBus:
         load: share of the bus that it took, destroyed frames included.
         waited_ms, waited_worst_ms: from Transmit to the start of the frame that got through, mean and worst; None without one.
         response_worst_ms: from Transmit to the end of its EOF, the worst.
-        bound_ms: the analytic bound of the response time; None where there is none, or bits are disturbed.
+        bound_ms: the analytic bound of the response time; None where there is none, bits are disturbed or frames are recorded.
     """
 
     name: str
@@ -119,7 +119,7 @@ def bus_of(view: RunView) -> BusLoad | None:
     answers = sum(each.length for each in counted.values() if names[each.node] == CONTROLLER)
     rows = answers // (4 * len(rig.inputs)) or None
     stated = {(each.extended, each.identifier): each for each in analysed(rig, bus, rows)}
-    bounds = {} if medium.bit_error_rate else {
+    bounds = {} if medium.bit_error_rate or medium.recorded else {
         each.message.name: each.response_ns for each in response_times([*stated.values()], rates)
     }  # fmt: skip
     span = int(records["idle_ns"][-1])
@@ -134,6 +134,16 @@ def bus_of(view: RunView) -> BusLoad | None:
                 response_worst_ms=_ms(own.response_worst_ns), bound_ms=_ms(bounds.get(message.name)),
             )
         )  # fmt: skip
+    for (extended, identifier), own in sorted(counted.items()):
+        if (extended, identifier) not in stated:  # of a recording
+            messages.append(
+                MessageOnBus(
+                    name=f"recorded {identifier:#x}", can_id=identifier, extended=extended, node=names[own.node],
+                    frames=own.frames, errors=own.errors, load=own.used_ns / span,
+                    waited_ms=own.waited_ns / own.frames / 1e6 if own.frames else None,
+                    waited_worst_ms=_ms(own.waited_worst_ns), response_worst_ms=_ms(own.response_worst_ns), bound_ms=None,
+                )
+            )  # fmt: skip
     every = list(counted.values())
     senders = tuple(packet.sender for packet in own_packets(rig, bus))
     own_nodes = [each for each in every if names[each.node] in senders]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from transport.can_analysis.messages import PeriodicMessage
     from transport.can_bus_model.traffic import Periodic
 
-CONTROLLER, ACTUATOR = "controller", "actuator"
+CONTROLLER, ACTUATOR, RECORDING = "controller", "actuator", "recording"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +78,8 @@ def own_packets(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> lis
 def bus_nodes(rig: RigSpec, bus: SharedMedium) -> tuple[str, ...]:
     """Return the names of all nodes on the bus by number: those that send packets of the rig, the actuator, and the others."""
     own = [rig.sensors[number].name for number in sorted(bus.nodes)]
-    return (*own, CONTROLLER, ACTUATOR, *dict.fromkeys(message.sender for message in bus.table.traffic))
+    others = dict.fromkeys(message.sender for message in bus.table.traffic)
+    return (*own, CONTROLLER, ACTUATOR, *others, *((RECORDING,) if bus.table.recorded else ()))
 
 
 def rates_of(medium: Medium) -> BitRates:
@@ -159,6 +160,7 @@ def can_bus_faults(rig: RigSpec) -> Iterator[str]:
             taken = owner.setdefault((False, packet.first + i), packet.sender)
             if taken != packet.sender:
                 yield f"{packet.path}: {packet.first + i:#x} is the identifier of {taken!r} already, on network.media.{at}"
+    yield from recorded_faults(medium, at, owner)
     sent: dict[tuple[bool, int], str] = {}
     for i, message in enumerate(medium.traffic):
         key = (message.extended, message.can_id)
@@ -167,10 +169,40 @@ def can_bus_faults(rig: RigSpec) -> Iterator[str]:
             yield f"{path}: {message.can_id:#x} is the identifier of {owner[key]!r} already"
         elif sent.setdefault(key, message.said) != message.said:
             yield f"{path}: {message.can_id:#x} is the identifier of {sent[key]!r} already"
-        if message.sender in (*names, CONTROLLER, ACTUATOR):
+        if message.sender in (*names, CONTROLLER, ACTUATOR, RECORDING):
             yield f"network.media.{at}.traffic[{i}].{'node' if message.node else 'name'}: {message.sender!r} is a node of the rig"
         if message.fd and medium.dbitrate is None:
             yield f"network.media.{at}.traffic[{i}].fd: the bus has no dbitrate, expected one for CAN FD"
+
+
+def recorded_faults(medium: Medium, at: str, owner: Mapping[tuple[bool, int], str]) -> Iterator[str]:
+    """Yield what is wrong with recorded frames, the first of each kind.
+
+    Args:
+        medium: the bus.
+        at: its name.
+        owner: of the identifiers of the rig.
+    """
+    if not medium.recorded:
+        return
+    from hil.rig.recorded_frame import MOST, due_of
+
+    last = 0
+    for i, line in enumerate(medium.recorded):
+        path = f"network.media.{at}.recorded[{i}]"
+        try:
+            due = due_of(line)
+        except ValueError as error:
+            yield f"{path}: {error}"
+            return
+        key = (due.frame.extended, due.frame.identifier)
+        if key in owner:
+            yield f"{path}: {due.frame.identifier:#x} is the identifier of {owner[key]!r} already"
+            return
+        if due.at_ns < last or i >= MOST:
+            yield f"{path}: {'earlier than the one before it' if i < MOST else f'more than {MOST} frames'}"
+            return
+        last = due.at_ns
 
 
 def _ns(seconds: float) -> int:

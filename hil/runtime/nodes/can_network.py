@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from hil.compose.loop import Loop
-from hil.rig.can_bus import bus_nodes, can_bus_of, own_packets, periodic, rates_of
+from hil.rig.can_bus import RECORDING, bus_nodes, can_bus_of, own_packets, periodic, rates_of
+from hil.rig.recorded_frame import due_of
 from hil.runtime.streams import rng_for
 from transport.can_bus_model.bus import CanBus, CanNode, Transmission
 from transport.can_bus_model.frame import CanFrame
 from transport.can_bus_model.noise import BitErrors
-from transport.can_bus_model.traffic import Traffic
+from transport.can_bus_model.traffic import Due, Traffic
 from transport.medium.independent import Impairment
 from transport.medium.timed_bus import BusInSlots, TimedBusDownlink, TimedBusUplink, value_frames
 from transport.packets import ControlPacket
@@ -46,12 +47,14 @@ class CanNetwork:
         self._own = own_packets(loop.rig, shared, loop.rows)
         self.carries_control = medium.control
         noise = BitErrors(medium.bit_error_rate, rng_for(seed, f"medium.{name}")) if medium.bit_error_rate else None
-        nodes = [CanNode() for _ in names]
+        nodes = [CanNode("fifo" if name == RECORDING else "priority") for name in names]
         bus = CanBus(rates, nodes, noise, status=lambda at, i: status(rates.ns(at), names[i], nodes[i]))
-        sources = [
+        sources: list[Iterator[Due]] = [
             each.frames(rng_for(seed, f"medium.{name}.{message.said}"))
             for each, message in zip(periodic(loop.rig, shared), medium.traffic, strict=True)
         ]
+        if medium.recorded:
+            sources.append(due_of(line, len(names) - 1) for line in medium.recorded)
         self._slots = BusInSlots(
             bus, Traffic(sources), len(self._own), overwrite=medium.buffer == "overwritten", period_ns=e.period_ns,
             deadline_ns=round(e.timing.deadline * e.period_ns), seen=lambda ended: seen(ended, nodes[ended.node]),

@@ -125,6 +125,45 @@ def test_what_no_bus_is_refused_with_its_path(override: str, said: str) -> None:
     assert said in str(caught.value)
 
 
+CANDUMP = "(100.000000) can0 123#1122334455667788\n(100.004000) can0 18FF0001#00\n(100.0045) can0 200#R2\n"
+
+
+def test_a_recording_is_sent_again_in_its_order_and_at_its_times(tmp_path: Path) -> None:
+    (tmp_path / "car.log").write_text(CANDUMP)
+    text = Path("hil/experiments", f"{NAME}.toml").read_text()
+    (tmp_path / "own.toml").write_text(text.replace("bitrate = 125_000", "bitrate = 125_000\ntraffic_file = 'car.log'"))
+    loop = compose(load_experiment(tmp_path / "own.toml", duration="1"), certify=False)
+    table = loop.experiment.resolved()["network"]["media"]["bus"]
+    assert table["recorded"] == ["0 123#1122334455667788", "4000000 18FF0001#00", "4500000 200#R2"] and not table["traffic_file"]
+    run = simulate(loop, 0)
+    frames = run.arrays["/link/bus"]
+    sent = [frame for frame in frames if frame["can_id"] in (0x123, 0x18FF0001, 0x200)]
+    assert [(int(f["can_id"]), int(f["queued_ns"]), int(f["flags"])) for f in sent] == [
+        (0x123, 0, 0), (0x18FF0001, 4_000_000, 1), (0x200, 4_500_000, 2),
+    ]  # fmt: skip
+    found = bus_of(view_of(run, loop.experiment))
+    assert found is not None and all(each.bound_ms is None for each in found.messages)
+    told = [each.name for each in found.messages if each.node == "recording"]
+    assert told == ["recorded 0x123", "recorded 0x200", "recorded 0x18ff0001"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("(0.0) can0 123#11\n(0.0) can0 124#11\n", "car.log: every frame has the time stamp 0; a recording with time"),
+        ("(0.0) can0 100#11\n(0.1) can0 124#11\n", "recorded[0]: 0x100 is the identifier of 'motor' already"),
+        ("nothing\n", "car.log: is no CAN log"),
+    ],
+)
+def test_a_recording_that_cannot_be_sent_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "car.log").write_text(text)
+    experiment = Path("hil/experiments", f"{NAME}.toml").read_text()
+    (tmp_path / "own.toml").write_text(experiment.replace("bitrate = 125_000", "bitrate = 125_000\ntraffic_file = 'car.log'"))
+    with pytest.raises(ExperimentError) as caught:
+        compose(load_experiment(tmp_path / "own.toml"), certify=False)
+    assert said in str(caught.value)
+
+
 CSV = "name,can_id,period,length,jitter,extended\nspeed,0x123,10 ms,4,1 ms,\nlamp,0x18FF0000,0.5,1,,yes\n"
 DBC = """VERSION ""
 NS_ :

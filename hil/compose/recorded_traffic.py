@@ -1,0 +1,62 @@
+"""The traffic of a recorded CAN log, in the table of an experiment: it needs nothing but itself then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from hil.errors import ExperimentError, HilError
+from hil.experiment import Experiment
+from hil.rig.recorded_frame import MOST, line_of
+from transport.can_bus_model.frame import CanFrame
+from transport.errors import FieldError
+from transport.wire.fields import frame_length
+
+ENDINGS = (".log", ".asc", ".blf")
+
+
+def with_recorded_traffic(e: Experiment) -> Experiment:
+    """Return an experiment with the frames of its recorded traffic in it, from time 0 on.
+
+    Raises:
+        ExperimentError: the file cannot be read, or has no time stamps.
+    """
+    media = dict(e.network.media)
+    for name, medium in e.network.media.items():
+        if medium.traffic_file.endswith(ENDINGS):
+            try:
+                lines = _lines(Path(e.folder) / medium.traffic_file)
+            except HilError as error:
+                raise ExperimentError(e.name, [f"network.media.{name}.traffic_file: {error}"]) from error
+            media[name] = replace(medium, recorded=(*medium.recorded, *lines), traffic_file="")
+    return replace(e, network=replace(e.network, media=media))
+
+
+def _lines(path: Path) -> list[str]:
+    from hil.log.read.can_log import can_frames  # python-can is imported for a recording alone
+
+    found: list[tuple[float, CanFrame]] = []
+    for i, message in enumerate(can_frames(path)):
+        if message.is_error_frame:
+            continue
+        data = b"" if message.is_remote_frame else bytes(message.data)
+        try:
+            frame = CanFrame(
+                identifier=message.arbitration_id, extended=message.is_extended_id, remote=message.is_remote_frame,
+                dlc=message.dlc if message.is_remote_frame else None, fd=message.is_fd,
+                data=data.ljust(frame_length(len(data)), b"\0") if message.is_fd else data,
+                bitrate_switch=message.is_fd and message.bitrate_switch,
+                error_state=message.is_fd and message.error_state_indicator,
+            )  # fmt: skip
+        except FieldError as error:
+            raise HilError(f"{path}: frame {i + 1}: {error}") from error
+        found.append((message.timestamp, frame))
+        if len(found) > MOST:
+            raise HilError(f"{path}: more than {MOST} frames")
+    if not found:
+        raise HilError(f"{path}: no frame")
+    if len(found) > 1 and all(at == found[0][0] for at, _ in found):
+        raise HilError(f"{path}: every frame has the time stamp {found[0][0]:g}; a recording with time stamps is needed")
+    first = min(at for at, _ in found)
+    return [line_of(round((at - first) * 1e9), frame) for at, frame in sorted(found, key=lambda each: each[0])]
