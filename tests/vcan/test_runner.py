@@ -148,8 +148,11 @@ def test_only_writable_directories_keep_what_is_written(tmp_path: Path) -> None:
 
 def test_time_limit_ends_the_command() -> None:
     token = uuid.uuid4().hex
-    done = vcan("--timeout", "2", "--", "sh", "-c", f"echo begun; sleep 1000; : {token}")
-    assert done.returncode == 124
+    for limit in ("2", "20", "200"):  # a busy machine boots in more than the first
+        done = vcan("--timeout", limit, "--", "sh", "-c", f"echo begun; sleep 1000; : {token}")
+        assert done.returncode == 124
+        if done.stdout:
+            break
     assert "begun" in done.stdout
     assert "timed out" in done.stderr
     assert not left_behind(token)
