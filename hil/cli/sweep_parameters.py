@@ -89,6 +89,7 @@ def run_points(
             {
                 "changes": dict(zip(points.keys, points.values[number])),
                 "stopped_by_safety": int(columns["stopped"].sum()),
+                "caution": found.cautions.get(number),
                 "metrics": {
                     q.name: {"n": i.n, "mean": i.value, "low": i.low, "high": i.high} if i.n > 1 else {"n": i.n}
                     for q in found.quantities
@@ -132,6 +133,9 @@ def csv_of(sweep: ParameterSweep) -> str:
 
 
 def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: Path | None) -> None:
+    from shutil import get_terminal_size
+    from textwrap import fill
+
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -151,6 +155,8 @@ def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: 
             numbers = ("-", "-") if "mean" not in seen else (f"{seen['mean']:.5g}", f"{seen['low']:.4g} to {seen['high']:.4g}")
             shown.add_row(*map(cell, point["changes"].values()), str(seen["n"]), *numbers)
         print_table(shown)
+    for said in sweep.said():
+        print(fill(visible(said), get_terminal_size().columns, break_long_words=False, break_on_hyphens=False))
     for what, path in (("page", page), ("csv", table)):
         if path is not None:
             print(f"{what}: {visible(path)}")

@@ -43,7 +43,8 @@ def _answer(sweep: ParameterSweep) -> Section:
     judged = [q for q in sweep.quantities if sweep.best(q.name) is not None]
     said = [Text(title=q.title, text=sweep.answer(q.name)) for q in judged]
     none = Text(text="No measure of this experiment states which value is better.")
-    return Section(title="Answer", blocks=tuple(said) or (none,))
+    cautions = tuple(Text(text=each) for each in sweep.said())
+    return Section(title="Answer", blocks=(*(said or (none,)), *cautions))
 
 
 def _pictures(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> list[Block]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
+MOST_CAUTIONS = 5
+"""Points whose caution is written out."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ParameterSweep:
     """What a sweep over parameters has found.
@@ -39,6 +43,7 @@ class ParameterSweep:
         quantities: what every point measures.
         interrupted: 130 if Ctrl-C came (143 if SIGTERM did), else 0; then the last points are missing.
         alone: which measures kept the runs from being computed at once, nothing where none did.
+        cautions: point to what is to be said beside its mean of squared errors, where that does not converge well.
     """
 
     experiment: str
@@ -47,6 +52,13 @@ class ParameterSweep:
     quantities: tuple[Quantity, ...]
     interrupted: int = 0
     alone: str = ""
+    cautions: Mapping[int, str] = field(default_factory=dict)
+
+    def said(self) -> tuple[str, ...]:
+        """Return the cautions, a sentence a point; of many points those of the first ones, and how many there are."""
+        shown = [f"{', '.join(self.points.changes(n))}: {said}" for n, said in list(self.cautions.items())[:MOST_CAUTIONS]]
+        more = len(self.cautions) - len(shown)
+        return (*shown, f"{more} more points have a caution of this kind") if more else tuple(shown)
 
     def intervals(self, quantity: str) -> list[Interval]:
         """Return the mean of a quantity at every point that was done, and its 95 % interval."""
@@ -198,9 +210,11 @@ def sweep_parameters(
             raise HilError(f"--resume: {folder}: {error.strerror}") from error
     alone = ""
 
+    cautions: dict[int, str] = {}
+
     def made(**ended: Any) -> ParameterSweep:
         return ParameterSweep(
-            experiment=experiments[0].name, points=points, columns=tuple(done), quantities=quantities, **ended
+            experiment=experiments[0].name, points=points, columns=tuple(done), quantities=quantities, cautions=cautions, **ended
         )
 
     for number, experiment in enumerate(experiments):
@@ -223,5 +237,6 @@ def sweep_parameters(
         if found.interrupted:
             return made(interrupted=found.interrupted)
         done.append(found.values)
+        cautions |= {number: found.caution} if found.caution else {}
         alone = alone or found.alone
     return made(alone=alone)

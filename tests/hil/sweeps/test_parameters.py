@@ -99,6 +99,19 @@ def test_the_command_writes_a_page_and_a_table_of_runs(tmp_path: Path, capsys: p
     assert f"page: {page}" in shown and "sse (rad² s)" in shown
 
 
+def test_a_point_whose_mean_converges_badly_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, arguments = tmp_path / "page.html", ["sweep", "dc-motor-local", "--grid", "controller.gain=[[-0.1]],[[-0.32]]"]
+    arguments += ["--runs", "2", "--jobs", "1", "--set", "duration=1", "--set", "allow_uncertified=true", "-o", str(page)]
+    with pytest.raises(SystemExit):
+        main([*arguments, "--json"])
+    quiet, growing = (point["caution"] for point in json.loads(capsys.readouterr().out)["points"])
+    assert quiet is None and "converges badly" in growing
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert "controller.gain=[[-0.32]]: fourth moments" in capsys.readouterr().out
+    assert "controller.gain=[[-0.32]]: fourth moments" in page.read_text()
+
+
 @pytest.mark.parametrize(
     "options, says",
     [
