@@ -156,5 +156,5 @@ def _to_safe_state_s(woken_s: np.ndarray[Any, Any], status: np.ndarray[Any, Any]
     """Return the time from the last slot with a command to the first in the safe state, and the longest slot between them, s."""
     safe = int(np.argmax(status == STATUS.index("safe state")))
     assert status[safe] == STATUS.index("safe state")
-    last = int(np.flatnonzero(status[:safe] == STATUS.index("ok"))[-1])
+    last = max([0, *np.flatnonzero(status[:safe] == STATUS.index("ok"))])  # the first slot where no answer was in time at all
     return float(woken_s[safe] - woken_s[last]), float(np.diff(woken_s[last : safe + 1]).max())
