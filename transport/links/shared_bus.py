@@ -103,7 +103,8 @@ class SharedBus:
     def _held(self) -> Iterator[_Held]:
         fcntl.flock(self._file, fcntl.LOCK_EX)
         try:
-            held = _Held(os.pread(self._file, _MOST_BYTES, 0))
+            size = min(os.fstat(self._file).st_size, _MOST_BYTES)  # room for more is memory that a locked process has to clear
+            held = _Held(os.pread(self._file, size, 0))
             yield held
             text = held.text()
             os.pwrite(self._file, text, 0)
