@@ -17,7 +17,7 @@ from design.jump_linear.observed import observed_part
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.rig.loop_chains import settled
-from tests.hil.compose.random_scheduled_loops import FAMILIES, clocked, composed, constant, experiment, smith, table
+from tests.hil.compose.random_scheduled_loops import FAMILIES, clocked, composed, constant, experiment, grown, smith, table
 
 NEAR = 0.02
 
@@ -143,6 +143,17 @@ def test_a_predictor_knows_ages_that_a_table_does_not(max_age: int, state: str) 
     made.pop("network.nodes", None)
     verdict = composed(made | {"controller": {"kind": "smith", "gain": [[5.0]]}}).verdict
     assert verdict is not None and verdict.state == state, verdict.reason
+
+
+def test_a_sample_that_waited_for_the_bus_is_new() -> None:
+    """Over one gain and networks without delay nothing tells ages apart, and still a sample comes a slot late, as in the rig."""
+    plant = {"kind": "state-space", "A": [[0.3, 1.0], [-1.0, 0.2]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]],
+             "initial_state": [1.0, 0.5]}  # fmt: skip
+    made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-1.0, -3.0]]})
+    for node in made["network.nodes"].values():
+        node["clock"] = {"every": 3}
+    loop = composed(made | {"network.media": {"bus": {"kind": "can-arbitration", "nodes": ["n0", "n1"]}}})
+    assert loop.verdict is not None and loop.verdict.number == pytest.approx(grown(loop), rel=0.01)
 
 
 def test_a_cycle_forgets_how_it_began() -> None:
