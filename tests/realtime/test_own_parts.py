@@ -102,6 +102,7 @@ def real_time(folder: Path, link: str, **lies: str) -> tuple[int, dict[str, Any]
     words = ["run", "own.toml", "--clock", "real", "--link", link, "--quiet", "--json", "-o", "a.mcap"]
     done = subprocess.run(
         [sys.executable, "-m", "hil", *words], cwd=folder, capture_output=True, text=True, timeout=120,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))},
     )  # fmt: skip
     return done.returncode, json.loads(done.stdout)["problems"], done.stderr
 
@@ -130,3 +131,40 @@ def test_who_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: Path, pa
     run = read_run(tmp_path / "a.mcap")
     assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [told]
     assert len(run.arrays["/plant/state"]) > 200 and any(e["kind"] == "outcome" for e in run.events)
+
+
+@pytest.mark.parametrize("role", ["rig", "controller"])
+def test_an_own_link_that_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: Path, role: str) -> None:
+    (tmp_path / "torn.py").write_text(f"""
+from transport.links.opening import open_link
+
+class Torn:
+    def __init__(self, role):
+        self.link, self.role, self.sent = open_link("can:hil:torn{os.getpid()}", role), role, 0
+
+    def __getattr__(self, name):
+        return getattr(self.link, name)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *given):
+        self.link.close()
+
+    def send(self, packet):
+        self.sent += 1
+        if self.sent > 150 and self.role == "{role}":
+            raise ConnectionError("the cable is torn")
+        self.link.send(packet)
+
+def opened(uri, role):
+    return Torn(role)
+""")
+    info = tmp_path / "torn-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: torn\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[hil.links]\ntorn = torn:opened\n")
+    status, problems, errors = real_time(tmp_path, "torn:x")
+    assert status == 1 and "Traceback" not in errors, errors
+    assert problems["plug_in_failed"].startswith(f"ConnectionError: the cable is torn ({tmp_path}/torn.py, line ")
+    assert len(read_run(tmp_path / "a.mcap").arrays["/plant/state"]) > 10

@@ -8,15 +8,16 @@ from hil.plugins.asked import told_of
 from plants.errors import PlantError
 
 
-def failure_of(loop: Loop, error: BaseException) -> tuple[str, str] | None:
+def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, str] | None:
     """Return the kind of the event that an exception is, and what it says; None for one that no part of the loop raised.
 
     Args:
         loop: what ran.
         error: as it was caught.
+        others: what ran beside it and may be somebody's own, such as the link.
     """
     if isinstance(error, PlantError):
         return PLANT_FAILED, str(error)
-    parts = (loop.experiment.plant, loop.controller, *loop.rig.laws)
+    parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *others)
     told = None if isinstance(error, KeyboardInterrupt) else told_of(error, parts)
     return None if told is None else (PLUG_IN_FAILED, told)

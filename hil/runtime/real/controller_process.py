@@ -76,23 +76,21 @@ def serve(
     failed: str | None = None
     with open_link(uri, "controller") as link:
         try:
-            while failed is None:
+            while True:
                 data = link.receive(IDLE_S)
                 if data is not None:
-                    answer = None
-                    try:
-                        answer = node.on_frame(data, monotonic_ns())
-                    except Stopped:
-                        raise
-                    except BaseException as error:  # whatever a control law of the user's own raises
-                        said = failure_of(loop, error)
-                        if said is None:
-                            raise
-                        failed = said[1]
+                    answer = node.on_frame(data, monotonic_ns())
                     if answer is not None:
                         link.send(answer)
                 elif isinstance(link, OneOfARole):  # whom the rig does not hear takes no packet
                     link.check_alone()
+        except Stopped:
+            raise
+        except BaseException as error:  # whatever a control law or a link of the user's own raises
+            said = failure_of(loop, error, link)
+            if said is None:
+                raise
+            failed = said[1]
         finally:
             counters, counts = asdict(link.counters), asdict(node.counts)
             at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}, node.departed, failed)

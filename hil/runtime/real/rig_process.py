@@ -153,7 +153,7 @@ def main() -> None:
                 if not stopped:
                     real.rig.compare(None if node is None else node.departed)
             except BaseException as error:  # whatever a part of the user's own raises
-                failure = failure_of(job.loop, error)
+                failure = failure_of(job.loop, error, link)
                 if failure is None:
                     raise
                 failed = True
