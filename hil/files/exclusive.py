@@ -27,6 +27,8 @@ def written_whole(target: Path, *, replace: bool) -> Iterator[Path]:
     Raises:
         HilError: it exists (without `replace`), is no regular file, or cannot be written; nothing is left behind.
     """
+    if "\0" in str(target):  # a topic of a log names a file of its export
+        raise HilError(f"{target}: cannot be written: a name with a zero byte")
     part = target.with_name(f".hil-{secrets.token_hex(6)}.part{target.suffix[:16]}")
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC

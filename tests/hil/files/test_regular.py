@@ -60,3 +60,10 @@ def test_a_device_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(HilError, match="pipe: cannot be written: it is no"), written_whole(target, replace=True) as part:
         part.write_text("new")
     assert target.is_fifo() and [*tmp_path.iterdir()] == [target]
+
+
+def test_a_name_with_a_zero_byte_is_no_file_to_write(tmp_path: Path) -> None:
+    """A topic of a foreign log names a table of its export."""
+    with pytest.raises(HilError, match="a name with a zero byte"), written_whole(tmp_path / "a\0b", replace=True):
+        pass
+    assert not any(tmp_path.iterdir())
