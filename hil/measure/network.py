@@ -28,8 +28,9 @@ def mode_sequence(draws: Draws) -> npt.NDArray[np.int64]:
 
 
 def network_metrics(
-    draws: Draws | None, law: NetworkLaw | None, kind: str, *, late: int = 0, reasons: Sequence[str] = REASONS
-) -> dict[str, Any]:
+    draws: Draws | None, law: NetworkLaw | None, kind: str, *, late: int = 0, reasons: Sequence[str] = REASONS,
+    slot: tuple[float, float] | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Return the network part of a summary, for one direction.
 
     Args:
@@ -38,6 +39,7 @@ def network_metrics(
         kind: its plug-in name.
         late: packets that missed the slot's deadline (they count as lost on the way to the actuator).
         reasons: names of the codes in `draws["reason"]`.
+        slot: its length and when it closes, s; None where that is not known.
 
     Returns:
         law (its kind), mode_counts, transition_counts (row: from; both empty above `MOST_MODES`), p_value (None where the law
@@ -52,7 +54,7 @@ def network_metrics(
         if 0 < size <= MOST_MODES:
             found["mode_counts"] = mode_counts(modes, size).tolist()
             found["transition_counts"] = transition_counts(modes, size).tolist()
-        found["p_value"] = _p_value(law, modes, draws)
+        found["p_value"] = _p_value(law, modes, draws, slot)
         counts = np.sum([np.bincount(piece["reason"], minlength=256) for piece in pieces(draws)], axis=0)
         fates = {reasons[c] if c < len(reasons) else str(c): int(counts[c]) for c in np.flatnonzero(counts).tolist()}
     found["lost"] = fates.get("lost", 0) + fates.get("overflow", 0)
@@ -79,11 +81,13 @@ def _stated(law: NetworkLaw | None, of: Callable[[object], npt.NDArray[np.float6
         return None
 
 
-def _p_value(law: NetworkLaw | None, modes: npt.NDArray[np.int64], draws: Draws) -> float | None:
+def _p_value(
+    law: NetworkLaw | None, modes: npt.NDArray[np.int64], draws: Draws, slot: tuple[float, float] | None
+) -> float | None:  # fmt: skip
     if law is None:
         return None
     try:
-        p_value = law_p_value(law, modes, pieces(draws))
+        p_value = law_p_value(law, modes, pieces(draws), slot)
     except ValueError:  # a recorded trace whose file is no longer where it was
         return None
     return p_value if math.isfinite(p_value) else None

@@ -89,7 +89,9 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
     run = view.run
     reasons = run.codes.get("reason") or REASONS
     *sensors, actuator = view.once(network_paths)
-    nodes = {path.node: network_metrics(path.draws, path.law, path.kind, reasons=reasons) for path in sensors}
+    known = view.experiment
+    slot = None if known is None else (view.period_s, known.timing.deadline * view.period_s)
+    nodes = {path.node: network_metrics(path.draws, path.law, path.kind, reasons=reasons, slot=slot) for path in sensors}
     if len(sensors) == 1:
         together = nodes[sensors[0].node]
     else:
@@ -100,7 +102,7 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
     keys = ("packets", "packets_per_s", "bits_per_s")
     return {
         "sc": together,
-        "ca": network_metrics(actuator.draws, actuator.law, actuator.kind, late=late, reasons=reasons),
+        "ca": network_metrics(actuator.draws, actuator.law, actuator.kind, late=late, reasons=reasons, slot=slot),
         "nodes": {name: found | {key: load[name][key] for key in keys if name in load} for name, found in nodes.items()},
     }
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from transport.draws import COPIED, LOST, OVERFLOW, SENT, Draw
 from transport.laws.latency import LatencyTrace, latency
+from transport.laws.packet import SLOT_TOLERANCE
 from transport.laws.protocols import ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
 from transport.laws.sojourn import hazards
 
@@ -62,7 +63,7 @@ def transition_counts(modes: Modes, size: int | None = None) -> NDArray[np.int64
     return pairs.reshape(size, size)
 
 
-def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None) -> float:
+def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None, slot: tuple[float, float] | None = None) -> float:
     """Return the p-value of a record under its law: uniform on [0, 1] if the law is right, up to the chi-square
     approximation.
 
@@ -76,8 +77,10 @@ def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None) -> 
         modes: mode of every slot from slot 0, (slots,).
         draws: packet laws only: the records of the whole run from slot 0, a list of `Draw`, or a structured array with its fields
             `tick`, `mode`, `latency_s` and `reason`, or such arrays one after the other, of which one is in memory at a time.
+        slot: its length and when it closes, s; of a packet law that discards old packets losses and latencies are tested only
+            with it.
     """
-    found = list(_evidence(law, modes, draws))
+    found = list(_evidence(law, modes, draws, slot))
     if not found:
         return float("nan")
     if not all(evidence.possible for evidence in found):
@@ -96,7 +99,9 @@ def is_testable(law: NetworkLaw) -> bool:
     return isinstance(law, RecordedLaw | SemiMarkovLaw | MarkovModes)
 
 
-def _evidence(law: NetworkLaw, modes: Modes, draws: Records | None) -> Iterator[Evidence]:
+def _evidence(
+    law: NetworkLaw, modes: Modes, draws: Records | None, slot: tuple[float, float] | None
+) -> Iterator[Evidence]:
     if isinstance(law, RecordedLaw):
         ages, served = law.recorded(), slots_served(law)
         enough = served is None or len(modes) <= served
@@ -109,8 +114,8 @@ def _evidence(law: NetworkLaw, modes: Modes, draws: Records | None) -> Iterator[
             yield Evidence(0.0, 0, False)
             return
         yield from _row_evidence(transition_counts(modes, len(matrix)), matrix)
-        if isinstance(law, ChannelLaw) and draws is not None:
-            yield from _packet_evidence(law, draws)
+        if isinstance(law, ChannelLaw) and draws is not None and (law.discard_older is None or slot is not None):
+            yield from _packet_evidence(law, draws, slot)
 
 
 def _row_evidence(counts: NDArray[np.int64], matrix: NDArray[np.float64]) -> Iterator[Evidence]:
@@ -200,15 +205,21 @@ class _Packets:
     possible: bool = True
 
 
-def _packet_evidence(law: ChannelLaw, draws: Records) -> Iterator[Evidence]:
+def _packet_evidence(law: ChannelLaw, draws: Records, slot: tuple[float, float] | None) -> Iterator[Evidence]:
+    """What is discarded is booked as lost: losses are more by the latencies beyond, and latencies are those within."""
     recorded, losses = latency(law.latency), law.channel_losses()
+    latest = np.inf
+    if law.discard_older is not None and slot is not None:
+        latest = slot[1] + (law.discard_older + SLOT_TOLERANCE) * slot[0]
+    kept = float(recorded.cdf(np.array([latest]))[0]) if np.isfinite(latest) else 1.0
     if isinstance(recorded, LatencyTrace):
         edges, reached = np.empty(0), np.array([0.0, 1.0])
         trace = np.asarray(recorded.values_s, dtype=np.float64)
     else:
         quantile, trace = recorded.sampler(), np.empty(0)
         edges = np.unique([quantile(level / LATENCY_BINS) for level in range(1, LATENCY_BINS)])
-        reached = np.concatenate([[0.0], recorded.cdf(edges), [1.0]])
+        edges = edges[edges < latest]
+        reached = np.concatenate([[0.0], recorded.cdf(edges) / max(kept, 1e-300), [1.0]])
     found = _Packets(fates=np.zeros((2, len(losses)), np.int64), binned=np.zeros(len(edges) + 1, np.int64))
     for table in _blocks(draws):
         fate = (table["mode"] >= 0) & np.isin(table["reason"], (SENT, LOST))
@@ -220,7 +231,7 @@ def _packet_evidence(law: ChannelLaw, draws: Records) -> Iterator[Evidence]:
         if isinstance(recorded, LatencyTrace):
             due = trace[table["tick"] % len(trace)]
             found.possible &= bool((observed == due[sent]).all() and not sent[np.isinf(due)].any())
-            fate &= np.isfinite(due)  # the others are lost by the trace, whatever the channel does
+            fate &= np.isfinite(due) & (due <= latest)  # the others are lost by the trace, whatever the channel does
         else:
             found.possible &= bool(((observed >= recorded.values_s[0]) & (observed <= recorded.values_s[-1])).all())
             found.binned += np.bincount(np.searchsorted(edges, observed), minlength=len(edges) + 1)
@@ -228,9 +239,10 @@ def _packet_evidence(law: ChannelLaw, draws: Records) -> Iterator[Evidence]:
         for row, chosen in zip(found.fates, (fate & ~sent, fate & sent), strict=True):
             row += np.bincount(table["mode"][chosen], minlength=len(losses))
     yield Evidence(0.0, 0, found.possible)
+    chance = kept if not isinstance(recorded, LatencyTrace) else 1.0
     for (gone, came), loss in zip(found.fates.T, losses, strict=True):
-        yield _cells_evidence(np.array([gone, came]), np.array([loss, 1.0 - loss]))
-    if not found.overflow:
+        yield _cells_evidence(np.array([gone, came]), np.array([1.0 - (1.0 - loss) * chance, (1.0 - loss) * chance]))
+    if not found.overflow and law.discard_older is None:  # of a copy that is discarded nothing is booked
         row = np.array([law.duplication, 1.0 - law.duplication])
         yield _cells_evidence(np.array([found.copied, found.sent - found.copied]), row)
     if not isinstance(recorded, LatencyTrace):

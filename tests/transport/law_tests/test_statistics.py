@@ -6,6 +6,7 @@ itself is good to about one per cent at these run lengths, which the sample size
 
 from __future__ import annotations
 
+import dataclasses
 from itertools import pairwise
 from typing import Any
 
@@ -173,3 +174,16 @@ def test_statistics_come_from_records_or_from_a_log_alike() -> None:
     assert found["lost"] == sum(d.reason == LOST for d in draws) == found["fates"]["lost"]
     assert found["duplicated"] == sum(d.reason == DUPLICATED for d in draws) > 0
     assert network_metrics(log[:1], LAMBDA, "markov")["mode_counts"] == [1, 0, 0]
+
+
+def test_a_law_that_discards_old_packets_is_accepted_and_another_is_not() -> None:
+    """What the receiver discards is booked as lost: no loss of the channel. 40 right records, each rejected once in 10^6."""
+    slot = 0.05, 0.03
+    law = PacketLaw(latency={"dist": "gamma", "a": 2.0, "scale": "20 ms"}, loss=0.1, discard_older=1)
+    for seed in range(40):
+        process = law.start(np.random.default_rng([27, seed]), *slot)
+        draws = [draw for k in range(3000) for draw in process.draw(k)]
+        channel = np.zeros(3000, dtype=np.int64)
+        assert law_p_value(law, channel, draws, slot) > 1e-6
+        assert law_p_value(dataclasses.replace(law, discard_older=0), channel, draws, slot) < 1e-12
+        assert law_p_value(dataclasses.replace(law, loss=0.2), channel, draws, slot) < 1e-12
