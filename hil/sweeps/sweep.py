@@ -52,13 +52,13 @@ class Sweep(NamedTuple):
         return data_frame(dict(self.values) | whole, {q.name: q.unit for q in self.quantities})
 
     def plot(
-        self, quantity: str | None = None, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0
+        self, path: str | Path | None = None, *, quantity: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
     ) -> Figure:
         """Draw the distribution of a quantity over the runs; write it to a file where one is named.
 
         Args:
-            quantity: its name; without one the first of which it is known which values are better.
             path: ends in .svg, .pdf or .png.
+            quantity: its name; without one the first of which it is known which values are better.
             width_mm, height_mm: of the figure as it is printed.
 
         Raises:

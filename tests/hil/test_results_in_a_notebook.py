@@ -82,7 +82,7 @@ def test_tables_of_pandas_hold_every_run_with_its_units(
 def test_plots_show_what_was_computed_and_are_written(
     over_gain: hil.ParameterSweep, comparison: hil.Comparison, design: hil.DesignResult, tmp_path: Path
 ) -> None:
-    (axis,) = over_gain.plot("sse", tmp_path / "points.svg").axes
+    (axis,) = over_gain.plot(tmp_path / "points.svg", quantity="sse").axes
     assert axis.get_xlabel() == "period (ms)" and [t.get_text() for t in axis.get_legend().get_texts()] == [
         "plant.gain 150", "plant.gain 170",
     ]  # fmt: skip
@@ -90,7 +90,7 @@ def test_plots_show_what_was_computed_and_are_written(
     expected = [mean_interval(columns["sse"]).value for columns in over_gain.columns]
     assert [y for line in marked for y in line.get_ydata()] == pytest.approx(expected)
     assert (tmp_path / "points.svg").read_text().count("<svg") == 1
-    (axis,) = comparison.plot("sse").axes
+    (axis,) = comparison.plot(quantity="sse").axes
     assert np.array_equal(axis.lines[1].get_xdata(), np.sort(comparison.values["dc-motor-h2"]["sse"]))
     assert design.plot().axes[0].get_ylabel() == "gain"
 
@@ -130,7 +130,7 @@ def test_a_grid_takes_objects_and_ranges_take_points() -> None:
 def test_a_quantity_that_is_not_there_is_answered_with_those_that_are(sweep: hil.Sweep, comparison: hil.Comparison) -> None:
     session = hil.run("dc-motor-hinf", duration=1)
     for ask in (
-        lambda: session.metrics["settling_tme_s"], lambda: sweep.values["settling_tme_s"], lambda: sweep.plot("settling_tme_s"),
+        lambda: session.metrics["settling_tme_s"], lambda: sweep.values["settling_tme_s"], lambda: sweep.plot(quantity="settling_tme_s"),
         lambda: comparison.difference("dc-motor-h2", "settling_tme_s"),
     ):  # fmt: skip
         with pytest.raises(KeyError, match=r"did you mean 'settling_time_s'\? There are: ") as caught:
