@@ -130,7 +130,8 @@ def test_a_grid_takes_objects_and_ranges_take_points() -> None:
 def test_a_quantity_that_is_not_there_is_answered_with_those_that_are(sweep: hil.Sweep, comparison: hil.Comparison) -> None:
     session = hil.run("dc-motor-hinf", duration=1)
     for ask in (
-        lambda: session.metrics["settling_tme_s"], lambda: sweep.values["settling_tme_s"], lambda: sweep.plot(quantity="settling_tme_s"),
+        lambda: session.metrics["settling_tme_s"], lambda: sweep.values["settling_tme_s"],
+        lambda: sweep.plot(quantity="settling_tme_s"),
         lambda: comparison.difference("dc-motor-h2", "settling_tme_s"),
     ):  # fmt: skip
         with pytest.raises(KeyError, match=r"did you mean 'settling_time_s'\? There are: ") as caught:
