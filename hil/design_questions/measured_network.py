@@ -65,7 +65,7 @@ def measured(fit: LawFit, *, holds_input: bool) -> Measured:
         HilError: no class of law explains the record.
     """
     if fit.law_class == "none":
-        raise HilError("none of the laws explains the record; there is nothing to design for")
+        raise HilError("none of the laws explains the record: there is nothing to design for; measure for longer")
     law: NetworkLaw = parse_table("hil.laws", fit.spec, "law")
     at = Receiver(fit.period_s, fit.deadline_s, 0, holds_input)
     if isinstance(law, PacketAges):
