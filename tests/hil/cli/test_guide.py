@@ -41,6 +41,6 @@ def test_an_unknown_topic_is_refused_with_the_nearest(capsys: pytest.CaptureFixt
 
 
 def test_the_controller_of_the_wire_format_is_the_one_that_is_tested() -> None:
-    (program,) = re.findall(r"```python\n(.*?)```", pages()["wire-format"].read_text(encoding="utf-8"), re.S)
+    program, _ = re.findall(r"```python\n(.*?)```", pages()["wire-format"].read_text(encoding="utf-8"), re.S)
     tested = (Path(__file__).parents[2] / "foreign_controller.py").read_text(encoding="utf-8")
     assert tested.split('"""\n\n', 1)[1] == program
