@@ -59,7 +59,7 @@ def _pictures(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) 
         chart = Matrix(
             title=f"{with_unit(quantity.title, quantity.unit)}: mean", rows=rows, columns=columns, row_label=points.keys[0],
             column_label=points.keys[1], values=[[v if np.isfinite(v) else None for v in row] for row in means.tolist()],
-            low=float(finite.min()), high=float(finite.max()), note="the darker, the larger",
+            low=float(finite.min()), high=float(finite.max()), note="the stronger the colour, the larger",
         )  # fmt: skip
         groups = {f"{points.keys[0]} {row}": found[i * len(columns) : (i + 1) * len(columns)] for i, row in enumerate(rows)}
         return [chart, _lines(points.keys[1], columns, groups, quantity)]
