@@ -28,7 +28,7 @@ class Exchange(Protocol):
 
         Args:
             t_ns: nominal time of the slot, ns.
-            hear: takes one frame.
+            on_frame: takes one frame.
         """
         ...
 

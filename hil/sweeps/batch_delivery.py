@@ -78,7 +78,7 @@ def delivered(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Delive
 
 
 def _certain(loop: Loop) -> bool:
-    """Return whether chance decides nothing of what is heard: a fixed order, constant delays, no losses."""
+    """Return whether chance decides nothing of what is delivered: a fixed order, constant delays, no losses."""
     return (
         None not in loop.model.nodes.delays
         and all(shared.table.kind != "random" and shared.table.loss == 0.0 for shared in loop.rig.media)
@@ -87,7 +87,7 @@ def _certain(loop: Loop) -> bool:
 
 
 def _repeated(one: Delivered, runs: int) -> Delivered:
-    """Return what is heard in one run as that of many."""
+    """Return what is delivered in one run as that of many."""
     every = np.arange(runs, dtype=np.intp)
     return Delivered(
         newest=[np.repeat(own, runs, axis=1) for own in one.newest],
@@ -126,7 +126,7 @@ class KnownSamples:
 
     Args:
         loop: the loop.
-        heard: with its arrivals.
+        delivered: with its arrivals.
         memory: age of the oldest sample, slots.
         runs: how many.
     """
