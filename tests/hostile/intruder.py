@@ -16,7 +16,7 @@ from tempfile import mkdtemp
 import can
 import zenoh
 
-from transport import ControlPacket, SensorPacket, decode, encode_control, open_link
+from transport import ControlPacket, SensorPacket, TransportError, decode, encode_control, open_link
 from transport.links.can_bus import FD_FRAME, FRAME, HilBus
 from transport.links.zenoh_link import config
 from transport.wire.tags import echo
@@ -65,11 +65,12 @@ def on_zenoh(uri: str, way: str) -> None:
 
 
 def as_one_of_ours(uri: str) -> None:
-    """Hold the role, and answer nothing."""
-    with open_link(uri, "controller") as link:
-        print("up", flush=True)
-        while True:
-            link.receive(1.0)
+    """Hold the role, and answer nothing; look for a rig so often that one is found as soon as it is there."""
+    print("up", flush=True)
+    while True:
+        with suppress(TransportError), open_link(uri, "controller") as link:
+            while link.receive(0.2) is not None:
+                pass
 
 
 def main() -> None:
