@@ -64,10 +64,10 @@ LIES: dict[str, Callable[[Process], Any]] = {
 @pytest.mark.parametrize("direction", ["sc", "ca"])
 @pytest.mark.parametrize("lie", LIES)
 def test_a_law_that_lies_late_loses_the_certificate(lie: str, direction: str) -> None:
-    changes = {f"links.{direction}.law": Law(lie), f"links.{direction}.max_age": 2, "duration": "40 s"}
+    changes = {f"network.{direction}.law": Law(lie), f"network.{direction}.max_age": 2, "duration": "40 s"}
     loop = loop_of(Plant(), Table(), **changes)
     assert loop.verdict is not None
-    assert any(f"links.{direction}.law draws as the chain that it states" in said for said in loop.verdict.assumptions)
+    assert any(f"network.{direction}.law draws as the chain that it states" in said for said in loop.verdict.assumptions)
     told = said(simulated_session(loop, 3))
     assert told.startswith("certificate withdrawn: the network law Law left its chain at slot ") or (lie == "none" and not told)
     assert lie == "none" or 450 <= int(told.split(" slot ")[1].split()[0]) < 560

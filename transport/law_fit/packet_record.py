@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
-from transport.laws.packet import SLOT_TOLERANCE
+from transport.laws.protocols import SLOT_TOLERANCE
 
 Array = NDArray[np.float64]
 Ages = NDArray[np.int64]

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from transport.draws import COPIED, LOST, OVERFLOW, SENT, Draw
 from transport.laws.latency import LatencyTrace, latency
-from transport.laws.packet import SLOT_TOLERANCE
-from transport.laws.protocols import ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
+from transport.laws.protocols import SLOT_TOLERANCE, ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
 from transport.laws.sojourn import hazards
 
 EXPECTED = 5.0

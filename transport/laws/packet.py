@@ -18,9 +18,9 @@ from transport.errors import FieldError
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
 from transport.laws.packet_chain import PacketChain, packet_chain
 from transport.laws.packet_paths import SlotTimes, channel_modes, fives_of_batch, in_order, newest_received, quantiles
+from transport.laws.protocols import SLOT_TOLERANCE
 from transport.laws.stochastic_matrix import BLOCK, cumulative, mean_holding, stationary_row
 
-SLOT_TOLERANCE = 1e-9
 LATEST = 1_000_000_000  # slots; heavy tails reach further, the log's 32-bit ages do not
 
 

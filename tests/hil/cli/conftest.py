@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
@@ -44,6 +45,7 @@ def run_main(*arguments: str) -> int:
 def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Hil:
     """Call ``hil`` in an empty folder: (exit status, standard output, standard error)."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])  # a module beside an experiment puts its folder there
 
     def call(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()
