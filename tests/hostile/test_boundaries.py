@@ -242,7 +242,7 @@ def test_a_traceback_a_long_message_and_much_memory_fail(monkeypatch: pytest.Mon
     def late() -> None:
         raise Hangs
 
-    for attempt, said in ((lambda: 1 / 0, "ZeroDivisionError"), (late, "Hangs"), (lambda: np.ones(8_000_000), "MB for inputs")):
+    for attempt, said in ((lambda: 1 / 0, "ZeroDivisionError"), (late, "Hangs"), (lambda: np.ones(40_000_000), "MB for inputs")):
         tally = Tally("x", (click.UsageError,))
         tally.attack(attempt, b"data")
         with pytest.raises(AssertionError, match=said):
