@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -160,7 +161,8 @@ def test_workers_of_xdist_have_a_channel_each(pytester: pytest.Pytester) -> None
             assert hil.run("dc-motor-hinf", seed=seed, duration=3).status == 0
         """
     )
-    result = pytester.runpytest_subprocess("-n", "2", "--hil-clock", "real", "-p", "no:cacheprovider")
+    link = f"--hil-link=can:hil:two{os.getpid()}"
+    result = pytester.runpytest_subprocess("-n", "2", "--hil-clock", "real", link, "-p", "no:cacheprovider")
     result.assert_outcomes(passed=4)
 
 
@@ -212,7 +214,7 @@ def test_a_controller_that_is_late_fails_where_timing_is_required_and_nowhere_el
                     **{"limits.watchdog_slots": 1000})
         """
     )
-    words = ("-p", "no:cacheprovider", "--hil-clock=real")
+    words = ("-p", "no:cacheprovider", "--hil-clock=real", f"--hil-link=can:hil:late{os.getpid()}")
     required = pytester.runpytest_subprocess(*words, "--hil-require=timing", "--junitxml=j.xml")
     required.assert_outcomes(failed=1)
     required.stdout.fnmatch_lines(["*--hil-require=timing: dc-motor-hinf is NOT VALID: *"])
