@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,15 +16,14 @@ from hil.measure.names import unknown_name
 from hil.measure.signals import with_unit
 from hil.notebook import Result, data_frame
 from hil.sweeps.seeds import here, quantities_in, run_sweep
-from hil.sweeps.shown import asked, interval_of, paint_distributions, within
+from hil.sweeps.shown import ShownResult, asked, interval_of, paint_distributions, within
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Comparison:
+class Comparison(ShownResult):
     """What a comparison has found.
 
     Args:
@@ -94,21 +92,6 @@ class Comparison:
         table |= {name: table[name].astype(np.int64) for name in ("seed", "stopped")}
         return data_frame(table, {q.name: q.unit for q in self.quantities})
 
-    def plot(
-        self, path: str | Path | None = None, *, quantity: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
-    ) -> Figure:
-        """Draw the distribution of a quantity over the runs of each; write it to a file where one is named.
-
-        Args:
-            path: ends in .svg, .pdf or .png.
-            quantity: its name; without one the first of which it is known which values are better.
-            width_mm, height_mm: of the figure as it is printed.
-
-        Raises:
-            HilError: no such quantity, or the figure cannot be drawn or written.
-        """
-        return self._result(quantity).plot(path, width_mm, height_mm)
-
     def _result(self, quantity: str | None = None) -> Result:
         rows: list[list[Any]] = []
         for each in self.quantities:
@@ -120,9 +103,6 @@ class Comparison:
         answer = [*map(self.verdict, list(self.values)[1:]), *(f"{name}: {said}" for name, said in self.cautions.items())]
         paint = paint_distributions(self.values, asked(self.quantities, quantity))
         return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=rows, paint=paint)
-
-    def _repr_html_(self) -> str:
-        return self._result().html()
 
     def __repr__(self) -> str:
         said = "; ".join(map(self.verdict, list(self.values)[1:]))

@@ -21,7 +21,7 @@ from hil.notebook import Result, data_frame
 from hil.sweeps.comparison import common_quantities
 from hil.sweeps.points import Points, numbers_of
 from hil.sweeps.seeds import columns_of, quantities_in, run_sweep
-from hil.sweeps.shown import asked, interval_of, mean_and_interval, paint_points, within
+from hil.sweeps.shown import ShownResult, asked, interval_of, mean_and_interval, paint_points, within
 from hil.sweeps.store import SweepStore
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ MOST_CAUTIONS = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class ParameterSweep:
+class ParameterSweep(ShownResult):
     """What a sweep over parameters has found.
 
     Args:
@@ -109,21 +109,6 @@ class ParameterSweep:
             table[name] = table[name].astype(np.int64)
         return data_frame(table, {q.name: q.unit for q in self.quantities})
 
-    def plot(
-        self, path: str | Path | None = None, *, quantity: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
-    ) -> Figure:
-        """Draw the mean of a quantity at every point, with its 95 % interval; write it to a file where one is named.
-
-        Args:
-            path: ends in .svg, .pdf or .png.
-            quantity: its name; without one the first of which it is known which values are better.
-            width_mm, height_mm: of the figure as it is printed.
-
-        Raises:
-            HilError: no such quantity, or the figure cannot be drawn or written.
-        """
-        return self._result(quantity).plot(path, width_mm, height_mm)
-
     def _result(self, quantity: str | None = None) -> Result:
         of, keys = asked(self.quantities, quantity), self.points.keys
         found, best = self.intervals(of.name), self.best(of.name)
@@ -148,9 +133,6 @@ class ParameterSweep:
             return paint_points(x, axis, with_unit(points.keys[-1], unit), whole, of)
         labels = [str(number + 1) for number in range(len(found))]
         return paint_points(None, labels, f"point ({', '.join(points.keys)})", {"": found}, of)
-
-    def _repr_html_(self) -> str:
-        return self._result().html()
 
     def __repr__(self) -> str:
         runs = max((columns["seed"].size for columns in self.columns), default=0)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,11 +14,40 @@ from design.monte_carlo.confidence import Interval, mean_interval
 from hil.measure.measure import Quantity
 from hil.measure.names import unknown_name
 from hil.measure.signals import with_unit
+from hil.notebook import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Values = Mapping[str, NDArray[np.float64]]
+
+
+class ShownResult(ABC):
+    """What a notebook and a paper show of many runs; a result says what that is by `_result`."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def _result(self, quantity: str | None = None) -> Result:
+        """Return what is shown, with the plot of a quantity."""
+
+    def plot(
+        self, path: str | Path | None = None, *, quantity: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
+    ) -> Figure:
+        """Draw a quantity, its distribution or its mean at every point; write it to a file where one is named.
+
+        Args:
+            path: ends in .svg, .pdf or .png.
+            quantity: its name; without one the first of which it is known which values are better.
+            width_mm, height_mm: of the figure as it is printed.
+
+        Raises:
+            HilError: no such quantity, or the figure cannot be drawn or written.
+        """
+        return self._result(quantity).plot(path, width_mm, height_mm)
+
+    def _repr_html_(self) -> str:
+        return self._result().html()
 
 
 def interval_of(values: NDArray[np.float64]) -> Interval:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,14 @@ from design.monte_carlo.confidence import Interval
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result, data_frame
-from hil.sweeps.shown import asked, interval_of, mean_and_interval, paint_distributions, stopped_in_words, within
+from hil.sweeps.shown import ShownResult, asked, interval_of, mean_and_interval, paint_distributions, stopped_in_words, within
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
 
 
-class Sweep(NamedTuple):
+@dataclass(frozen=True, slots=True, repr=False)
+class Sweep(ShownResult):
     """What a sweep has found.
 
     Args:
@@ -51,21 +51,6 @@ class Sweep(NamedTuple):
         whole: dict[str, Any] = {name: self.values[name].astype(np.int64) for name in ("seed", "stopped")}
         return data_frame(dict(self.values) | whole, {q.name: q.unit for q in self.quantities})
 
-    def plot(
-        self, path: str | Path | None = None, *, quantity: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
-    ) -> Figure:
-        """Draw the distribution of a quantity over the runs; write it to a file where one is named.
-
-        Args:
-            path: ends in .svg, .pdf or .png.
-            quantity: its name; without one the first of which it is known which values are better.
-            width_mm, height_mm: of the figure as it is printed.
-
-        Raises:
-            HilError: no such quantity, or the figure cannot be drawn or written.
-        """
-        return self._result(quantity).plot(path, width_mm, height_mm)
-
     def _result(self, quantity: str | None = None) -> Result:
         of = asked(self.quantities, quantity)
         rows: list[list[Any]] = []
@@ -78,9 +63,6 @@ class Sweep(NamedTuple):
         paint = paint_distributions({self.experiment: self.values}, of)
         answer = [told, *filter(None, [self.caution])]
         return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=rows, paint=paint)
-
-    def _repr_html_(self) -> str:
-        return self._result().html()
 
     def __repr__(self) -> str:
         of, runs = asked(self.quantities, None), self.values["seed"].size
