@@ -40,7 +40,7 @@ def show(summary: dict[str, Any]) -> None:
     for name, n in (ways | {"to actuator": summary["network"]["ca"]}).items():
         row(
             name,
-            f"{n['law']} law, {in_modes(n['mode_counts'])}{fits(n['p_value'])}; "
+            f"{n['through']}{in_modes(n['mode_counts'])}{fits(n['p_value'], len(n['mode_counts']))}; "
             f"lost {n['lost']}, late {n['late']}, duplicated {n['duplicated']}"
             + "".join(f", {fate} {n['fates'][fate]}" for fate in BROKEN if n["fates"].get(fate)),
         )
@@ -85,24 +85,23 @@ def show(summary: dict[str, Any]) -> None:
 
 
 def in_modes(counts: Sequence[int]) -> str:
-    """Return how many slots a law spent in each of its modes.
+    """Return how many slots a law spent in each of its modes; nothing where it has no choice.
 
     >>> in_modes([130, 64, 6]), in_modes([200])
-    ('modes 0/1/2 in 130/64/6 slots', 'mode 0 in 200 slots')
+    (', modes 0/1/2 in 130/64/6 slots', '')
     """
-    if not counts:
-        return "no modes"
-    which = "/".join(map(str, range(len(counts))))
-    return f"mode{'s' if len(counts) > 1 else ''} {which} in {'/'.join(map(str, counts))} slots"
+    if len(counts) < 2:
+        return ""
+    return f", modes {'/'.join(map(str, range(len(counts))))} in {'/'.join(map(str, counts))} slots"
 
 
-def fits(p_value: float | None) -> str:
-    """Return what the test of the record says of its law.
+def fits(p_value: float | None, modes: int) -> str:
+    """Return what the test of the record says of its law; of a law of one mode only that it does not fit.
 
-    >>> fits(0.908), fits(1e-6), fits(None)
-    ('; fits its law (p = 0.91)', '; does not fit its law (p = 1e-06)', '')
+    >>> fits(0.908, 3), fits(1e-6, 3), fits(1.0, 1), fits(None, 0)
+    ('; fits its law (p = 0.91)', '; does not fit its law (p = 1e-06)', '', '')
     """
-    if p_value is None:
+    if p_value is None or (modes == 1 and p_value >= UNLIKELY):
         return ""
     return f"; {'fits' if p_value >= UNLIKELY else 'does not fit'} its law (p = {p_value:.2g})"
 

@@ -8,11 +8,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from hil.experiment.nodes import Medium
 from hil.log.append_column import AppendColumn, pieces
 from hil.log.run import Run
 from hil.log.topics import CA, SC
 from hil.measure.view import RunView
-from transport.laws.protocols import NetworkLaw
+from transport.laws.protocols import ChainLaw, NetworkLaw
 
 Draws = npt.NDArray[np.void]
 
@@ -26,6 +27,7 @@ class NetworkPath:
         node: name of the sensor node; empty for ca.
         law: its network law, None where the experiment cannot be made again here.
         kind: name of the law's plug-in.
+        medium: what its packets take before, in words; empty where they share nothing.
         draws: what the law decided, None where the run keeps no records of it.
     """
 
@@ -33,7 +35,17 @@ class NetworkPath:
     node: str
     law: NetworkLaw | None
     kind: str
+    medium: str
     draws: Draws | None
+
+    @property
+    def through(self) -> str:
+        """Medium and network law in words; a law of age 0 behind a medium adds nothing, and is not named."""
+        ages = self.law.mode_ages if isinstance(self.law, ChainLaw) else ()
+        law = f"{self.kind} law" + (f", age {ages[0]}" if len(ages) == 1 else "")
+        if not self.medium:
+            return law
+        return self.medium if tuple(ages) == (0,) else f"{self.medium}, then {law}"
 
 
 def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
@@ -43,19 +55,42 @@ def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
     if rig is None:
         kinds = law_kinds(view.run)
         return (
-            NetworkPath(side="sc", node="sensor", law=None, kind=kinds["sc"], draws=sc),
-            NetworkPath(side="ca", node="", law=None, kind=kinds["ca"], draws=ca),
+            NetworkPath(side="sc", node="sensor", law=None, kind=kinds["sc"], medium="", draws=sc),
+            NetworkPath(side="ca", node="", law=None, kind=kinds["ca"], medium="", draws=ca),
         )
+    bus = next((medium for medium in rig.media if medium.table.kind == "can" and medium.table.control), None)
     return (
         *(
             NetworkPath(
                 side="sc", node=sensor.name, law=sensor.law, kind=sensor.law_kind,
+                medium=next((medium_in_words(shared.table) for shared in rig.media if number in shared.nodes), ""),
                 draws=None if sc is None else draws_of(sc, number),
             )
             for number, sensor in enumerate(rig.sensors)
         ),
-        NetworkPath(side="ca", node="", law=rig.ca_law, kind=rig.ca_kind, draws=ca),
+        NetworkPath(
+            side="ca", node="", law=rig.ca_law, kind=rig.ca_kind, medium="" if bus is None else medium_in_words(bus.table),
+            draws=ca,
+        ),
     )  # fmt: skip
+
+
+def medium_in_words(medium: Medium) -> str:
+    """Return what nodes share, in words; empty where each has all of it.
+
+    >>> medium_in_words(Medium(kind="can", nodes=("a",), bitrate=500_000, dbitrate=2_000_000))
+    'CAN FD bus, 500 and 2000 kbit/s'
+    >>> medium_in_words(Medium(kind="can-arbitration", nodes=("a", "b"), loss=0.1))
+    'CAN arbitration, loss 0.1'
+    """
+    if medium.kind == "independent":
+        return ""
+    if medium.kind == "can":
+        rates = " and ".join(f"{rate / 1000:g}" for rate in (medium.bitrate, medium.dbitrate) if rate)
+        words = f"CAN{' FD' if medium.dbitrate else ''} bus, {rates} kbit/s"
+    else:
+        words = {"round-robin": "turns in order", "random": "random turns", "can-arbitration": "CAN arbitration"}[medium.kind]
+    return words + (f", loss {medium.loss:g}" if medium.loss else "")
 
 
 def law_kinds(run: Run) -> dict[str, str]:

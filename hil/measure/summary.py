@@ -81,6 +81,7 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
     """Return the network part of a summary: sc and ca, see `network_metrics`, and nodes, the same per sensor node with its load.
 
     Where several nodes share the way to the controller, sc counts their packets together, and no law is tested: each has its own.
+    `through` names medium and law in words.
 
     Args:
         view: the run.
@@ -91,7 +92,10 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
     *sensors, actuator = view.once(network_paths)
     known = view.experiment
     slot = None if known is None else (view.period_s, known.timing.deadline * view.period_s)
-    nodes = {path.node: network_metrics(path.draws, path.law, path.kind, reasons=reasons, slot=slot) for path in sensors}
+    nodes = {
+        path.node: {"through": path.through, **network_metrics(path.draws, path.law, path.kind, reasons=reasons, slot=slot)}
+        for path in sensors
+    }
     if len(sensors) == 1:
         together = nodes[sensors[0].node]
     else:
@@ -102,7 +106,10 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
     keys = ("packets", "packets_per_s", "bits_per_s")
     return {
         "sc": together,
-        "ca": network_metrics(actuator.draws, actuator.law, actuator.kind, late=late, reasons=reasons, slot=slot),
+        "ca": {
+            "through": actuator.through,
+            **network_metrics(actuator.draws, actuator.law, actuator.kind, late=late, reasons=reasons, slot=slot),
+        },
         "nodes": {name: found | {key: load[name][key] for key in keys if name in load} for name, found in nodes.items()},
     }
 

@@ -38,7 +38,7 @@ def network_blocks(run: Run, network: Mapping[str, Any], paths: Sequence[Network
     blocks: list[Block] = []
     for path, way, found in _numbers(network, paths):
         law, symbol = path.law, DIRECTIONS[path.side][1]
-        if not found["mode_counts"]:
+        if len(found["mode_counts"]) < 2:
             continue
         ages: Sequence[int] = law.mode_ages if isinstance(law, ChainLaw | SemiMarkovLaw) else range(0)
         plain = isinstance(law, RecordedLaw) or list(ages) == list(range(len(found["mode_counts"])))
@@ -46,7 +46,7 @@ def network_blocks(run: Run, network: Mapping[str, Any], paths: Sequence[Network
         blocks.append(_frequencies(found, law, f"{_capital(way)}: mode frequencies", what))
         blocks.append(_transitions(found, law, f"{_capital(way)}: transitions", symbol if plain else "mode"))
         blocks += _sojourns(path, way, symbol)
-    blocks += [block for side in DIRECTIONS if (block := _measured_ages(run, network, side)) is not None]
+    blocks += [block for side in DIRECTIONS if (block := _measured_ages(run, network, paths, side)) is not None]
     return blocks
 
 
@@ -66,6 +66,8 @@ def _numbers(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> list[t
 def verdict(found: Mapping[str, Any], law: NetworkLaw | None) -> Badge:
     """Return whether the record of a network agrees with its law."""
     p = found["p_value"]
+    if p is not None and p >= DOUBTFUL and len(found["mode_counts"]) == 1:
+        return Badge(label="one mode", detail="nothing is random")
     if p is None and law is not None and is_testable(law):
         return Badge(label="no test", detail="too few slots")
     if p is None:
@@ -82,7 +84,7 @@ def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> T
     rows = [
         [
             _capital(way),
-            found["law"],
+            found["through"],
             verdict(found, path.law),
             found["lost"],
             found["late"],
@@ -92,7 +94,7 @@ def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> T
         for path, way, found in numbers
     ]
     return Table(
-        columns=["direction", "law", "test of the record", "lost", "late", "duplicated", *fates],
+        columns=["direction", "network", "test of the record", "lost", "late", "duplicated", *fates],
         rows=rows,
         note="The p-value is the probability of a record at least as unlike the law, if the law is right: below "
         f"{DOUBTFUL:g} in one right run of a hundred. Late packets missed the deadline of their slot and count as lost.",
@@ -169,17 +171,17 @@ def _sojourns(path: NetworkPath, way: str, symbol: str) -> list[Block]:
     return blocks
 
 
-def _measured_ages(run: Run, network: Mapping[str, Any], side: str) -> Bars | None:
-    """Ages as their receiver saw them, for laws whose modes are no ages."""
-    if "sent" not in network[side]["fates"]:
+def _measured_ages(run: Run, network: Mapping[str, Any], paths: Sequence[NetworkPath], side: str) -> Bars | None:
+    """Ages as their receiver measured them, where no law has them as its modes: packet laws, media."""
+    if not ("sent" in network[side]["fates"] or any(path.medium for path in paths if path.side == side)):
         return None
     array, field = (run.arrays.get(ROWS.name), "tau") if side == "sc" else (run.arrays.get(APPLIED.name), "d")
     if array is None or not len(array):
         return None
-    heard = "sample_ns" if side == "sc" else "d"
+    known = "sample_ns" if side == "sc" else "d"
     counts = np.zeros(0, dtype=np.int64)
     for piece in pieces(array):
-        more = np.bincount(piece[field][piece[heard] >= 0], minlength=len(counts))
+        more = np.bincount(piece[field][piece[known] >= 0], minlength=len(counts))
         more[: len(counts)] += counts
         counts = more
     way, symbol = DIRECTIONS[side]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.cli.run_summary import show
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
@@ -54,6 +55,20 @@ def test_the_page_shows_the_bus_its_messages_and_a_time_line(session) -> None:  
     page = render_report(view_of(session.run, session.experiment))
     assert "CAN bus" in page and "Messages by priority" in page and "The bus around the longest wait" in page
     assert "SAE 17" in page and "motor waits" in page
+
+
+def test_a_way_over_the_bus_is_called_by_the_bus_and_not_by_the_law_behind_it(session, capsys) -> None:  # type: ignore[no-untyped-def]
+    show(session.summary)
+    lines = capsys.readouterr().out.splitlines()
+    for way in ("to controller", "to actuator"):
+        line = next(line for line in lines if line.startswith(way))
+        assert line.removeprefix(way).strip().startswith("CAN bus, 125 kbit/s; lost 0")
+    assert not any("law" in line for line in lines)
+    page = render_report(view_of(session.run, session.experiment))
+    assert "CAN bus, 125 kbit/s" in page and "Sensor to controller: age of what was used" in page
+    slower = ["duration=1", 'network.ca.law={kind="iid", probabilities=[0.5, 0.5]}']
+    changed = compose(load_experiment(NAME, slower), certify=False)
+    assert simulated_session(changed, 0).summary["network"]["ca"]["through"] == "CAN bus, 125 kbit/s, then iid law"
 
 
 def test_a_seed_is_a_run_bit_for_bit_and_another_seed_another_bus() -> None:

@@ -43,8 +43,8 @@ def test_two_nodes_of_a_motor_are_drawn_with_what_theory_says_of_them() -> None:
         assert set(series.y[np.isfinite(series.y)].tolist()) == {0.0, 1.0}
     assert [row[:2] for row in table.rows] == [["angle", "angle"], ["speed", "speed"]]
     tested = network_table(summarise(view)["network"], network_paths(view)).rows
-    assert [row[:2] for row in tested] == [["Angle to controller", "markov"], ["Speed to controller", "markov"], [
-        "Controller to actuator", "markov"]]  # fmt: skip
+    assert [row[:2] for row in tested] == [["Angle to controller", "markov law"], ["Speed to controller", "markov law"], [
+        "Controller to actuator", "markov law"]]  # fmt: skip
     section = theory_section(view)
     assert section is not None
     figure, sums = section.blocks  # the speed follows no reference: it has no error
