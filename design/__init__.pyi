@@ -4,8 +4,8 @@ from design.controllers.scheduled_gain import ScheduledGain as ScheduledGain
 from design.errors import DesignError as DesignError
 from design.errors import Infeasible as Infeasible
 from design.errors import NotStable as NotStable
-from design.identification.excitation import expected_errors as expected_errors
-from design.identification.excitation import square_wave as square_wave
+from design.identification.axis import expected_errors as expected_errors
+from design.identification.axis import square_wave as square_wave
 from design.jump_linear.bounded_real import hinf_norm as hinf_norm
 from design.jump_linear.certificate import Certificate as Certificate
 from design.jump_linear.certificate import certify_system as certify_system
@@ -13,9 +13,9 @@ from design.jump_linear.h2 import h2_norm as h2_norm
 from design.jump_linear.mjls import MJLS as MJLS
 from design.lmi.exact import prove as prove
 from design.networked_loop.certify import certify_loop as certify_loop
+from design.networked_loop.certify import lower_bounds as lower_bounds
 from design.networked_loop.closed_loop import LoopStructure as LoopStructure
 from design.networked_loop.closed_loop import loop_structure as loop_structure
-from design.networked_loop.lower_bounds import lower_bounds as lower_bounds
 from design.networked_loop.prediction import Prediction as Prediction
 from design.networked_loop.prediction import predict_tracking as predict_tracking
 from design.networked_loop.uncertainty import robust_norms as robust_norms
@@ -42,8 +42,8 @@ from design.semi_markov_loop.system import DelayedJumpSystem as DelayedJumpSyste
 from design.semi_markov_loop.system import JumpSystem as JumpSystem
 from design.semi_markov_loop.system import NormBounded as NormBounded
 from design.semi_markov_loop.system import VertexUncertainty as VertexUncertainty
-from design.tracking.cache import solve_cached as solve_cached
 from design.tracking.design_file import load_design as load_design
-from design.tracking.problem import TrackingProblem as TrackingProblem
+from design.tracking.design_file import solve_cached as solve_cached
+from design.tracking.gain_parametrisation import TrackingProblem as TrackingProblem
 from design.tracking.synthesis import Design as Design
 from design.tracking.synthesis import solve as solve

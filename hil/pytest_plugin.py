@@ -158,7 +158,7 @@ class Runner:
     def _shared(self, uri: str) -> str:
         if self._worker is None:
             return uri
-        from transport.links.worker_channel import worker_channel
+        from transport.links.opening import worker_channel
 
         return worker_channel(uri, self._worker)
 

@@ -10,14 +10,11 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from plants.errors import FieldError, PlantError
-from plants.parts.actuators import Driver
+from plants.parts.actuators import Axes, Driver, Encoder, FreeAxes, MotorRuns
 from plants.parts.exponential import zero_order_hold
-from plants.parts.friction import Friction, RubbingAxis
-from plants.parts.friction_many import RubbingAxes
+from plants.parts.friction import Friction, RubbingAxes, RubbingAxis
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
-from plants.parts.motor_many import Axes, FreeAxes, MotorRuns
 from plants.parts.protocols import Departure
-from plants.parts.sensors import Encoder
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _NEVER_NS = 1 << 62

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from plants.errors import FieldError, PlantError
+from plants.parts.driven import NoisyRun
 from plants.parts.events import pass_time
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.hand import Hand, PathRun, PushRun, SlideRun
 from plants.parts.linear import NS_PER_S, Flow, LinearRun, Signal, StateSpace
-from plants.parts.noisy import NoisyRun
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _BARE = ((Signal("torque", "N m"),), (Signal("angle", "rad"),), (Signal("angle", "rad"), Signal("speed", "rad/s")))

@@ -1,22 +1,31 @@
-"""A plant that is given by its matrices, with saturated actuators and noise where these are asked for."""
+"""A plant that is given by its matrices, with saturated actuators and noise where these are asked for.
+
+A plant that is given by the transfer function from its one input to its one output.
+
+Plants from and to python-control, which only these functions import: no loop does.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.errors import FieldError
-from plants.parts.driven import DrivenRun
+from plants.errors import FieldError, PlantError
+from plants.parts.control_package import python_control
+from plants.parts.driven import DrivenRun, NoisyRun
 from plants.parts.exponential import Rows
-from plants.parts.linear import LinearRun, Signal, StateSpace
-from plants.parts.linear_many import LinearRuns
-from plants.parts.noisy import NoisyRun
-from plants.parts.protocols import PlantRun
+from plants.parts.linear import DiscreteStateSpace, LinearRun, LinearRuns, Signal, StateSpace
+from plants.parts.protocols import Plant, PlantRun
 from plants.parts.validation import require_not_negative, require_positive, require_rows, require_whole_nanoseconds
+
+if TYPE_CHECKING:
+    import control
+
 
 LETTERS: Final = {"inputs": "u", "outputs": "y", "states": "x"}
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
@@ -124,3 +133,129 @@ class LinearPlant:
         if self.saturation or any(self.process_noise) or any(self.measurement_noise):
             return None
         return LinearRuns(self.model(), self.initial_state, runs)
+
+
+INPUT: Final = Signal("u", "1")
+OUTPUT: Final = Signal("y", "1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransferFunction:
+    """A linear plant: y(s) = num(s) / den(s) (u(s) + w(s)), realised in controllable canonical form, at rest at time 0.
+
+    Args:
+        num: coefficients of the numerator, the highest power of s first; of a lower degree than ``den``.
+        den: coefficients of the denominator, the highest power of s first.
+        input: name and unit of the input.
+        output: name and unit of the output.
+
+    Raises:
+        ValueError: where a coefficient is not finite, ``den`` begins with 0, or ``num`` is 0 or not of a lower degree.
+
+    >>> TransferFunction(num=(170.0,), den=(1.0, 20.0, 0.0)).model().A.tolist()
+    [[0.0, 1.0], [-0.0, -20.0]]
+    """
+
+    num: tuple[float, ...]
+    den: tuple[float, ...]
+    input: Signal = INPUT
+    output: Signal = OUTPUT
+
+    def __post_init__(self) -> None:
+        for name, values in (("num", self.num), ("den", self.den)):
+            if not values or not np.isfinite(values).all():
+                raise FieldError(name, "expected finite coefficients, and at least one")
+        if not self.den[0]:
+            raise FieldError("den", "begins with 0; expected the coefficient of the highest power of s")
+        if not any(self.num):
+            raise FieldError("num", "is 0: the input does not reach the output")
+        if len(np.trim_zeros(self.num, "f")) >= len(self.den):
+            raise FieldError("num", "is not of a lower degree than den; a rig measures y(k) before u(k) exists")
+        self._realised()  # what its names and numbers lack is told now
+
+    def _realised(self) -> LinearPlant:
+        n = len(self.den) - 1
+        den = [a / self.den[0] for a in self.den[1:]]
+        num = [b / self.den[0] for b in np.trim_zeros(self.num, "f")]
+        shift = [tuple(float(j == i + 1) for j in range(n)) for i in range(n - 1)]
+        return LinearPlant(
+            A=(*shift, tuple(-a for a in reversed(den))),
+            B=tuple((float(i == n - 1),) for i in range(n)),
+            C=(tuple(map(float, (*reversed(num), *(0.0,) * (n - len(num))))),),
+            inputs=(self.input,),
+            outputs=(self.output,),
+        )
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """The input."""
+        return (self.input,)
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """The output."""
+        return (self.output,)
+
+    @property
+    def states(self) -> tuple[Signal, ...]:
+        """The states of the realisation."""
+        return self._realised().states
+
+    def model(self) -> StateSpace:
+        """Return the realisation."""
+        return self._realised().model()
+
+    def start(self, rng: np.random.Generator) -> PlantRun:
+        """Return the plant at time 0. It draws nothing from ``rng``."""
+        return self._realised().start(rng)
+
+    def start_batch(self, runs: int) -> LinearRuns | None:
+        """Return so many of them at time 0."""
+        return self._realised().start_batch(runs)
+
+
+def from_control(
+    system: control.StateSpace | control.TransferFunction,
+    *,
+    inputs: Sequence[Signal] = (),
+    outputs: Sequence[Signal] = (),
+    states: Sequence[Signal] = (),
+    initial_state: Sequence[float] = (),
+) -> LinearPlant:
+    """Return the plant that a python-control model describes.
+
+    Args:
+        system: continuous time, strictly proper: a rig measures y(k) before u(k) exists. A transfer function is realised.
+        inputs, outputs, states: names and units; see `LinearPlant`.
+        initial_state: x at time 0, n entries; zero if left out.
+
+    Raises:
+        PlantError: for a model in discrete time, with a direct feedthrough, or without a state.
+    """
+    model = python_control().ss(system)
+    if model.isdtime(strict=True):
+        raise PlantError(f"from_control: the model has the period {model.dt}; a rig moves a plant in continuous time")
+    if np.any(model.D):
+        raise PlantError("from_control: D is not zero; a rig measures y(k) before u(k) exists")
+    if not model.nstates:
+        raise PlantError("from_control: the model has no state; a fixed gain is a controller")
+    A, B, C = (tuple(tuple(map(float, row)) for row in np.asarray(M)) for M in (model.A, model.B, model.C))
+    return LinearPlant(
+        A=A, B=B, C=C, inputs=tuple(inputs), outputs=tuple(outputs), states=tuple(states), initial_state=tuple(initial_state)
+    )
+
+
+def to_control(plant: Plant | StateSpace | DiscreteStateSpace) -> control.StateSpace:
+    """Return the linear model of a plant, or a model, as a `control.StateSpace`, with the names of its signals.
+
+    Args:
+        plant: a plant, whose model is taken, or a model in continuous or discrete time.
+    """
+    if isinstance(plant, StateSpace | DiscreteStateSpace):
+        return plant.to_control()
+    model = plant.model().to_control()
+    model.set_inputs([s.name for s in plant.inputs])
+    model.set_outputs([s.name for s in plant.outputs])
+    if model.nstates == len(plant.states):
+        model.set_states([s.name for s in plant.states])
+    return model

@@ -9,9 +9,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from plants.errors import FieldError
-from plants.parts.events import Source, pass_time
+from plants.parts.events import JumpModel, JumpRates, Source, pass_time
 from plants.parts.exponential import Rows
-from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import NS_PER_S, Flow, Signal, StateSpace
 from plants.parts.semi_markov import NEVER_NS, JumpProcess, TransitionRates, check_clip, check_mode
 from plants.parts.validation import (

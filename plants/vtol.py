@@ -9,8 +9,7 @@ import numpy as np
 
 from plants.errors import FieldError
 from plants.parts.exponential import Rows
-from plants.parts.linear import LinearRun, Signal, StateSpace
-from plants.parts.linear_many import LinearRuns
+from plants.parts.linear import LinearRun, LinearRuns, Signal, StateSpace
 from plants.parts.validation import require_vector
 
 VTOL_STATES = (

@@ -10,12 +10,11 @@ from typing import ClassVar
 import numpy as np
 
 from plants.errors import FieldError
-from plants.parts.events import HeldNoise, Source, pass_time
+from plants.parts.draws import TURN, sine
+from plants.parts.events import HeldNoise, JumpModel, JumpRates, Source, pass_time
 from plants.parts.exponential import Rows, drift, zero_order_hold
-from plants.parts.jump import JumpModel, JumpRates
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.semi_markov import JumpProcess, TransitionRates, check_mode
-from plants.parts.turns import TURN, sine
 from plants.parts.validation import (
     require_finite,
     require_not_negative,

@@ -18,11 +18,11 @@ _NAMES: Final = {
     "transport.laws.trace": "TraceAge",
     "transport.links.contract": "check_link",
     "transport.links.link": "Link LinkCounters Role TransportError",
-    "transport.links.memory": "memory_pair MemoryLink",
+    "transport.links.memory": "MemoryLink memory_pair",
     "transport.links.opening": "open_link",
     "transport.links.traits": "CanFraming LinkTraits SaysTraits",
-    "transport.medium.independent": "impair Impairment",
-    "transport.packets": "ControlPacket decode EMPTY encode_control encode_sensor MORE SELECTIONS SensorPacket",
+    "transport.medium.independent": "Impairment impair",
+    "transport.packets": "ControlPacket EMPTY MORE SELECTIONS SensorPacket decode encode_control encode_sensor",
 }
 """Module to the public names that it brings; `__init__.pyi` has the same ones for type checkers."""
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Selection
-from design.controllers.exact_inverse import pseudo_inverse
-from design.controllers.ordered import dot
+from design.controllers.exact_products import dot, pseudo_inverse
 
 Matrix = NDArray[np.float64]
 

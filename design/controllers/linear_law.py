@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Rows, RunningController, Selection
+from design.controllers.exact_products import dot
 from design.controllers.gain_rows_many import feedforward
-from design.controllers.ordered import dot
 from design.errors import FieldError
 
 Matrix = tuple[tuple[float, ...], ...]

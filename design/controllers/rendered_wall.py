@@ -1,17 +1,83 @@
-"""What a controller that renders a wall is seen as by who judges or draws its loop; a loop without a wall imports no wall."""
+"""What renders a wall in the loop: the coupler, and what a controller states of itself to who judges or draws its loop.
+
+The virtual coupler: how far the avatar stays behind the device while the wall pushes back.
+
+The avatar stands at x_v(k) = x(k) - (C f)(k), where f is the force of the wall on it and
+
+    C(z) = c_0 + c_1 z^-1 + ... + c_L z^-L + d z/(z - 1).
+
+Reference: Chapter 6, Figure 6.4 and the form of C_i(z) before (6.13).
+
+What a controller that renders a wall is seen as by who judges or draws its loop; a loop without a wall imports no wall.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, RunningController, Selection
+from design.errors import FieldError
 
 if TYPE_CHECKING:
-    from design.controllers.coupler import Coupler
     from design.controllers.wall import Wall
+
+
+MAX_TAPS = 512
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coupler:
+    """A coupler with a finite impulse response and, if d is not 0, an integrator.
+
+    Args:
+        taps_m_per_n: c_0, c_1, ... in m/N, 1 to 512 of them.
+        integrator_m_per_n: d in m/N per sample, at least 0. A static force makes the avatar creep for ever unless it is 0.
+
+    Raises:
+        FieldError: no tap, too many, or a number that is not finite or d below 0.
+    """
+
+    taps_m_per_n: tuple[float, ...]
+    integrator_m_per_n: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.taps_m_per_n) <= MAX_TAPS:
+            raise FieldError("taps_m_per_n", f"{len(self.taps_m_per_n)} taps, expected 1 to {MAX_TAPS}")
+        for l, tap in enumerate(self.taps_m_per_n):
+            if not math.isfinite(tap):
+                raise FieldError(f"taps_m_per_n[{l}]", f"{tap!r}, expected a finite number")
+        if not (math.isfinite(self.integrator_m_per_n) and self.integrator_m_per_n >= 0.0):
+            raise FieldError("integrator_m_per_n", f"{self.integrator_m_per_n!r}, expected a finite number, at least 0")
+
+    @property
+    def static_compliance_m_per_n(self) -> float:
+        """C(1) in m/N: how far a constant newton moves the device beyond the wall's own depth; inf with an integrator."""
+        return math.inf if self.integrator_m_per_n else math.fsum(self.taps_m_per_n)
+
+
+def wave_coupler(period_s: float, damping_n_s_per_m: float, delay: int) -> Coupler:
+    """Return the coupler that meets the condition for one delay with equality, C(z) = T/(2 b) (1 + z^-1 + ... + z^-nd).
+
+    Its static stiffness is the ceiling 2 b/((nd + 1) T). It has no margin: one sample of delay more breaks the condition.
+
+    Args:
+        period_s: T in s.
+        damping_n_s_per_m: b, damping of the device and least damping of the hand, N s/m, above 0.
+        delay: nd, samples from measurement to force, at least 0.
+    """
+    tap = math.nextafter(period_s / (2.0 * damping_n_s_per_m), math.inf)  # rounded up: never below the condition
+    return Coupler(taps_m_per_n=(tap,) * (delay + 1))
+
+
+def static_coupler(compliance_m_per_n: float) -> Coupler:
+    """Return C(z) = compliance, in m/N; with T/(2 b) it is the coupler of Theorem 6.1 in its simplest form."""
+    return Coupler(taps_m_per_n=(compliance_m_per_n,))
+
 
 Array = NDArray[np.float64]
 Matrix = tuple[tuple[float, ...], ...]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel, Rows, RowsLaw, RunningController, Selection, feedforward
-from design.controllers.ordered import product, product_of_batch
+from design.controllers.exact_products import product, product_of_batch
 from design.errors import FieldError
 
 

@@ -8,6 +8,13 @@ sample, of any age; it is an entry h_l of the state, taken from the oldest sampl
 .. math:: h_l(k+1) = x_l(k - \tau) \ \text{if slot } k - \tau \text{ was node}(l)\text{'s and its packet came, else } h_l(k)
 
 So finitely many phases are exact, however many packets in a row get lost.
+
+The last packets over a schedule that loses or draws, as the theory takes them: the chain of the windows of outcomes.
+
+With the outcomes of w slots as the phase, the loop is jump-linear for every w: what each phase knows is fixed. Over random turns
+a lost packet hides whose turn it was; the chain then stays exact for turns that are independent.
+
+Gains over historical data as the theory takes them: one set for each phase of a chain, whatever the controller looks at.
 """
 
 from __future__ import annotations
@@ -17,10 +24,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers.packet_window import PacketWindow
-from design.controllers.sensor_nodes import SensorNodes
+from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Uses, window_of
 from design.errors import FieldError
-from design.historical_data.lifted_loop import Array
+from design.historical_data.sensor_schedule import Mask, lossy, phase_chain, phases_at_start, undecided_because, with_lost_turns
 
 MOST_PHASES = 512
 MOST_NUMBERS = 700_000  # in the matrices of all phases; a certificate of these takes some seconds
@@ -100,3 +106,121 @@ def gapped_gains(K: Array, nodes: SensorNodes) -> GappedGains:
                     gains[i, at][:, list(own)] += K[(i + late) % count, j][:, list(own)]
             renewed[i, list(own)] = heard[-1] == node
     return GappedGains(gains=gains, renewed=renewed, window=window)
+
+
+Array = npt.NDArray[np.float64]
+
+
+def window_mask(nodes: SensorNodes, window: PacketWindow, memory: int) -> Mask:
+    """Return which gains may differ from zero, (phases, memory + 1, outputs).
+
+    Args:
+        nodes: the sensor nodes, with one constant delay.
+        window: the outcomes that are told apart.
+        memory: tau, the oldest sample that the controller uses.
+    """
+    delay = nodes.delays[0] or 0
+    known = np.zeros((window.phases, memory + 1, sum(map(len, nodes.outputs))), dtype=bool)
+    for i in range(window.phases):
+        for e, node in enumerate(window.outcomes(i)):
+            if node is not None:
+                known[i, delay + e : delay + e + nodes.buffers[node], list(nodes.outputs[node])] = True
+    return known
+
+
+def window_chain(window: PacketWindow) -> Array:
+    """Return the transition matrix of the phases, (phases, phases)."""
+    turns, base, count = window.turns, window.base, max(len(window.turns.order), 1)
+    chain = np.zeros((window.phases, window.phases))
+    for i in range(window.phases):
+        digits, turn = i // count, i % count
+        older = digits * base % base**window.length
+        for outcome, share in enumerate(_next(window, i)):
+            chain[i, (turn + 1) % count + count * (older + outcome) if turns.order else older + outcome] += share
+    return chain
+
+
+def _next(window: PacketWindow, phase: int) -> list[float]:
+    turns = window.turns
+    if turns.order:
+        return [1.0 - turns.loss, turns.loss]
+    last = window.outcomes(phase)[0]
+    row = turns.transition[0 if last is None else last]  # rows are alike where a loss hides the last node
+    heard = [(1.0 - turns.loss) * p for p in row]
+    return [*heard, turns.loss] if turns.loss else heard
+
+
+def window_start(window: PacketWindow) -> Array:
+    """Return the distribution of the phases in slot 0, when packets take no slot."""
+    turns, start = window.turns, np.zeros(window.phases)
+    if turns.order:
+        start[turns.phase] = 1.0 - turns.loss
+        start[turns.phase + len(turns.order)] = turns.loss
+        return start
+    shares = [(1.0 - turns.loss) * p for p in turns.initial] + ([turns.loss] if turns.loss else [])
+    for outcome, share in enumerate(shares):
+        start[sum(outcome * window.base**e for e in range(window.length))] += share
+    return start
+
+
+def window_undecided(nodes: SensorNodes, window: PacketWindow) -> str:
+    """Return what about the last packets the theory does not know, empty if nothing."""
+    rows = window.turns.transition
+    if rows and window.turns.loss and any(row != rows[0] for row in rows):
+        return "a lost packet hides whose turn it was: the theory knows the last packets of random turns that are independent"
+    if any(nodes.delays):
+        return "the theory knows the last packets where they take no slot"
+    return ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PhaseGains:
+    """Gains of every phase, and the chain of the phases.
+
+    Args:
+        gains: (phases, memory + 1, p, n); one column more, on what is held, where ``renewed`` is given.
+        transition: chain of the phases; None for the cycle.
+        start: probability of each phase in slot 0.
+        renewed: (phases, n), whether what is held becomes the oldest sample; None where nothing is held.
+    """
+
+    gains: Array
+    transition: Array | None
+    start: Array
+    renewed: npt.NDArray[np.bool_] | None = None
+
+
+def phase_gains(K: Array, nodes: SensorNodes, uses: Uses) -> PhaseGains:
+    """Return the gains of every phase.
+
+    Args:
+        K: (phases, memory + 1, p, n), as the controller has them.
+        nodes: the sensor nodes, for which `gains_undecided` is empty.
+        uses: what the controller looks at.
+    """
+    if uses == "last-packets" and nodes.turns is not None:
+        window = window_of(nodes.turns, len(K))
+        return PhaseGains(gains=K, transition=window_chain(window), start=window_start(window))
+    if uses == "history" and lossy(nodes.turns):
+        gapped = gapped_gains(K, nodes)
+        chain, start = window_chain(gapped.window), window_start(gapped.window)
+        return PhaseGains(gains=gapped.gains, transition=chain, start=start, renewed=gapped.renewed)
+    full = with_lost_turns(K, nodes).astype(np.float64)
+    return PhaseGains(gains=full, transition=phase_chain(nodes), start=phases_at_start(nodes, uses))
+
+
+def gains_undecided(K: Array, nodes: SensorNodes, uses: Uses, delayed: int) -> str:
+    """Return what about gains over these nodes is not known to the theory, empty if nothing; triggers are for the caller.
+
+    Args:
+        K: (phases, memory + 1, p, n), as the controller has them.
+        nodes: the sensor nodes.
+        uses: what the controller looks at.
+        delayed: the largest state delay of the plant.
+    """
+    unknown = undecided_because(nodes)
+    if unknown:
+        return unknown
+    if uses == "last-packets" and nodes.turns is not None:
+        return window_undecided(nodes, window_of(nodes.turns, len(K)))
+    return gaps_undecided(nodes, K.shape[1] - 1, delayed) if uses == "history" and lossy(nodes.turns) else ""

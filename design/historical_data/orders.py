@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from design.errors import FieldError
 from design.historical_data.guaranteed_cost import Start, cost, cyclic_orders, synthesise
-from design.historical_data.information import Information
 from design.historical_data.lifted_loop import Array, DelayedPlant, close
+from design.historical_data.sensor_schedule import Information
 
 MOST_NODES = 6
 """(6 - 1)! = 120 orders; a search by trying all ends here."""

@@ -5,6 +5,19 @@
 For noise on the measured output this is maximum likelihood, also where that output is fed back, as the input is known.
 
 Reference: thesis sec. 6.2.1; Ljung, System Identification, 1999, sec. 7.4, 9.4.
+
+Plain least squares on differences, for comparison: it is biased as soon as the output carries noise.
+
+    dy(k+1) = a dy(k) + b_1 u(k) + b_2 u(k-1),     p = -ln(a)/T,     g = (b_1 + b_2) p / (T (1 - a))
+
+Reference: thesis sec. 6.2.1; Ljung, System Identification, 1999, sec. 7.3.
+
+State-variable filter: derivatives of filtered signals instead of differences, the start of a fit.
+
+With L = l^2/(s + l)^2 and y'' = -p y' + g u it holds that s^2 L y = -p (s L y) + g (L u), up to what decays with exp(-l t).
+
+References: Young, Parameter estimation for continuous-time models, 1981; Garnier and Wang (eds.), Identification of
+Continuous-time Models from Sampled Data, 2008, ch. 1.
 """
 
 from __future__ import annotations
@@ -12,17 +25,77 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from scipy.signal import cont2discrete, lfilter
 from scipy.stats import t as student
 
 from design.errors import DesignError
-from design.identification.axis import Array, forced, free
-from design.identification.excitation import covariance, sensitivities
-from design.identification.least_squares import plain_least_squares
-from design.identification.record import Record
+from design.identification.axis import Array, Record, covariance, forced, free, sensitivities
 from design.identification.residual_test import ResidualTest, residual_test
-from design.identification.state_variable_filter import state_variable_filter
+
+
+def plain_least_squares(records: Sequence[Record]) -> tuple[float, float] | None:
+    """Return g and p, None where the fitted a is not between 0 and 1 or the gain not above 0.
+
+    Args:
+        records: of one sample period.
+    """
+    left, right = [], []
+    for record in records:
+        moved = np.diff(record.y)
+        rows = np.column_stack([moved[:-1], record.u[1:-1], record.u[:-2]])
+        kept = np.isfinite(rows).all(axis=1) & np.isfinite(moved[1:])
+        left.append(rows[kept])
+        right.append(moved[1:][kept])
+    a, b1, b2 = (float(x) for x in np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0])
+    period_s = records[0].period_s
+    if not (0.0 < a < 1.0 and b1 + b2 > 0.0):
+        return None
+    pole = -math.log(a) / period_s
+    return (b1 + b2) * pole / (period_s * (1.0 - a)), pole
+
+
+SKIPPED = 8.0
+"""Time constants of the filter after which its own start no longer counts."""
+
+
+def state_variable_filter(records: Sequence[Record], cutoff: float) -> tuple[float, float] | None:
+    """Return g and p by least squares on filtered signals; None where too little is left or the gain is not above 0.
+
+    The output counts as a straight line between its samples, missing ones too; the input as held.
+
+    Args:
+        records: what was recorded.
+        cutoff: l in 1/s, above the poles that matter and below 1/T.
+    """
+    left, right = [], []
+    for record in records:
+        kept = record.measured
+        index = np.arange(record.y.size)
+        y = np.interp(index, index[kept], record.y[kept])
+        y = y - y[0]
+        first = int(SKIPPED / (cutoff * record.period_s)) + 1
+        if y.size - first < 10:
+            continue
+        slow = _filtered(y, cutoff, record.period_s, "foh", 1)
+        fast = _filtered(y, cutoff, record.period_s, "foh", 2)
+        held = _filtered(record.u, cutoff, record.period_s, "zoh", 0)
+        left.append(np.column_stack([-slow, held])[first:])
+        right.append(fast[first:])
+    if not left:
+        return None
+    pole, gain = (float(x) for x in np.linalg.lstsq(np.vstack(left), np.concatenate(right), rcond=None)[0])
+    return (gain, pole) if gain > 0.0 and np.isfinite(pole) else None
+
+
+def _filtered(signal: Array, cutoff: float, period_s: float, hold: Literal["foh", "zoh"], power: int) -> Array:
+    """Return s^power l^2/(s + l)^2 of a signal."""
+    numerator = np.array([cutoff * cutoff] + [0.0] * power)
+    b, a, _ = cont2discrete((numerator, np.array([1.0, 2.0 * cutoff, cutoff * cutoff])), period_s, method=hold)
+    return np.asarray(lfilter(np.ravel(b), np.ravel(a), signal))
+
 
 LEVEL = 0.95
 MOST_STEPS = 60

@@ -1,17 +1,38 @@
-"""What is known of a closed loop, computed from its gains and from nothing else.
+r"""What is known of a closed loop, computed from its gains and from nothing else.
 
 A solver's word is not used: the matrices of every inequality are found again for the given gains, and the inequality's
 eigenvalues are computed at these matrices.
+
+The part of a jump-linear system that its output ever shows.
+
+A predictor that carries a model of an integrator beside the plant has an offset that neither the plant nor the input knows: a
+state with factor 1. With the rows of T an orthonormal basis of
+
+.. math:: \operatorname{span} \{ C_{i_0}' ,\ A_{i_1}' C_{i_0}',\ A_{i_2}' A_{i_1}' C_{i_0}',\ \ldots \}
+
+T A_i = A^T_i T, so that z = T x is a jump-linear system of its own with the same output.
+
+Where a stable jump-linear system ends that bounded signals push, whatever they are.
+
+.. math:: x(k+1) = A_i x(k) + \sum_q E_i^q e_q(k), \qquad |e_q(k)| \le 1, \qquad z = C x
+
+By Minkowski's inequality in the mean square, with M_0 = C'C and M_{t+1} = L M_t, the cost operator of `second_moment`,
+
+.. math:: \limsup_k \sqrt{E |z(k)|^2} \le \sum_q \sum_t \sqrt{\max_i E_i^{q\prime} (\textstyle\sum_j p_{ij} M_t^j) E_i^q}
+
+whatever e(k) knows of the modes and states up to slot k. The sum over t is ended where what follows is known to be small: with
+P - L P >= I, L P <= (1 - 1/|P|) P.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from design.errors import NotStable
 from design.jump_linear.mjls import MJLS, STABILITY_MARGIN
 from design.jump_linear.second_moment import Array, backward, cost_once, expect, mean_square_radius
 from design.verdict import State
@@ -174,3 +195,77 @@ def _radius_while(A: Array, transition: Array) -> float:
 def _largest(family: Array) -> float:
     symmetric = 0.5 * (family + family.transpose(0, 2, 1))
     return float(np.linalg.eigvalsh(symmetric).max())
+
+
+SEEN = 1e-7
+"""Share of a direction's size below which it is rounding."""
+EXACT = 1e-11
+"""What T A_i - A^T_i T may be, as a share of A_i."""
+GROWS = 1.0 + 1e-9
+"""Second-moment radius from which on what is not seen grows."""
+
+
+def observed_part(system: MJLS, shown: Array) -> tuple[MJLS, int]:
+    """Return the system in the coordinates that its output and more rows show, and how many directions are left out.
+
+    None is left out unless what is left out does not grow by any factor: its second-moment radius is at most 1.
+
+    Args:
+        system: the system; C of what has to be stable.
+        shown: more of what has to be stable, (l, n).
+    """
+    A, B, C, _, transition = system.matrices
+    n, basis = system.order, np.zeros((0, system.order))
+    front = np.vstack([shown, C.reshape(-1, n)])
+    while len(front) and len(basis) < n:
+        left = front - front @ basis.T @ basis
+        left -= left @ basis.T @ basis
+        size = np.linalg.norm(front, axis=1, keepdims=True)
+        _, s, rows = np.linalg.svd(left / np.where(size > 0.0, size, 1.0), full_matrices=False)
+        found = rows[s > SEEN * max(1.0, float(s[0]))]
+        basis = np.vstack([basis, found])
+        front = (found @ A).reshape(-1, n)
+    if len(basis) == n:
+        return system, 0
+    inner, scale = basis @ A @ basis.T, max(1.0, float(np.abs(A).max()))
+    rest = np.linalg.svd(basis)[2][len(basis) :]
+    if np.abs(basis @ A - inner @ basis).max() > EXACT * scale or mean_square_radius(rest @ A @ rest.T, transition) > GROWS:
+        return system, 0
+    return replace(system, A=inner, B=basis @ B, C=C @ basis.T), n - len(basis)
+
+
+SHARE = 1e-3
+"""What of a bound may be left to the end of its sum."""
+TERMS = 100_000
+
+
+def ultimate_bound(A: Array, transition: Array, E: Array, C: Array) -> Array:
+    """Return what the root mean square of C x ends within, the share of each signal, (q,); their sum is the bound.
+
+    Args:
+        A: (N, n, n) mode matrices of a mean-square stable system.
+        transition: (N, N) transition probabilities, or upper bounds of them over which it is stable.
+        E: (N, n, q), what signals of size 1 push.
+        C: (l, n), what is asked for.
+
+    Raises:
+        NotStable: so near the edge that no bound was found.
+    """
+    P = cost_once(A, transition, np.broadcast_to(np.eye(A.shape[-1]), A.shape))
+    largest = float(np.linalg.eigvalsh(P)[:, -1].max())
+    if not 1.0 <= largest < 1e14 or float(np.linalg.eigvalsh(P)[:, 0].min()) < 1.0 - 1e-6:
+        raise NotStable("no bound was found: the loop is too near to one that is not mean-square stable")
+    left = np.sqrt(_reached(expect(transition, P), E)) / (1.0 - np.sqrt(max(1.0 - 1.0 / largest, 0.0)))
+    M, total = np.broadcast_to(C.T @ C, A.shape), np.zeros(E.shape[-1])
+    for _ in range(TERMS):
+        total = total + np.sqrt(_reached(expect(transition, M), E))
+        M = backward(A, transition, M)
+        tail = np.sqrt(max(float(np.linalg.eigvalsh(M)[:, -1].max()), 0.0)) * left
+        if (tail <= SHARE * total).all():
+            return np.asarray(total + tail)
+    raise NotStable("no bound was found: the loop is too near to one that is not mean-square stable")
+
+
+def _reached(M: Array, E: Array) -> Array:
+    """max_i E_i^q' M_i E_i^q, (q,)."""
+    return np.asarray(np.maximum(np.einsum("iaq,iab,ibq->iq", E, M, E), 0.0).max(axis=0))

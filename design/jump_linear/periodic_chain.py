@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from design.errors import NotStable
 from design.jump_linear import krylov
-from design.jump_linear.interruptible import spectral_radius
+from design.jump_linear.krylov import spectral_radius
 from design.jump_linear.second_moment import (
     ARPACK_RESTARTS,
     EIG_DENSE_AFTER,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.jump_linear.interruptible import apart
+from design.jump_linear.krylov import apart
 from design.jump_linear.stability_proof import is_positive
 
 Array = npt.NDArray[np.float64]

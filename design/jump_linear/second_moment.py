@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from design.jump_linear.coupled_lyapunov import solve_bordered, solve_coupled
-from design.jump_linear.interruptible import spectral_radius
 from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
+from design.jump_linear.krylov import spectral_radius
 from design.jump_linear.positive_radius import is_sparse, positive_radius, solve_sparse, sparse_operator
 
 Array = npt.NDArray[np.float64]

@@ -3,18 +3,131 @@
 A doubt is: Clarabel's matrices prove nothing and its dual matrices exclude nothing; the margin at its matrices is as small as
 what rounding changes; or the proof in fractions fails at them. Whatever answers, the answer is the matrices, put into the
 inequalities here.
+
+A second opinion on matrix inequalities: modelled by cvxpy, solved by SCS, judged by their eigenvalues.
+
+The program's own route (`design.lmi.program`) writes triangles for Clarabel by hand. Here cvxpy gets matrix variables and
+semidefinite constraints, and translates them itself; the two share the functions of the inequalities and nothing else. The
+answer is not cvxpy's word either: the matrices that it returns are put into the inequalities.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from design.lmi.exact import ExactProof, Rebuildable, as_fraction, prove, prove_inequalities, rounded
-from design.lmi.program import LmiProgram, LmiSolution
-from design.lmi.second_opinion import second_opinion
+from design.lmi.program import Inequality, LmiProgram, LmiSolution, verify
+from design.solvers import solver
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SecondOpinion:
+    """What cvxpy and SCS found.
+
+    Args:
+        margin: -(largest eigenvalue) over the strict inequalities at the returned matrices; slack: over the others.
+        matrices: the solution by name.
+        status: what the solver said (for the reader only).
+        wall_s: time that it took, s.
+    """
+
+    margin: float
+    slack: float
+    status: str
+    wall_s: float
+    matrices: Mapping[str, FloatArray] = field(repr=False)
+
+    @property
+    def holds(self) -> bool:
+        """Whether every strict inequality holds at the returned matrices, and the others to rounding."""
+        return self.margin > 0 and self.slack > -1e-7
+
+
+def second_opinion(
+    inequalities: Sequence[Inequality],
+    like: Mapping[str, FloatArray],
+    *,
+    bases: Mapping[str, FloatArray] | None = None,
+    largest_margin: float = 1.0,
+    time_limit_s: float = 20.0,
+) -> SecondOpinion:
+    """Maximise the margin t <= largest_margin of F_i(X) <= -t I (strict) and F_i(X) <= 0 (the others), by cvxpy and SCS.
+
+    Args:
+        inequalities: affine in the matrices that they name.
+        like: name to a matrix of the shape sought; what is symmetric there is sought symmetric.
+        bases: name to the matrices, (unknowns, rows, columns), whose combination is sought instead, where it has a pattern.
+        largest_margin: bound on t.
+        time_limit_s: of the solver, s.
+
+    Returns:
+        the matrices found, with the margin of the inequalities at them.
+    """
+    cp = solver("cvxpy")
+    begun = time.perf_counter()
+    names = sorted({name for item in inequalities for name in item.on})
+    unknown = {name: _unknown(cp, like[name], None if bases is None else bases.get(name)) for name in names}
+    t = cp.Variable()
+    constraints = [t <= largest_margin]
+    for item in inequalities:
+        left = _affine(cp, item, unknown)
+        size = left.shape[0]
+        constraints.append(0.5 * (left + left.T) + (t if item.strict else 0.0) * np.eye(size) << 0)
+    problem = cp.Problem(cp.Maximize(t), constraints)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "may be inaccurate": the eigenvalues say how it is
+            problem.solve(solver="SCS", eps=1e-7, max_iters=200_000, time_limit_secs=time_limit_s)
+        status = str(problem.status)
+    except cp.error.SolverError as error:
+        status = str(error).splitlines()[0]
+    found = {
+        name: np.full(like[name].shape, np.nan) if variable.value is None else np.asarray(variable.value, dtype=np.float64)
+        for name, variable in unknown.items()
+    }
+    margin, slack = verify(inequalities, found)
+    return SecondOpinion(margin=margin, slack=slack, status=status, wall_s=time.perf_counter() - begun, matrices=found)
+
+
+def _unknown(cp: Any, like: FloatArray, basis: FloatArray | None) -> Any:
+    """A matrix variable, symmetric or full; where a basis has fewer unknowns than that, their combination."""
+    symmetric = np.array_equal(like, like.T) if basis is None else bool((basis == basis.transpose(0, 2, 1)).all())
+    entries = like.shape[0] * (like.shape[0] + 1) // 2 if symmetric else like.size
+    if basis is None or basis.shape[0] == entries:
+        return cp.Variable(like.shape, symmetric=symmetric)
+    combined = cp.reshape(basis.reshape(basis.shape[0], -1).T @ cp.Variable(basis.shape[0]), like.shape, order="C")
+    return cp.symmetric_wrap(combined) if symmetric else combined
+
+
+def _affine(cp: Any, item: Inequality, unknown: Mapping[str, Any]) -> Any:
+    """Return F(X) as an expression of cvxpy: F(0) + sum over the entries of (F(E) - F(0)) x, E a single one in a matrix."""
+    names = list(dict.fromkeys(item.on))
+    shapes = [unknown[name].shape for name in names]
+    counts = [rows * columns for rows, columns in shapes]
+    total, at, probes = sum(counts), 1, {}
+    for name, shape, count in zip(names, shapes, counts):
+        # A symmetric unknown is probed by symmetric matrices: a function may read one triangle only.
+        units = np.eye(count).reshape(count, *shape)
+        if unknown[name].is_symmetric() and shape[0] > 1:
+            units = 0.5 * (units + units.transpose(0, 2, 1))
+        probes[name] = np.zeros((total + 1, *shape))
+        probes[name][at : at + count] = units
+        at += count
+    values = np.asarray(item.at(probes), dtype=np.float64)
+    constant, linear = values[0], values[1:] - values[0]
+    size = constant.shape[-1]
+    entries = cp.hstack([cp.vec(unknown[name], order="C") for name in names])
+    return constant + cp.reshape(linear.reshape(total, size * size).T @ entries, (size, size), order="C")
+
 
 VerifyWith = Literal["cvxpy", "nothing"]
 NARROW = 1e-8

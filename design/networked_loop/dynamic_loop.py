@@ -21,10 +21,15 @@ import numpy.typing as npt
 from design.controllers import LinearLaw, RowsLaw
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
-from design.networked_loop.initial_law import default_initial, initial_law
-from design.networked_loop.joint_modes import joint_bounds, joint_modes, joint_stays
-from design.networked_loop.loop_shapes import check_plant_shapes
-from design.networked_loop.packet_registers import packet_registers
+from design.networked_loop.joint_modes import (
+    check_plant_shapes,
+    default_initial,
+    initial_law,
+    joint_bounds,
+    joint_modes,
+    joint_stays,
+    packet_registers,
+)
 from design.processes.delay_chain import Array, DelayChain
 
 

@@ -1,10 +1,27 @@
-"""The joint mode of both networks: (S-C mode, C-A mode, C-A mode before or -1), and how it changes."""
+"""The joint mode of both networks: (S-C mode, C-A mode, C-A mode before or -1), and how it changes.
+
+The distribution of the mode at the impulse of an H2 norm, where none is given.
+
+A plain delay chain has one mode per delay, and the thesis takes them as equally likely. Where several modes have one
+delay (a semi-Markov law counts its slots) their number depends on where a tail is cut, and with it every norm that
+weighs them equally; there the stationary distribution is taken, which no cut moves.
+
+Shapes of what makes a loop, refused by name before anything is computed with them.
+
+Where the rows of send-all packets under way are kept in the state of the closed loop.
+
+The performance output z = [Q x; R u1] of the closed loop, or the sum Q x + R u1 that (7.14c) prints.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Literal
 
-from design.processes.delay_chain import Array, DelayChain
+import numpy as np
+import numpy.typing as npt
+
+from design.errors import FieldError
+from design.processes.delay_chain import DelayChain
 
 JointModes = list[tuple[int, int, int]]
 
@@ -62,3 +79,156 @@ def _joint(modes: JointModes, sc: Array, ca: Array) -> Array:
     s, c, before = np.array(modes, dtype=np.int64).T
     joint = np.asarray(sc[np.ix_(s, s)] * ca[np.ix_(c, c)], dtype=np.float64)
     return joint if before[0] < 0 else np.where(before[None, :] == c[:, None], joint, 0.0)
+
+
+def default_initial(sc: DelayChain, ca: DelayChain, modes: list[tuple[int, int, int]]) -> Array:
+    """Return the distribution over the joint modes (S-C mode, C-A mode, C-A mode before or -1), (N,).
+
+    Args:
+        sc, ca: the delay chains.
+        modes: the joint modes.
+    """
+    if initial_law(sc, ca) == "uniform":
+        return np.full(len(modes), 1.0 / len(modes))
+    s, c, before = np.array(modes, dtype=np.int64).T
+    of_ca = ca.stationary[c] if before[0] < 0 else ca.stationary[before] * ca.matrix[before, c]
+    weights = sc.stationary[s] * of_ca
+    return np.asarray(weights / weights.sum(), dtype=np.float64)
+
+
+def initial_law(sc: DelayChain, ca: DelayChain) -> Literal["uniform", "stationary"]:
+    """Return the name of the default distribution.
+
+    >>> initial_law(DelayChain(transition=[[1.0]]), DelayChain(transition=[[1.0]]))
+    'uniform'
+    """
+    return "uniform" if sc.is_plain and ca.is_plain else "stationary"
+
+
+Array = npt.NDArray[np.float64]
+
+
+def check_gains(gains: npt.ArrayLike, shape: tuple[int, int, int, int], field: str = "gains") -> Array:
+    """Return gains as an array of `shape` (sc labels, rows, m, p), or refuse them.
+
+    Raises:
+        ValueError: wrong shape or not finite; the message starts with `field`.
+    """
+    try:
+        array = np.array(gains, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise FieldError(field, f"expected a regular nested list of shape {shape} [tau][row][m][p]") from None
+    if array.shape != tuple(shape):
+        raise FieldError(field, f"shape {array.shape}, expected {tuple(shape)} [tau][row][m][p]")
+    if not np.isfinite(array).all():
+        raise FieldError(f"{field}{np.argwhere(~np.isfinite(array))[0].tolist()}", "not finite")
+    return array
+
+
+def check_plant_shapes(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> tuple[Array, Array, Array]:
+    """Return A (n, n), B (n, m), C (p, n) as arrays.
+
+    Raises:
+        ValueError: wrong shape or not finite; the message starts with the matrix's name.
+    """
+    arrays = []
+    for name, value in (("A", A), ("B", B), ("C", C)):
+        array = np.asarray(value, dtype=np.float64)
+        if array.ndim != 2 or not np.isfinite(array).all():
+            raise FieldError(name, f"expected a finite matrix, got shape {array.shape}")
+        arrays.append(array)
+    A_, B_, C_ = arrays
+    n = A_.shape[0]
+    if A_.shape != (n, n):
+        raise FieldError("A", f"shape {A_.shape}, expected a square matrix")
+    if B_.shape[0] != n:
+        raise FieldError("B", f"{B_.shape[0]} rows, expected {n}")
+    if C_.shape[1] != n:
+        raise FieldError("C", f"{C_.shape[1]} columns, expected {n}")
+    return A_, B_, C_
+
+
+class PacketRegisters(list[tuple[int, int]]):
+    """Shift registers of packet rows under way: (first state, length in samples), with the label each one serves."""
+
+    def __init__(self, items: list[tuple[int, int]], labels: list[int]) -> None:
+        super().__init__(items)
+        self.labels = labels
+
+    def first_of(self, label: int) -> int:
+        """First state of the register that serves a label."""
+        return self[self.labels.index(label)][0]
+
+
+def packet_registers(selection: str, ca: DelayChain, start: int, m: int) -> PacketRegisters:
+    """Lay out the registers from state `start` on.
+
+    The controller knows which row will be applied (`constant`, `generated`, `previous`): one register as long as the
+    largest delay, at least one sample because z needs u1(k-1). The actuator chooses (`applied`, `both`): one register
+    per label of the C-A delay, as long as that label's delay.
+    """
+    if selection not in ("applied", "both"):
+        return PacketRegisters([(start, max(ca.max_delay, 1))], [0])
+    items, labels = [], []
+    for label, delay in enumerate(ca.label_delay):
+        if delay > 0:
+            items.append((start, int(delay)))
+            labels.append(label)
+            start += int(delay) * m
+    if not items:
+        return PacketRegisters([(start, 1)], [0])
+    return PacketRegisters(items, labels)
+
+
+def performance_output(
+    C: Array,
+    m: int,
+    order: int,
+    *,
+    Q: npt.ArrayLike | None,
+    R: npt.ArrayLike | None,
+    output: str,
+    input_at: int,
+    integral: float,
+    integral_at: int,
+) -> Array:
+    """Weights of the closed-loop state in z(k).
+
+    Args:
+        C: (p, n) output matrix, the default of Q.
+        m: number of inputs; order: number of closed-loop states.
+        Q: (l, n) weight of x, default C.
+        R: weight of u1(k-1): (l', m), a vector (one row), or a number (times the
+            identity); default the row 0.01 .. 0.01 of Section 7.4.
+        output: "stacked" or "sum".
+        input_at: first of the m states that R weighs, u1(k-1) of (7.16) or the applied input.
+        integral: weight of the integrated error at states `integral_at`.., 0 for none; always stacked.
+
+    DEVIATION: (7.14c) prints the sum. Q x and R u1 may cancel in it, so that large gains look cheap (the VTOL's best
+    H-infinity sum has a norm of 2.58 from w to y alone). Stacked is the default, the sum is available.
+    """
+    n, p = C.shape[1], C.shape[0]
+    state_weight = C if Q is None else np.atleast_2d(np.asarray(Q, dtype=np.float64))
+    raw = np.asarray(np.full(m, 0.01) if R is None else R, dtype=np.float64)
+    input_weight = raw * np.eye(m) if raw.ndim == 0 else np.atleast_2d(raw)
+    for name, weight, columns, what in (("Q", state_weight, n, "states"), ("R", input_weight, m, "inputs")):
+        if weight.ndim != 2 or weight.shape[1] != columns:
+            raise FieldError(name, f"shape {weight.shape}, expected {columns} columns ({what})")
+        if not np.isfinite(weight).all():
+            raise FieldError(name, "not finite")
+    of_state, of_input = np.zeros((state_weight.shape[0], order)), np.zeros((input_weight.shape[0], order))
+    of_state[:, :n] = state_weight
+    of_input[:, input_at : input_at + m] = input_weight
+    if output == "sum":
+        if of_state.shape != of_input.shape:
+            raise FieldError("output", f"a sum needs as many rows in Q ({len(of_state)}) as in R ({len(of_input)})")
+        z = of_state + of_input
+    elif output == "stacked":
+        z = np.concatenate([of_state, of_input])
+    else:
+        raise FieldError("output", f"{output!r}, expected 'stacked' or 'sum'")
+    if integral > 0:
+        accumulated = np.zeros((p, order))
+        accumulated[:, integral_at : integral_at + p] = integral * np.eye(p)
+        z = np.concatenate([z, accumulated])
+    return z

@@ -14,11 +14,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers.coupler import Coupler
+from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material, Wall
 from design.passivity.condition import damping_needed, is_passive_over
-from design.passivity.device import HeldDevice
-from design.passivity.loop import HapticLoop
+from design.passivity.loop import HapticLoop, HeldDevice
 from design.passivity.synthesis import ceiling_n_per_m
 from design.processes.delay_chain import DelayChain
 from design.verdict import State, Verdict

@@ -1,4 +1,4 @@
-r"""The condition for a coupler over a delay: passive for any passive hand and any passive wall.
+"""The condition for a coupler over a delay: passive for any passive hand and any passive wall.
 
     (z - 1)/(T z) C(z) - (1 - z^-(nd+1))/(2 (b + b_h))   positive real                              (*)
 
@@ -15,22 +15,202 @@ and Fejer's F_N,
 
     (1/T) sum_l c_l D_l(t) - F_N(t)/(2 beta),   D_l = 1 + 2 sum_{j<=l} cos jt,   F_N = N + 2 sum_{j<N} (N - j) cos jt,
 
-which `design.passivity.cosine` decides in whole numbers. C has no pole outside 0 (an integrator adds d/T to the real part).
+which `design.passivity.condition` decides in whole numbers. C has no pole outside 0 (an integrator adds d/T to the real part).
 
 Reference: Chapter 6, Theorem 6.1 and what replaces it (ERRATA 22).
+
+Whether a cosine polynomial is nonnegative on the whole circle, decided in whole numbers.
+
+    p(t) = a_0 + a_1 cos t + ... + a_n cos nt = P(x),  x = cos t in [-1, 1],  cos jt = T_j(x)
+
+P is nonnegative on [-1, 1] exactly if it is so at one point that is no root, and no root of odd multiplicity lies inside.
+Roots of odd multiplicity are what Yun's decomposition leaves of P; Sturm's theorem counts them. There is no grid, no solver
+and no rounding: the answer is a proof, either way.
+
+References: Yun, On square-free decomposition algorithms, 1976; Basu, Pollack, Roy, Algorithms in Real Algebraic Geometry, ch. 2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers.coupler import Coupler
-from design.passivity.cosine import is_nonnegative
+from design.controllers.rendered_wall import Coupler
+
+SHORT_BITS = 36  # a first try with short numbers; where it proves nothing, the numbers as given decide
+
+Integers = list[int]  # coefficients of an integer polynomial, lowest power first, no zero at the end; [] is zero
+
+
+def is_nonnegative(coefficients: Sequence[Fraction]) -> bool:
+    """Return whether a_0 + a_1 cos t + ... + a_n cos nt >= 0 for every t.
+
+    Args:
+        coefficients: a_0, a_1, ..., exact.
+
+    >>> is_nonnegative([Fraction(1), Fraction(-1)]), is_nonnegative([Fraction(1), Fraction(-11, 10)])
+    (True, False)
+    """
+    return _decide(_below(coefficients)) or _decide(coefficients)
+
+
+def _below(a: Sequence[Fraction]) -> list[Fraction]:
+    """A polynomial of short coefficients that lies below on the whole circle: rounded, and lowered by all the rounding."""
+    step = Fraction(math.ceil(max((abs(c) for c in a), default=Fraction(1))) or 1, 1 << SHORT_BITS)
+    short = [round(c / step) * step for c in a]
+    lost = sum((abs(c - s) for c, s in zip(a, short)), Fraction(0))
+    if short:
+        short[0] -= math.ceil(lost / step) * step
+    return short
+
+
+def _decide(coefficients: Sequence[Fraction]) -> bool:
+    p = _primitive(_from_chebyshev(coefficients))
+    if not p:
+        return True
+    for root in (1, -1):  # both edges of [-1, 1] may be roots: divided out, with the sign that x -+ 1 has inside
+        while p and _at(p, root) == 0:
+            p = _divided(p, [-root, 1])
+            if root == 1:
+                p = [-c for c in p]
+    if _at(p, 1) < 0:
+        return False
+    chain = _chain(p, _derivative(p))
+    if len(chain[-1]) > 1:  # multiple roots: p changes sign only at those of odd multiplicity
+        odd = _odd_part(p, chain[-1])
+        chain = _chain(odd, _derivative(odd))
+    return _changes(chain, -1) == _changes(chain, 1)  # no root in (-1, 1), Sturm
+
+
+def minimum(coefficients: Sequence[float]) -> tuple[float, float]:
+    """Return the smallest value of a cosine polynomial and the angle in [0, pi] where it is taken, in floats.
+
+    For the reader: `is_nonnegative` decides.
+    """
+    a = np.asarray(coefficients, dtype=np.float64)
+    t = np.linspace(0.0, np.pi, 64 * a.size + 1)
+    j = np.arange(a.size)
+
+    def value(at: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.asarray(a @ np.cos(np.outer(j, at)))
+
+    for _ in range(3):
+        values = value(t)
+        best = int(values.argmin())
+        low, high = t[max(best - 1, 0)], t[min(best + 1, t.size - 1)]
+        found = float(values[best]), float(t[best])
+        t = np.linspace(low, high, 65)
+    return found
+
+
+def _from_chebyshev(a: Sequence[Fraction]) -> Integers:
+    """Power coefficients of sum a_j T_j, multiplied by the common denominator."""
+    common = math.lcm(*(c.denominator for c in a)) if a else 1
+    scaled = [int(c * common) for c in a]
+    before, now = [1], [0, 1]
+    total = [0] * max(len(scaled), 1)
+    for j, c in enumerate(scaled):
+        row = before if j == 0 else now
+        if j > 1:
+            row = [(2 * now[i - 1] if i else 0) - (before[i] if i < len(before) else 0) for i in range(len(now) + 1)]
+            before, now = now, row
+        for i, r in enumerate(row):
+            total[i] += c * r
+    return _trimmed(total)
+
+
+def _trimmed(p: Integers) -> Integers:
+    while p and p[-1] == 0:
+        p.pop()
+    return p
+
+
+def _primitive(p: Integers) -> Integers:
+    content = math.gcd(*p) if p else 1
+    return [c // content for c in p] if content > 1 else p
+
+
+def _at(p: Integers, x: int) -> int:
+    value = 0
+    for c in reversed(p):
+        value = value * x + c
+    return value
+
+
+def _derivative(p: Integers) -> Integers:
+    return [i * c for i, c in enumerate(p)][1:]
+
+
+def _divided(p: Integers, q: Integers) -> Integers:
+    """The exact quotient of primitive polynomials (Gauss: it has whole coefficients)."""
+    rest, out = list(p), [0] * (len(p) - len(q) + 1)
+    for i in reversed(range(len(out))):
+        out[i] = rest[i + len(q) - 1] // q[-1]
+        for j, c in enumerate(q):
+            rest[i + j] -= out[i] * c
+    if any(rest):
+        raise ArithmeticError("polynomials: the division leaves a rest")
+    return out
+
+
+def _negative_rest(p: Integers, q: Integers) -> Integers:
+    """-(p mod q) times a positive number, without a common factor."""
+    rest, lead = list(p), q[-1]
+    size, sign = abs(lead), 1 if lead > 0 else -1
+    while len(rest) >= len(q):
+        factor, at = rest[-1] * sign, len(rest) - len(q)
+        rest = [size * c for c in rest]
+        for j, c in enumerate(q):
+            rest[at + j] -= factor * c
+        _trimmed(rest)
+    return _primitive([-c for c in rest])
+
+
+def _chain(p: Integers, q: Integers) -> list[Integers]:
+    """Sturm's chain p, q, -(p mod q), ... up to the greatest common divisor."""
+    chain = [p, _primitive(q)]
+    while len(chain[-1]) > 1:
+        rest = _negative_rest(chain[-2], chain[-1])
+        if not rest:
+            break
+        chain.append(rest)
+    return [c for c in chain if c]
+
+
+def _odd_part(p: Integers, common: Integers) -> Integers:
+    """The product of the factors of odd multiplicity, from the greatest common divisor of p and its derivative."""
+    odd, multiplicity = [1], 1
+    square_free = _divided(p, common)
+    while len(square_free) > 1:
+        shared = _chain(square_free, common)[-1] if len(common) > 1 else [1]
+        shared = [1] if len(shared) == 1 else shared
+        factor = _divided(square_free, shared)
+        if multiplicity % 2:
+            odd = _primitive(_product(odd, factor))
+        square_free, common = shared, _primitive(_divided(common, shared))
+        multiplicity += 1
+    return odd
+
+
+def _product(p: Integers, q: Integers) -> Integers:
+    out = [0] * (len(p) + len(q) - 1)
+    for i, a in enumerate(p):
+        for j, b in enumerate(q):
+            out[i + j] += a * b
+    return out
+
+
+def _changes(chain: Sequence[Integers], x: int) -> int:
+    """How often the sign changes along a chain at x, zeros left out."""
+    signs = [v > 0 for v in (_at(c, x) for c in chain) if v != 0]
+    return sum(a != b for a, b in pairwise(signs))
+
 
 Array = npt.NDArray[np.float64]
 

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm, solve_discrete_are
 
-from design.controllers.model_following import ModelFollowing
 from design.controllers.rendered_wall import LinearInContact
+from design.controllers.virtual_wall import ModelFollowing
 from design.controllers.wall import Material, Wall
 from design.errors import DesignError
-from design.passivity.device import HeldDevice
+from design.passivity.loop import HeldDevice
 
 Array = npt.NDArray[np.float64]
 MOST_STEPS = 20_000

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers.coupler import MAX_TAPS, Coupler
+from design.controllers.rendered_wall import MAX_TAPS, Coupler
 from design.errors import DesignError, Infeasible
 from design.passivity.condition import dirichlet, fejer, is_passive_over
 

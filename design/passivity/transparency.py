@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers.coupler import Coupler
+from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from design.controllers.coupler import Coupler, wave_coupler
+from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.virtual_wall import VirtualWall
 from design.controllers.wall import Wall
 from design.errors import FieldError
-from design.requests.task import DesignTask
+from design.requests.tracking import DesignTask
 
 Method = Literal["stiffest", "wave", "theorem-6.1", "taps"]
 
@@ -124,7 +124,7 @@ def damping_of(task: DesignTask) -> float:
     Raises:
         FieldError: another kind of plant, or one whose damping cannot be told.
     """
-    from design.passivity.device import continuous
+    from design.passivity.loop import continuous
 
     model = task.model
     if model.A.shape != (2, 2) or model.B.shape != (2, 1):

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
-from design.tracking.cache import cache_directory, keep_entry
-from design.tracking.json_file import read_json
+from design.tracking.design_file import cache_directory, keep_entry, read_json
 
 G = TypeVar("G")
 
@@ -33,8 +32,8 @@ def cached_gain(request: object, solve: Callable[[], ScheduledGain], directory: 
     Args:
         request: all that decides the gains; what cannot be pickled is solved every time.
         solve: computes them.
-        directory: where entries lie; default `design.tracking.cache.cache_directory`. One that cannot be read or written is no
-            error.
+        directory: where entries lie; default `design.tracking.design_file.cache_directory`. One that cannot be read or
+            written is no error.
 
     Raises:
         DesignError: as ``solve``.

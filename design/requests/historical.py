@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.historical import Historical, History
-from design.controllers.packet_window import PacketWindow
-from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
+from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, Uses
 from design.errors import FieldError
 from design.requests.gain_cache import cached_history
-from design.requests.task import DesignTask
+from design.requests.tracking import DesignTask
 
 if TYPE_CHECKING:
     from design.historical_data.lifted_loop import DelayedPlant
@@ -64,9 +63,8 @@ class HistoricalDesigned:
         Raises:
             ValueError: a plant or nodes for which nothing can be designed.
         """
-        from design.historical_data.guaranteed_cost import Start, average_start, synthesise
+        from design.historical_data.guaranteed_cost import Start, average_start, match_peak, synthesise
         from design.historical_data.lifted_loop import DelayedPlant
-        from design.historical_data.matched_peak import match_peak
         from design.historical_data.sensor_schedule import (
             lossy,
             mask_of,
@@ -124,8 +122,8 @@ class HistoricalDesigned:
         return historical_of(K[:phases], uses)
 
     def _of_last_packets(self, plant: DelayedPlant, nodes: SensorNodes, x0: npt.NDArray[np.float64]) -> Historical:
+        from design.historical_data.gapped_history import window_chain, window_mask, window_start, window_undecided
         from design.historical_data.guaranteed_cost import Start, synthesise
-        from design.historical_data.packet_windows import window_chain, window_mask, window_start, window_undecided
         from design.historical_data.sensor_schedule import undecided_because
 
         if nodes.turns is None:
@@ -166,7 +164,7 @@ class PublishedHistorical:
 
     def solve(self, task: DesignTask) -> Historical:
         """Return the gains as the controller that runs; nothing is solved."""
-        from design.as_printed.historical_data import historical_gains, newest_gains
+        from design.as_printed.chapter5 import historical_gains, newest_gains
 
         if self.gains == "historical":
             return historical_of(historical_gains(), "history")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from design.controllers.model_following import ModelFollowing
+from design.controllers.virtual_wall import ModelFollowing
 from design.controllers.wall import Wall
 from design.errors import FieldError
-from design.requests.task import DesignTask
+from design.requests.tracking import DesignTask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class DesignedFollowing:
         """
         import numpy as np
 
-        from design.passivity.device import HeldDevice, continuous
+        from design.passivity.loop import HeldDevice, continuous
         from design.passivity.model_following import follow_wall
 
         model, count = task.model, len(self.wall.materials)

@@ -19,7 +19,7 @@ import numpy as np
 from design.controllers import LoopModel, Rows, RunningController, Selection
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
-from design.requests.task import DesignTask
+from design.requests.tracking import DesignTask
 
 if TYPE_CHECKING:
     from design.processes.partitions import Partition

@@ -1,6 +1,10 @@
 """Controllers that an experiment asks for by what they shall achieve: solved, or read, when the experiment is composed.
 
 What runs is the table of gains that came out (:class:`design.controllers.SendAll`); no process that keeps time solves anything.
+
+What a design is asked to solve: the loop that will run, as plain matrices, chains and rates.
+
+A controller of a plant without a network, by python-control: what a networked design is compared with.
 """
 
 from __future__ import annotations
@@ -11,13 +15,48 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from design.controllers import SendAll, nested
+from design.controllers import LoopModel, OutputFeedback, SendAll, nested
 from design.errors import FieldError
-from design.requests.task import DesignTask
 
 if TYPE_CHECKING:
-    from design.tracking.problem import TrackingProblem
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from design.controllers import LinearLaw
+    from design.historical_data.lifted_loop import DelayedPlant
+    from design.processes.delay_chain import DelayChain
+    from design.processes.semi_markov import FaultDetection, SemiMarkov
+    from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+    from design.tracking.gain_parametrisation import TrackingProblem
     from design.tracking.synthesis import Design, Progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignTask:
+    """The loop for which gains are wanted.
+
+    Args:
+        model: the nominal plant at the sample period, and the largest delays.
+        sc, ca: the delay chains of both directions; None where a law has none.
+        sc_nodes: several sensor nodes: the delay chain of each; empty where a law has none, or for one node.
+        jump_system: the modes of a plant that jumps, None of one that does not.
+        jump_process: how its modes change.
+        delayed_plant: the plant of Chapter 5, None of one that does not measure its state.
+        initial_state: x(0) of that plant, shape (n,).
+        folder: where relative file names begin.
+        chainless: what keeps the network from having chains, in words; empty where nothing does.
+    """
+
+    model: LoopModel
+    sc: DelayChain | None = None
+    sc_nodes: tuple[DelayChain, ...] = ()
+    ca: DelayChain | None = None
+    jump_system: JumpSystem | DelayedJumpSystem | None = None
+    jump_process: SemiMarkov | FaultDetection | None = None
+    delayed_plant: DelayedPlant | None = None
+    initial_state: NDArray[np.float64] | None = None
+    folder: str = "."
+    chainless: str = ""
 
 
 def solve_tracking(problem: TrackingProblem, progress: Progress | None = None) -> Design:
@@ -115,11 +154,11 @@ class Designed:
         if several and self.sojourns > 1:
             raise FieldError("sojourns", "needs one sensor node; with several nodes the gain depends on their ages")
         if several and self.node_ages == "each":
-            from design.processes.product_chain import product_chain
+            from design.processes.delay_chain import product_chain
 
             ages = tuple(chain.max_delay + 1 for chain in task.sc_nodes)
             sc = product_chain(task.sc_nodes, model.nodes.outputs, ages)
-        from design.tracking.cache import solve_cached
+        from design.tracking.design_file import solve_cached
         from design.tracking.synthesis import TrackingProblem
 
         Q = np.array(self.output_weights)[:, None] * model.C if self.output_weights else None
@@ -135,3 +174,42 @@ class Designed:
             gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
             ages=ages,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalDesigned:
+    """LQR, LQG or H-infinity for the plant alone; it ignores the network that it runs over, and is judged over it.
+
+    Args:
+        method: ``lqr``, ``lqg`` or ``hinf``, see `design.local`.
+        input_weight: rho of z = [C x; rho u], output units per input unit.
+        noise: standard deviation of a sample per unit of the input disturbance's (``lqg`` and ``hinf``).
+    """
+
+    method: Literal["lqr", "lqg", "hinf"] = "lqg"
+    input_weight: float = 0.01
+    noise: float = 0.01
+
+    def law(self, model: LoopModel) -> LinearLaw:
+        """Return the controller's matrices.
+
+        Args:
+            model: the plant at the sample period.
+
+        Raises:
+            FieldError: names the field.
+            DesignError: a Riccati equation has no stabilising solution.
+        """
+        from design.local import local_design
+
+        return local_design(model.A, model.B, model.C, self.method, input_weight=self.input_weight, noise=self.noise)
+
+    def solve(self, task: DesignTask) -> OutputFeedback:
+        """Return the controller that runs.
+
+        Args:
+            task: the loop; its network is not looked at.
+        """
+        law = self.law(task.model)
+        A, B, C, D = (tuple(tuple(map(float, row)) for row in M) for M in (law.A, law.B, law.C, law.D))
+        return OutputFeedback(A=A, B=B, C=C, D=D)

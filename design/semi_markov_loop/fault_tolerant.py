@@ -36,7 +36,7 @@ from design.lmi.program import (
 )
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
-from design.semi_markov_loop.certificate import JumpCertificate
+from design.semi_markov_loop.certificate import JumpCertificate, check_stabilisable
 from design.semi_markov_loop.fault_tolerant_analysis import (
     Siqc,
     analyse_fault_tolerant,
@@ -44,8 +44,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import (
     loop_inequalities,
     r_sections,
 )
-from design.semi_markov_loop.pair_cells import pair_cells
-from design.semi_markov_loop.stabilisability import check_stabilisable
+from design.semi_markov_loop.sojourn_grid import pair_cells
 from design.semi_markov_loop.system import JumpSystem
 
 Measured = tuple[str, ...]

@@ -28,9 +28,8 @@ from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, 
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop.certificate import JumpCertificate, Verdict
-from design.semi_markov_loop.growth import gain_mode, proved_decay, worst_growth
-from design.semi_markov_loop.pair_cells import pair_cells
-from design.semi_markov_loop.sojourn_grid import Lift, as_float
+from design.semi_markov_loop.period_moments import gain_mode, proved_decay, worst_growth
+from design.semi_markov_loop.sojourn_grid import Lift, as_float, pair_cells
 from design.semi_markov_loop.stability import gain_matrices
 from design.semi_markov_loop.system import JumpSystem
 

@@ -40,9 +40,8 @@ from design.lmi.program import (
 )
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
-from design.semi_markov_loop.certificate import JumpCertificate, Method
+from design.semi_markov_loop.certificate import JumpCertificate, Method, check_stabilisable
 from design.semi_markov_loop.sojourn_grid import SOUND, Cell, Coupling, cells, refine
-from design.semi_markov_loop.stabilisability import check_stabilisable
 from design.semi_markov_loop.stability import analyse
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 

@@ -31,8 +31,7 @@ from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
-from design.semi_markov_loop.growth import gain_mode
-from design.semi_markov_loop.period_moments import Box, TooLarge, congruence, isometry, smat, svec_size
+from design.semi_markov_loop.period_moments import Box, TooLarge, congruence, gain_mode, isometry, smat, svec_size
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 from design.verdict import State, Verdict
 

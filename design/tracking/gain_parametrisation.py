@@ -8,10 +8,14 @@ applied, both
 total                      applied      one per total age tau + d
 
 A bound G on every entry is kept by K = G sin(v): smooth, and the bound can be reached.
+
+What is asked of a tracking design: plant, network, information, objective; validated once.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -19,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError
-from design.networked_loop.closed_loop import LoopStructure
-from design.processes.delay_chain import Array, DelayChain, Index
+from design.networked_loop.closed_loop import LoopStructure, loop_structure
+from design.processes.delay_chain import Array, DelayChain, Index, as_chain
 
 Information = Literal["constant", "tau", "previous", "generated", "applied", "both", "total"]
 INFORMATION: tuple[str, ...] = get_args(Information)
@@ -119,3 +123,127 @@ def gain_parametrisation(
     block = np.full(used.shape, -1, dtype=np.int64)
     block[used] = np.unique(key[used], return_inverse=True)[1]
     return GainParametrisation(structure.gain_shape, block, bound)
+
+
+Objective = Literal["h2", "hinf", "mixed"]
+Method = Literal["direct", "ccl"]
+OBJECTIVES: tuple[str, ...] = get_args(Objective)
+METHODS: tuple[str, ...] = get_args(Method)
+DEFAULT_STARTS = {"h2": 2, "hinf": 4, "mixed": 2}
+MOST_STARTS = 10_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackingProblem:
+    """A static output feedback design over a network, (7.26), (7.31) or (7.33).
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n) discrete plant (7.1).
+        sc, ca: S-C and C-A delay chains, or Lambda and Pi.
+        objective: "h2", "hinf", or "mixed": smallest H2 norm with the H-infinity norm at most `hinf_bound`.
+        information: what the gain may depend on, see `design.tracking.gain_parametrisation`.
+        Q, R: weights of z; defaults C and the row 0.01 .. 0.01.
+        output: "stacked" or "sum".
+        hinf_bound: bound of a mixed design; default 1.05 times the smallest H-infinity norm.
+        gain_bound: bound on every |entry| of every gain; default none.
+        samples: samples per sensor packet, 1 or 2.
+        integral: weight of the integrated error in z, 0 for no integral.
+        initial: (modes,) distribution of the mode at the H2 impulse; default: uniform over plain chains, else stationary.
+        seed, starts: of the multistart; `starts` 0 takes the objective's default.
+        method: "direct", or "ccl" for the thesis's iterated linear matrix inequalities.
+
+    Raises:
+        FieldError: names the field at fault.
+    """
+
+    A: npt.ArrayLike
+    B: npt.ArrayLike
+    C: npt.ArrayLike
+    sc: DelayChain | npt.ArrayLike
+    ca: DelayChain | npt.ArrayLike
+    objective: Objective | str = "h2"
+    information: Information | str = "applied"
+    Q: npt.ArrayLike | None = None
+    R: npt.ArrayLike | None = None
+    output: Literal["stacked", "sum"] = "stacked"
+    hinf_bound: float | None = None
+    gain_bound: float | None = None
+    samples: int = 1
+    integral: float = 0.0
+    initial: npt.ArrayLike | None = None
+    seed: int = 0
+    starts: int = 0
+    method: Method | str = "direct"
+
+    def __post_init__(self) -> None:
+        if self.objective not in OBJECTIVES:
+            raise FieldError("objective", f"{self.objective!r}, expected one of {', '.join(OBJECTIVES)}")
+        if self.method not in METHODS:
+            raise FieldError("method", f"{self.method!r}, expected one of {', '.join(METHODS)}")
+        if self.hinf_bound is not None:
+            if self.objective != "mixed":
+                raise FieldError("hinf_bound", f"only a mixed design takes one, objective is {self.objective!r}")
+            if not (np.isfinite(self.hinf_bound) and self.hinf_bound > 0):
+                raise FieldError("hinf_bound", f"{self.hinf_bound:g}, expected a finite number > 0")
+        if not 0 <= self.starts <= MOST_STARTS:
+            raise FieldError("starts", f"{self.starts}, expected a number from 0 to {MOST_STARTS}")
+        if self.seed < 0:
+            raise FieldError("seed", "expected a number >= 0")
+        object.__setattr__(self, "sc", as_chain(self.sc, "Lambda"))
+        object.__setattr__(self, "ca", as_chain(self.ca, "Pi"))
+        space = self.space()  # refuses every shape that does not fit
+        if self.initial is not None:
+            self.structure().system(space.gains(np.zeros(space.size))).alpha(self.initial)
+
+    @property
+    def chains(self) -> tuple[DelayChain, DelayChain]:
+        """The two delay chains."""
+        return as_chain(self.sc, "Lambda"), as_chain(self.ca, "Pi")
+
+    @property
+    def selection(self) -> str:
+        """Row rule by which the gains run."""
+        return selection_of(self.information)
+
+    def structure(self) -> LoopStructure:
+        """The closed loop without its gains."""
+        sc, ca = self.chains
+        return loop_structure(
+            self.A, self.B, self.C, sc, ca, self.selection,
+            Q=self.Q, R=self.R, output=self.output, samples=self.samples, integral=self.integral,
+        )  # fmt: skip
+
+    def space(self) -> GainParametrisation:
+        """The free gains."""
+        return gain_parametrisation(self.structure(), self.information, *self.chains, bound=self.gain_bound)
+
+    def alpha(self, structure: LoopStructure) -> Array:
+        """Distribution of the mode at the impulse of the H2 norm, (modes,)."""
+        return structure.default_initial if self.initial is None else np.asarray(self.initial, dtype=np.float64)
+
+    def to_json(self) -> dict[str, object]:
+        """Every number that decides the result, as plain data."""
+        sc, ca = self.chains
+        plain: dict[str, object] = {
+            name: np.asarray(value, dtype=np.float64).tolist() if value is not None else None
+            for name, value in (
+                ("A", self.A), ("B", self.B), ("C", self.C), ("Q", self.Q), ("R", self.R), ("initial", self.initial),
+            )
+        }  # fmt: skip
+        for name, chain in (("sc", sc), ("ca", ca)):
+            plain[name] = {
+                "transition": chain.matrix.tolist(), "delays": chain.delay.tolist(), "labels": chain.label.tolist(),
+                **({} if chain.between is None else {"between": [bound.tolist() for bound in chain.bounds]}),
+                **({} if chain.ages is None else {"ages": np.asarray(chain.ages).tolist()}),
+                **({} if chain.held is None else {"held": chain.holds.tolist()}),
+            }  # fmt: skip
+        for name in (
+            "objective", "information", "output", "hinf_bound", "gain_bound", "samples", "integral", "seed", "starts",
+            "method",
+        ):  # fmt: skip
+            plain[name] = getattr(self, name)
+        return plain
+
+    def digest(self) -> str:
+        """SHA-256 of the problem, equal for equal problems on any machine."""
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()

@@ -20,14 +20,11 @@ import numpy as np
 
 from design.errors import FieldError, Infeasible, NotStable
 from design.jump_linear.certificate import Certificate
-from design.networked_loop.certify import certify_structure
-from design.networked_loop.lower_bounds import LowerBounds, lower_bounds
+from design.networked_loop.certify import LowerBounds, certify_structure, lower_bounds
 from design.processes.delay_chain import Array
 from design.tracking.bfgs import Descent, bfgs
-from design.tracking.gain_parametrisation import COARSER, embed
-from design.tracking.loop_objective import LoopObjective
-from design.tracking.problem import DEFAULT_STARTS, TrackingProblem
-from design.tracking.stabilise import check_plant, closed_classes, stabilising
+from design.tracking.gain_parametrisation import COARSER, DEFAULT_STARTS, TrackingProblem, embed
+from design.tracking.loop_objective import LoopObjective, check_plant, closed_classes, stabilising
 
 __all__ = ["Design", "Progress", "TrackingProblem", "solve"]
 

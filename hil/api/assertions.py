@@ -49,7 +49,7 @@ def assert_probability(
 
     Reference: A. Wald, Sequential Analysis, 1947.
     """
-    from design.monte_carlo.sequential import SequentialTest
+    from design.monte_carlo.confidence import SequentialTest
 
     __tracebackhide__ = True  # pytest shows the line of the test, not this function
     if not 0.0 < at_least < 1.0:

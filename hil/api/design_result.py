@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from design.jump_linear.certificate import Certificate
-    from design.networked_loop.lower_bounds import LowerBounds
-    from design.tracking.problem import TrackingProblem
+    from design.networked_loop.certify import LowerBounds
+    from design.tracking.gain_parametrisation import TrackingProblem
     from design.tracking.synthesis import Design
 
 

@@ -27,7 +27,7 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
     sides = [None if chain is None else {int(d) for d in chain.delay} for chain in (loop.sc, loop.ca)]
     if any(side is None or len(side) > 1 for side in sides):
         return undecided(loop, "passivity", "no certificate covers model following with delays that change")
-    from design.passivity.device import HeldDevice
+    from design.passivity.loop import HeldDevice
     from design.passivity.model_following import contact_matrices
 
     running, count = controller.start(loop.model), len(controller.wall.materials)

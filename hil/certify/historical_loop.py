@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import HistoryGains, LoopModel, SensorNodes
-from design.controllers.packet_window import window_of
+from design.controllers.sensor_nodes import window_of
 from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.plugins.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
@@ -40,7 +40,7 @@ def mask_faults(controller: HistoryGains, nodes: SensorNodes) -> list[str]:
 
     Reference: thesis (5.8).
     """
-    from design.historical_data.packet_windows import window_mask
+    from design.historical_data.gapped_history import window_mask
     from design.historical_data.sensor_schedule import mask_of
 
     if None in nodes.delays:
@@ -72,8 +72,8 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
     controller, nodes = loop.controller, loop.model.nodes
     if not isinstance(controller, HistoryGains):
         return None
+    from design.historical_data.gapped_history import gains_undecided, phase_gains
     from design.historical_data.guaranteed_cost import Start, certify_cost
-    from design.historical_data.phase_gains import gains_undecided, phase_gains
 
     plant = delayed_plant_of(loop.plant, loop.motion)
     if plant is None:

@@ -17,7 +17,7 @@ from design.verdict import State
 from hil.certify.certifier import CertificationProblem
 from hil.certify.motion_test import SEED, Array, random_inputs
 from hil.plugins.protocols import JumpPlant
-from plants.parts.jump import JumpModel, JumpRates
+from plants.parts.events import JumpModel, JumpRates
 
 SIZES = (1e-3, 1e3)
 SLOTS, RUNS, SEEN = 40, 8, 15

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from plants.parts.jump import JumpModel, JumpRates
+from plants.parts.events import JumpModel, JumpRates
 from plants.parts.semi_markov import TransitionRates
 
 if TYPE_CHECKING:

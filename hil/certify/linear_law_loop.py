@@ -78,8 +78,7 @@ def judge_linear_law(
     """
     from threadpoolctl import threadpool_limits
 
-    from design.jump_linear.certificate import certify_system
-    from design.jump_linear.observed import observed_part
+    from design.jump_linear.certificate import certify_system, observed_part
     from design.networked_loop.dynamic_loop import dynamic_loop
 
     loop = dynamic_loop(model.A, model.B, model.C, sc, ca, law, selection, input_weight=input_weight)

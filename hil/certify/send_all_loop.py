@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on a table of gains, exact over the delay chains; None if the controller is no `GainTable`.
 
-    Over several sensor nodes the chain is that of all their ages, see `design.processes.product_chain`.
+    Over several sensor nodes the chain is that of all their ages, see `design.processes.delay_chain`.
 
     Reference: thesis Theorem 7.1, (7.17).
     """

@@ -23,7 +23,7 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     if port is None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
     from design.passivity.certificate import certify_wall
-    from design.passivity.device import HeldDevice
+    from design.passivity.loop import HeldDevice
 
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     verdict = certify_wall(

@@ -16,7 +16,7 @@ from hil.errors import HilError
 
 if TYPE_CHECKING:
     from hil.design_questions.bus_analysis import BusAnalysis
-    from transport.can_analysis.response_times import ErrorBursts
+    from transport.can_analysis import ErrorBursts
 
 _TRAFFIC = (".csv", ".dbc")
 
@@ -46,7 +46,7 @@ def analyse(
     message may miss its deadline.
     """
     from hil.files.outputs import check_output, write_output
-    from transport.can_analysis.response_times import ErrorBursts
+    from transport.can_analysis import ErrorBursts
 
     if output is not None:
         check_output(output, page=True, remedy="choose another name")

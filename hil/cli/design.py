@@ -155,7 +155,7 @@ def command(
 
 def _local(target: TrackingTarget, method: str, input_weight: float | None, noise: float | None, as_json: bool) -> None:
     """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
-    from design.requests.local import LocalDesigned
+    from design.requests.tracking import LocalDesigned
     from hil.cli.design_local import design_local, show_local
 
     common = {"subject", "period", "input_weight", "local", "noise", "as_json"}

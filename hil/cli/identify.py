@@ -36,8 +36,8 @@ def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: 
     All LOGs are fitted as one axis. Exit status 1 if the residuals are not noise: the intervals are then too narrow.
     """
     from design.errors import DesignError
+    from design.identification.axis import Record
     from design.identification.output_error import identify_axis
-    from design.identification.record import Record
     from hil.measure.axis_record import AXES, read_axis_record
 
     records = [read_axis_record(path, kind, (u_name, y_name)) for path in logs]

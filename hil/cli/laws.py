@@ -29,7 +29,7 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     from hil.experiment import load_experiment
     from hil.rig.normal_form import rig_of
     from transport.law_tests.analysis import analyse_law
-    from transport.laws.modes import mode_transitions
+    from transport.laws.delay_states import mode_transitions
 
     checked = with_law_files(load_experiment(experiment, sets))
     period_s = float(checked.period)

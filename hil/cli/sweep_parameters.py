@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from design.monte_carlo.parallel import Workers
+    from design.monte_carlo.random_streams import Workers
     from hil.sweeps.parameters import ParameterSweep
     from hil.sweeps.points import Points
     from hil.sweeps.sweep import Sweep

@@ -28,7 +28,7 @@ from design.controllers import (
     row_count,
 )
 from design.errors import DesignError, FieldError
-from design.requests.task import DesignTask
+from design.requests.tracking import DesignTask
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import certify as certified

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.rig.recorded_frame import MOST, line_of
-from transport.can_bus_model.frame import CanFrame
+from transport.can_bus_model.bits import CanFrame
 from transport.errors import FieldError
 from transport.wire.fields import frame_length
 

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from design.controllers import Controller
-from design.requests.task import DesignTask
+from design.requests.tracking import DesignTask
 from design.verdict import digest
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment

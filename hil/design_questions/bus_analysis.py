@@ -10,8 +10,7 @@ import numpy as np
 from hil.experiment.can_traffic import TrafficTable
 from hil.experiment.nodes import Medium
 from hil.rig.can_bus import periodic_message, periodic_traffic, rates_of
-from transport.can_analysis.messages import PeriodicMessage, bus_load
-from transport.can_analysis.response_times import ErrorBursts, response_times
+from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bus import CanBus, CanNode, Transmission
 from transport.can_bus_model.traffic import Traffic

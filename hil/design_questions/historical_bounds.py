@@ -16,9 +16,9 @@ from hil.compose.loop import Loop
 from hil.errors import HilError
 
 if TYPE_CHECKING:
+    from design.historical_data.gapped_history import PhaseGains
     from design.historical_data.guaranteed_cost import Start
     from design.historical_data.lifted_loop import DelayedPlant
-    from design.historical_data.phase_gains import PhaseGains
 
 Gains = npt.NDArray[np.float64]
 
@@ -38,10 +38,9 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     Raises:
         HilError: another controller or plant, or orders that cannot be tried.
     """
-    from design.historical_data.cost_bounds import bounds, hearing_of, mean_full_state_bound
-    from design.historical_data.cost_moments import cost_moments
+    from design.historical_data.cost_bounds import bounds, cost_moments, hearing_of, mean_full_state_bound
+    from design.historical_data.gapped_history import phase_gains
     from design.historical_data.lifted_loop import close
-    from design.historical_data.phase_gains import phase_gains
 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
     plant = delayed_plant_of(loop.experiment.plant, loop.model)
@@ -79,8 +78,8 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
 
 def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, PhaseGains]:
     """Return a start from x(0) ~ N(0, I) in any turn, and the gains of all phases."""
+    from design.historical_data.gapped_history import phase_gains
     from design.historical_data.guaranteed_cost import Start
-    from design.historical_data.phase_gains import phase_gains
 
     turns = nodes.turns
     begins = [turns]
@@ -92,8 +91,8 @@ def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, PhaseGa
 
 def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Gains, name: str) -> list[dict[str, Any]]:
     from design.historical_data.guaranteed_cost import average_start
-    from design.historical_data.information import Information
     from design.historical_data.orders import orders_by_cost
+    from design.historical_data.sensor_schedule import Information
 
     turns = nodes.turns
     if not _fixed_order(nodes) or turns is None or Counter(turns.order) != Counter(range(len(nodes.names))):

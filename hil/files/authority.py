@@ -16,9 +16,9 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from hil.errors import HilError
 from hil.files.exclusive import written_whole
 from hil.files.keys import BEFORE, end_files, new_files
+from transport.links.certificates import FILE, revoked_names
 from transport.links.link import TransportError
-from transport.links.revoked import FILE, revoked_names
-from transport.links.secret_file import read_secret
+from transport.links.private_directory import read_secret
 
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _TAKEN: Final = ("ca", "frames", "signing")

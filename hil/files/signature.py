@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 from hil.errors import HilError
 from hil.files.exclusive import written_whole
 from hil.files.regular import read_regular
-from transport.links.secret_file import read_secret
+from transport.links.private_directory import read_secret
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey

@@ -13,8 +13,7 @@ from hil.log.topics import BUS
 from hil.log.topics.bus import EXTENDED
 from hil.measure.view import RunView
 from hil.rig.can_bus import CONTROLLER, analysed, bus_nodes, can_bus_of, own_packets, rates_of
-from transport.can_analysis.messages import bus_load
-from transport.can_analysis.response_times import response_times
+from transport.can_analysis import bus_load, response_times
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hil.log.append_column import pieces
 from transport.draws import REASONS
 from transport.law_tests.statistics import law_p_value, mode_counts, transition_counts
-from transport.laws.modes import mode_shares, mode_transitions
+from transport.laws.delay_states import mode_shares, mode_transitions
 from transport.laws.protocols import NetworkLaw
 
 Draws: TypeAlias = npt.NDArray[np.void]

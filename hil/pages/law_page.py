@@ -11,8 +11,8 @@ from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, Section
 from hil.pages.html.page import render_page
 from transport.law_fit.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
+from transport.law_fit.proportions import LAGS
 from transport.law_fit.region import arrivals
-from transport.law_fit.residuals import LAGS
 
 POINTS = 400
 MOST_BARS = 12

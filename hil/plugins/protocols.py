@@ -25,7 +25,7 @@ from plants.parts.protocols import (
 )
 
 if TYPE_CHECKING:
-    from design.requests.task import DesignTask
+    from design.requests.tracking import DesignTask
 
 __all__ = [
     "BeyondModel",

@@ -13,7 +13,7 @@ import numpy as np
 
 from design.errors import DesignError
 from design.monte_carlo.confidence import mean_interval
-from design.networked_loop.lower_bounds import lower_bounds
+from design.networked_loop.certify import lower_bounds
 from hil.compose.loop import Loop, compose
 from hil.design_questions.design_problem import tracking_target
 from hil.errors import HilError

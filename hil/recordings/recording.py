@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from hil.errors import HilError
 from transport.errors import FieldError
-from transport.law_fit.clocks import drift_of, offset_of, without_drift
-from transport.law_fit.packet_record import PacketRecord
+from transport.law_fit.packet_record import PacketRecord, drift_of, offset_of, without_drift
 
 Array = NDArray[np.float64]
 

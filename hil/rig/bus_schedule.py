@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import lcm
 
 from hil.experiment.nodes import ClockTable
-from transport.medium.arbitration import Arbitration
-from transport.medium.sample_clock import SampleClock
+from transport.medium.medium import SampleClock
+from transport.medium.scheduled import Arbitration
 
 MOST_PHASES = 64
 """The theory takes one matrix per slot of the cycle, each on the stacked state."""

@@ -13,12 +13,12 @@ from hil.rig.can_frames import CONTROL, path_of
 from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.frame import CanFrame
+from transport.can_bus_model.bits import CanFrame
 from transport.links.can_identifiers import derived
 from transport.wire.fields import frame_length
 
 if TYPE_CHECKING:
-    from transport.can_analysis.messages import PeriodicMessage
+    from transport.can_analysis import PeriodicMessage
     from transport.can_bus_model.traffic import Periodic
 
 CONTROLLER, ACTUATOR, RECORDING = "controller", "actuator", "recording"
@@ -112,7 +112,7 @@ def periodic_traffic(medium: Medium, number: Mapping[str, int]) -> list[Periodic
 
 def periodic_message(message: TrafficTable, medium: Medium) -> PeriodicMessage:
     """Return a message of a table for the analysis of its response time."""
-    from transport.can_analysis.messages import PeriodicMessage  # loaded where there is a bus
+    from transport.can_analysis import PeriodicMessage  # loaded where there is a bus
 
     frame = frame_of(message, medium)
     return PeriodicMessage(
@@ -130,7 +130,7 @@ def frame_of(message: TrafficTable, medium: Medium) -> CanFrame:
 
 def analysed(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[PeriodicMessage]:
     """Return everything that is sent again and again on the bus, for the analysis of its response times."""
-    from transport.can_analysis.messages import PeriodicMessage  # loaded where there is a bus
+    from transport.can_analysis import PeriodicMessage  # loaded where there is a bus
 
     medium = bus.table
     fd = medium.dbitrate is not None

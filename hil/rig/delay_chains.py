@@ -47,7 +47,7 @@ class Chains:
         ca, known = self.applied.states, [way.states.initial for way in self.arriving if way.states is not None]
         if ca is None or len(known) < len(self.arriving):
             return None
-        from design.processes.product_chain import kron_of
+        from design.processes.delay_chain import kron_of
 
         return kron_of(known), ca.initial
 
@@ -82,7 +82,7 @@ def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[i
     Raises:
         ValueError: lengths of stay that nobody can measure, or that say nothing over this law.
     """
-    from design.processes.product_chain import product_chain
+    from design.processes.delay_chain import product_chain
 
     arriving = tuple(received(f"{sensor.path}.law", sensor.law, rig.at_controller) for sensor in rig.sensors)
     applied = received("network.ca.law", rig.ca_law, rig.at_actuator)
@@ -112,7 +112,7 @@ def _why_silent(rig: RigSpec) -> str:
 
 def _why_no_chain(rig: RigSpec, arriving: Sequence[Received]) -> str:
     """Return why nodes that send in every slot have no chain together, in words; empty where they have one."""
-    from design.processes.product_chain import MOST_MODES
+    from design.processes.delay_chain import MOST_MODES
 
     for sensor, way in zip(rig.sensors, arriving):
         if way.states is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from transport.can_bus_model.frame import CanFrame
+from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.traffic import Due
 from transport.wire.fields import frame_length
 

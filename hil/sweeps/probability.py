@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from design.monte_carlo.sequential import SequentialTest
+from design.monte_carlo.confidence import SequentialTest
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import Experiment

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plants.errors import PlantError
+from plants.parts.events import JumpModel
 from plants.parts.exponential import Rows
-from plants.parts.jump import JumpModel
 from plants.parts.linear import Signal
 from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 

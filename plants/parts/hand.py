@@ -10,10 +10,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from plants.errors import FieldError
-from plants.parts.draws import Normals
+from plants.parts.draws import TURN, Normals, sine
 from plants.parts.exponential import exp
 from plants.parts.linear import NS_PER_S
-from plants.parts.turns import TURN, sine
 from plants.parts.validation import require_finite, require_not_negative, require_positive, require_step
 
 NEVER_NS = 1 << 62

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.parts.jump import JumpModel, JumpRates
+from plants.parts.events import JumpModel, JumpRates
 from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace
 
 

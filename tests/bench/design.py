@@ -138,7 +138,7 @@ def _second(certificate: JumpCertificate) -> dict[str, Any]:
     """The certificate's inequalities, asked of another modeller and another solver; None where it has none."""
     if certificate.rebuild is None or not certificate.matrices:
         return {"cvxpy": None, "cvxpy_margin": None, "cvxpy_s": None}
-    from design.lmi.second_opinion import second_opinion
+    from design.lmi.decision import second_opinion
     from design.semi_markov_loop.sojourn_grid import as_float
 
     found = second_opinion(certificate.rebuild(as_float), certificate.matrices)

@@ -9,11 +9,10 @@ import pytest
 from design.controllers import LinearFeedback, LinearLaw, LoopModel, OutputFeedback
 from design.errors import FieldError
 from design.jump_linear.certificate import certify_system
-from design.local.python_control import game_feedback, local_design, lqr_feedback
+from design.local import game_feedback, local_design, lqr_feedback
 from design.networked_loop.dynamic_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
-from design.requests.local import LocalDesigned
-from design.requests.task import DesignTask
+from design.requests.tracking import DesignTask, LocalDesigned
 from tests.design.chapter7 import LAMBDA, MOTOR, PI
 
 A, B, C = (np.asarray(M, dtype=float) for M in MOTOR)

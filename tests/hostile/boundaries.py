@@ -15,9 +15,8 @@ from typing import Any
 import click
 import numpy as np
 
-from design.tracking.cache import kept_design
-from design.tracking.design_file import load_design
-from design.tracking.problem import TrackingProblem
+from design.tracking.design_file import kept_design, load_design
+from design.tracking.gain_parametrisation import TrackingProblem
 from hil.cli.dbc import _database, _decode
 from hil.cli.number_lists import NumberList
 from hil.cli.terminal import message_lines

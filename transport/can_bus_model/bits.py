@@ -1,4 +1,4 @@
-r"""The bits of a CAN frame on the wire, from the start of frame to the third bit of intermission.
+"""The bits of a CAN frame on the wire, from the start of frame to the third bit of intermission.
 
 Classic frames are stuffed up to the last bit of their CRC: behind five equal bits one of the other value stands, and it counts
 for the next five. CAN FD frames are stuffed so up to their data; the stuff count and the CRC behind it have a fixed stuff bit in
@@ -10,14 +10,95 @@ make one nominal bit, those at the data rate one data bit, wherever the sample p
 CRC delimiter as data.
 
 Reference: ISO 11898-1:2015, 10.4 and 10.5; the lengths without content are those of linux/can/length.h.
+
+A CAN frame as a node hands it to its controller.
+
+How long a frame is at most, whatever its data and identifier.
+
+Disturbances on the wire: which bit of a frame is seen as the other one by all nodes.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-from transport.can_bus_model.frame import CanFrame
+import numpy as np
+
+from transport.errors import FieldError
+from transport.wire.fields import FD_LENGTHS
+
+BASE_MOST: Final = 0x7FF
+EXTENDED_MOST: Final = 0x1FFF_FFFF
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanFrame:
+    """A data or remote frame of classic CAN or CAN FD.
+
+    Args:
+        identifier: 11 bits, or 29 where ``extended``.
+        data: 0 to 8 bytes; with ``fd`` one of 0 to 8, 12, 16, 20, 24, 32, 48, 64.
+        extended: whether the identifier has 29 bits.
+        remote: a request without data; classic CAN only.
+        dlc: length that a remote frame asks for; None otherwise.
+        fd: CAN FD.
+        bitrate_switch: whether data and CRC travel at the data bit rate; with ``fd`` only.
+        error_state: the ESI bit: the sender is error passive; with ``fd`` only.
+
+    Raises:
+        ValueError: a value that no frame has; the message begins with its field.
+    """
+
+    identifier: int
+    data: bytes = b""
+    extended: bool = False
+    remote: bool = False
+    dlc: int | None = None
+    fd: bool = False
+    bitrate_switch: bool = False
+    error_state: bool = False
+
+    def __post_init__(self) -> None:
+        most = EXTENDED_MOST if self.extended else BASE_MOST
+        if not 0 <= self.identifier <= most:
+            bits = 29 if self.extended else 11
+            raise FieldError("identifier", f"{self.identifier:#x}, expected 0 to {most:#x} ({bits} bits)")
+        if self.remote and (self.fd or self.data or not 0 <= (self.dlc or 0) <= 8):
+            raise FieldError("remote", "a remote frame is a classic one, without data and with a DLC of 0 to 8")
+        if not self.remote and self.dlc is not None:
+            raise FieldError("dlc", f"{self.dlc}, expected none: only a remote frame asks for a length")
+        if self.fd and len(self.data) not in FD_LENGTHS:
+            allowed = ", ".join(map(str, FD_LENGTHS))
+            raise FieldError("data", f"{len(self.data)} bytes, expected one of {allowed} in a CAN FD frame")
+        if not self.fd and len(self.data) > 8:
+            raise FieldError("data", f"{len(self.data)} bytes, expected at most 8 in a classic frame")
+        if not self.fd and (self.bitrate_switch or self.error_state):
+            raise FieldError("bitrate_switch", "a classic frame has neither the BRS nor the ESI bit, expected fd = true")
+
+    @property
+    def length_code(self) -> int:
+        """The four bits of the DLC."""
+        return (self.dlc or 0) if self.remote else FD_LENGTHS.index(len(self.data))
+
+
+def arbitration_key(frame: CanFrame) -> int:
+    """Return the bits that decide who sends, as one number: of two frames the smaller one wins.
+
+    A base frame wins over an extended one with the same first 11 bits, a data frame over a remote one.
+
+    >>> base, remote = CanFrame(identifier=1), CanFrame(identifier=1, remote=True)
+    >>> extended = CanFrame(identifier=1 << 18, extended=True)
+    >>> arbitration_key(base) < arbitration_key(remote) < arbitration_key(extended)
+    True
+    """
+    if frame.extended:
+        first, second = frame.identifier >> 18, frame.identifier & 0x3FFFF
+        return first << 21 | 0b11 << 19 | second << 1 | frame.remote
+    return frame.identifier << 21 | frame.remote << 20
+
 
 ACK_TO_INTERMISSION: Final = "0" + "1" + "1111111" + "111"
 """ACK slot as the receivers fill it, ACK delimiter, end of frame, intermission: 12 bits at the nominal rate."""
@@ -131,3 +212,106 @@ def crc(bits: str, width: int, polynomial: int, start: int) -> int:
     for bit in bits:
         register = (register << 1 & mask) ^ (polynomial if (register >> top ^ (bit == "1")) & 1 else 0)
     return register & mask
+
+
+def longest_frame(
+    length: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False, remote: bool = False
+) -> FrameLength:
+    r"""Return a bound of the length of a frame with its intermission: of n stuffed bits at most :math:`(n - 1)/4` more.
+
+    Without bit-rate switch this is the table of the Linux kernel, 55 + 10 s and 80 + 10 s bits for s bytes of classic CAN. With
+    it the header and the data are bounded each for itself.
+
+    Args:
+        length: bytes of data.
+        extended: identifier of 29 bits.
+        fd: CAN FD.
+        bitrate_switch: with the data bit rate; CAN FD only.
+        remote: a remote frame; its length counts nothing.
+
+    Raises:
+        ValueError: there is no frame of that length.
+
+    Reference: linux/can/length.h; Davis, Burns, Bril, Lukkien, Controller Area Network (CAN) schedulability analysis: refuted,
+    revisited and revised, Real-Time Systems 35 (2007), equations (1) and (2).
+
+    >>> [sum(longest_frame(8, extended=e)) for e in (False, True)], [sum(longest_frame(64, extended=e, fd=True)) for e in (0, 1)]
+    ([135, 160], [712, 736])
+    """
+    allowed = FD_LENGTHS if fd else range(9)
+    if length not in allowed:
+        raise FieldError("length", f"{length} bytes, expected {'one of ' + ', '.join(map(str, allowed)) if fd else '0 to 8'}")
+    if (bitrate_switch and not fd) or (remote and fd):
+        raise FieldError("fd", "a bit-rate switch needs CAN FD, and CAN FD has no remote frame")
+    bits = 0 if remote else 8 * length
+    if not fd:
+        body = (39 if extended else 19) + bits + 15
+        return FrameLength(body + (body - 1) // 4 + 13)
+    crc_field = 28 if length <= 16 else 33
+    body = (41 if extended else 22) + bits
+    if not bitrate_switch:
+        return FrameLength(body + (body - 1) // 4 + crc_field + 12)
+    head, rest = 33 if extended else 14, 5 + bits  # FDF, res and BRS are 1, 0, 1: stuff bits stand before FDF and behind BRS
+    return FrameLength(head + (head - 1) // 4 + 3 + 12, rest + rest // 4 + crc_field)
+
+
+_MOST_BITS: Final = 800  # longer than any frame
+
+
+class BitErrors:
+    r"""Every bit is disturbed with the same probability p, independent of the others.
+
+    One number u is drawn a frame: bit i is the first disturbed one where :math:`1 - (1-p)^i \le u < 1 - (1-p)^{i+1}`.
+
+    Args:
+        rate: p, 0 to 1.
+        rng: the stream of this bus; nothing else may draw from it.
+
+    Raises:
+        ValueError: p is no probability.
+    """
+
+    def __init__(self, rate: float, rng: np.random.Generator) -> None:
+        if not 0.0 <= rate <= 1.0:
+            raise FieldError("bit_error_rate", f"{rate:g}, expected a probability")
+        self._random = rng.random
+        self._until: list[float] = []
+        whole = 1.0
+        for _ in range(_MOST_BITS if rate else 0):
+            whole *= 1.0 - rate
+            self._until.append(1.0 - whole)
+
+    def first(self, bits: int) -> int | None:
+        """Return the first disturbed bit of the next frame, None if there is none.
+
+        Args:
+            bits: that the frame has.
+        """
+        if not self._until:
+            return None
+        hit = bisect_right(self._until, float(self._random()))
+        return hit if hit < bits else None
+
+
+def flag_bits(wire: str, bit: int, *, dominant: bool, answered: bool = True) -> int:
+    """Return how long the error flags behind a disturbed bit last, one upon the other: 6 to 12 bits.
+
+    The sender notices at once and sends six equal bits. The others notice with the sixth equal bit on the wire, or in a field
+    where the bit cannot be, and send six more.
+
+    Args:
+        wire: bits of the frame as its sender sent them.
+        bit: the disturbed one.
+        dominant: whether the sender's flag is: it is error active.
+        answered: whether there is another node that sends a flag.
+
+    >>> wire = "0100001" + "01" * 20
+    >>> [flag_bits(wire, bit, dominant=True) for bit in (0, 6, len(wire) - 1)]
+    [12, 7, 6]
+    """
+    if not answered or bit >= len(wire) - 13:
+        return 6  # nobody else, or a bit that must be recessive: all notice at once
+    seen = wire[:bit] + ("1" if wire[bit] == "0" else "0")
+    flag = "0" if dominant else "1"
+    run = len(seen) - len(seen.rstrip(flag))
+    return 6 if run >= 6 else 12 - run

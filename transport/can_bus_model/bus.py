@@ -13,15 +13,14 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Protocol
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, FrameLength, WireBits, wire_bits
-from transport.can_bus_model.collision import collide
+from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, FrameLength, WireBits, flag_bits, wire_bits
 from transport.can_bus_model.fault_confinement import (
     RECESSIVE_BITS,
     RECOVERY_SEQUENCES,
     SUSPENDED_BITS,
     ErrorCounters,
+    collide,
 )
-from transport.can_bus_model.noise import flag_bits
 from transport.can_bus_model.transmit_buffer import BufferKind, TransmitBuffer, Waiting
 
 _DELIMITER: Final = 8

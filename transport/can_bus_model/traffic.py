@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from transport.can_bus_model.frame import CanFrame
+from transport.can_bus_model.bits import CanFrame
 from transport.errors import FieldError
 
 

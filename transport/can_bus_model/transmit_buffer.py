@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from transport.can_bus_model.bits import FrameLength, wire_bits
-from transport.can_bus_model.frame import CanFrame, arbitration_key
+from transport.can_bus_model.bits import CanFrame, FrameLength, arbitration_key, wire_bits
 
 BufferKind = Literal["fifo", "priority", "overwritten"]
 """``fifo``: the oldest frame goes first, whatever its identifier. ``priority``: the one that wins over the others.

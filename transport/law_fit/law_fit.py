@@ -20,7 +20,7 @@ from transport.law_fit.age_models import AgeFit, fit_ages
 from transport.law_fit.latency_families import LatencyFit, bic, fit_latencies
 from transport.law_fit.loss_models import LossFit, fit_loss
 from transport.law_fit.packet_record import PacketRecord, ages_of, delays_in_slots
-from transport.law_fit.residuals import REJECT, Fitness, fitness
+from transport.law_fit.proportions import REJECT, Fitness, fitness
 
 Array = NDArray[np.float64]
 LawClass = Literal["constant", "independent", "gilbert-elliott", "markov", "semi-markov", "none"]

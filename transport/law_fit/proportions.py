@@ -1,4 +1,14 @@
-"""Confidence intervals of probabilities: Wilson's of counts, Clopper and Pearson's for guarantees, Wald's of logits."""
+"""Confidence intervals of probabilities: Wilson's of counts, Clopper and Pearson's for guarantees, Wald's of logits.
+
+Whether a law explains a record: its residuals must be independent and normal.
+
+Every law says, of the next packet or slot and given the past, Pr(X < x) and Pr(X <= x). A uniform number between both of what
+came is uniform on [0, 1] and independent of all before, if the law is right (Rosenblatt 1952; randomised where there are atoms,
+Dunn and Smyth 1996); its normal quantile is the residual. Neighbours are tested three ways: correlation of the residuals, of
+their squares (which sees changes of spread and bursts), and their table of thirds. Further lags are tested by the statistic of
+Ljung and Box (1978): with many packets it sees patterns that matter to no loop, so that these count only where they are large,
+and are said always.
+"""
 
 from __future__ import annotations
 
@@ -76,3 +86,89 @@ def wald_logit(cost: Callable[[Array], float], at: Array, names: Sequence[str], 
         for name, x, s in zip(names, at.tolist(), np.sqrt(np.where(variance > 0.0, variance, np.inf)).tolist())
         if abs(x) < at_an_end
     }
+
+
+LAGS = 20
+CELLS = 40
+REJECT = 0.001
+"""Probability, at most, with which a right law is rejected by a test."""
+LARGE = 0.2
+"""A correlation at a further lag that is larger counts: it explains more than 4 % of the variance."""
+
+
+class Fitness(NamedTuple):
+    """Tests of one law on one record.
+
+    Attributes:
+        neighbours: p-value of independence of neighbours: the smallest of three, times three.
+        lags: p-value of Ljung and Box's statistic over `LAGS` lags, of residuals or their squares (the smaller, times two).
+        largest: the largest correlation at any of these lags, in size.
+        largest_lag: where it is.
+        shape: p-value of the distribution of the residuals.
+    """
+
+    neighbours: float
+    lags: float
+    largest: float
+    largest_lag: int
+    shape: float
+
+    @property
+    def independent(self) -> bool:
+        """Whether independence of the residuals is not rejected."""
+        return self.neighbours > REJECT and not (self.lags <= REJECT and abs(self.largest) > LARGE)
+
+    @property
+    def pattern(self) -> bool:
+        """Whether there is a pattern at further lags, however weak."""
+        return self.lags <= REJECT
+
+    @property
+    def shaped(self) -> bool:
+        """Whether the residuals are distributed as the law says."""
+        return self.shape > REJECT
+
+
+def fitness(low: Array, high: Array, parameters: int, rng: np.random.Generator) -> Fitness:
+    """Test residuals.
+
+    Args:
+        low, high: (n,) Pr(X < x) and Pr(X <= x) of what came, given the past.
+        parameters: of the law, estimated from these data.
+        rng: for the uniform numbers.
+    """
+    u = np.clip(low + (high - low) * rng.random(len(low)), 1e-15, 1.0 - 1e-15)
+    score = np.asarray(stats.norm.ppf(u), dtype=np.float64)
+    counts = np.histogram(u, bins=np.linspace(0.0, 1.0, CELLS + 1))[0]
+    chi_square = float(((counts - len(u) / CELLS) ** 2).sum() / (len(u) / CELLS))
+    freedom = max(1, CELLS - 1 - min(parameters, CELLS // 2))
+    plain, square, root_n = correlations(score), correlations(score**2), len(u) ** 0.5
+    firsts = (2.0 * float(stats.norm.sf(abs(r[0]) * root_n)) for r in (plain, square))
+    largest = int(np.abs(plain).argmax())
+    return Fitness(
+        neighbours=min(1.0, 3.0 * min(*firsts, _thirds(u))),
+        lags=min(1.0, 2.0 * min(_ljung_box(r, len(u)) for r in (plain, square))),
+        largest=float(plain[largest]), largest_lag=largest + 1, shape=float(stats.chi2.sf(chi_square, freedom)),
+    )  # fmt: skip
+
+
+def correlations(values: Array) -> Array:
+    """Return the correlations of (n,) values at lags 1 ... `LAGS`; 0 of a constant."""
+    v = values - values.mean()
+    power = float(v @ v)
+    return np.array([float(v[:-k] @ v[k:]) / power if power > 0.0 else 0.0 for k in range(1, LAGS + 1)])
+
+
+def _ljung_box(r: Array, n: int) -> float:
+    return float(stats.chi2.sf(n * (n + 2) * (r**2 / (n - np.arange(1, LAGS + 1))).sum(), LAGS))
+
+
+def _thirds(u: Array) -> float:
+    """p-value of the 3 x 3 table of neighbours' thirds: chi-square with 4 degrees of freedom."""
+    third = np.minimum((3.0 * u).astype(np.int64), 2)
+    table = np.zeros((3, 3))
+    np.add.at(table, (third[:-1], third[1:]), 1.0)
+    expected = table.sum(axis=1, keepdims=True) * table.sum(axis=0, keepdims=True) / table.sum()
+    if (expected <= 0.0).any():
+        return 1.0
+    return float(stats.chi2.sf(((table - expected) ** 2 / expected).sum(), 4))

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.draws import DELIVERED, NO_MODE, OVERFLOW
-from transport.laws.delay_states import delay_states, measured_ages
+from transport.laws.delay_states import delay_states, measured_ages, mode_bursts, mode_shares
 from transport.laws.latency import LatencyTrace, QuantileTable, latency
-from transport.laws.modes import mode_bursts, mode_shares
 from transport.laws.packet_chain import arrival_ages
 from transport.laws.protocols import SLOT_TOLERANCE, ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
 from transport.laws.stochastic_matrix import stationary_row

@@ -3,6 +3,8 @@
 A receiver keeps the newest packet, so that what it measures is min(age drawn, age measured before + 1). Where the law's
 age grows by at most one per slot, that is the age drawn; where it may grow faster, (mode drawn, age measured) is a Markov
 chain with more states.
+
+What a network law states of its modes: their transitions, their shares of the slots, and how long they last.
 """
 
 from __future__ import annotations
@@ -12,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.laws.protocols import ChainLaw, InitialLaw, RecordedLaw, SemiMarkovLaw
+from transport.laws.protocols import ChainLaw, InitialLaw, LongRunLaw, MarkovModes, RecordedLaw, SemiMarkovLaw
 from transport.laws.semi_markov import augmented_chain
-from transport.laws.stochastic_matrix import stationary_row
+from transport.laws.sojourn import mean_sojourn
+from transport.laws.stochastic_matrix import mean_holding, stationary_row
 
 Matrix = NDArray[np.float64]
 
@@ -122,3 +125,42 @@ def _measured(
             grown[at, following] += chain[origin[at], j]
         bounds.append(np.minimum(grown, 1.0))
     return bounds[0], bounds[1], bounds[2], np.array([age for _, age in states], dtype=np.int64), origin
+
+
+Numbers = NDArray[np.float64]
+
+
+def mode_transitions(law: object) -> Numbers | None:
+    """Return the transition matrix of a law's modes, (n, n); None where they are no Markov chain.
+
+    Args:
+        law: a law of `MarkovModes`: the delays of an age law, the channel of a packet law.
+    """
+    if isinstance(law, RecordedLaw | SemiMarkovLaw) or not isinstance(law, MarkovModes):
+        return None
+    return np.asarray(law.transition_matrix(), dtype=np.float64)
+
+
+def mode_shares(law: object) -> Numbers | None:
+    """Return the share of slots in every mode, (n,); None for a law that does not say.
+
+    Raises:
+        ValueError: it is not unique, because the chain has several closed classes.
+    """
+    if isinstance(law, LongRunLaw):
+        return np.asarray(law.stationary(), dtype=np.float64)
+    if isinstance(law, SemiMarkovLaw):
+        weights = stationary_row(law.matrix) * np.array([mean_sojourn(s) for s in law.sojourn])
+        return np.asarray(weights / weights.sum(), dtype=np.float64)
+    matrix = mode_transitions(law)
+    return None if matrix is None else stationary_row(matrix)
+
+
+def mode_bursts(law: object) -> Numbers | None:
+    """Return the mean number of slots that a mode lasts, (n,); None for a law that does not say."""
+    if isinstance(law, LongRunLaw):
+        return np.asarray(law.mean_bursts(), dtype=np.float64)
+    if isinstance(law, SemiMarkovLaw):
+        return np.array([mean_sojourn(s) for s in law.sojourn])
+    matrix = mode_transitions(law)
+    return None if matrix is None else mean_holding(matrix)

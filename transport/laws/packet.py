@@ -16,8 +16,16 @@ from numpy.typing import NDArray
 from transport.draws import COPIED, LOST, NO_MODE, SENT, Draw
 from transport.errors import FieldError
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
-from transport.laws.packet_chain import PacketChain, packet_chain
-from transport.laws.packet_paths import SlotTimes, channel_modes, fives_of_batch, in_order, newest_received, quantiles
+from transport.laws.packet_chain import (
+    PacketChain,
+    SlotTimes,
+    channel_modes,
+    fives_of_batch,
+    in_order,
+    newest_received,
+    packet_chain,
+    quantiles,
+)
 from transport.laws.protocols import SLOT_TOLERANCE
 from transport.laws.stochastic_matrix import BLOCK, cumulative, mean_holding, stationary_row
 

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
-from transport.laws.age import AgePath
-from transport.laws.age_fields import checked_age
+from transport.laws.age import AgePath, checked_age
 
 MAX_BYTES = 20_000_000
 MAX_ENTRIES = 2_000_000

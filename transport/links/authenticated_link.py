@@ -25,7 +25,7 @@ from time import monotonic
 from typing import Final
 
 from transport.links.link import LOOK_S, Closing, Link, LinkCounters, OneOfARole, Role, TransportError
-from transport.links.secret_file import read_secret
+from transport.links.private_directory import read_secret
 from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES
 from transport.wire.tags import Tagged, tag_of, with_tag
 

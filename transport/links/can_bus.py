@@ -16,10 +16,10 @@ from struct import Struct
 from time import monotonic, monotonic_ns, time
 from typing import TYPE_CHECKING, Any, Final
 
-from transport.can_bus_model.frame import CanFrame
+from transport.can_bus_model.bits import CanFrame
 from transport.errors import FieldError
-from transport.links.dead_channels import bus_directory as bus_directory
 from transport.links.link import LOOK_S, TransportError
+from transport.links.mesh_peer import bus_directory as bus_directory
 from transport.links.python_can import can
 from transport.links.shared_bus import Seen
 from transport.links.timed_sender import TimedSender, timed_rates

@@ -15,8 +15,8 @@ from typing import Any, Final
 from transport.links.can_bus import bus_directory
 from transport.links.can_identifiers import filters, identifiers_of
 from transport.links.can_link import CanLink
-from transport.links.claim import Claim, network
 from transport.links.link import Role, TransportError, split_uri
+from transport.links.private_directory import Claim, network
 from transport.links.python_can import can
 
 OPTIONS: Final = ("fd", "pad", "base", "nodes", "ids", "control")

@@ -20,13 +20,13 @@ from time import monotonic_ns
 from typing import Any, Final, NamedTuple
 
 from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.bus import CanBus, CanNode
 from transport.can_bus_model.fault_confinement import State
-from transport.can_bus_model.frame import CanFrame
 from transport.can_bus_model.saved_bus import restored, saved
 from transport.can_bus_model.transmit_buffer import Waiting
-from transport.links.dead_channels import BUS_FILE
 from transport.links.link import TransportError
+from transport.links.mesh_peer import BUS_FILE
 
 _MOST_BYTES: Final = 4_000_000
 PATIENCE_NS: Final = 100_000_000

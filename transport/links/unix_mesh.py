@@ -26,9 +26,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Final
 
-from transport.links.dead_channels import LEFT_BEHIND, SOCKETS
 from transport.links.link import Closing, TransportError
-from transport.links.mesh_peer import HEAD, Peer
+from transport.links.mesh_peer import HEAD, LEFT_BEHIND, SOCKETS, Peer
 from transport.links.private_directory import locked
 
 QUEUE_LIMIT: Final = 256

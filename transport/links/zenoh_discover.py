@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from transport.links.link import TransportError, split_uri
 from transport.links.zenoh_link import config, zenoh_directory
-from transport.links.zenoh_package import require_zenoh
+from transport.links.zenoh_refusals import require_zenoh
 
 LARGEST_INFO: Final = 1 << 20
 """Bytes of an answer that is read."""

@@ -5,7 +5,7 @@ packets are published under ``hil/<name>/sensor``, control packets under ``hil/<
 that is let in at the rig's endpoint can watch, or be the controller. A peer of the rig does not see what another peer
 publishes, so the rig says again under ``hil/<name>/heard`` what control packets it hears, once somebody listens there. Every
 packet has the encoding `ENCODING` and an attachment ``slot=K;session=S``. Liveliness tokens say who is there and which
-controller the rig hears (`transport.links.zenoh_claims`), and the rig answers queries for ``hil/<name>/info``. Certificates and
+controller the rig hears (`transport.links.zenoh_access`), and the rig answers queries for ``hil/<name>/info``. Certificates and
 passwords keep all of that from everybody else.
 
 Without an endpoint the link is a Unix socket in a directory of mode 0700 (`zenoh_directory`): who is not this user cannot
@@ -29,14 +29,10 @@ from queue import Empty, SimpleQueue
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
-from transport.links.callback_thread import CallbackThreads
-from transport.links.claim import Claim, network
 from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
-from transport.links.private_directory import private_directory
-from transport.links.zenoh_access import OPTIONS, Access, access
-from transport.links.zenoh_claims import LEASE_S, Claims, own_name
-from transport.links.zenoh_package import require_zenoh
-from transport.links.zenoh_refusals import add_refused, count_into, say
+from transport.links.private_directory import Claim, network, private_directory
+from transport.links.zenoh_access import LEASE_S, OPTIONS, Access, Claims, access, own_name
+from transport.links.zenoh_refusals import CallbackThreads, add_refused, count_into, require_zenoh, say
 
 if TYPE_CHECKING:
     import zenoh

@@ -3,20 +3,67 @@
 zenoh writes its log to standard output and to nothing else. So refusals are counted only in a process that says its standard
 output is nobody's, as a rig's process does. A line is counted by what it says and goes nowhere. A pipe of 1 MiB holds what
 strangers cause between two looks; a flood that fills it waits for the next look, 20 ms at most.
+
+The package of ``hilrig[zenoh]``, which only a link over zenoh imports.
+
+Threads that do not belong to Python, and call it: what one of them costs with every call, and how to pay it once.
+
+A thread that was not started by Python gets a thread state when it calls, and loses it when the call returns. The memory of the
+state's stack is mapped and unmapped each time: four page faults, and a word to every CPU that runs this process. Under a
+hypervisor that is most of what a callback costs.
 """
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import os
 import re
 import sys
 import time
 from contextlib import suppress
-from threading import Lock, Thread
+from importlib import import_module
+from threading import Lock, Thread, get_ident
 from typing import Final
 
-from transport.links.link import LinkCounters
+from transport.links.link import LinkCounters, TransportError
+
+INSTALL = "pip install 'hilrig[zenoh]'"
+
+
+def require_zenoh(uri: str) -> None:
+    """Refuse a link over zenoh where zenoh is not installed.
+
+    Raises:
+        TransportError: with the command that installs it.
+    """
+    try:
+        import_module("zenoh")
+    except ModuleNotFoundError as error:
+        if error.name != "zenoh":
+            raise
+        raise TransportError(f"link {uri!r}: zenoh is not installed: {INSTALL}") from None
+
+
+class CallbackThreads:
+    """Keeps the thread state of every thread that calls, from its first call on, as long as the process lives.
+
+    Reference: Python/C API, "Non-Python created threads", ``PyGILState_Ensure``: calls nest, and only the outermost release
+    takes the state away. One that is never released keeps it, as every thread of Python's own has one.
+    """
+
+    __slots__ = ("_known",)
+
+    def __init__(self) -> None:
+        self._known: set[int] = set()
+
+    def keep(self) -> None:
+        """Keep the calling thread's state; called inside of a callback, first thing."""
+        ident = get_ident()
+        if ident not in self._known:
+            self._known.add(ident)  # one for each thread of the library, of which there are few
+            ctypes.pythonapi.PyGILState_Ensure()
+
 
 _SAYS: Final = (
     "off,zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::access_control=off,"

@@ -18,7 +18,7 @@ from typing import Any, Final
 from transport.links.link import Closing, TransportError, split_uri
 from transport.links.private_directory import private_directory
 from transport.links.zenoh_link import ONE_THREAD, config, zenoh_directory
-from transport.links.zenoh_package import require_zenoh
+from transport.links.zenoh_refusals import require_zenoh
 
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _LOOPBACK: Final = re.compile(r"tcp/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):\d{1,5}")

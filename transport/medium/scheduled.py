@@ -1,6 +1,11 @@
 """A medium on which nodes take turns: in every slot one of its nodes may send, by a fixed cycle or by chance.
 
 What a node sends in its turn travels through the node's own channel; what it offers out of turn is not sent.
+
+A bus on which the lowest identifier wins: a frame that loses waits, and a newer sample of its node takes its place.
+
+In a slot the bus carries a stated number of frames. How long a frame takes on the wire is not modelled: a bus that counts bits
+replaces `Arbitration.winners` and nothing else.
 """
 
 from __future__ import annotations
@@ -8,11 +13,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 from math import nan
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from transport.draws import LOST, NO_MODE, Draw
+from transport.draws import LOST, NO_MODE, REPLACED, Draw
 from transport.errors import FieldError
 from transport.medium.independent import Impairment
 from transport.medium.medium import Delivery
@@ -126,3 +131,111 @@ class ScheduledMedium:
             found[node][0].append(draw)
         self._lost = []
         return found
+
+
+REMEMBERED = 4096
+"""Packets of a node whose slot of sampling is kept, for records about them."""
+
+
+class Waiting(NamedTuple):
+    """A packet that waits for the bus.
+
+    Attributes:
+        tick: slot in which it was offered.
+        packet: what is sent.
+    """
+
+    tick: int
+    packet: object
+
+
+class Arbitration:
+    """Which waiting packets win the bus in a slot: those of the lowest node numbers.
+
+    Args:
+        frames: frames that the bus carries in a slot.
+    """
+
+    def __init__(self, frames: int) -> None:
+        if frames < 1:
+            raise FieldError("frames", f"{frames} in a slot, expected at least 1")
+        self._frames = frames
+        self.waiting: dict[int, Waiting] = {}
+
+    def offer(self, node: int, k: int, packet: object) -> Waiting | None:
+        """Let a packet wait for the bus; return the older one of its node whose place it takes."""
+        replaced = self.waiting.get(node)
+        self.waiting[node] = Waiting(k, packet)
+        return replaced
+
+    def winners(self) -> list[tuple[int, Waiting]]:
+        """Return (node, packet) of those that the bus carries in this slot, in order of priority."""
+        return [(node, self.waiting.pop(node)) for node in sorted(self.waiting)[: self._frames]]
+
+
+class ArbitratedBus:
+    """Nodes that share a bus with arbitration; see `transport.medium.medium.Medium`.
+
+    A packet that wins travels through its node's own channel from that slot on. It arrives under the slot in which it was
+    offered: the age of its sample counts the wait.
+
+    Args:
+        channels: the emulated network of each node behind the bus; a smaller index wins.
+        frames: frames that the bus carries in a slot.
+        loss: probability that what the bus carries is lost, independent for every frame.
+        rng: the stream of this bus; nothing else may draw from it.
+    """
+
+    def __init__(self, channels: Sequence[Impairment], frames: int, loss: float, rng: np.random.Generator) -> None:
+        self._channels = tuple(channels)
+        self._bus, self._frames, self._loss, self._rng = Arbitration(frames), min(frames, len(channels)), loss, rng
+        self._ticks: list[dict[int, int]] = [{} for _ in channels]  # slot of sampling by slot of sending
+        self._booked: list[tuple[int, Draw]] = []
+        self._next = 0
+
+    def may_send(self, node: int, k: int) -> bool:
+        """Return True: a node may offer in every slot, and waits for the bus."""
+        return True
+
+    def offer(self, node: int, k: int, packet: object) -> None:
+        """Let a packet wait for the bus, see `Medium.offer`.
+
+        Raises:
+            ValueError: slot k has been collected, or the node has offered in it already.
+        """
+        if k < self._next:
+            raise FieldError("k", f"slot {k} is offered a packet after it was collected")
+        old = self._bus.offer(node, k, packet)
+        if old is not None and old.tick >= k:
+            raise FieldError("k", f"node {node} offers a packet in slot {k} after one in slot {old.tick}")
+        if old is not None:
+            self._booked.append((node, Draw(k, old.tick, NO_MODE, k - old.tick, nan, REPLACED)))
+
+    def collect(self, k: int) -> list[Delivery]:
+        """Return what the bus has carried and each channel lets arrive, see `Medium.collect`."""
+        for slot in range(self._next, k + 1):
+            self._carry(slot)
+        self._next = k + 1
+        found = [self._named(node, channel.collect(k)) for node, channel in enumerate(self._channels)]
+        for node, draw in self._booked:
+            found[node][0].append(draw)
+        self._booked = []
+        return found
+
+    def _carry(self, k: int) -> None:
+        lost = (self._rng.random(self._frames) < self._loss).tolist()
+        for (node, (tick, packet)), gone in zip(self._bus.winners(), lost):
+            if gone:
+                self._booked.append((node, Draw(k, tick, NO_MODE, 0, nan, LOST)))
+                continue
+            ticks = self._ticks[node]
+            ticks[k] = tick
+            if len(ticks) > REMEMBERED:
+                del ticks[next(iter(ticks))]
+            self._channels[node].offer(k, (tick, packet))
+
+    def _named(self, node: int, delivery: Delivery) -> Delivery:
+        """Name packets by the slot of their sample where the channel knows the slot of sending."""
+        (draws, arrivals), ticks = delivery, self._ticks[node]
+        named = [draw._replace(packet_tick=ticks.get(draw.packet_tick, draw.packet_tick)) for draw in draws]
+        return named, [packet for _, packet in arrivals]  # type: ignore[misc]

@@ -25,7 +25,7 @@ from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import analyse_fault_tolerant
-from design.semi_markov_loop.growth import mean_square_abscissa
+from design.semi_markov_loop.period_moments import mean_square_abscissa
 from design.semi_markov_loop.system import JumpSystem
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
 from hil.reproduce.chapter4.figures import Ensemble, averages, detection_fault, lifetimes, ratios, single_runs, text_rule

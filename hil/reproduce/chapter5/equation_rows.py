@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.historical_data import historical_gains, newest_gains
+from design.as_printed.chapter5 import historical_gains, newest_gains
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, synthesise
-from design.historical_data.information import Mask, round_robin
 from design.historical_data.lifted_loop import DelayedPlant, close, cycle
+from design.historical_data.sensor_schedule import Mask, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.run import Run

@@ -7,16 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.historical_data import historical_gains, newest_gains
-from design.historical_data.block_diagonal import BlockDiagonalProof, largest_eigenvalue, tangent_scheme
-from design.historical_data.common_lyapunov import common_bound
-from design.historical_data.cone_complementarity import cone_complementarity
-from design.historical_data.guaranteed_cost import average_start, cost, cyclic_orders, start_at
-from design.historical_data.information import Mask, round_robin
-from design.historical_data.lifted_loop import DelayedPlant, close
-from design.historical_data.matched_peak import largest_input, match_peak
+from design.as_printed.chapter5 import historical_gains, newest_gains
+from design.historical_data.block_diagonal import BlockDiagonalProof, cone_complementarity, largest_eigenvalue, tangent_scheme
+from design.historical_data.guaranteed_cost import average_start, cost, cyclic_orders, largest_input, match_peak, start_at
+from design.historical_data.lifted_loop import DelayedPlant, close, common_bound
 from design.historical_data.measurement_noise import stationary_cost
 from design.historical_data.orders import orders_by_cost
+from design.historical_data.sensor_schedule import Mask, round_robin
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.statements import Statement, above, below, exactly
 from plants.delayed_states import DelayedStates

@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.guaranteed_cost import printed_functional, stabilising_intervals
-from design.as_printed.historical_data import historical_gains, newest_gains
+from design.as_printed.chapter5 import historical_gains, newest_gains, printed_functional, stabilising_intervals
 from design.historical_data.block_diagonal import functional
 from design.historical_data.cost_bounds import lower_bounds
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, synthesise
-from design.historical_data.information import round_robin
 from design.historical_data.lifted_loop import DelayedPlant, close
+from design.historical_data.sensor_schedule import round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.pages.html.figures import Figure, Series

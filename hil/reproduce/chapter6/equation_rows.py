@@ -6,15 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.coupler import DELAY, LAMBDA, PERIOD_S
-from design.as_printed.haptic_conditions import printed_attenuation
-from design.controllers.coupler import wave_coupler
-from design.controllers.rendered_wall import WallController
+from design.as_printed.chapter6 import DELAY, LAMBDA, PERIOD_S, printed_attenuation
+from design.controllers.rendered_wall import WallController, wave_coupler
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import Patch, Pattern
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.device import HeldDevice
-from design.passivity.loop import HapticLoop, push_response
+from design.passivity.loop import HapticLoop, HeldDevice, push_response
 from design.passivity.material_chain import material_chain
 from design.passivity.synthesis import ceiling_n_per_m
 from design.passivity.transparency import distortion

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.coupler import (
+from design.as_printed.chapter6 import (
     DELAY,
     LAMBDA,
     PERIOD_S,
@@ -16,11 +16,10 @@ from design.as_printed.coupler import (
     printed_distortion,
     theorem_61_coupler,
 )
-from design.controllers.coupler import Coupler, static_coupler, wave_coupler
+from design.controllers.rendered_wall import Coupler, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.device import HeldDevice
-from design.passivity.loop import HapticLoop, push_response
+from design.passivity.loop import HapticLoop, HeldDevice, push_response
 from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion, distortion_bound
 from hil.pages.html.figures import Figure, Series

@@ -9,8 +9,8 @@ import numpy as np
 
 from design.controllers.rendered_wall import WallController
 from design.controllers.wall import MATERIALS
+from design.identification.axis import Record
 from design.identification.output_error import identify_axis
-from design.identification.record import Record
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.coupler import DELAY, LAMBDA, PERIOD_S, meets_printed_condition
-from design.controllers.coupler import Coupler, static_coupler, wave_coupler
+from design.as_printed.chapter6 import DELAY, LAMBDA, PERIOD_S, meets_printed_condition
+from design.controllers.rendered_wall import Coupler, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS
 from design.controllers.wall_pattern import Patch, Pattern, square_rows
 from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.condition import damping_needed
-from design.passivity.device import HeldDevice
+from design.passivity.loop import HeldDevice
 from design.passivity.material_chain import material_chain
 from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion

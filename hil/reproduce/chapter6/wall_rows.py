@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from design.as_printed.coupler import LAMBDA
+from design.as_printed.chapter6 import LAMBDA
 from design.controllers.wall_pattern import square_rows
 from design.passivity.material_chain import boundaries, material_chain, memory_statistic, true_chain
 from hil.reproduce.statements import Statement, above, below, exactly, says

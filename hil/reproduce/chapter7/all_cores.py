@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from design.monte_carlo.safe_path import safe_path
+from design.monte_carlo.random_streams import safe_path
 from hil.reproduce.chapter import ReportProgress
 
 T = TypeVar("T")

@@ -8,9 +8,8 @@ from hil.compose.loop import Loop
 from hil.rig.can_bus import RECORDING, bus_nodes, can_bus_of, own_packets, periodic, rates_of
 from hil.rig.recorded_frame import due_of
 from hil.runtime.streams import rng_for
+from transport.can_bus_model.bits import BitErrors, CanFrame
 from transport.can_bus_model.bus import CanBus, CanNode, Transmission
-from transport.can_bus_model.frame import CanFrame
-from transport.can_bus_model.noise import BitErrors
 from transport.can_bus_model.traffic import Due, Traffic
 from transport.medium.independent import Impairment
 from transport.medium.timed_bus import BusInSlots, TimedBusDownlink, TimedBusUplink, value_frames

@@ -10,12 +10,9 @@ from hil.rig.sensor_list import Sensor
 from hil.rig.sensors import SharedMedium
 from hil.runtime.streams import rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
-from transport.medium.arbitration import ArbitratedBus
 from transport.medium.independent import Impairment, impair
-from transport.medium.medium import Delivery, IndependentChannels, Medium
-from transport.medium.sample_clock import SampleClock
-from transport.medium.scheduled import RandomTurns, RoundRobin, ScheduledMedium, Turns
-from transport.medium.split import SplitMedium
+from transport.medium.medium import Delivery, IndependentChannels, Medium, SampleClock, SplitMedium
+from transport.medium.scheduled import ArbitratedBus, RandomTurns, RoundRobin, ScheduledMedium, Turns
 
 if TYPE_CHECKING:
     from hil.runtime.nodes.can_network import CanNetwork

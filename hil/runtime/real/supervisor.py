@@ -28,7 +28,7 @@ from hil.runtime.real.heartbeat_timeout import HeartbeatTimeout
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
-from transport.links.dead_channels import bus_directory, clear_dead_channels
+from transport.links.mesh_peer import bus_directory, clear_dead_channels
 
 POLL_S = 0.02
 HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0

@@ -7,8 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from design.controllers.exact_inverse import pseudo_inverse
-from design.controllers.ordered import dot, product, product_of_batch
+from design.controllers.exact_products import dot, product, product_of_batch, pseudo_inverse
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (4, 4), (3, 5), (5, 3), (9, 9)])

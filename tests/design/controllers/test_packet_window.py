@@ -7,11 +7,10 @@ from itertools import product
 import numpy as np
 import pytest
 
-from design.controllers.packet_window import PacketWindow, window_of
-from design.controllers.sensor_nodes import SensorNodes, Turns
+from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, window_of
+from design.historical_data.gapped_history import window_chain, window_mask, window_start, window_undecided
 from design.historical_data.guaranteed_cost import average_start, cost, synthesise
 from design.historical_data.lifted_loop import DelayedPlant, close
-from design.historical_data.packet_windows import window_chain, window_mask, window_start, window_undecided
 from plants.delayed_states import DelayedStates
 
 CYCLE = Turns(order=(0, 2, 1), phase=1, loss=0.3)

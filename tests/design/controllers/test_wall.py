@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from design.controllers.coupler import Coupler
+from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import MATERIALS, Contact, Material, Wall
 from design.controllers.wall_pattern import Patch, Pattern, square_rows
 

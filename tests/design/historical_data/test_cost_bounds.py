@@ -12,8 +12,8 @@ import pytest
 from design.controllers.sensor_nodes import SensorNodes, Turns
 from design.historical_data.cost_bounds import Hearing, bounds, full_state_bound, hearing_of, lower_bounds
 from design.historical_data.guaranteed_cost import average_start
-from design.historical_data.information import Information
 from design.historical_data.lifted_loop import DelayedPlant
+from design.historical_data.sensor_schedule import Information
 
 Array = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from design.errors import NotStable
-from design.historical_data.cost_moments import cost_moments
+from design.historical_data.cost_bounds import cost_moments
 from design.historical_data.lifted_loop import LiftedLoop, cycle
 
 L = np.array([[[0.3, 0.2, 0.0], [1.0, 0.0, 0.1], [0.0, -0.3, 0.2]], [[-0.2, 0.1, 0.3], [0.2, 0.4, 0.0], [0.1, 0.0, -0.5]]])

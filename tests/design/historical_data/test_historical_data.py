@@ -5,26 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.as_printed.guaranteed_cost import printed_functional, stabilising_intervals
-from design.as_printed.historical_data import historical_gains, newest_gains
+from design.as_printed.chapter5 import historical_gains, newest_gains, printed_functional, stabilising_intervals
 from design.errors import Infeasible, NotStable
-from design.historical_data.block_diagonal import functional, largest_eigenvalue, tangent_scheme
-from design.historical_data.common_lyapunov import common_bound
-from design.historical_data.cone_complementarity import cone_complementarity
+from design.historical_data.block_diagonal import cone_complementarity, functional, largest_eigenvalue, tangent_scheme
 from design.historical_data.cost_bounds import lower_bounds
 from design.historical_data.guaranteed_cost import (
     average_start,
     certify_cost,
     cost,
     cyclic_orders,
+    match_peak,
     start_at,
     synthesise,
 )
-from design.historical_data.information import Information, round_robin
-from design.historical_data.lifted_loop import DelayedPlant, close
-from design.historical_data.matched_peak import match_peak
+from design.historical_data.lifted_loop import DelayedPlant, close, common_bound
 from design.historical_data.measurement_noise import stationary_cost
 from design.historical_data.orders import orders_by_cost
+from design.historical_data.sensor_schedule import Information, round_robin
 from design.jump_linear.second_moment import operator_matrix
 from plants.delayed_states import DelayedStates
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from design.identification.axis import held
-from design.identification.excitation import square_wave
-from design.identification.record import Record
+from design.identification.axis import Record, held, square_wave
 
 INERTIA, DAMPING = 0.7943, 1.9857
 

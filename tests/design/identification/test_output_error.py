@@ -5,9 +5,8 @@ import pytest
 from scipy.stats import binom
 
 from design.errors import DesignError
-from design.identification.excitation import expected_errors
+from design.identification.axis import Record, expected_errors
 from design.identification.output_error import identify_axis
-from design.identification.record import Record
 from tests.design.identification.axis_runs import DAMPING, INERTIA, square_records
 
 NOISE = 1e-3

@@ -12,8 +12,8 @@ from design.jump_linear.bounded_real import (
     locate_norm,
     predict_fold,
     refine_fold,
+    solve_bounded_real,
 )
-from design.jump_linear.coupled_riccati import solve_bounded_real
 from design.jump_linear.h2 import h2_norm
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Resolvent, expect

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from design.jump_linear import interruptible as room
+from design.jump_linear import krylov as room
 from design.jump_linear import positive_radius
-from design.jump_linear.interruptible import apart, interruptible, spectral_radius
+from design.jump_linear.krylov import apart, interruptible, spectral_radius
 from tests.waiting import until
 
 

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.jump_linear import coupled_riccati, second_moment, shift_states
+from design.jump_linear import bounded_real, second_moment, shift_states
 from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
-from design.jump_linear.h2 import h2_derivative
-from design.jump_linear.h2_nearby import H2Nearby
+from design.jump_linear.h2 import H2Nearby, h2_derivative
 from design.jump_linear.joint_expectation import factors_of, mean
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Bordered, Resolvent, mean_square_radius, operator_matrix
@@ -50,7 +49,7 @@ def symmetric(shape: tuple[int, ...], seed: int = 2) -> np.ndarray:
 def free(monkeypatch: pytest.MonkeyPatch) -> None:
     """No dense factorisation, and shift states eliminated wherever there are enough of them."""
     monkeypatch.setattr(second_moment, "DENSE_LIMIT", 0)
-    monkeypatch.setattr(coupled_riccati, "DENSE_LIMIT", 0)
+    monkeypatch.setattr(bounded_real, "DENSE_LIMIT", 0)
     monkeypatch.setattr(shift_states, "LIMIT", 0)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from design.lmi.decision import second_opinion
 from design.lmi.program import LmiProgram, symmetric_part
-from design.lmi.second_opinion import second_opinion
 
 
 def lyapunov(a: np.ndarray, bound: float = 50.0) -> LmiProgram:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from design.monte_carlo.sequential import SequentialTest
+from design.monte_carlo.confidence import SequentialTest
 
 
 def characteristic(test: SequentialTest, p: float, most: int) -> tuple[float, float, float]:

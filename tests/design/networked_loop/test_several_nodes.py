@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from design.errors import FieldError
-from design.networked_loop.certify import certify_loop
+from design.networked_loop.certify import certify_loop, informed_probability
 from design.networked_loop.closed_loop import SELECTIONS, loop_structure
-from design.networked_loop.lower_bounds import informed_probability
 from design.networked_loop.prediction import predict_tracking
-from design.processes.delay_chain import DelayChain
-from design.processes.product_chain import MOST_MODES, product_chain
+from design.processes.delay_chain import MOST_MODES, DelayChain, product_chain
 from design.tracking.synthesis import TrackingProblem, solve
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, VTOL
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from design.controllers.coupler import Coupler, wave_coupler
+from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.wall import Wall
 from design.controllers.wall_pattern import square_rows
 from design.passivity.certificate import certify_wall
-from design.passivity.device import HeldDevice
+from design.passivity.loop import HeldDevice
 from design.passivity.synthesis import stiffest_coupler
 from design.processes.delay_chain import DelayChain
 from tests.design.passivity.published import DAMPING, DEVICE, LAMBDA, PERIOD_S

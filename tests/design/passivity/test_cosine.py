@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from design.passivity.cosine import is_nonnegative, minimum
+from design.passivity.condition import is_nonnegative, minimum
 
 ONE = Fraction(1)
 

@@ -6,7 +6,7 @@ import pytest
 from design.controllers.contract import LoopModel
 from design.controllers.wall import Wall
 from design.jump_linear.mjls import MJLS
-from design.passivity.device import HeldDevice
+from design.passivity.loop import HeldDevice
 from design.passivity.model_following import contact_matrices, follow_wall
 from hil.compose.loop import compose
 from hil.errors import ExperimentError

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from design.as_printed.coupler import DELAY, LAMBDA
-from design.as_printed.haptic_conditions import (
+from design.as_printed.chapter6 import (
+    DELAY,
+    LAMBDA,
     inner_loop,
     printed_attenuation,
     printed_stability,
 )
-from design.controllers.coupler import static_coupler, wave_coupler
+from design.controllers.rendered_wall import static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS
 from design.errors import FieldError
 from design.jump_linear.bounded_real import hinf_norm

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from design.controllers.coupler import wave_coupler
+from design.controllers.rendered_wall import wave_coupler
 from design.controllers.wall import MATERIALS
 from design.errors import DesignError, Infeasible
 from design.passivity.condition import is_passive_over

@@ -20,7 +20,7 @@ from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant, loop_inequalities
-from design.semi_markov_loop.growth import mean_square_abscissa, worst_growth
+from design.semi_markov_loop.period_moments import mean_square_abscissa, worst_growth
 from design.semi_markov_loop.second_moments import second_moment_decay
 from design.semi_markov_loop.system import JumpSystem
 

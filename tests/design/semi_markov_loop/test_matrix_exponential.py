@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from design.semi_markov_loop.matrix_exponential import exponential
+from design.semi_markov_loop.second_moments import exponential
 
 
 @pytest.mark.parametrize("size", [1, 2, 4, 6])

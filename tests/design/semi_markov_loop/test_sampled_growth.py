@@ -10,7 +10,7 @@ from design.controllers.scheduled_gain import constant_gain
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.sampled import sampled_verdict
-from design.semi_markov_loop.sampled_growth import growth_while_it_stays
+from design.semi_markov_loop.sampled_detection import growth_while_it_stays
 from design.semi_markov_loop.sojourn_renewal import SampledLoop
 from design.semi_markov_loop.system import JumpSystem, VertexUncertainty
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from design.requests.local import LocalDesigned
-from design.requests.tracking import solve_tracking
+from design.requests.tracking import LocalDesigned, solve_tracking
 from hil.cli.design import command
 from hil.cli.design_local import design_local
 from hil.compose.loop import compose

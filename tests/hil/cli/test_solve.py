@@ -11,7 +11,7 @@ from design.controllers import SendAll
 from design.processes.rates import clip_rate
 from design.processes.semi_markov import SemiMarkov
 from design.processes.user_rate import UserRate
-from design.requests.task import DesignTask
+from design.requests.tracking import DesignTask
 from hil.compose.loop import compose, solved_gains
 from hil.compose.stored_gains import FORMAT, Gains, NoDigest, problem_digest
 from hil.experiment import Experiment, load_experiment, shipped

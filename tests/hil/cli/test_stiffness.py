@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from design.controllers.coupler import Coupler
+from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Contact, Material, Wall
 from design.passivity.condition import is_passive_over
 from hil.cli import main

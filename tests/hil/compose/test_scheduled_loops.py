@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from design.controllers import RowsLaw
+from design.jump_linear.certificate import observed_part
 from design.jump_linear.mjls import MJLS
-from design.jump_linear.observed import observed_part
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.rig.loop_chains import settled

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.as_printed.historical_data import historical_gains, newest_gains
+from design.as_printed.chapter5 import historical_gains, newest_gains
 from design.historical_data.block_diagonal import tangent_scheme
-from design.historical_data.information import round_robin
 from design.historical_data.lifted_loop import DelayedPlant
+from design.historical_data.sensor_schedule import round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.reproduce import Statement, chapters

@@ -2,7 +2,7 @@
 
 import pytest
 
-from design.as_printed.coupler import (
+from design.as_printed.chapter6 import (
     LAMBDA,
     PERIOD_S,
     energy_of_a_press,
@@ -11,10 +11,10 @@ from design.as_printed.coupler import (
     printed_distortion,
     theorem_61_coupler,
 )
-from design.controllers.coupler import wave_coupler
+from design.controllers.rendered_wall import wave_coupler
 from design.controllers.wall import MATERIALS
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.device import HeldDevice
+from design.passivity.loop import HeldDevice
 from design.passivity.transparency import distortion
 from hil.reproduce import chapters, reproduce
 from hil.reproduce.chapter6.numbers import PASSIVITY, PUSH, passivity, push

@@ -20,7 +20,7 @@ from hil.replay.replay import verify
 from hil.rig.bus_schedule import bus_cycle
 from hil.session import run_session, simulate
 from tests.transport.medium.test_arbitration import bus, heard
-from transport.medium.sample_clock import SampleClock
+from transport.medium.medium import SampleClock
 
 ONE = "controller={kind='historical', gains=[[[[0.0, 0.0, -2.0, 0.0]]]]}"
 NAMES = ("first", "second", "third", "fourth")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import hil
-from design.controllers.packet_window import window_of
-from design.historical_data.packet_windows import window_mask
+from design.controllers.sensor_nodes import window_of
+from design.historical_data.gapped_history import window_mask
 from design.historical_data.sensor_schedule import mask_of
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment

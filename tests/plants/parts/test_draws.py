@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from plants.parts.draws import Normals, exponential, normal_quantile
+from plants.parts.draws import TURN, Normals, exponential, normal_quantile, sine
 from plants.parts.exponential import exp
-from plants.parts.turns import TURN, sine
 
 
 def test_a_quantile_is_that_of_the_normal_law_from_its_middle_to_its_farthest_tail() -> None:

@@ -7,8 +7,7 @@ import pytest
 
 from plants.parts.exponential import log1p, phi
 from plants.parts.exponential_many import log1p_many, phi_many
-from plants.parts.friction import Friction, RubbingAxis
-from plants.parts.friction_many import RubbingAxes
+from plants.parts.friction import Friction, RubbingAxes, RubbingAxis
 
 GAIN, POLE, RUNS = 172.38, 3.5287, 1500
 FRICTIONS = {

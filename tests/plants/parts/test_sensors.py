@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plants.parts.sensors import Encoder
+from plants.parts.actuators import Encoder
 
 STEP = 0.0038
 

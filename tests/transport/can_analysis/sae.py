@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from transport.can_analysis.messages import PeriodicMessage
+from transport.can_analysis import PeriodicMessage
 
 SIZES = (1, 2, 1, 2, 1, 2, 6, 1, 2, 2, 1, 4, 1, 1, 3, 1, 1)
 PERIODS_MS = (1000, *(5,) * 5, *(10,) * 4, *(100,) * 4, *(1000,) * 3)

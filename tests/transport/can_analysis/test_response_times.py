@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from tests.transport.can_analysis.sae import BOUNDS_250_MS, BOUNDS_MS, SAE
-from transport.can_analysis.messages import PeriodicMessage, bus_load
-from transport.can_analysis.response_times import ErrorBursts, response_times
+from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
 from transport.can_bus_model.bit_rates import BitRates
 from transport.errors import FieldError
 

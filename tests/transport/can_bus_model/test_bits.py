@@ -11,9 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.transport.can_bus_model.receiver import LENGTHS, read
-from transport.can_bus_model.bits import frame_length, wire_bits
-from transport.can_bus_model.frame import CanFrame, arbitration_key
-from transport.can_bus_model.worst_case import longest_frame
+from transport.can_bus_model.bits import CanFrame, arbitration_key, frame_length, longest_frame, wire_bits
 from transport.errors import FieldError
 
 CAN_UTILS = Path(os.environ.get("CAN_UTILS", "can-utils"))  # its source, GPL or BSD: a peer to test against, not a part of this

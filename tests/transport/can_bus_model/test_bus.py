@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from tests.transport.can_analysis.sae import BOUNDS_MS, SAE
-from transport.can_analysis.messages import PeriodicMessage, bus_load
-from transport.can_analysis.response_times import response_times
+from transport.can_analysis import PeriodicMessage, bus_load, response_times
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import frame_length, wire_bits
+from transport.can_bus_model.bits import BitErrors, CanFrame, frame_length, wire_bits
 from transport.can_bus_model.bus import CanBus, CanNode, Transmission
-from transport.can_bus_model.frame import CanFrame
-from transport.can_bus_model.noise import BitErrors
 from transport.can_bus_model.transmit_buffer import Waiting
 
 RATES = BitRates(500_000, 2_000_000)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from transport.law_fit.clocks import drift_of, offset_of, without_drift
+from transport.law_fit.packet_record import drift_of, offset_of, without_drift
 
 
 def stamps(drift: float, offset: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # type: ignore[type-arg]

@@ -18,7 +18,7 @@ from transport.law_fit.proportions import clopper_pearson, wald_logit, wilson
 from transport.law_fit.region import arrivals, confidence_region
 from transport.laws.age import MarkovAge
 from transport.laws.packet import GilbertElliott, PacketLaw
-from transport.laws.packet_paths import channel_modes
+from transport.laws.packet_chain import channel_modes
 
 T, DEADLINE = 0.010, 0.006
 RUNS, LOW, HIGH = 2000, 0.93, 0.97

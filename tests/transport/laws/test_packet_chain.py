@@ -17,8 +17,7 @@ from transport.draws import LOST, SENT
 from transport.errors import FieldError
 from transport.law_tests.analysis import analyse_law
 from transport.laws.packet import GilbertElliott, PacketLaw
-from transport.laws.packet_chain import PacketChain
-from transport.laws.packet_paths import channel_modes, fives_of_batch
+from transport.laws.packet_chain import PacketChain, channel_modes, fives_of_batch
 from transport.laws.protocols import AgeChain, InitialLaw, PacketAges, prepare
 from transport.medium.independent import impair
 

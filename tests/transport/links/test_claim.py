@@ -13,11 +13,11 @@ import pytest
 
 from transport import TransportError, open_link
 from transport.links.can_bus import bus_directory
-from transport.links.claim import Claim
+from transport.links.private_directory import Claim
 
 HOLD = """
 import sys
-from transport.links.claim import Claim
+from transport.links.private_directory import Claim
 with Claim("can:hil:x", "rig", "here", choose="another"):
     print("held", flush=True)
     sys.stdin.read()

@@ -10,11 +10,9 @@ import pytest
 from tests.transport.medium.losses import lost_and_came
 from transport.draws import DELIVERED, REPLACED
 from transport.laws.age import ConstantAge
-from transport.medium.arbitration import ArbitratedBus
 from transport.medium.independent import impair
-from transport.medium.sample_clock import SampleClock
-from transport.medium.scheduled import RoundRobin, ScheduledMedium
-from transport.medium.split import SplitMedium
+from transport.medium.medium import SampleClock, SplitMedium
+from transport.medium.scheduled import ArbitratedBus, RoundRobin, ScheduledMedium
 
 
 def bus(count: int, *, frames: int = 1, loss: float = 0.0, age: int = 0) -> ArbitratedBus:

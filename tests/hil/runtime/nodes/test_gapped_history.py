@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from design.controllers import Historical, Known, LoopModel, SensorNodes, Turns
-from design.historical_data.gapped_history import gapped_gains, gaps_undecided
+from design.historical_data.gapped_history import gapped_gains, gaps_undecided, phase_gains
 from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.measurement_noise import close_heard
-from design.historical_data.phase_gains import phase_gains
 from design.historical_data.sensor_schedule import mask_of
 from design.jump_linear.second_moment import forward
 from design.requests.historical import historical_of

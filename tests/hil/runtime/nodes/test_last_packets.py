@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.controllers.packet_window import PacketWindow, window_of
+from design.controllers.sensor_nodes import PacketWindow, window_of
+from design.historical_data.gapped_history import window_mask
 from design.historical_data.lifted_loop import close
-from design.historical_data.packet_windows import window_mask
 from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError

@@ -12,7 +12,7 @@ from msgspec.structs import replace as replace_struct
 from scipy.stats import norm
 
 from design.controllers import Historical, HistoryGains, Known, LoopModel, Rows, Sample, Selection
-from design.historical_data.cost_moments import CostMoments, cost_moments
+from design.historical_data.cost_bounds import CostMoments, cost_moments
 from design.historical_data.lifted_loop import LiftedLoop, close
 from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
 from hil.certify.historical_loop import delayed_plant_of

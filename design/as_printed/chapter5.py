@@ -1,4 +1,8 @@
-r"""Theorem 5.1 as printed: its functional, and why its own example cannot meet it.
+"""Chapter 5 as printed: the gains of Section 5.4, and Theorem 5.1 with its functional.
+
+The printed gains of Section 5.4, (5.16) and (5.17); the plant that they are for is `plants.delayed_states`.
+
+Theorem 5.1 as printed: its functional, and why its own example cannot meet it.
 
 Block (0, 0) of (5.9) needs (A + B K(i,0))' P (A + B K(i,0)) < P - sum Q_j - Xi < P: A + B K(i,0) must be Schur stable for every
 phase i, whatever P. The zero-element constraints (5.8) leave one number in K(i,0), so that the set of stabilising numbers is a
@@ -14,6 +18,50 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+
+
+def historical_gains() -> Array:
+    """The printed gains (5.16), (4, 6, 1, 4): sensor i + 1 has just sent, x(k - j)."""
+    rows = [
+        [
+            [0.0077, 0.0, 0.0, 0.0],
+            [0.0213, 0.0, 0.0, 0.0102],
+            [0.0285, 0.0, -0.0008, 0.0412],
+            [0.0, -0.1363, 0.0908, -0.2066],
+            [0.0613, 0.0929, -0.1737, 0.0],
+            [0.0264, -0.0201, 0.0, -0.0329],
+        ],
+        [
+            [0.0, -0.0955, 0.0, 0.0],
+            [0.0161, -0.0366, 0.0, 0.0],
+            [0.0407, 0.0467, 0.0, 0.0537],
+            [0.006, 0.0, 0.0975, -0.3191],
+            [0.0, 0.1049, -0.1654, -0.1838],
+            [0.024, -0.0322, -0.0087, 0.0],
+        ],
+        [
+            [0.0, 0.0, 0.0044, 0.0],
+            [0.0, -0.0602, 0.0819, 0.0],
+            [0.0431, 0.0482, 0.0335, 0.0],
+            [-0.0199, -0.1363, 0.0, -0.2093],
+            [0.0532, 0.0, -0.1446, -0.1115],
+            [0.0, -0.0235, -0.0106, -0.0113],
+        ],
+        [
+            [0.0, 0.0, 0.0, 0.1798],
+            [0.0, 0.0, 0.0863, -0.0107],
+            [0.0, 0.0168, 0.0305, 0.1038],
+            [-0.0318, -0.1771, 0.0905, 0.0],
+            [0.1151, 0.1491, 0.0, -0.2225],
+            [0.0293, 0.0, -0.0018, -0.0584],
+        ],
+    ]
+    return np.array(rows)[:, :, None, :]
+
+
+def newest_gains() -> Array:
+    """The printed gains (5.17) of the comparison, which use the newest sample only, (4, 1, 1, 4)."""
+    return np.diag([-0.7615, -1.1651, 1.6105, 0.7005])[:, None, None, :]
 
 
 def printed_functional(P: Array, Q: Array, history: Sequence[Array]) -> float:
