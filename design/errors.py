@@ -1,4 +1,4 @@
-"""The one error root of the package: a design that cannot be, told with the number that decides it."""
+"""The one error root of the package: a design that cannot be, with the number that decides it."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ class FMU:
 
     def beyond_model(self) -> tuple[str, ...]:
         """Return that the unit is not its model."""
-        return ("an FMU whose equations nobody sees",)
+        return ("an FMU, whose equations are not known",)
 
     def start(self, rng: np.random.Generator) -> FMURun:
         """Return the unit at time 0. It draws nothing from ``rng``."""

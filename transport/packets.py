@@ -1,4 +1,4 @@
-"""Sensor and send-all control packets: the bytes that travel, and the decoder that believes nobody.
+"""Sensor and send-all control packets: the bytes that travel, and the decoder that checks every field.
 
 Little endian, naturally aligned, and always as long as a legal CAN FD frame (0-8, 12, 16, 20, 24, 32, 48, 64 bytes,
 above that a multiple of 8), so that no bus adds padding of its own. Unused bytes at the end are zero.

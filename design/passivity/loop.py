@@ -99,10 +99,10 @@ def continuous(A: Array, B: Array, period_s: float) -> Array:
         M in 1/s, shape (3, 3).
 
     Raises:
-        FieldError: the speed is gone within a sample, so that its damping cannot be told.
+        FieldError: the speed is gone within a sample, so that its damping has no value.
     """
     if not np.linalg.det(A) > LEAST_LEFT:
-        raise FieldError("plant", f"its speed is gone within a sample of {period_s:g} s, so that its damping cannot be told")
+        raise FieldError("plant", f"its speed is gone within a sample of {period_s:g} s, so that its damping has no value")
     return np.asarray(np.real(logm(np.block([[A, B], [np.zeros((1, 2)), np.ones((1, 1))]]))) / period_s)
 
 

@@ -139,7 +139,7 @@ class Designed:
         if self.output_weights and len(self.output_weights) != p:
             raise FieldError("output_weights", f"{len(self.output_weights)} entries, but the plant has {p} outputs")
         if self.integral and p > model.B.shape[1]:
-            raise FieldError("integral", f"{model.B.shape[1]} inputs cannot bring the mean errors of {p} outputs to zero")
+            raise FieldError("integral", f"{model.B.shape[1]} inputs cannot make the mean errors of {p} outputs zero")
         if self.file:
             from design.tracking.design_file import load_design
 

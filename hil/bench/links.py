@@ -35,7 +35,7 @@ LINKS: Final = (
     "zenoh:unixsock-stream/{folder}/bench",
     plain_zenoh.SCHEME + ":unixsock-stream/{folder}/plain",
 )
-"""What is measured unless told otherwise; bare sockets, python-can's own interface and the plainest use of zenoh beside ours."""
+"""What is measured by default; bare sockets, python-can's own interface and the plainest use of zenoh beside ours."""
 
 _PEERS: Final[dict[str, Callable[[str, Role], Link]]] = {
     plain_socket.SCHEME: plain_socket.PlainSocket, plain_zenoh.SCHEME: plain_zenoh.PlainZenoh,

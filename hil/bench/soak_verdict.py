@@ -57,7 +57,7 @@ def judge(row: Mapping[str, Any], groups: Mapping[str, Mapping[str, Any]], *, pe
     if not late:
         return "holds", []
     if busy:
-        return "undecided", [f"the machine was too busy to tell: {busy}", *late]
+        return "undecided", [f"the machine was too busy to decide: {busy}", *late]
     return "does not hold", late
 
 

@@ -154,7 +154,7 @@ def departure_check(loop: CertificationProblem) -> tuple[State, str] | tuple[Non
                 if (np.abs(found) > most + lost).any():
                     at = int((np.abs(found) - most).argmax())
                     return "refused", (
-                        f"your plant is not what it tells: inputs up to {size * float(unit.max()):.3g} move its {what} by "
+                        f"your plant departs further than stated: inputs up to {size * float(unit.max()):.3g} move its {what} by "
                         f"{abs(found[at]):.4g} beyond its model in a slot, and departures() says at most {float(most[at]):.4g}"
                     )
             steps += 1

@@ -1,4 +1,4 @@
-"""The one door for certificates: what is claimed of the loop that will run, by what proof.
+"""The one place for certificates: what is claimed of the loop that will run, by what proof.
 
 Nothing else says whether a loop is certified: a design hands over gains, a plant its matrices and rates, and a certifier per
 kind of loop judges them as they run. To add a kind of loop, write a :class:`hil.certify.certifier.Certifier` over the
@@ -81,7 +81,7 @@ def of_external(verdict: Verdict, named: str) -> Verdict:
     worth = f"{verdict.state}, {verdict.kind}: {verdict.reason}"
     return Verdict(
         kind=verdict.kind, state="undecided", digest=verdict.digest,
-        reason=f"the controller is not ours: an external program answers on the link, and not the experiment's {named!r}",
+        reason=f"the controller is not the experiment's: an external program answers on the link, not {named!r}",
         details={"controller": "external", "stable": False, "the named controller would be": worth},
     )  # fmt: skip
 

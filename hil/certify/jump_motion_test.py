@@ -39,7 +39,7 @@ MISSED = 0.1
 """Most jumps in a step of the count: what comes back within a step is not seen."""
 ENOUGH = 40.0
 """Jumps that are to be expected before the count ends early."""
-NAME = "your plant is not the model that it tells"
+NAME = "your plant does not move as its model() says"
 
 
 def jump_check(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:

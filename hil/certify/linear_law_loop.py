@@ -40,7 +40,7 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, "mean-square stability", "no certificate covers a linear controller over a plant that jumps")
     if isinstance(controller, AgedFeedback):
         if loop.sc.holds.any() or not np.array_equal(loop.sc.label, loop.sc.delay):
-            return undecided(loop, "mean-square stability", "its matrices change with ages that the chain does not tell apart")
+            return undecided(loop, "mean-square stability", "its matrices depend on ages that the chain does not distinguish")
         laws, selection = laws_of(loop, controller, int(loop.sc.label.max()) + 1), controller.start(loop.model).selection
         verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, laws, selection, digest=loop.digest)
         return limited_to_model(loop.plant, verdict)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from design.controllers import Controller
 
 SIZES = (1e-3, 1e3)
-NAME = "your controller is not the one that it tells"
+NAME = "your controller does not answer as it says"
 
 
 def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:

@@ -60,7 +60,7 @@ def plant_check(loop: CertificationProblem) -> Check:
         from hil.certify.jump_motion_test import jump_check
 
         return jump_check(loop)
-    name = "your plant is not the model that it tells"
+    name = "your plant does not move as its model() says"
     again, moves = plant.model().discretise(model.period_s), loop.motion
     for which, a, b in (("model", again, loop.model), ("motion", moves, model)):
         if not all(np.array_equal(*pair) for pair in zip((a.A, a.B, a.C), (b.A, b.B, b.C))):
@@ -133,7 +133,7 @@ def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str
     if found[-1].share < 0.1 * found[0].share and found[-1].share < ALIKE:
         return "undecided", f"non-linear: the plant moves as its model says under large inputs, but {told(worst)}"
     if found[0].share <= ALIKE:
-        return "undecided", f"the plant is near the model that it tells under small inputs, and is not it: {told(worst)}"
+        return "undecided", f"the plant is near its model() under small inputs, but not equal to it: {told(worst)}"
     return "refused", f"{name}: {told(worst)}"
 
 

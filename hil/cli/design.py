@@ -55,7 +55,7 @@ class GainsOrWall(click.Command):
 @click.option("--period", type=Duration(above=True), help="Sample period, such as 25ms [the thesis's, or the experiment's].")
 @click.option("--samples", type=click.IntRange(1, 2), default=1, show_default=True, help="Samples per sensor packet.")
 @click.option("--sojourns", type=click.IntRange(1), default=1, show_default=True,
-              help="Lengths of stay at the measured tau that a gain tells apart, over semi-Markov delays.")  # fmt: skip
+              help="Slots for which tau has lasted that a gain distinguishes, over semi-Markov delays.")  # fmt: skip
 @click.option("--integral", type=NUMBER, default=0.0, help="Weight of the integrated error in z; > 0 adds integral action.")
 @click.option("--starts", type=click.IntRange(0), default=0, help="Starts of the multistart [by objective].")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)

@@ -54,7 +54,7 @@ def lines(found: dict[str, Any]) -> list[str]:
         said.append(f"  standard deviation of runs  {found['cost_sd']:.6g}")
     said.append(f"mean cost, x(0) ~ N(0, I)     {found['mean_cost']:.6g}")
     if found["bound_causal"] is None:
-        said.append("bound, any causal controller  undecided: who is heard when is no chain of its own")
+        said.append("bound, any causal controller  undecided: which node's packet arrives is not a Markov chain of its own")
     else:
         said.append(f"bound, any causal controller  {found['bound_causal']:.6g} (ours is {100 * found['gap']:.2f} % above)")
     said.append(f"bound, full state             {found['bound_full_state']:.6g}")

@@ -9,7 +9,7 @@ import click
 
 from hil.cli.durations import Duration
 
-NOBODY = 1  # exit status: nobody is there
+NOBODY = 1  # exit status: neither rig nor controller
 
 
 @click.command()
@@ -30,7 +30,7 @@ def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(found))
     else:
-        click.echo("\n".join(map(_line, found)) or "nobody is there")
+        click.echo("\n".join(map(_line, found)) or "no rig or controller found")
     if not found:
         raise SystemExit(NOBODY)
 
@@ -39,7 +39,7 @@ def _line(found: dict[str, Any]) -> str:
     from hil.cli.terminal import visible
 
     about = found["info"]
-    runs = "tells nothing"
+    runs = "no answer about its session"
     if about:
         runs = f"{about['experiment']}, period {about['period_ns'] / 1e6:g} ms, session {about['session']}"
     return visible(f"{found['name']} at {found['endpoint']}: {' and '.join(found['alive'])}; {runs}")

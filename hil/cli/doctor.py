@@ -76,7 +76,7 @@ def _zenoh_cpus() -> tuple[bool, str, str]:
     rows = bench_links(500.0, 0.5, links=["zenoh:unixsock-stream/{folder}/doctor"], floor=False)
     failed = [row["note"] for row in rows if row["note"]]
     if failed:
-        return False, failed[0], "hil run uses can:hil: unless told otherwise"
+        return False, failed[0], "hil run uses can:hil: unless --link names another"
     free, shared = (row["p50_us"] for row in rows)
     finding = f"{shared:.0f} us (median) on one CPU, {free:.0f} us on any"
     if free < CLEARLY * shared:

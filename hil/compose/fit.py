@@ -43,6 +43,6 @@ def check_references(e: Experiment, controller: Controller, model: LoopModel) ->
         if not held_exactly(model, step.value)
     ]
     if integrates(controller):
-        faults.append(f"controller.integral: {n_inputs} inputs cannot bring the mean errors of {n_outputs} outputs to zero")
+        faults.append(f"controller.integral: {n_inputs} inputs cannot make the mean errors of {n_outputs} outputs zero")
     if faults:
         raise ExperimentError(e.name, faults)

@@ -85,7 +85,7 @@ def _lines(key: str, axis: tuple[str, ...], groups: dict[str, list[Interval]], q
         title=f"{label}: mean, 95 % interval", series=tuple(series), bands=tuple(bands), x_label=key, x_unit=unit,
         y_label=quantity.title, y_unit=quantity.unit, sync=None, x_ticks=tuple(sorted(set(x.tolist()))),
         note="Computed at the marked points, not between. Every point has its own interval; as all points share their seeds, "
-        "the differences in the table tell two of them apart more sharply.",
+        "the paired differences in the table are sharper.",
     )  # fmt: skip
 
 

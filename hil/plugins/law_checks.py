@@ -76,7 +76,7 @@ def check_law(law: NetworkLaw, slots: int = 400) -> list[str]:
             out.append([g for g, _ in arrived])
         return out
 
-    assert arrivals() == arrivals(), f"{name}.start(rng): one seed must give the same fates twice; draw from rng alone"
+    assert arrivals() == arrivals(), f"{name}.start(rng): two starts with one seed must draw the same; draw from rng alone"
     if law.family == "packet":
         said = [f"{name} is a PerPacketLaw: it can run in a loop"]
         if isinstance(law, ChannelLaw):

@@ -19,13 +19,13 @@ def read_own_log(path: Path) -> Recording:
     """Read a log of `hil probe`, or of a run.
 
     Raises:
-        HilError: it is no log, or tells of no packets.
+        HilError: it is no log, or has no packets.
     """
     run = read_run(path)
     if PROBE.name in run.arrays:
         return _probe(path, run)
     if SC.name not in run.arrays or CA.name not in run.arrays:
-        raise HilError(f"{path}: tells of no packets; expected a log of `hil probe` or of a run")
+        raise HilError(f"{path}: has no packets; expected a log of `hil probe` or of a run")
     period = float(run.resolved.get("period", 0.0))
     if not period > 0.0:
         raise HilError(f"{path}: resolved.json: period: missing, expected seconds")

@@ -14,7 +14,7 @@ STATES: dict[Verdict, State] = dict(zip(VERDICTS, ("good", "warning", "bad", "ne
 KICKER = "hilrig · reproduce"
 HOW = (
     "Every number is computed when this page is made, and every verdict follows from the numbers of its row by the rule "
-    "beside it, whose kind says what it can tell: an equality, one run among ours, a one-sided claim, a word. A verdict "
+    "beside it, whose kind says what it can decide: an equality, one run among ours, a one-sided claim, a word. A verdict "
     "belongs to the assumption in the last column."
 )
 

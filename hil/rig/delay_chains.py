@@ -225,7 +225,7 @@ def gains_within(table: NDArray[np.float64], selection: str, sc: DelayChain, ca:
     """Return the part of a table of gains that the delays of two chains reach."""
     labels, count = int(sc.label.max()) + 1, ca.max_delay + 1
     if sc.ages is None and sc.holds.any() and (table[labels:] != table[labels - 1]).any():
-        raise FieldError("gains", f"{len(table)} tables, but ages beyond {labels - 1} are not told apart; max_age bounds them")
+        raise FieldError("gains", f"{len(table)} tables, but ages beyond {labels - 1} are not distinguished; max_age bounds them")
     K = table[:labels]
     if selection == "both":  # a row for every pair of delays
         side = isqrt(K.shape[1])

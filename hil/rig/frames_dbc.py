@@ -36,7 +36,7 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
             BusNode(
                 name=f"Sensor_{name if short else number}_" if name else "Sensor", identifiers=identifiers,
                 about=f"Node {number}{' ' + name if name else ''}: {', '.join(outputs)}, each with the number of slots before "
-                "the newest sample; then the references. EMPTY: no node is heard.",
+                "the newest sample; then the references. EMPTY: no sample arrived.",
                 values=(*values, *references), references=len(references),
             )
         )  # fmt: skip

@@ -10,7 +10,7 @@ ROOT: Final = Path(__file__).parents[2]
 
 ATTACKS: Final[Mapping[str, tuple[str, ...]]] = {
     "bytes at all boundaries: files, frames, options": ("tests/hostile/test_boundaries.py",),
-    "numbers that nobody expects, in the shipped experiments": ("tests/hostile/test_numbers.py",),
+    "unexpected numbers in the shipped experiments": ("tests/hostile/test_numbers.py",),
     "hostile options and values": ("tests/hostile/test_options.py", "tests/hil/files/test_toml_text.py"),
     "floods of the link": ("tests/hostile/test_flood.py", "tests/hil/runtime/real/test_exchange.py"),
     "takeover by answers": ("tests/hostile/test_who_commands.py",),

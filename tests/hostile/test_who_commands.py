@@ -98,7 +98,7 @@ def test_who_holds_the_role_of_the_controller_keeps_a_run_from_beginning_and_is_
             if done.returncode != 0:
                 break
             (tmp_path / "x.mcap").unlink()
-    assert done.returncode == 2 and "the rig hears another controller, process " in done.stderr, done.stderr
+    assert done.returncode == 2 and "the rig has another controller already, process " in done.stderr, done.stderr
     assert not any(tmp_path.iterdir())
 
 

@@ -74,7 +74,7 @@ def test_a_second_controller_from_another_machine_is_refused_and_a_death_frees_t
         until(lambda: answered(rig, 1), "the first controller")
         with elsewhere(tmp_path / "b", uri) as second:
             out, said = second.communicate(timeout=LIMIT_S)
-            assert second.returncode == 1 and f"the rig hears another controller, process {first.pid} on " in said, said
+            assert second.returncode == 1 and f"the rig has another controller already, process {first.pid} on " in said, said
             assert "heard" not in out  # it took no packet, so it answered none
         assert answered(rig, 2)
         first.kill()

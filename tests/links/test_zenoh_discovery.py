@@ -51,7 +51,7 @@ def test_a_rig_and_its_controller_are_found_with_what_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("HIL_ZENOH_DIR", str(tmp_path))
-    assert run_main("discover") == 1 and "nobody is there" in capsys.readouterr().out
+    assert run_main("discover") == 1 and "no rig or controller found" in capsys.readouterr().out
     with open_link("zenoh:?name=mine", "rig") as rig, open_link("zenoh:?name=mine", "controller") as controller:
         meet(rig, controller)
         assert isinstance(rig, Tells)

@@ -24,7 +24,7 @@ pytest_plugins = ["pytester"]
 
 PROGRAM = Path(__file__).parents[1] / "foreign_controller.py"
 CHANGES = ("reference.0.at=0.2", "limits.watchdog_slots=40")
-UNDECIDED = "the controller is not ours: an external program answers on the link, and not the experiment's 'hinf'"
+UNDECIDED = "the controller is not the experiment's: an external program answers on the link, not 'hinf'"
 
 
 @contextmanager

@@ -4,7 +4,7 @@ The idea is that of AUTOSAR's secure on-board communication (SecOC): a truncated
 
 .. math:: t = \mathrm{CMAC}_{\mathrm{AES}}(K,\; n_0 \,\|\, p)_{1 \ldots 8},
 
-of the nonce :math:`n_0` of the session (that of the question "is anybody there", 8 bytes, little endian), the packet p from
+of the nonce :math:`n_0` of the session (that of the hello, 8 bytes, little endian), the packet p from
 offset 2 to its last value. p holds kind, slot, the nonce of the question or its echo, and a counter that grows with every
 frame of its sender, so that no code is good for another direction, slot or session. 8 bytes: a forger who tries a million
 frames a second for a year succeeds once with probability 2e-6.

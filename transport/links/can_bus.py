@@ -150,7 +150,7 @@ class HilBus(can.BusABC):
         if msg.is_fd:
             flags = FD_FRAME | msg.bitrate_switch | msg.error_state_indicator << 1
         if not self._put(identifier, length, flags, data, timeout or 0.0) and self._timed is not None:
-            told = "the transmit buffer is full: nobody acknowledges, or the bus is busy"
+            told = "the transmit buffer is full: no other participant acknowledges, or the bus is busy"
             raise can.CanOperationError(f"{self.channel_info}: {told}")
 
     def _got_through(self, item: Any, end_ns: int) -> None:
@@ -195,7 +195,7 @@ class HilBus(can.BusABC):
             data: of a length that such a frame has.
 
         Returns:
-            Whether anybody took it, or nobody is there; False if all who are there had no room.
+            Whether a participant took it, or there is none; False if none of them had room.
         """
         if self._is_shutdown:
             raise can.CanOperationError(f"{self.channel_info} is shut down")

@@ -3,7 +3,7 @@
 A sensor packet has the identifiers of its node, a control packet those of the controller; fragment i of 64 bytes (``fd=1``) or 8
 (``fd=0``) has the i-th of them, see `transport.links.can_identifiers`. What is put together is checked by the packet's CRC, and
 by the node's number in it: what says another number than its identifier is malformed. A slot in which no node is heard, and the
-question "is anybody there", come as the first node's. `transport/hilrig.dbc` names every signal of one node for the default base
+the hello, come as the first node's. `transport/hilrig.dbc` names every signal of one node for the default base
 0x100, ``hil dbc EXPERIMENT`` those of each node of an experiment.
 A frame is as short as its packet allows; with ``pad=1`` every FD frame has 64 bytes, for tools that insist on the DBC's length.
 

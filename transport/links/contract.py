@@ -100,7 +100,7 @@ def a_flood_never_blocks_and_every_packet_is_accounted_for(rig: Link, controller
         begin = monotonic()
         rig.send(sensor(seq))
         slowest = max(slowest, monotonic() - begin)
-    assert slowest < SEND_LIMIT_S, f"{rig.uri}: one send took {slowest:.3f} s while nobody read"
+    assert slowest < SEND_LIMIT_S, f"{rig.uri}: one send took {slowest:.3f} s while the other end did not read"
     counted = rig.counters.sent + rig.counters.dropped - before
     assert counted == number, f"{rig.uri}: {counted} packets sent or dropped, expected {number}"
     previous = 0
@@ -179,7 +179,7 @@ def check_link(open_pair: Callable[[], Pair]) -> list[str]:
         name = type(rig).__name__
         said = [f"{name} is a Link: sessions in real time can run over it"]
         if isinstance(rig, Tells):
-            said.append(f"{name} Tells: others on the link can ask what runs, as hil discover does")
+            said.append(f"{name} Tells: `hil discover` can ask it what runs")
     return said
 
 

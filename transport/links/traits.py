@@ -21,7 +21,7 @@ from transport.links.can_identifiers import BASE, Identifiers, base_of, identifi
 from transport.links.link import TransportError, key_file, split_uri
 from transport.links.opening import find_link
 
-NO_ONE_ELSE: Final = "nobody else: one process"
+NO_ONE_ELSE: Final = "no other process: the controller runs in the rig's own"
 
 
 def on_can(interface: str, channel: str, hops: str) -> str:

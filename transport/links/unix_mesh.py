@@ -185,7 +185,7 @@ class Mesh(Closing):
             wait_s: how long to wait for room in a full queue, s.
 
         Returns:
-            Whether anybody took it, or nobody is there; False if all who are there had no room.
+            Whether a participant took it, or there is none; False if none of them had room.
         """
         if self._mark() != self._seen:
             self._admit()

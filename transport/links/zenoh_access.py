@@ -157,7 +157,7 @@ def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Acce
     tls = {name: said[name].replace("{role}", role) for name in _PASSED if name in said}
     if protocol == "tls" and len(tls) < len(_PASSED):
         raise TransportError(
-            f"link {uri!r}: tls/ needs ca, cert and key, or keys=DIR of `hil keys new DIR`: without them anybody may connect"
+            f"link {uri!r}: tls/ needs ca, cert and key, or keys=DIR of `hil keys new DIR`: without them any program may connect"
         )
     if protocol != "tls" and tls:
         raise TransportError(f"link {uri!r}: {', '.join(sorted(tls))}: certificates need an endpoint tls/host:port")
@@ -277,7 +277,7 @@ class Claims:
         if monotonic() - self._since_s >= _PATIENCE_S:
             _, host, pid = min(self._heard).split("/")
             raise TransportError(
-                f"link {uri!r}: the rig hears another controller, process {pid} on {host}; stop that one, or choose another name"
+                f"link {uri!r}: the rig has another controller already, process {pid} on {host}; stop it, or take another name"
             )
 
 

@@ -20,7 +20,7 @@ offset type   sensor packet                                  control packet (sen
 40                                                           f32[] rows, row after row
 ====== ====== ============================================== ===================================================
 
-Both counters grow by one with each frame. They begin with 1 at the question "is anybody there", and again at slot 0.
+Both counters grow by one with each frame. They begin with 1 at the hello, and again at slot 0.
 
 Where TAGGED is set, 8 bytes follow the last value: the first ones of a message authentication code over every byte from
 offset 2 to the last value. Who has no key reads over them. The motor's sensor packet has 48 bytes, its control packet 48, with

@@ -165,7 +165,7 @@ CONDITIONS = (
             says("sound, two clocks", "sound.verdict", "certified"),
         ),
         computed="smallest gamma {gammas[0]:.4f}, {gammas[1]:.4f}; sound, two clocks: {sound_gamma:.4f}",
-        basis="the fault is measured, K_ik,m; gamma = 1.5 is far from tight, so it tells nothing of (4.30) against (4.31)",
+        basis="the fault is measured, K_ik,m; gamma = 1.5 is far from tight, so it does not decide between (4.30) and (4.31)",
     ),
     Statement(
         "u = K(r, h) x with (4.30), as (4.2)-(4.3) prescribe (K_kk)", "stochastically stable",

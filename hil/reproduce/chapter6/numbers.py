@@ -159,7 +159,7 @@ PASSIVITY = (
 )
 TRANSPARENCY = (
     Statement(
-        "(6.14), of which (6.17) speaks: the system of Figure 6.6, weighted by (6.13)", "F",
+        "(6.14), the subject of (6.17): the system of Figure 6.6, weighted by (6.13)", "F",
         (exactly("norm of (6.14) as printed beside that of Figure 6.6, N/m,", "printed", "meant", 1e-6),),
         (below("norm of (6.14)", "printed", 1e-9), above("of Figure 6.6", "meant", 100)),
         basis=f"B_w is missing from the last rows, so that nothing drives W; wave coupler, weight of {CUTOFF_HZ:g} Hz, Lambda",

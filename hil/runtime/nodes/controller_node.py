@@ -10,7 +10,7 @@ from hil.runtime.nodes.questions import Questions, Refusals
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
 from transport.wire.tags import echo
 
-HELLO = 0xFFFFFFFF  # seq of the rig's question "is anybody there", answered before slot 0 and never counted
+HELLO = 0xFFFFFFFF  # seq of the rig's hello (is a controller there?), answered before slot 0 and never counted
 
 _new = tuple.__new__  # a packet without its Python constructor
 

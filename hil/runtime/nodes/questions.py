@@ -39,7 +39,7 @@ class Refusals:
 class Questions:
     """Judges sensor frames by their nonces and counters.
 
-    A question "is anybody there" names a session that may begin; it begins with the first slot whose nonce the name foretold. Its
+    A hello names a session that may begin; it begins with the first slot whose nonce the name foretold. Its
     slots only go on; none can be asked for that the rig has not reached, as nobody knows its nonce. Frames of a slot wait until
     the one that closes it. A controller that starts in mid-run takes the session that it hears first.
 
@@ -51,7 +51,7 @@ class Questions:
     def __init__(self, counts: Refusals, period_ns: int) -> None:
         self._counts, self._silence_ns = counts, max(SILENCE_NS, 3 * period_ns)
         self._candidates: dict[int, int] = {}  # how often each was named
-        self._greeted = False  # the session began with a question "is anybody there"
+        self._greeted = False  # the session began with a hello
         self._slot, self._nonce, self._taken_ns = -1, 0, -self._silence_ns
         self._closed = True
         self._frames: dict[int, tuple[SensorPacket, bytes]] = {}  # of the slot, by counter
@@ -62,7 +62,7 @@ class Questions:
         """Whether a session with nonces has begun."""
 
     def hello(self, nonce: int, now_ns: int) -> bool:
-        """Return whether a question "is anybody there" is to be answered: not one of another session while one runs.
+        """Return whether a hello is to be answered: not one of another session while one runs.
 
         Args:
             nonce: what it names.

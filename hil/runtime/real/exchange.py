@@ -36,7 +36,7 @@ class Listener(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandshakeResult:
-    """What came of asking "is anybody there".
+    """What came of the hello.
 
     Args:
         answered: a controller answered.
@@ -50,7 +50,7 @@ class HandshakeResult:
 
 
 class Handshake:
-    """Asks "is anybody there" until a controller answers, rehearses the exchange, and empties the link.
+    """Sends the hello until a controller answers, rehearses the exchange, and empties the link.
 
     The rehearsals make sure that slot 0 finds no cold link, no sleeping thread and no cold cache on its way.
 
@@ -118,7 +118,7 @@ class Handshake:
                 return
 
     def _take(self, wait_s: float) -> bool:
-        """Take one frame; return whether it answers "is anybody there". A question has one answer: more are foreign."""
+        """Take one frame; return whether it answers the hello. A hello has one answer: more are foreign."""
         data = self._link.receive(max(wait_s, 0.0))
         packet = decode(data) if data is not None else None
         answer = isinstance(packet, ControlPacket) and packet.seq == HELLO and packet.echo in self._due

@@ -69,7 +69,7 @@ GROWS = {"memory": [{"process": "rig", "grows": True}]}
         ({}, "holds", []),
         (BUSY, "holds", []),  # it kept its times all the same
         (STOPPED, "does not hold", ["stopped by safety after 700 of 1000 slots: watchdog", "no answer in time"]),
-        (STOPPED | BUSY, "undecided", ["too busy to tell: p99 of cyclictest's lateness was 400 us", "stopped by safety"]),
+        (STOPPED | BUSY, "undecided", ["too busy to decide: p99 of cyclictest's lateness was 400 us", "stopped by safety"]),
         (STOPPED | {"cyclictest_missed_share": 0.02}, "undecided", ["missed 2.00%"]),
         (STOPPED | {"cyclictest_us": None, "cyclictest_missed_share": None}, "undecided", ["no cyclictest stood beside it"]),
         (BUSY | STOPPED | GROWS, "does not hold", ["rig: memory grows", "stopped by safety"]),

@@ -61,7 +61,7 @@ def test_without_limits_a_plant_is_tested_up_to_a_million() -> None:
 
 
 def test_the_number_stands_in_the_refusal() -> None:
-    with pytest.raises(ExperimentError, match=r"refused: your plant is not the model that it tells: inputs up to 0.005 V move"):
+    with pytest.raises(ExperimentError, match=r"your plant does not move as its .* says: inputs up to 0.005 V move"):
         hil.run("dc-motor-h2", plant=Plant("turned, always"), controller=Table(), **{"limits.state": {}})
 
 
@@ -91,7 +91,7 @@ def test_a_second_sample_and_an_integral_are_tested() -> None:
             )
             for lie in ("none", "second sample")
         )
-        assert "not the one" not in honest.reason and liar.reason.startswith("your controller is not the one that it tells")
+        assert "does not answer" not in honest.reason and liar.reason.startswith("your controller does not answer as it says")
 
 
 def test_a_plant_that_takes_back_what_it_has_beyond_its_model_is_tested() -> None:
@@ -145,7 +145,7 @@ def test_linear_historical_and_wall_controllers_are_tested() -> None:
         controller = compose(load_experiment(name, allow_uncertified=True, **changes)).controller
         given = {field.name: getattr(controller, field.name) for field in fields(controller)}  # type: ignore[arg-type]
         found = verdict_on(name, controller=own(**given))
-        assert found.state == "refused" and found.reason.startswith("your controller is not the one that it tells"), found.reason
+        assert found.state == "refused" and found.reason.startswith("your controller does not answer as it says"), found.reason
 
 
 @pytest.mark.parametrize("lie", ["input", "mode 2", "rates", "none"])
@@ -165,7 +165,7 @@ def test_a_plant_that_jumps_is_tested_in_every_mode_and_in_its_rates(lie: str) -
 
     found = verdict_on("smjls-robust-published", plant=Own())
     assert found.certified is (lie == "none"), found.reason
-    assert lie == "none" or found.reason.startswith("your plant is not the model that it tells")
+    assert lie == "none" or found.reason.startswith("your plant does not move as its model() says")
 
 
 def test_the_test_draws_nothing_from_the_run() -> None:

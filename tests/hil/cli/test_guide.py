@@ -25,6 +25,14 @@ def test_a_page_is_printed_as_it_stands_where_it_is_piped(topic: str) -> None:
     assert CliRunner().invoke(command, [topic]).stdout == pages()[topic].read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("topic", list(pages()))
+def test_a_page_uses_the_words_of_the_glossary(topic: str) -> None:
+    """Whoever is meant has a name there: rig, controller, node, program, user."""
+    text = re.sub(r"`[^`]*`|```.*?```", "", pages()[topic].read_text(encoding="utf-8"), flags=re.S)
+    unsaid = r"\b(?:nobody|somebody|anybody|everybody|strangers?|told|heard|hears|doors?|talkers?|spoke|speaks)\b"
+    assert not re.findall(unsaid, text, re.I)
+
+
 def test_the_page_of_figures_is_made_of_what_was_measured() -> None:
     if (page := pages().get("figures")) is None:
         pytest.skip("no figures were measured for the guide: make figures")

@@ -131,7 +131,7 @@ def test_the_predictor_answers_as_its_matrices_say_and_another_is_not_certified(
 
     own = {name: value for name, value in changes.items() if name != "controller"}
     verdict = compose(load_experiment("dc-motor-h2", controller=Other(), **own)).verdict
-    assert verdict is not None and verdict.state == "refused" and "is not the one that it tells" in verdict.reason
+    assert verdict is not None and verdict.state == "refused" and "does not answer as it says" in verdict.reason
 
 
 @pytest.mark.parametrize(("max_age", "state"), [(2, "undecided"), (3, "certified")])

@@ -121,7 +121,7 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path: Path, capsys: pytest
         ([(FIXED % GAINS).replace("[2, 2]", "[1, 4]")], "controller.told[0]: 1 ages, but the delay of this node reaches 1"),
         (["controller={kind='designed', output_weights=[1.0]}"], "controller.output_weights: 1 entries, but the plant has 2"),
         (["controller={kind='designed', output_weights=[1.0, -1.0]}"], "controller.output_weights[1]: -1, expected"),
-        (["controller={kind='designed', integral=0.1}"], "controller.integral: 1 inputs cannot bring the mean errors of 2"),
+        (["controller={kind='designed', integral=0.1}"], "controller.integral: 1 inputs cannot make the mean errors of 2"),
         (["controller={kind='designed', sojourns=2}"], "sojourns"),
         (['network.nodes.speed.law={kind="iid-latency"}'], "network.nodes.speed.law"),
     ],

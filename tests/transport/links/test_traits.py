@@ -13,9 +13,9 @@ from transport.links.traits import traits_of
 @pytest.mark.parametrize(
     ("uri", "commanders"),
     [
-        ("memory:", "nobody else: one process"),
-        ("local:", "nobody else: one process"),
-        ("can:virtual:x", "nobody else: one process"),
+        ("memory:", "no other process: the controller runs in the rig's own"),
+        ("local:", "no other process: the controller runs in the rig's own"),
+        ("can:virtual:x", "no other process: the controller runs in the rig's own"),
         ("can:hil:rig0", "any process of this user"),
         ("can:socketcan:can0", "anyone on the CAN bus can0"),
         ("can:udp_multicast:239.74.163.2", "any process on this machine"),

@@ -1,4 +1,4 @@
-"""Named sensor nodes in the report: who spoke in which slot, how old the newest sample of each is, and the load of each."""
+"""Named sensor nodes in the report: which node sent in which slot, how old the newest sample of each is, and the load of each."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def section(view: RunView) -> Section | None:
     marks, sensors, outputs = view.once(markers), rig.sensors, [signal.name for signal in rig.outputs]
     names, slots = [sensor.name for sensor in sensors], max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
     t = np.asarray(np.arange(slots) * view.period_s, dtype=np.float64)
-    spoke: list[Series] = []
-    for reasons, label, colour in (((DELIVERED, DISORDERED), "heard", 0), ((LOST,), "lost", 4)):
+    sent_by: list[Series] = []
+    for reasons, label, colour in (((DELIVERED, DISORDERED), "received", 0), ((LOST,), "lost", 4)):
         chosen = partial(_with_reason, reasons)
         if any(chosen(piece).any() for piece in pieces(draws)):
             sent_s = partial(_sent_s, view.period_s)
-            spoke.append(curve(draws, "node", label=label, style="points", where=chosen, x=sent_s, colour=colour))
+            sent_by.append(curve(draws, "node", label=label, style="points", where=chosen, x=sent_s, colour=colour))
     ages = tuple(
         curve_of(t, newest_ages(draws, i, slots), label=name, style="step", colour=i % 8) for i, name in enumerate(names)
     )
@@ -59,7 +59,7 @@ def section(view: RunView) -> Section | None:
         for own, load in zip(sensors, view.once(loads))
     ]
     blocks: tuple[Block, ...] = (
-        Figure(title="Which node spoke", y_label="node", series=tuple(spoke), markers=marks, integer_y=True, note=numbered),
+        Figure(title="Which node sent", y_label="node", series=tuple(sent_by), markers=marks, integer_y=True, note=numbered),
         Figure(
             title="Age of each node's newest sample", y_label="age", y_unit="samples", series=ages, markers=marks, integer_y=True
         ),

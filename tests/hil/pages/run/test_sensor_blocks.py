@@ -1,4 +1,4 @@
-"""The report of several sensor nodes: who spoke, the age of each node's newest sample, the load."""
+"""The report of several sensor nodes: which node sent, the age of each node's newest sample, the load."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_who_spoke_and_how_old_each_newest_sample_is() -> None:
     np.testing.assert_array_equal(newest_ages(draws, 0, 8), [np.nan, np.nan, np.nan, 0, 1, 2, 3, 0])
     assert [row[:4] for row in table.rows][2] == ["third", "x3", 5, 0]
     page = render_report(view)
-    assert "Which node spoke" in page and "Network load" in page
+    assert "Which node sent" in page and "Network load" in page
 
 
 def test_two_nodes_of_a_motor_are_drawn_with_what_theory_says_of_them() -> None:
