@@ -20,17 +20,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from design.controllers import Selection
 from design.errors import FieldError
-from design.jump_linear.second_moment import congruence_matrices, forward, to_matrix, to_vector
+from design.jump_linear.second_moment import congruence_matrices, to_matrix, to_vector
 from design.networked_loop.closed_loop import LoopStructure, loop_structure
 from design.networked_loop.joint_modes import check_gains
 from design.networked_loop.steady_state import check_held, steady_state
 from design.processes.delay_chain import Array, DelayChain, as_chain
+
+
+SPARSE = 0.05
+"""Share of transitions below which they are multiplied one by one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,6 +172,7 @@ class _Recursion:
         self.aim(np.zeros(self.p))
         self.closed = structure.matrices(gains)
         self._lifted: dict[tuple[object, ...], Array] = {}
+        self._followed = follow(structure.transition)
         self.M = np.empty(0)
 
     def aim(self, offset: Array) -> None:
@@ -205,7 +211,9 @@ class _Recursion:
                 self._silence(affine, self.tau > k, hold, rows)
             weights = self.period_s * np.array(counted, dtype=np.float64)
             self._lifted[key] = self._complete(congruence_matrices(affine.transpose(0, 2, 1)), weights)
-        self.M = forward(self._lifted[key], self.structure.transition, self.M)
+        W = self._lifted[key]
+        moved = W @ self.M @ W.transpose(0, 2, 1)
+        self.M = np.asarray(self._followed @ moved.reshape(len(moved), -1)).reshape(moved.shape)
 
     def _rows(self, k: int) -> tuple[npt.NDArray[np.int64], bool]:
         """Rows of the entries in slot k, and whether some are others than later: no packet had come whose delay chooses them."""
@@ -255,6 +263,14 @@ class _Recursion:
         """E s and E s^2 of every sum."""
         M = self.M.sum(axis=0)
         return M[self.size :, self.size - 1].copy(), np.diagonal(M)[self.size :].copy()
+
+
+def follow(transition: Array) -> Any:
+    """Return P' of a matrix of transitions P (N, N), sparse where most modes never follow each other: a stay of many slots."""
+    from scipy.sparse import csr_array
+
+    share = np.count_nonzero(transition) / transition.size
+    return csr_array(transition.T) if share < SPARSE else np.ascontiguousarray(transition.T)
 
 
 def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) -> Array:

@@ -18,6 +18,7 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
 
     The rig is started elsewhere with `hil run EXPERIMENT --clock real --external --link URI`.
     """
+    from hil.cli.working import Working
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
     from hil.rig.session_link import link_of
@@ -25,7 +26,9 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     from transport.links.opening import find_link
     from transport.links.zenoh_refusals import standard_output_is_free
 
-    loop = compose(load_experiment(experiment, sets))
+    named = load_experiment(experiment, sets)
+    with Working(f"{named.name}: its loop"):
+        loop = compose(named)
     uri = link_of(loop.rig, link).uri
     find_link(uri)  # what cannot be a link is said first
     print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)

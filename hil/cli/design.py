@@ -94,6 +94,7 @@ def command(
     from hil.cli.design_historical import command as historical
     from hil.cli.design_historical import experiment_over_history
     from hil.cli.design_network import measured_network
+    from hil.cli.working import Working
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain
     from hil.files.outputs import check_output, write_output
@@ -113,7 +114,8 @@ def command(
     target = tracking_target(subject, period, sojourns)
     over = None
     if network is not None:
-        over = measured_network(network, target)
+        with Working(f"network of {network}"):
+            over = measured_network(network, target)
         target = over.target
     if local is not None:
         _local(target, local, input_weight, noise, as_json)
@@ -121,29 +123,29 @@ def command(
     if noise is not None:
         raise HilError("--noise: belongs to --local")
     intervals = [interval(target.of, said) for said in uncertainty]
-    problem = problem_for(
-        target, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
-        R=None if input_weight is None else np.full(target.B.shape[1], input_weight), output=z, samples=samples,
-        integral=integral, starts=starts, seed=seed, method=method,
-    )  # fmt: skip
     begun = time.perf_counter()
     try:
-        with _Watch(f"{target.plant} {objective} {information}") as watch:
+        with Working(f"{target.plant} {objective} {information}") as watch:
+            problem = problem_for(
+                target, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
+                R=None if input_weight is None else np.full(target.B.shape[1], input_weight), output=z, samples=samples,
+                integral=integral, starts=starts, seed=seed, method=method,
+            )  # fmt: skip
             design = solve_tracking(problem, progress=watch)
+            wall_s = round(time.perf_counter() - begun, 3)
+            document = to_document(
+                design, plant=target.plant, period_s=target.period_s, wall_s=wall_s, versions=package_versions()
+            )
+            document["verdict"] = verdict_on(target, design).to_json()
+            if over is not None:
+                document["network"] = over.document(design)
+            if intervals:
+                document["uncertainty"] = judge_uncertain(target, design, intervals).to_json()
     except DesignError as error:
         raise HilError(f"design: {error}") from error
     except KeyboardInterrupt as interrupt:
         print("hil: design interrupted; nothing was written", file=sys.stderr)
         sys.exit(getattr(interrupt, "status", 130))
-    wall_s = round(time.perf_counter() - begun, 3)
-    document = to_document(
-        design, plant=target.plant, period_s=target.period_s, wall_s=wall_s, versions=package_versions()
-    )
-    document["verdict"] = verdict_on(target, design).to_json()
-    if over is not None:
-        document["network"] = over.document(design)
-    if intervals:
-        document["uncertainty"] = judge_uncertain(target, design, intervals).to_json()
     if path is not None:
         write_output(path, design_text(document), replace=force)
         document["file"] = str(path)
@@ -157,13 +159,16 @@ def _local(target: TrackingTarget, method: str, input_weight: float | None, nois
     """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
     from design.requests.tracking import LocalDesigned
     from hil.cli.design_local import design_local, show_local
+    from hil.cli.working import Working
 
     common = {"subject", "period", "input_weight", "local", "noise", "as_json"}
     _refuse_others(common, "with --local, which designs for the plant alone")
     request = LocalDesigned(
         method=method, input_weight=0.01 if input_weight is None else input_weight, noise=0.01 if noise is None else noise  # type: ignore[arg-type]
     )  # fmt: skip
-    show_local(design_local(target, request), as_json=as_json)
+    with Working(f"{target.plant}, {method} without a network"):
+        found = design_local(target, request)
+    show_local(found, as_json=as_json)
 
 
 def _refuse_others(common: set[str], where: str) -> None:
@@ -175,32 +180,6 @@ def _refuse_others(common: set[str], where: str) -> None:
     others = [p.opts[-1] for p in given if p.name not in common]
     if others:
         raise HilError(f"{others[0]}: not {where}")
-
-
-class _Watch:
-    """Progress on a terminal, silence elsewhere."""
-
-    def __init__(self, title: str) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        console = Console(stderr=True)
-        self._bar = Progress(console=console, disable=not console.is_terminal, transient=True)
-        self._title = title
-        self._task: Any = None
-
-    def __enter__(self) -> _Watch:
-        self._bar.start()
-        self._task = self._bar.add_task(self._title, total=None)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, stage: str, done: int, total: int, value: float) -> None:
-        self._bar.update(
-            self._task, description=f"{self._title}: {stage} norm {value:.6g}", completed=done, total=total
-        )
 
 
 def _show(design: Design, document: dict[str, Any]) -> None:

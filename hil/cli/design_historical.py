@@ -33,11 +33,13 @@ def experiment_over_history(subject: str) -> Experiment | None:
 
 def command(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -> None:
     """Print what gains over historical data cost."""
+    from hil.cli.working import Working
     from hil.compose.loop import compose
     from hil.design_questions.historical_bounds import judge_historical
 
     try:
-        found = judge_historical(compose(experiment), orders=orders, spread=spread)
+        with Working(f"{experiment.name}: what its gains cost"):
+            found = judge_historical(compose(experiment), orders=orders, spread=spread)
     except ValueError as error:
         raise HilError(f"{experiment.name}: {error}") from error
     if as_json:

@@ -34,6 +34,7 @@ def command(
     from design.errors import DesignError
     from design.passivity.condition import damping_needed
     from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
+    from hil.cli.working import Working
     from hil.design_questions.coupler_header import coupler_header
     from hil.files.outputs import check_output, write_output
     from plants.omni import Omni
@@ -43,7 +44,10 @@ def command(
     beta = (Omni().damping if damping is None else damping) + hand
     delays = [int(d) for d in delay]
     try:
-        found = stiffest_coupler(delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness)
+        with Working("coupler of a wall"):
+            found = stiffest_coupler(
+                delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness
+            )
     except DesignError as error:
         raise HilError(f"design: {error}") from error
     document = {

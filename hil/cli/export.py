@@ -21,10 +21,13 @@ def command(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> N
     OUTPUT.topic.csv.
     """
     from hil.cli.terminal import visible
+    from hil.cli.working import Working
     from hil.files.outputs import check_output
     from hil.log.read.export import export
     from hil.log.read.run import read_run
 
     check_output(output, fresh=not force, remedy="choose another -o or add --force")
-    for path in export(read_run(file), output, topics, replace=force):
+    with Working(f"export of {file}"):
+        written = list(export(read_run(file), output, topics, replace=force))
+    for path in written:
         print(visible(path))

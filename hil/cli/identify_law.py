@@ -53,21 +53,24 @@ def law(
     Two tables are both directions. Of both directions -o law.toml writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.
     """
+    from hil.cli.working import Working
     from hil.files.outputs import check_output, write_output
     from hil.recordings.law_text import fit_said, law_text
     from hil.recordings.read import read_recording
     from hil.recordings.recording import packet_records
     from transport.law_fit.law_fit import fit_law
 
-    recording = read_recording(files, can_id=can_id, one_clock=one_clock)
-    records, notes = packet_records(recording, halve=halve)
+    with Working(f"packets of {files[0]}"):
+        recording = read_recording(files, can_id=can_id, one_clock=one_clock)
+        records, notes = packet_records(recording, halve=halve)
     targets = {} if output is None else {way: _named(output, way, len(records)) for way in records}
     for path in (*targets.values(), *filter(None, [page])):
         check_output(path, fresh=not force, remedy="choose another name or add --force")
     fits = {}
-    for way, record in records.items():
-        slot = record.period_s if period is None else period
-        fits[way] = fit_law(record, slot, deadline * slot)
+    with Working("fit of network laws"):
+        for way, record in records.items():
+            slot = record.period_s if period is None else period
+            fits[way] = fit_law(record, slot, deadline * slot)
     said = {way: fit_said(fit, way, recording.source, notes) for way, fit in fits.items()}
     found = {way: fit for way, fit in fits.items() if fit.law_class != "none"}
     for way, path in targets.items():

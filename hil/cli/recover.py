@@ -16,8 +16,11 @@ def command(file: Path, output: Path | None) -> None:
     The command changes no existing file.
     """
     from hil.cli.terminal import visible
+    from hil.cli.working import Working
     from hil.log.read.recover import recover
 
     target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")
-    print("\n".join(map(visible, recover(file, target).text.splitlines())))
+    with Working(f"records of {file}"):
+        found = recover(file, target).text
+    print("\n".join(map(visible, found.splitlines())))
     print(f"written: {visible(target)}")

@@ -61,6 +61,7 @@ def command(
     Exit status: 0; 1 if --verify or --process finds it different, an answer has not the tag of --auth, or the log is not what
     the holder of --key signed; 2 bad input.
     """
+    from hil.cli.working import Working
     from hil.files.outputs import check_output
     from hil.log.read.run import read_run
 
@@ -80,7 +81,11 @@ def command(
     for name, given_key in (("--key", key), ("--auth", auth)):
         if given_key is not None and (controller is not None or onto is not None or process is not None):
             raise HilError(f"{name}: needs --verify")
-    run = read_run(file) if key is None else _signed(file, key)
+    if key is None:
+        with Working(f"records of {file}"):
+            run = read_run(file)
+    else:
+        run = _signed(file, key)
     if controller is not None:
         _what_if(run, file, folder, controller, sets, output, as_json)
     elif onto is not None:
@@ -93,9 +98,11 @@ def command(
 
 def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
     from hil.cli.terminal import visible
+    from hil.cli.working import Working
     from hil.replay.process import ask_process
 
-    done = ask_process(run, uri, str(file))
+    with Working(f"questions to {uri}"):
+        done = ask_process(run, uri, str(file))
     if as_json:
         print(json.dumps(asdict(done), indent=2))
     else:
@@ -124,6 +131,7 @@ def _signed(file: Path, key: Path) -> Run:
 
 def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json: bool) -> None:
     from hil.cli.terminal import visible
+    from hil.cli.working import Working
     from hil.log.records_digest import records_sha256
     from hil.replay.replay import changed_files, experiment_of, verify
     from hil.replay.tags import verify_tags
@@ -131,9 +139,10 @@ def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json
     experiment = experiment_of(run, str(file), folder=folder)
     for sentence in changed_files(run, experiment):
         print(f"hil: {visible(sentence)}", file=sys.stderr)
-    tags = None if auth is None else verify_tags(run, auth, str(file))
-    verdict = verify(run, str(file), experiment)
-    sha256 = records_sha256(run)
+    with Working(f"{file} again"):
+        tags = None if auth is None else verify_tags(run, auth, str(file))
+        verdict = verify(run, str(file), experiment)
+        sha256 = records_sha256(run)
     if as_json:
         found = {"likeness": verdict.likeness, "identical": verdict.difference is None, "difference": verdict.difference}
         counts = {"answers": verdict.answers, "states": verdict.states}
@@ -156,11 +165,14 @@ def _what_if(
 ) -> None:
     import numpy as np
 
+    from hil.cli.working import Working
     from hil.experiment import parse_plugin
     from hil.replay.replay import experiment_of, what_if
 
     experiment = experiment_of(run, str(file), folder=folder)
-    series = what_if(run, parse_plugin("hil.controllers", kind, sets), kind, str(file), experiment)
+    asked = parse_plugin("hil.controllers", kind, sets)
+    with Working(f"answers of {kind}"):
+        series = what_if(run, asked, kind, str(file), experiment)
     names = [name.removeprefix("recorded_") for name in series if name.startswith("recorded_")]
     differences = {}
     for name in names:

@@ -20,8 +20,10 @@ def command(file: Path, output: Path | None, figures: Path | None, folder: Path 
     """
     from hil.api.face import report
     from hil.cli.terminal import visible
+    from hil.cli.working import Working
 
-    page, *drawn = report(file, output=output, force=True, figures=figures, folder=folder)
+    with Working(f"page of {file}"):
+        page, *drawn = report(file, output=output, force=True, figures=figures, folder=folder)
     click.echo(f"written: {visible(page)} ({page.stat().st_size / 1e6:.1f} MB)")
     if figures is not None:
         click.echo(f"written: {len(drawn)} figures in {visible(figures)}")

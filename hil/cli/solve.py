@@ -18,6 +18,7 @@ def command(experiments: tuple[str, ...]) -> None:
 
     Exit status 2 where an experiment asks for no design, or no gains meet its request.
     """
+    from hil.cli.working import Working
     from hil.compose.loop import solved_gains
     from hil.compose.stored_gains import gains_file, gains_text
     from hil.experiment import load_experiment
@@ -25,7 +26,8 @@ def command(experiments: tuple[str, ...]) -> None:
 
     for name in experiments:
         experiment = load_experiment(name)
-        found = solved_gains(experiment)
+        with Working(f"gains of {experiment.name}"):
+            found = solved_gains(experiment)
         if found is None:
             raise HilError(f"{name}: its gains are given; there is nothing to solve")
         path = gains_file(experiment)

@@ -32,6 +32,7 @@ def command(
     The device is the Omni of Chapter 6. A cell's coupler is safe at every delay from 0 up to its own.
     """
     from design.passivity.stiffness_map import stiffness_map
+    from hil.cli.working import Working
     from hil.files.outputs import check_output, write_output
     from hil.pages.stiffness_page import stiffness_page
     from plants.omni import Omni
@@ -44,10 +45,11 @@ def command(
     for path in filter(None, (table, output)):
         check_output(path, fresh=path is table and not force, page=path is output, remedy="choose another name or add --force")
     device = Omni(hand=Hand(), lever_m=lever)
-    cells = stiffness_map(
-        mass_kg=device.tip_mass_kg, damping_n_s_per_m=device.tip_damping_n_s_per_m, periods_s=period,
-        delays=[int(d) for d in delay], hands_n_s_per_m=hand,
-    )  # fmt: skip
+    with Working("stiffness map"):
+        cells = stiffness_map(
+            mass_kg=device.tip_mass_kg, damping_n_s_per_m=device.tip_damping_n_s_per_m, periods_s=period,
+            delays=[int(d) for d in delay], hands_n_s_per_m=hand,
+        )  # fmt: skip
     if table is not None:
         text = io.StringIO()
         writer = csv.DictWriter(text, list(asdict(cells[0])))

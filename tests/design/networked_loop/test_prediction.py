@@ -6,6 +6,7 @@ from scipy.stats import norm
 
 from design.errors import DesignError
 from design.jump_linear.second_moment import congruence_matrices, forward, to_vector
+from design.networked_loop import prediction
 from design.networked_loop.prediction import predict_tracking
 from design.networked_loop.steady_state import steady_state
 from design.processes.delay_chain import DelayChain
@@ -206,3 +207,14 @@ def test_before_the_first_sample_has_come_the_input_is_zero_and_not_the_held_one
         [[0.5]], [[1.0]], [[1.0]], two_late, [[1.0]], zero, "constant", np.ones(5), period_s=0.1, initial=([0, 0, 1], [1])
     )
     assert found.error_mean[:, 0] == pytest.approx([-1.0, -1.0, -1.0, -0.5, -0.25])
+
+
+@pytest.mark.parametrize("share", [0.0, 2.0])
+def test_transitions_one_by_one_predict_what_all_of_them_do(monkeypatch, share):
+    r, w = schedule(60)
+    known = predict_tracking(*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", r, period_s=PERIOD_S, disturbance=w)
+    monkeypatch.setattr(prediction, "SPARSE", share)
+    found = predict_tracking(*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", r, period_s=PERIOD_S, disturbance=w)
+    assert isinstance(prediction.follow(PI), np.ndarray) == (share == 0.0)
+    for name in ("error_mean", "error_sd", "sum_mean", "sum_sd"):
+        assert getattr(found, name) == pytest.approx(getattr(known, name), rel=1e-6, abs=1e-6)

@@ -23,6 +23,8 @@ TICKS = 120_000  # of emulation that a page may cost: some 3 s
 FEWEST = 20
 MOST_SLOTS = 100_000
 """Slots that are predicted at most: the first ones of a longer run."""
+MOST_MOMENTS = 4_000_000
+"""Modes of the network times slots that are predicted at most: some 10 s."""
 
 
 def section(view: RunView) -> Section | None:
@@ -34,7 +36,7 @@ def section(view: RunView) -> Section | None:
     if loop is None:
         return None
     slots = min(len(view.run.arrays[topic]) for topic in (MEASUREMENT, REFERENCE))
-    ticks = min(slots, MOST_SLOTS)
+    ticks = min(slots, MOST_SLOTS, MOST_MOMENTS // _modes(loop))
     predicted = predict(loop, ticks) if ticks >= 2 else None
     if predicted is None:
         return None
@@ -56,6 +58,11 @@ def section(view: RunView) -> Section | None:
 
 
 SECTIONS = (section,)
+
+
+def _modes(loop: Loop) -> int:
+    sc, ca = loop.chains.sc, loop.chains.ca
+    return 1 if sc is None or ca is None else sc.modes * ca.modes
 
 
 def _errors(loop: Loop, view: RunView, predicted: PredictedTracking, error: np.ndarray[Any, Any]) -> list[Block]:

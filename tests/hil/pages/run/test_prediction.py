@@ -10,6 +10,7 @@ import pytest
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Table
+from hil.pages.run.sections import theory
 from hil.pages.run.sections.theory import section as theory_section
 from hil.session import run_session
 
@@ -33,6 +34,14 @@ def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
     wide = spread > 1e-4
     for edge in (emulated.lower, emulated.upper):
         assert np.all(np.abs(np.asarray(edge) - centre)[wide] < 4 * spread[wide])
+
+
+def test_a_prediction_over_many_modes_is_of_the_first_slots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_session(load_experiment("dc-motor-hinf", ["duration=4"]), path=tmp_path / "a.mcap").run
+    monkeypatch.setattr(theory, "MOST_MOMENTS", 6 * 30)  # modes of this network times slots
+    found = theory_section(view_of(run))
+    assert found is not None and "the first 30 slots of 80" in found.intro
+    assert isinstance(found.blocks[0], Figure) and len(found.blocks[0].series[0].y) == 30
 
 
 @pytest.mark.parametrize("name", ["dc-motor-smith", "smjls-robust"])

@@ -1,0 +1,100 @@
+"""What computes for long says so on a terminal while it does, and ends with Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from select import select
+
+import pytest
+
+from tests.waiting import LIMIT_S, ended, until
+
+LARGE = """
+name = "large"
+period = "50 ms"
+duration = "5 s"
+allow_uncertified = true
+[plant]
+kind = "dc-motor"
+[controller]
+kind = {controller}
+[network.sc.law]
+kind = "semi-markov"
+matrix = [[0.0, 1.0], [1.0, 0.0]]
+sojourn = [{{ law = "geometric", p = 0.5 }}, {{ law = "discrete-weibull", q = 0.6, beta = 0.8 }}]
+[network.ca.law]
+kind = "semi-markov"
+matrix = [[0.0, 1.0], [1.0, 0.0]]
+sojourn = [{{ law = "geometric", p = 0.5 }}, {{ law = "discrete-weibull", q = 0.6, beta = {tail} }}]
+"""
+"""A network of some 10,000 modes with `tail = 0.8`: its certificate takes minutes."""
+
+
+def in_a_terminal(folder: Path, *arguments: str) -> tuple[subprocess.Popen[str], int]:
+    """Start ``hil ARGUMENTS`` in a terminal; return the process and the terminal's other end."""
+    ours, theirs = pty.openpty()
+    started = subprocess.Popen(
+        [sys.executable, "-m", "hil", *arguments], cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, text=True,
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "120"}, start_new_session=True,
+    )  # fmt: skip
+    os.close(theirs)
+    return started, ours
+
+
+def read(terminal: int) -> str:
+    """Return what came on a terminal; nothing where nothing comes for a while, or where it was closed."""
+    try:
+        return os.read(terminal, 1 << 16).decode(errors="replace") if select([terminal], [], [], 0.05)[0] else ""
+    except OSError:
+        return ""
+
+
+@pytest.mark.parametrize(
+    ("title", "arguments"),
+    [
+        ("large: its loop", ("controller", "large.toml", "--link", "zenoh:tcp/127.0.0.1:7455")),
+        ("dc-motor h2 applied", ("design", "large.toml")),
+        ("dc-motor, lqr without a network", ("design", "large.toml", "--local", "lqr")),
+        ("gains of large", ("solve", "designed.toml")),
+        ("computing", ("run", "large.toml", "-o", "large.mcap")),
+        ("large", ("sweep", "large.toml", "--runs", "50")),
+    ],
+)
+def test_a_long_computation_is_seen_on_a_terminal_and_ends_with_ctrl_c(
+    tmp_path: Path, title: str, arguments: tuple[str, ...]
+) -> None:
+    (tmp_path / "large.toml").write_text(LARGE.format(controller='"h2"', tail=0.8))
+    (tmp_path / "designed.toml").write_text(LARGE.format(controller='"designed"\nobjective = "h2"', tail=0.8))
+    made = set(tmp_path.iterdir())
+    process, terminal = in_a_terminal(tmp_path, *arguments)
+    seen = ""
+
+    def shown() -> bool:
+        nonlocal seen
+        seen += read(terminal)
+        assert process.poll() is None, seen
+        return title in seen
+
+    try:
+        with ended(process):
+            until(shown, f"{title!r} on the terminal")
+            os.killpg(process.pid, signal.SIGINT)
+            until(lambda: read(terminal) == "" and process.poll() is not None, "its end", LIMIT_S)
+            assert process.returncode == 130
+    finally:
+        os.close(terminal)
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process.pid, 0)  # nothing that it started is left
+    assert set(tmp_path.iterdir()) == made
+
+
+def test_nothing_is_drawn_where_nobody_looks(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "design", "wall", "--delay", "0", "--json"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0 and done.stderr == ""
