@@ -33,7 +33,6 @@ from design.networked_loop.joint_modes import check_gains
 from design.networked_loop.steady_state import check_held, steady_state
 from design.processes.delay_chain import Array, DelayChain, as_chain
 
-
 SPARSE = 0.05
 """Share of transitions below which they are multiplied one by one."""
 
@@ -173,7 +172,7 @@ class _Recursion:
         self.closed = structure.matrices(gains)
         self._lifted: dict[tuple[object, ...], Array] = {}
         self._followed = follow(structure.transition)
-        self.M = np.empty(0)
+        self.M: Array = np.empty(0)
 
     def aim(self, offset: Array) -> None:
         """e = C x^ + offset, offset = r - target."""
