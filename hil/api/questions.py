@@ -10,8 +10,8 @@ from hil.runtime.time.clock import monotonic_ns
 
 if TYPE_CHECKING:
     from hil.api.design_result import DesignResult
+    from hil.api.laws_result import Laws
     from hil.reproduce import Reproduction
-    from transport.law_tests.analysis import LawAnalysis
 
 
 def design(source: str, *, period: float | None = None, sojourns: int = 1, **options: Any) -> DesignResult:
@@ -20,7 +20,7 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, **opt
     Args:
         source: name of a plant plug-in or of an experiment.
         period: sample period in s; the thesis's, or the experiment's, by default.
-        sojourns: lengths of stay at the measured tau that a gain tells apart, over semi-Markov delays.
+        sojourns: slots for which tau has lasted that a gain distinguishes, over semi-Markov delays.
         options: of `design.TrackingProblem`: objective ("h2", "hinf", "mixed"), information, R, samples, ...
 
     Returns:
@@ -43,7 +43,7 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, **opt
     return DesignResult(target=target, design=found, wall_s=round((monotonic_ns() - begun) / 1e9, 3))
 
 
-def laws(source: Source, **changes: Any) -> dict[str, LawAnalysis]:
+def laws(source: Source, **changes: Any) -> Laws:
     """Return what an experiment's network laws do in the long run, before anything runs.
 
     Args:
@@ -51,11 +51,12 @@ def laws(source: Source, **changes: Any) -> dict[str, LawAnalysis]:
         changes: path to value, as in `load_experiment`.
 
     Returns:
-        "sc" or each sensor node, and "ca", to its stationary law, mean bursts, ages and losses.
+        "sc" or each sensor node, and "ca", to its stationary law, mean bursts, ages and losses (`LawAnalysis`).
 
     Raises:
         HilError: if the experiment cannot be read.
     """
+    from hil.api.laws_result import Laws
     from hil.compose.law_files import with_law_files
     from hil.rig.normal_form import rig_of
     from transport.law_tests.analysis import analyse_law
@@ -64,7 +65,8 @@ def laws(source: Source, **changes: Any) -> dict[str, LawAnalysis]:
     period_s = float(checked.period)
     rig = rig_of(checked)
     named = {sensor.name if len(rig.sensors) > 1 else "sc": sensor.law for sensor in rig.sensors} | {"ca": rig.ca_law}
-    return {name: analyse_law(law, period_s, checked.timing.deadline * period_s) for name, law in named.items()}
+    found = {name: analyse_law(law, period_s, checked.timing.deadline * period_s) for name, law in named.items()}
+    return Laws(checked.name, found, period_s)
 
 
 def reproduce_chapter(chapter: str) -> Reproduction:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,8 @@ from hil.errors import HilError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from hil.notebook.paper_figure import PaperFigure
 
 MM_PER_INCH = 25.4
 FORMATS = (".svg", ".pdf", ".png")
@@ -21,7 +22,7 @@ PAPER_STYLE: Any = {
 """What matplotlib is told for a figure that is printed in a column."""
 
 
-def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: float, height_mm: float) -> Figure:
+def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: float, height_mm: float) -> PaperFigure:
     """Return a figure, and write it to a file where one is asked for.
 
     Args:
@@ -34,7 +35,8 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
     """
     try:
         from matplotlib import rc_context
-        from matplotlib.figure import Figure
+
+        from hil.notebook.paper_figure import PaperFigure
     except ImportError as error:
         raise HilError("plot: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
     if path is not None and Path(path).suffix not in FORMATS:
@@ -42,7 +44,7 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
     if not (10.0 <= width_mm <= 2000.0 and 10.0 <= height_mm <= 2000.0):
         raise HilError(f"plot: {width_mm:g} mm x {height_mm:g} mm; expected 10 to 2000 mm")
     with rc_context(PAPER_STYLE):
-        sheet = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
+        sheet = PaperFigure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
         paint(sheet)
         if path is not None:
             metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(Path(path).suffix)
@@ -53,10 +55,6 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
 def as_svg(paint: Callable[[Figure], None], width_mm: float = 160.0, height_mm: float = 90.0) -> str:
     """Return a figure as the element ``<svg>`` of a cell, nothing where matplotlib is not installed."""
     try:
-        sheet = drawn(paint, None, width_mm, height_mm)
+        return drawn(paint, None, width_mm, height_mm).svg()
     except HilError:
         return ""
-    picture = io.StringIO()
-    sheet.savefig(picture, format="svg", metadata={"Date": None})
-    text = picture.getvalue()
-    return text[text.find("<svg") :]

@@ -9,15 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from hil.errors import HilError
+from hil.measure.names import unknown_name
 from hil.notebook import Result, data_frame
 from hil.pages.html.figures import Bars, Figure, Histogram
+from hil.pages.paper import draw
 from hil.reproduce.judgement import VERDICTS, Row
 from hil.reproduce.statements import Statement, judge
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure as Sheet
 
 SHOWN: Final = ("item", "printed", "computed", "rule", "verdict")
 """What a table shows of a row."""
@@ -143,13 +149,43 @@ class Reproduction:
         """
         return data_frame({name: [str(getattr(row, name)) for row in self.rows] for name in SHOWN})
 
+    def plot(
+        self, path: str | Path | None = None, *, figure: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
+    ) -> Sheet:
+        """Draw a figure of the chapter, its panels one above the other; write it to a file where one is named.
+
+        Args:
+            path: ends in .svg, .pdf or .png.
+            figure: its title or the begin of it, as in ``figures``; the first by default.
+            width_mm, height_mm: of each panel as it is printed.
+
+        Raises:
+            HilError: the chapter has no such figure, or it cannot be drawn or written.
+        """
+        if not self.figures:
+            raise HilError(f"plot: {self.title} has no figures")
+        titles = [each.title for each in self.figures]
+        chosen = next((each for each in self.figures if each.title.startswith(figure or "")), None)
+        if chosen is None:
+            raise unknown_name("figure", figure, titles)
+        return Result(line="", paint=partial(_paint, chosen)).plot(path, width_mm, height_mm * len(chosen.panels))
+
     def _repr_html_(self) -> str:
         rows = [[str(getattr(row, name)) for name in SHOWN] for row in self.rows]
-        return Result(line=repr(self)[1:-1], columns=SHOWN, rows=rows).html()
+        return Result(
+            line=repr(self)[1:-1], columns=SHOWN, rows=rows, paint=partial(_paint, self.figures[0]) if self.figures else None
+        ).html()
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
         return f"<Reproduction of {self.title}: {len(self.rows)} rows, {counts}>"
+
+
+def _paint(plot: Plot, sheet: Sheet) -> None:
+    axes = sheet.subplots(len(plot.panels), 1, squeeze=False)[:, 0]
+    for axis, panel in zip(axes, plot.panels, strict=True):
+        draw(panel, axis)
+        axis.set_title(panel.title, fontsize="small")
 
 
 def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Checkpoint | None = None) -> Reproduction:

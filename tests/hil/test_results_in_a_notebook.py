@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,6 +11,9 @@ import pytest
 
 import hil
 from design.monte_carlo.confidence import mean_interval
+from hil.api.laws_result import Laws
+from hil.pages.html.figures import Figure, Series
+from hil.reproduce.chapter import Plot, Reproduction
 
 SHORT = {"runs": 4, "jobs": 1, "duration": 3}
 
@@ -38,6 +42,18 @@ def design() -> hil.DesignResult:
     return hil.design("dc-motor", information="constant", starts=1)
 
 
+@pytest.fixture(scope="module")
+def laws() -> Laws:
+    return hil.laws("dc-motor-hinf")
+
+
+@pytest.fixture(scope="module")
+def chapter() -> Reproduction:
+    panels = tuple(Figure(title=t, series=(Series(label="y", x=np.arange(3.0), y=np.arange(3.0)),)) for t in ("a", "b"))
+    plots = (Plot(title="Figure 6.8", panels=panels), Plot(title="Figure 6.9", panels=panels[:1]))
+    return Reproduction(title="Chapter 6", rows=(), figures=plots)
+
+
 def well_formed(html: str) -> ElementTree.Element:
     svg = html.find("<svg")
     return ElementTree.fromstring(html[:svg] + "</div>" if svg >= 0 else html)
@@ -51,6 +67,31 @@ def test_a_result_is_one_short_line_and_a_cell_with_answer_table_and_plot(name: 
     html = found._repr_html_()
     tree = well_formed(html)
     assert tree.find("p/b") is not None and len(tree.findall(".//tbody/tr")) >= 3 and "<svg" in html
+
+
+@pytest.mark.parametrize("name", ["sweep", "over_gain", "comparison", "design", "laws", "chapter"])
+def test_a_plot_is_shown_by_its_cell_and_written_to_its_file(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    drawn = request.getfixturevalue(name).plot(tmp_path / "a.svg")
+    assert ElementTree.fromstring(drawn._repr_svg_()).tag.endswith("svg") and (tmp_path / "a.svg").stat().st_size > 1000
+
+
+def test_laws_are_a_line_a_table_and_a_frame_of_ages(laws: Laws) -> None:
+    assert repr(laws).startswith("<Laws of dc-motor-hinf: sc markov with mean age 0.396 slots, ca markov")
+    assert len(well_formed(laws._repr_html_()).findall(".//tbody/tr")) == 2
+    frame = laws.to_pandas()
+    assert frame.groupby("way")["share"].sum().tolist() == pytest.approx([1.0, 1.0])
+    with pytest.raises(hil.HilError, match="no way is called 'sca'; did you mean 'sc'"):
+        laws["sca"]
+    assert repr(pickle.loads(pickle.dumps(laws))) == repr(laws)
+
+
+def test_a_chapter_draws_the_figure_that_is_named(chapter: Reproduction) -> None:
+    assert [len(chapter.plot(figure=name).axes) for name in (None, "Figure 6.9")] == [2, 1]
+    assert "<svg" in chapter._repr_html_()
+    with pytest.raises(hil.HilError, match=r"no figure is called 'Figure 6.7'"):
+        chapter.plot(figure="Figure 6.7")
+    with pytest.raises(hil.HilError, match="has no figures"):
+        Reproduction(title="Chapter 3", rows=()).plot()
 
 
 def test_a_cell_needs_no_matplotlib(sweep: hil.Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
