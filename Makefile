@@ -5,13 +5,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 RUN := runs/make-run
-# One test process a core: each costs the import of everything first.
-WORKERS := $(shell n=$$(nproc 2>/dev/null || echo 2); [ $$n -gt 2 ] && echo $$n || echo 2)
+# A test process a core, and one that works while another waits for a process, a link or the clock; each imports everything first.
+WORKERS := $(shell n=$$(nproc 2>/dev/null || echo 2); echo $$((n + 1)))
 
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pins help run test .types .virtual check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
+.PHONY: pins help run test .types .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,20 +26,16 @@ run: $(INSTALLED) ## the networked DC motor in real time for 10 s; says where lo
 
 # One thread of linear algebra per test process: there are as many processes as cores.
 test: export OMP_NUM_THREADS = 1
-test: $(INSTALLED) ## lint, types, import rules, tests and doctests; what keeps time runs last, beside nothing else
+test: $(INSTALLED) ## lint, types, import rules, tests and doctests, in virtual and in real time
 	$(BIN)/ruff check
 	$(BIN)/lint-imports
-	@$(MAKE) --no-print-directory -j2 .types .virtual
-	$(BIN)/pytest -n 2 -m realtime $(REALTIME_TESTS) $(PYTEST_ARGS)
+	@$(MAKE) --no-print-directory -j2 .types .tests
 
 .types:
 	$(BIN)/mypy
 
-.virtual:
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m "not realtime" $(PYTEST_ARGS)
-
-# Importing all the others takes longer than most of these.
-REALTIME_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.realtime' tests)
+.tests:
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal $(PYTEST_ARGS)
 
 check: export OMP_NUM_THREADS = 1
 check: $(INSTALLED) ## lint, types, import rules, and the fast tests of what changed since main

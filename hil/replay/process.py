@@ -70,16 +70,18 @@ class Asked:
 
 
 def ask_process(
-    run: Run, uri: str, source: str = "the log", patience_s: float = 15.0, progress: Callable[[int], None] = lambda slot: None
-) -> Asked:
+    run: Run, uri: str, source: str = "the log", patience_s: float = 15.0, progress: Callable[[int], None] = lambda slot: None,
+    *, start_s: float = 60.0,
+) -> Asked:  # fmt: skip
     """Put the recorded questions to a controller that runs, and compare its answers with the recorded ones.
 
     Args:
         run: the log.
         uri: of the link on which the controller's process is.
         source: the log's name, for messages.
-        patience_s: how long the controller has for its first answer, and for that of a slot, s.
-        progress: told every slot.
+        patience_s: how long the controller has for the answer of a slot, s.
+        progress: called with every slot.
+        start_s: how long it has to start, up to its first answer, s.
 
     Raises:
         HilError: the log has no frames, or no controller answers.
@@ -94,8 +96,8 @@ def ask_process(
     found: list[Difference] = []
     with open_link(uri, "rig") as link:
         begun = Wire(nonce=wire.nonce, hello=before(wire.nonce(0)))
-        if not Handshake(link, patience_s, lambda: False, monotonic_ns, begun).greet().answered:
-            raise HilError(f"no controller answered on {uri} within {patience_s:g} s")
+        if not Handshake(link, start_s, lambda: False, monotonic_ns, begun).greet().answered:
+            raise HilError(f"no controller answered on {uri} within {start_s:g} s")
         for k, group in groupby(frames(run.pieces(SENSOR.name, BATCH)), key=itemgetter(0)):
             for _, data in group:
                 link.send(data)

@@ -19,7 +19,7 @@ import pytest
 from hil.cli import cli
 from tests.hostile.logs import our_log
 
-FEW = 12
+FEW = 6
 PARTS = 4
 PATIENCE_S = 120.0
 

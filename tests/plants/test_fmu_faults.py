@@ -133,8 +133,14 @@ def test_in_real_time_a_unit_that_kills_its_host_while_it_is_warmed_up_is_one_me
     assert "Traceback" not in done.stderr, done.stderr
 
 
-@pytest.mark.parametrize("late", ["for (;;);", "for (int i = 1; i < 65; i++) signal(i, SIG_IGN); for (;;);"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
+@pytest.mark.parametrize(
+    ("late", "number"),
+    [
+        ("for (;;);", signal.SIGINT),
+        ("for (int i = 1; i < 65; i++) signal(i, SIG_IGN); for (;;);", signal.SIGTERM),
+        ("for (int i = 1; i < 65; i++) signal(i, SIG_IGN); for (;;);", signal.SIGQUIT),
+    ],
+)
 def test_a_unit_without_an_end_is_ended_by_a_signal(tmp_path: Path, temporary: Path, late: str, number: int) -> None:
     unit(tmp_path, late=f'fputs("loops\\n", stderr); {late}')
     with ended(subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:

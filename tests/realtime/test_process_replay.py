@@ -77,4 +77,4 @@ def test_our_own_controller_answers_again_as_it_did(tmp_path: Path) -> None:
 
 def test_without_a_controller_it_says_so(tmp_path: Path) -> None:
     with pytest.raises(HilError, match=r"no controller answered on can:hil:nobodyreplay within 0\.2 s"):
-        ask_process(read_run(DATA / "foreign_controller.mcap"), "can:hil:nobodyreplay", patience_s=0.2)
+        ask_process(read_run(DATA / "foreign_controller.mcap"), "can:hil:nobodyreplay", start_s=0.2)

@@ -24,7 +24,7 @@ def loop() -> Loop:
     return compose(load_experiment("dc-motor-hinf"), certify=False)
 
 
-@pytest.mark.parametrize("wire", [VIRTUAL, session_wire(bytes(16))])
+@pytest.mark.parametrize("wire", [VIRTUAL, session_wire(bytes(16), 1000)])
 def test_every_rehearsed_slot_is_answered_with_the_echo_of_the_session(loop: Loop, wire: Wire) -> None:
     rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, wire)
     slot = Slot(rig, WarmUpExchange(loop, wire))
