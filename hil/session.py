@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from errno import EMFILE, ENFILE
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import msgspec
 
@@ -20,9 +20,10 @@ from hil.errors import DiskFull, HilError
 from hil.experiment import Experiment
 from hil.log.events import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, decode_event, to_json
 from hil.log.read.arrays import StructuredArray
+from hil.log.records import Channel
 from hil.log.run import Run
 from hil.log.topics import BUS, CA, SC, channels_of
-from hil.log.write.live_signals import published
+from hil.log.write.live_signals import published, together
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
@@ -33,11 +34,12 @@ from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
 from hil.rig.session_link import SessionLink, link_of, no_link
+from hil.runtime.changes import Changes
 from hil.runtime.nodes.failures import failure_of
 from hil.runtime.real.exit_statuses import FAILED
 from hil.runtime.real.machine import machine
 from hil.runtime.real.stop_signals import Forced, StopSignals
-from hil.runtime.time.clock import monotonic_ns, wall_clock
+from hil.runtime.time.clock import Clock, monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
 from transport.draws import REASONS
 from transport.packets import SELECTIONS
@@ -55,6 +57,28 @@ LEFT = 7
 """Exit status where a plant or a controller was not, in the run, what it says that it is."""
 
 INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that somebody else sends on the link: exit status
+
+
+class Onlooker(Protocol):
+    """Who looks at a run while it goes on, paces it, and changes it; pace and changes are those of virtual time alone."""
+
+    @property
+    def clock(self) -> Clock | None:
+        """The clock of the run; None for one that does not wait."""
+        ...
+
+    def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
+        """Take the loop that will run, and the table of its log; return what takes its records, by topic."""
+        ...
+
+    @property
+    def changes(self) -> Changes | None:
+        """Asked in every slot for what changes in it; None for a run that takes no change."""
+        ...
+
+    def end(self) -> None:
+        """The run is to end: wait for nothing more. A signal handler may call it."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -190,6 +214,7 @@ def run_session(
     taps: Mapping[str, PayloadWriter] | None = None,
     signals: str | None = None,
     index: Index = "full",
+    onlooker: Onlooker | None = None,
 ) -> Session:
     """Run an experiment, log it, and sum it up.
 
@@ -202,6 +227,7 @@ def run_session(
         taps: topic to a function that gets its records as they come, for a live view.
         signals: where subscribers over zenoh read named signals as they come, such as ``zenoh:tcp/127.0.0.1:7448``.
         index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
+        onlooker: who looks at the run, and in virtual time may pace and change it.
 
     Raises:
         HilError: if the experiment cannot be composed, the log cannot be written, or the session could not start.
@@ -235,13 +261,15 @@ def run_session(
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
     keep = _summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
     table = channels_of(loop, on_can=on.on_can)
+    if onlooker is not None:
+        taps = together(taps or {}, onlooker.begin(loop, table))
     with (
         published(signals, table, taps) as observers,
         McapSink(path, table, provenance, now=now, index=index, keep=keep) as sink,
     ):
         outcome: dict[str, Any] = {}
         if clock == "virtual":
-            outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(observers)) if observers else sink)
+            outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(observers)) if observers else sink, onlooker)
         else:
             outcome = _run_real(loop, on, sink, external, observers)
         sink.commit()
@@ -326,8 +354,8 @@ def _sha256(descriptor: int) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink) -> dict[str, Any]:
-    stops: list[Callable[[], None]] = []
+def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink, onlooker: Onlooker | None) -> dict[str, Any]:
+    stops: list[Callable[[], None]] = [] if onlooker is None else [onlooker.end]
 
     def stop(number: int) -> None:
         for each in stops:
@@ -344,7 +372,10 @@ def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink) -> dict[str, Any
         return bool(out) or isinstance(error, Forced)
 
     with StopSignals(stop, FORCE_S) as signals:
-        rig = run_virtual(loop, loop.experiment.seed, sink, stoppable=stops.append, failed=failed)
+        rig = run_virtual(
+            loop, loop.experiment.seed, sink, stoppable=stops.append, failed=failed,
+            clock=None if onlooker is None else onlooker.clock, changes=None if onlooker is None else onlooker.changes,
+        )  # fmt: skip
     end_ns = max(rig.k, 0) * loop.experiment.period_ns
     for kind, told in out.items():
         sink.event(end_ns, kind, told, severity="error")

@@ -23,6 +23,7 @@ COMMANDS = {
     "check": "Check a plug-in, and say what it has earned.",
     "laws": "Show the network laws of an experiment: stationary law, burst lengths.",
     "report": "Make a self-contained page from a log.",
+    "live": "Watch a run in the browser, and change it there.",
     "replay": "Verify a log, ask another controller, or put its frames on a bus.",
     "recover": "Rebuild an indexed log from a torn one.",
     "export": "Write a log's frames or signals in other formats.",

@@ -18,7 +18,8 @@ from hil.files.toml_text import DEEPEST, parse_toml
 from hil.plugins import registry
 
 __all__ = [
-    "Experiment", "Seconds", "experiment_from_resolved", "load_experiment", "parse_experiment", "parse_plugin", "shipped",
+    "Experiment", "Seconds", "experiment_from_resolved", "load_experiment", "parse_experiment", "parse_plugin", "set_field",
+    "shipped",
 ]  # fmt: skip
 
 MAX_BYTES = 1_000_000
@@ -158,29 +159,46 @@ def _without_none(value: Any) -> Any:
 
 def _apply(raw: dict[str, Any], change: str) -> None:
     path, eq, value = change.partition("=")
-    keys = path.strip().split(".")
-    if not eq or not all(keys):
+    if not eq:
         raise HilError(f"--set {change!r}: expected path=value, such as plant.gain=170")
-    if len(keys) > DEEPEST:
-        raise HilError(f"--set {change!r:.60}: the key has {len(keys)} parts; at most {DEEPEST}")
     try:
         parsed = parse_toml(f"v = {value}")["v"]
     except tomllib.TOMLDecodeError:
         parsed = value.strip()
     except ValueError as e:
         raise HilError(f"--set {path}: {e}") from e
+    set_field(raw, path, parsed, f"--set {change!r:.60}")
+
+
+def set_field(raw: dict[str, Any], path: str, value: Any, told: str) -> None:
+    """Put a value into the tables of an experiment.
+
+    Args:
+        raw: the tables; changed in place.
+        path: of the field, such as ``network.sc.law``; entries of a list by their numbers.
+        value: as the file's parser would give it.
+        told: what messages call the change.
+
+    Raises:
+        HilError: there is no such place.
+    """
+    keys = path.strip().split(".")
+    if not all(keys):
+        raise HilError(f"{told}: expected path=value, such as plant.gain=170")
+    if len(keys) > DEEPEST:
+        raise HilError(f"{told}: the key has {len(keys)} parts; at most {DEEPEST}")
     node: Any = raw
     for i, key in enumerate(keys):
         at = ".".join(keys[:i])
         if isinstance(node, list):
             if not key.isdigit() or int(key) >= len(node):
-                raise HilError(f"--set {change!r}: {at} has entries 0 to {len(node) - 1}, not {key!r}")
+                raise HilError(f"{told}: {at} has entries 0 to {len(node) - 1}, not {key!r}")
             index: Any = int(key)
         elif isinstance(node, dict):
             index = key
         else:
-            raise HilError(f"--set {change!r}: {at} is a value, not a table")
+            raise HilError(f"{told}: {at} is a value, not a table")
         if i == len(keys) - 1:
-            node[index] = parsed
+            node[index] = value
         else:
             node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]

@@ -18,6 +18,7 @@ from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR
 from hil.replay.compare import BATCH, near_values
 from hil.replay.recorded import frames, recorded_wire
+from hil.replay.recorded_changes import refuse_changed
 from hil.replay.replay import experiment_of
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
@@ -86,6 +87,7 @@ def ask_process(
     Raises:
         HilError: the log has no frames, or no controller answers.
     """
+    refuse_changed(run, source, "a controller's process")
     recorded = _answers_of(run)
     wire = recorded_wire(run)
     if not recorded:

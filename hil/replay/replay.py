@@ -28,8 +28,10 @@ from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
 from hil.replay.compare import BATCH, Comparison, near_frames
 from hil.replay.recorded import RecordedAnswers, Woken, frames, recorded_wire
+from hil.replay.recorded_changes import changes_of, composed, refuse_changed
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
+from hil.runtime.changes import take
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
@@ -125,7 +127,7 @@ class Recorded:
     """
 
     def __init__(self, loop: Loop, heard: RecordedAnswers, foreign: bool) -> None:
-        self._node, self._heard, self._foreign = ControlNode(loop), heard, foreign
+        self.node, self._heard, self._foreign = ControlNode(loop), heard, foreign
         self._period_ns = loop.experiment.period_ns
         self._answer: bytes | None = None
         self.difference: tuple[int, str] | None = None  # of bits
@@ -133,7 +135,7 @@ class Recorded:
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
         """Ask our controller."""
-        answers = [answer for answer in map(self._node.on_frame, frames) if answer is not None]
+        answers = [answer for answer in map(self.node.on_frame, frames) if answer is not None]
         self._answer = answers[-1] if answers else None
 
     def answer(self, t_ns: int, on_frame: OnFrame) -> None:
@@ -176,10 +178,16 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     compared = sorted(topic for topic in channels if topic != TIMING.name and topic in run.arrays)  # an older log may lack one
     again = Comparison(run, channels, compared, slots)
     began = Woken(run, experiment.period_ns).at
-    rig = Rig(loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, recorded_wire(run), woken=began)
+    asked = changes_of(run)
+    rig = Rig(
+        loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, recorded_wire(run), woken=began, changing=bool(asked)
+    )  # fmt: skip
     recorded = Recorded(loop, heard, foreign)
+    changes = list(composed(loop, asked, certify=False))
     slot = Slot(rig, recorded, stopped=lambda: recorded.far is not None)
     for k in range(slots):
+        while changes and changes[0][0] <= k:
+            take(changes.pop(0)[1], rig, recorded.node)
         slot.run(k * experiment.period_ns)
         if recorded.far is not None:
             slots = k
@@ -224,6 +232,7 @@ def what_if(
         ``t_s``, and per input ``recorded_<name>`` (as applied) and ``<kind>_<name>`` (the row with the recorded d and selection
         history, NaN where nothing was applied).
     """
+    refuse_changed(run, source, "what another controller would have commanded")
     experiment = experiment_of(run, source) if experiment is None else experiment
     other = compose(_with_controller(experiment, controller, kind), certify=False)
     if other.samples != (carried := packet_samples(experiment.controller)):

@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from hil.compose.loop import Loop
 from hil.log.topics import channels_of
 from hil.log.write.sinks import Sink
+from hil.runtime.changes import Changes, log_change, take
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
-from hil.runtime.time.clock import VirtualClock
+from hil.runtime.time.clock import Clock, VirtualClock
 from hil.runtime.time.kernel import Kernel
 
 
@@ -37,9 +38,27 @@ class DirectExchange:
                 on_frame(answer)
 
 
+def _changing(
+    slot: Slot, rig: Rig, node: ControlNode, sink: Sink, changes: Changes, period_ns: int, stop: Callable[[], None]
+) -> Callable[[int], None]:  # fmt: skip
+    """Return what runs a slot behind the changes that act from it on."""
+
+    def run(t_ns: int) -> None:
+        k = t_ns // period_ns
+        for change in changes(k):
+            take(change, rig, node)
+            log_change(sink, change, t_ns, k)
+            if change.loop is None:
+                return stop()
+        slot.run(t_ns)
+        return None
+
+    return run
+
+
 def run_virtual(
     loop: Loop, seed: int, sink: Sink, *, stoppable: Callable[[Callable[[], None]], None] = lambda stop: None,
-    failed: Callable[[BaseException], bool] = lambda error: False,
+    failed: Callable[[BaseException], bool] = lambda error: False, clock: Clock | None = None, changes: Changes | None = None,
 ) -> Rig:  # fmt: skip
     """Run a loop from slot 0 to its end, or until safety ends it; return the rig with its counters.
 
@@ -49,14 +68,17 @@ def run_virtual(
         sink: takes the records.
         stoppable: given, before the first slot, a function that ends the run; a signal handler may call it.
         failed: asked of whatever the run raises: whether the run ends in order with it.
+        clock: paces the run; by default it does not wait.
+        changes: of the experiment while it runs; None for none.
     """
     e = loop.experiment
-    kernel = Kernel(VirtualClock())
+    kernel = Kernel(clock or VirtualClock())
     stoppable(kernel.stop)
-    rig = Rig(loop, seed, sink, channels_of(loop), kernel.stop)
+    rig = Rig(loop, seed, sink, channels_of(loop), kernel.stop, changing=changes is not None)
     node = ControlNode(loop)
     slot = Slot(rig, DirectExchange(node), sink.commit, lambda: kernel.stopped)
-    kernel.every(e.period_ns, e.slots, slot.run)
+    run = slot.run if changes is None else _changing(slot, rig, node, sink, changes, e.period_ns, kernel.stop)
+    kernel.every(e.period_ns, e.slots, run)
     try:
         kernel.run()
         rig.compare(node.departed)

@@ -48,6 +48,10 @@ class FaultyPath:
         self._unsent: list[Draw] = []
         self.mangled: Arrivals = []
 
+    def plan(self, spells: Sequence[FaultInterval]) -> None:
+        """Replace the time line; what was lost stays lost."""
+        self._spells = tuple(spells)
+
     def _broken(self, k: int) -> set[FaultKind]:
         return {kind for first, end, kind in self._spells if first <= k < end}
 

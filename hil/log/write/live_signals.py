@@ -30,10 +30,15 @@ def published(
 
     schemas = {topic: (channel.schema.name, channel.schema.text) for topic, channel in channels.items() if not channel.schema.raw}
     with SignalPublisher(uri, schemas) as publisher:
-        found: dict[str, PayloadWriter] = dict(observers or {})
-        for topic, publish in publisher.observers.items():
-            found[topic] = _both(found[topic], publish) if topic in found else publish
-        yield found
+        yield together(observers or {}, publisher.observers)
+
+
+def together(first: Mapping[str, PayloadWriter], second: Mapping[str, PayloadWriter]) -> dict[str, PayloadWriter]:
+    """Return what hands the records of every topic to both."""
+    found = dict(first)
+    for topic, put in second.items():
+        found[topic] = _both(found[topic], put) if topic in found else put
+    return found
 
 
 def _both(first: PayloadWriter, second: PayloadWriter) -> PayloadWriter:

@@ -29,6 +29,10 @@ class ControllerInput(Protocol):
         """Return what the control law says in slot k, once a sample is there."""
         ...
 
+    def aim(self, loop: Loop) -> None:
+        """Go on with the reference of a changed experiment."""
+        ...
+
 
 def controller_input(loop: Loop) -> ControllerInput:
     """Return a fresh control law and its memory: which of the two is the control law's own choice, for any number of nodes."""
@@ -100,6 +104,10 @@ class NewestSample:
             return self._nothing
         return self._rows(k, (k * self._period_ns - oldest) // self._period_ns, self._y, self._reference(k))
 
+    def aim(self, loop: Loop) -> None:
+        """Go on with another reference; see `ControllerInput.aim`."""
+        self._reference = loop.reference()
+
     def _oldest(self) -> int:
         sampled = self._sampled_ns
         return -1 if any(sampled[i] < 0 for i in self._waited) else min(ns for ns in sampled if ns >= 0)
@@ -132,3 +140,7 @@ class EverySample:
     def rows(self, k: int) -> Rows:
         """Return what the control law says; see `Heard.rows`."""
         return self._rows(k, Known(self._assembly.known(k), self._reference(k)))
+
+    def aim(self, loop: Loop) -> None:
+        """Go on with another reference; see `ControllerInput.aim`."""
+        self._reference = loop.reference()

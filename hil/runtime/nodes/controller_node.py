@@ -27,15 +27,36 @@ class ControlNode:
     """
 
     def __init__(self, loop: Loop) -> None:
-        self._begin = partial(controller_input, loop)
+        self._lead(loop)
         self._heard = self._begin()
-        self._restarts, self._to_come = loop.rig.fault_schedule.restarts, 0
-        self._period_ns = loop.experiment.period_ns
-        self._selection = SELECTIONS.index(loop.selection)
-        self._zeros = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
+        self._to_come = 0
+        self._departed: tuple[int, str] | None = None  # of a controller that was changed
         self.counts = Refusals()
         self._questions = Questions(self.counts, self._period_ns)
         self._counter = self._hellos = 0
+
+    def _lead(self, loop: Loop) -> None:
+        self._begin = partial(controller_input, loop)
+        self._restarts = loop.rig.fault_schedule.restarts
+        self._period_ns = loop.experiment.period_ns
+        self._selection = SELECTIONS.index(loop.selection)
+        self._zeros = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
+
+    def change(self, loop: Loop, *, anew: bool) -> None:
+        """Go on with a changed experiment of the same plant.
+
+        Args:
+            loop: the composed experiment.
+            anew: its controller is another one, and begins without memory.
+        """
+        past = self._restarts[: self._to_come]
+        self._lead(loop)
+        self._to_come = sum(restart in past for restart in self._restarts)
+        if anew:
+            self._departed = self.departed
+            self._heard = self._begin()
+        else:
+            self._heard.aim(loop)
 
     def on_frame(self, data: bytes, now_ns: int = 0) -> bytes | None:
         """Take one frame from the link; return the answer when it closes its slot.
@@ -69,7 +90,7 @@ class ControlNode:
     @property
     def departed(self) -> tuple[int, str] | None:
         """The slot in which the answers left the controller's table, and by how much; None if they did not."""
-        return None if self._heard.watch is None else self._heard.watch.departed
+        return self._departed or (None if self._heard.watch is None else self._heard.watch.departed)
 
     def _keep(self, packet: SensorPacket, seq: int) -> bool:
         """Keep the sample of a packet; return False where it is not of this loop, or from the future."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hil.compose.loop import Loop
-from hil.experiment.faults import RESTART
+from hil.experiment.faults import RESTART, Fault
 from hil.rig.fault_schedule import told
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import rng_for
@@ -21,22 +21,30 @@ class FaultInjector:
     Args:
         loop: the composed experiment; one without faults breaks nothing.
         seed: seed of the run.
+        changing: whether faults may come to the time line in the run.
     """
 
-    def __init__(self, loop: Loop, seed: int) -> None:
-        e = loop.experiment
+    def __init__(self, loop: Loop, seed: int, changing: bool = False) -> None:
         line = loop.rig.fault_schedule
-        self._faults = [(*fault.slots(float(e.period)), fault) for fault in e.fault]
+        self._faults = _in_slots(loop)
+        self.there = changing or bool(self._faults)
         self._nodes, self._actuator = [FaultyPath(spells) for spells in line.nodes], FaultyPath(line.actuator)
         self._rng = rng_for(seed, "fault")
 
+    def change(self, loop: Loop) -> None:
+        """Go on with the time line of a changed experiment."""
+        self._faults = _in_slots(loop)
+        for path, spells in zip(self._nodes, loop.rig.fault_schedule.nodes, strict=True):
+            path.plan(spells)
+        self._actuator.plan(loop.rig.fault_schedule.actuator)
+
     def uplink(self, medium: Medium) -> Medium:
         """Return the way to the controller, with its faults."""
-        return FaultedMedium(medium, self._nodes) if self._faults else medium
+        return FaultedMedium(medium, self._nodes) if self.there else medium
 
     def downlink(self, channel: Impairment) -> Impairment:
         """Return the way to the actuator, with its faults."""
-        return FaultedChannel(channel, self._actuator) if self._faults else channel
+        return FaultedChannel(channel, self._actuator) if self.there else channel
 
     def mangled(self) -> list[tuple[int, int, Any]]:
         """Return what arrives in this slot with a flipped bit: (node, slot of its sample, packet)."""
@@ -70,3 +78,8 @@ class FaultInjector:
             t_ns, kind, message, tick=k, severity=severity, fault=number, broken=fault.kind, link=fault.link, node=fault.node,
             slots=end - first,
         )  # fmt: skip
+
+
+def _in_slots(loop: Loop) -> list[tuple[int, int, Fault]]:
+    """Return first slot, end and fault of every one on the time line."""
+    return [(*fault.slots(float(loop.experiment.period)), fault) for fault in loop.experiment.fault]

@@ -24,6 +24,7 @@ class LawWatch:
 
     def __init__(self, law: NetworkLaw) -> None:
         self._law, self._ages = law, [int(age) for age in cast(ChainLaw | SemiMarkovLaw, law).mode_ages]
+        self.name = type(law).__qualname__
         self._modes: list[int] = []
         self._other: tuple[int, str] | None = None
 

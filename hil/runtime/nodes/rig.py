@@ -34,6 +34,7 @@ from hil.runtime.nodes.sensor_node import SensorNode
 from hil.runtime.nodes.triggers import trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import rng_for
+from transport.medium.changing import ChangingChannel, ChangingMedium
 from transport.medium.independent import impair
 from transport.medium.medium import Delivery
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
@@ -41,6 +42,9 @@ from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 if TYPE_CHECKING:
     from hil.runtime.nodes.can_network import CanNetwork
     from transport.can_bus_model.bus import CanNode, Transmission
+
+KEPT = 4096
+"""Slots whose packets a network law takes over where it is changed in the run."""
 
 STATES = {"active": "error active", "warning": "above the warning level", "passive": "error passive", "off": "off the bus"}
 
@@ -59,12 +63,13 @@ class Rig:
         wire: the nonces; by default none, as nobody else can speak in virtual time.
         identifiers: CAN identifiers of the frames, where the table holds them.
         woken: when the slot of a nominal time really began, session time, ns; in virtual time at its nominal time.
+        changing: whether the experiment may be changed in the run, see `change`.
     """
 
     __slots__ = (  # so many attributes in a dictionary would be found by its hashes, slowly
         "_after_trip", "_claimed", "_counter", "_disturbance", "_disturbed", "_downlink", "_end", "_faults", "_journal", "_laws",
-        "_names", "_nonce", "_period_ns", "_plant", "_port", "_put_out", "_r", "_reference", "_samples", "_sensors", "_sent",
-        "_slots", "_stop", "_uplink", "_w", "_watch", "_woken", "_x", "_y", "actuator", "answers", "k",
+        "_network", "_nonce", "_past_laws", "_period_ns", "_plant", "_port", "_put_out", "_r", "_reference", "_samples", "_seed",
+        "_sensors", "_sent", "_slots", "_stop", "_uplink", "_w", "_watch", "_woken", "_x", "_y", "actuator", "answers", "k",
     )  # fmt: skip
 
     def __init__(
@@ -77,19 +82,26 @@ class Rig:
         wire: Wire = VIRTUAL,
         identifiers: FirstIdentifiers | None = None,
         woken: Callable[[int], int] | None = None,
+        changing: bool = False,
     ) -> None:
         e = loop.experiment
+        self._seed = seed
         inputs, names = len(e.plant.inputs), [s.name for s in e.plant.states]
         deadline_s = e.timing.deadline * float(e.period)
         self._period_ns, self._woken = e.period_ns, woken
         self._plant = e.plant.start(rng_for(seed, "plant"))
         self._samples = [sensor.buffer for sensor in loop.rig.sensors]
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.rig.sensors)
-        faults = FaultInjector(loop, seed)
-        self._faults = faults if e.fault else None
+        faults = FaultInjector(loop, seed, changing)
+        self._faults = faults if faults.there else None
         bus = None if can_bus_of(loop.rig) is None else self._bus_of(loop, seed)
-        self._uplink = faults.uplink(sensor_medium_of(loop, seed, float(e.period), deadline_s, bus))
+        medium = sensor_medium_of(loop, seed, float(e.period), deadline_s, bus)
         channel = impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
+        self._network: tuple[ChangingMedium, ChangingChannel] | None = None
+        if changing:
+            self._network = ChangingMedium(medium, len(self._sensors), KEPT), ChangingChannel(channel, KEPT)
+            medium, channel = self._network
+        self._uplink = faults.uplink(medium)
         self._downlink = faults.downlink(channel if bus is None else bus.downlink(channel))
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
         safety = Safety(e.limits.input, limits, e.limits.watchdog_slots, e.period_ns)
@@ -113,9 +125,9 @@ class Rig:
         self._sent: Sequence[Delivery] = ()
         self._claimed = loop.watched is not None and loop.watched.claimed
         self._put_out: tuple[int, str] | None = None  # the first slot in which the plant said so of another input
-        self._names = [type(law).__qualname__ for law in loop.rig.laws]
         of_laws = () if loop.watched is None else loop.watched.laws
         self._laws = [(i, LawWatch(loop.rig.laws[i])) for i in of_laws]
+        self._past_laws: list[LawWatch] = []
         self._watch = None if loop.watched is None else self._watch_of(loop.watched.plant, e.plant, seed)
 
     def _watch_of(self, step: OneStep | JumpStep | None, plant: Plant, seed: int) -> PlantWatch | JumpWatch | None:
@@ -125,7 +137,32 @@ class Rig:
         if step is None:
             return None
         watch = JumpWatch if isinstance(step, JumpStep) else PlantWatch
-        return watch(step, start, self._disturbance, self._period_ns)  # type: ignore[arg-type]  # each of its own step
+        return watch(step, start, self._disturbed_by, self._period_ns)  # type: ignore[arg-type]  # each of its own step
+
+    def _disturbed_by(self, k: int) -> tuple[float, ...]:
+        """Return the disturbance of a slot as the run has it in the end: a change adds to it, and takes nothing back."""
+        return self._disturbance(k)
+
+    def change(self, loop: Loop, *, network: bool) -> None:
+        """Go on, before the next slot, with a changed experiment of the same plant, nodes and limits.
+
+        Args:
+            loop: the composed experiment.
+            network: whether its network laws are others.
+        """
+        e = loop.experiment
+        self._reference, self._disturbance, self._disturbed = loop.reference(), loop.disturbance(), bool(e.disturbance)
+        self._claimed = self._claimed or (loop.watched is not None and loop.watched.claimed)
+        if self._faults is not None:
+            self._faults.change(loop)
+        if network and self._network is not None:
+            medium, channel = self._network
+            period_s, k = float(e.period), self.k + 1
+            deadline_s = e.timing.deadline * period_s
+            medium.change(sensor_medium_of(loop, self._seed, period_s, deadline_s), k)
+            channel.change(impair(loop.rig.ca_law, rng_for(self._seed, "link.ca"), period_s, deadline_s), k)
+            self._past_laws += [law for _, law in self._laws]
+            self._laws = []  # a law that takes over in mid-run does not begin as its chain does
 
     def sense(self, t_ns: int) -> list[bytes]:
         """Advance the plant to t_k, measure, and return the frames of what the medium lets arrive in this slot."""
@@ -260,7 +297,8 @@ class Rig:
             answers: the slot in which the controller left its table, and by how much; None if it did not.
         """
         plant = None if self._watch is None else self._watch.departed() or self._put_out
-        laws = [(f"the network law {self._names[i]} left its chain", law.departed()) for i, law in self._laws]
+        watches = [*self._past_laws, *(law for _, law in self._laws)]
+        laws = [(f"the network law {law.name} left its chain", law.departed()) for law in watches]
         for what, departed in (("the plant left its model", plant), ("the controller left its table", answers), *laws):
             if departed is not None:
                 k, by = departed
@@ -271,3 +309,4 @@ class Rig:
     def outcome(self) -> dict[str, Any]:
         """Return the counters that the summary needs; a slot that was cut off by a signal is none."""
         return {"slots": self._slots, **self.answers.outcome(), "safety": self.actuator.tripped}
+

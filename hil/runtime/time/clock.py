@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import threading
 import time
-from typing import Protocol
+from typing import Final, Protocol
 
 TIMER_ABSTIME = 1
 
@@ -37,6 +38,80 @@ class VirtualClock:
 
     def now(self) -> int:
         return self._now
+
+
+class PacedClock:
+    """Virtual time at a pace: a second of session time takes 1 / speed s, and none while it is held.
+
+    One thread waits on it; any other may hold it, let it go on, step it, or end it. What a run computes does not depend on it.
+
+    Args:
+        speed: session time per time, above 0.
+        held: whether it waits at once, before slot 0.
+
+    >>> clock = PacedClock(speed=1e9); clock.wait_until(5); clock.now()
+    5
+    """
+
+    BEHIND_NS: Final = 200_000_000  # what cannot keep its pace does not hurry afterwards
+    LOOK_S: Final = 0.05
+
+    def __init__(self, speed: float = 1.0, held: bool = False) -> None:
+        self._changed = threading.Condition()
+        self._speed, self._held, self._steps, self._ended = speed, held, 0, False
+        self._now = 0
+        self._from = time.monotonic_ns(), 0  # an instant, and the session time then
+
+    def wait_until(self, t_ns: int) -> None:
+        with self._changed:
+            while not self._ended:
+                if self._held and self._steps:
+                    self._steps -= 1
+                    break
+                left_s = self.LOOK_S if self._held else self._left_s(t_ns)
+                if left_s <= 0.0:
+                    break
+                self._changed.wait(min(left_s, self.LOOK_S))
+            self._now = max(self._now, t_ns)
+
+    def _left_s(self, t_ns: int) -> float:
+        begun_ns, at_ns = self._from
+        left_ns = begun_ns + (t_ns - at_ns) / self._speed - time.monotonic_ns()
+        if left_ns < -self.BEHIND_NS:
+            self._from = time.monotonic_ns(), t_ns
+        return left_ns / 1e9
+
+    def now(self) -> int:
+        return self._now
+
+    @property
+    def speed(self) -> float:
+        """Session time per time."""
+        return self._speed
+
+    @property
+    def held(self) -> bool:
+        """Whether it waits for a step."""
+        return self._held
+
+    def set(self, *, speed: float | None = None, held: bool | None = None) -> None:
+        """Go on at another speed, or hold."""
+        with self._changed:
+            self._speed = self._speed if speed is None else speed
+            self._held = self._held if held is None else held
+            self._steps, self._from = 0, (time.monotonic_ns(), self._now)
+            self._changed.notify_all()
+
+    def step(self, slots: int = 1) -> None:
+        """Hold, and let so many slots pass."""
+        with self._changed:
+            self._held = True
+            self._steps += slots
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        """Wait no more (safe in a signal handler)."""
+        self._ended = True
 
 
 class _Timespec(ctypes.Structure):

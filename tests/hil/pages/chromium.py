@@ -96,9 +96,10 @@ class Page:
                 pass
         shutil.rmtree(self._home, ignore_errors=True)
 
-    def open(self, file: Path, timeout_s: float = LIMIT_S) -> None:
+    def open(self, file: Path | str, timeout_s: float = LIMIT_S) -> None:
+        """Open a file, or a URL."""
         self._loaded = False
-        self.command("Page.navigate", url=file.resolve().as_uri())
+        self.command("Page.navigate", url=file if isinstance(file, str) else file.resolve().as_uri())
         end = time.monotonic() + timeout_s
         while not self._loaded:
             self._take(end)

@@ -1,0 +1,105 @@
+"""``hil live``: a page in the browser that shows a run while it goes on, and changes it."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from hil.experiment import Experiment
+
+
+@click.command()
+@click.argument("experiments", type=EXPERIMENT, nargs=-1, required=True, metavar="EXPERIMENT [EXPERIMENT] | LOG.mcap")
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field, such as plant.gain=170.")
+@click.option("--clock", type=click.Choice(["virtual", "real"]), default="virtual", show_default=True,
+              help="real: the page only watches.")  # fmt: skip
+@click.option("--link", metavar="URI", help="Link in real time.")
+@click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
+@click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
+@click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="Virtual time per time.")
+@click.option("--hold", "held", is_flag=True, help="Wait before slot 0, until the page says go.")
+@click.option("--script", type=click.Path(path_type=Path), metavar="FILE",
+              help="Without a page: run with the changes of a script, or of a log, at full speed.")  # fmt: skip
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page, on 127.0.0.1; any that is free by default.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
+@click.option("--force", is_flag=True, help="Replace a log that is there.")
+@click.option("--folder", metavar="DIR", help="Of a LOG: where own modules stand: they are run.")
+@click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
+@click.option("--json", "as_json", is_flag=True, help="With --script: print the summary as one JSON object.")
+def command(
+    experiments: tuple[str, ...], sets: tuple[str, ...], clock: str, link: str | None, seed: int | None, duration: str | None,
+    speed: float, held: bool, script: Path | None, port: int, output: Path | None, force: bool, folder: str | None, show: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Watch a run of EXPERIMENT in the browser, and change it there: reference, disturbance, network, controller, faults.
+
+    Each change is shown with the certificate of the loop that would run before it is applied, and is logged: `hil live --script
+    LOG.mcap EXPERIMENT` runs it again without the page, `hil replay LOG.mcap` verifies it. Two experiments run side by side on
+    the same random numbers. A LOG is shown as it was. The page is on loopback; its URL holds the token without which it only
+    watches. Ctrl-C ends it.
+    """
+    from hil.cli.json_output import only_json
+    from hil.cli.run import reserve
+    from hil.cli.run_summary import show as show_summary
+    from hil.experiment import load_experiment
+    from hil.live.watch import Asked, show_log, watch
+
+    out = only_json(as_json)
+
+    def opened(url: str) -> None:
+        click.echo(f"open {url}", err=True)
+        if show:
+            click.launch(url)
+
+    if experiments[0].endswith(".mcap"):
+        from hil.log.read.run import read_run
+
+        if len(experiments) > 1 or script is not None:
+            raise HilError("a log is shown alone, and takes no script; hil live EXPERIMENT --script LOG.mcap runs it again")
+        show_log(read_run(Path(experiments[0])), experiments[0], port=port, folder=folder, opened=opened)
+        return
+    if len(experiments) > 2:
+        raise HilError(f"{len(experiments)} experiments; one, or two side by side, are shown")
+    if len(experiments) == 2 and (clock == "real" or output is not None or script is not None):
+        raise HilError("two experiments run side by side in virtual time, with logs below runs/, and without --script or -o")
+    if clock == "virtual" and link is not None:
+        raise HilError("--link needs --clock real: virtual time runs in one process, without a link")
+
+    def path(experiment: Experiment) -> Path:
+        return reserve(output, f"{experiment.name}-live-seed{experiment.seed}", force)
+
+    if script is not None:
+        import json
+
+        from hil.live.script import Scripted, read_script
+        from hil.session import run_session
+
+        if clock == "real":
+            raise HilError("--script changes a run in virtual time; drop --clock real")
+        scripted = Scripted(read_script(script))
+        experiment = load_experiment(experiments[0], sets, seed=seed, duration=duration)
+        session = run_session(experiment, path=path(experiment), onlooker=scripted)
+        if as_json:
+            print(json.dumps(session.summary, indent=2), file=out)
+        else:
+            show_summary(session.summary)
+        sys.exit(session.status)
+
+    def load(name: str, again: int | None) -> Experiment:
+        return load_experiment(name, sets, seed=seed if again is None else again, duration=duration)
+
+    for name in experiments:  # what is wrong with them is said before a page is there
+        load(name, None)
+    asked = [
+        Asked(load=partial(load, name), path=path, clock=clock, link=link, speed=speed, held=held)  # type: ignore[arg-type]
+        for name in experiments
+    ]
+    sys.exit(watch(asked, port=port, opened=opened, finished=lambda session: show_summary(session.summary)))

@@ -1,0 +1,118 @@
+"""A loop, changed while it runs: the fields that may change, checked as those of a file, and the certificate of what then runs.
+
+A run is a function of its experiment and of its list of changes. A change is a slot, the path of a field, and a value. The plant,
+its nodes, its limits and its link stay what they are, so that the state of the run carries over.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Final
+
+from msgspec.structs import replace
+
+from hil.compose.fit import check_references
+from hil.compose.loop import Loop, compose
+from hil.errors import ExperimentError, HilError
+from hil.experiment import experiment_from_resolved, set_field
+from hil.rig.normal_form import rig_of
+
+ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")
+"""Tables to which a change adds an entry that begins in its slot."""
+
+SCHEDULES: Final = ("reference", "disturbance")
+"""Those of them that are no part of what is certified."""
+
+REPLACED: Final = ("network.sc", "network.ca", "controller")
+"""Tables that a change replaces, whole or one field of them."""
+
+ROOM: Final = 1000
+"""Entries that a time line may have in the end: each is looked at when the next one comes."""
+
+NOT_COMPARED: Final = "plant and controller are not compared with it in the run: no certificate held when the run began"
+LAWS_NOT_COMPARED: Final = "its network laws are not compared with their chains in the run: it was changed while it ran"
+
+
+def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = True) -> Loop:
+    """Return the loop that runs from a slot on. Gains that were solved stay: only another controller is solved anew.
+
+    Args:
+        loop: what runs until then.
+        k: the first slot of the change.
+        path: ``reference`` (value: the outputs' reference), ``disturbance`` (value: ``value`` and ``samples``), ``fault`` (value:
+            ``kind``, ``for``, and ``link`` or ``node``), ``network.sc``, ``network.ca``, ``controller``, or a field below
+            one of the last three.
+        value: as the file's parser would give it.
+        certify: whether to say what can be claimed of the loop.
+
+    Raises:
+        ExperimentError: no such field, or a value that does not fit, with its path.
+    """
+    table = next((name for name in (*ON_THE_TIME_LINE, *REPLACED) if path == name or path.startswith(f"{name}.")), None)
+    e = loop.experiment
+    if table is None or (table in ON_THE_TIME_LINE and path != table):
+        what = ", ".join((*ON_THE_TIME_LINE, *REPLACED))
+        told = f"{path}: does not change while it runs (what does: {what}); begin anew with --set {path}=..."
+        raise ExperimentError(e.name, [told])
+    if table.startswith("network.") and (loop.rig.media or len(loop.rig.sensors) > 1):
+        told = f"{path}: several sensor nodes, or those on a shared medium, keep their network; begin anew with --set"
+        raise ExperimentError(e.name, [told])
+    raw: dict[str, Any] = copy.deepcopy(e.resolved())
+    raw["allow_uncertified"] = True  # whoever changes it sees the certificate before
+    if "fault" in raw and table not in SCHEDULES:  # what is over takes no certificate away
+        ends = [fault.slots(float(e.period))[1] for fault in e.fault]
+        raw["fault"] = [entry for entry, end in zip(raw["fault"], ends, strict=True) if end >= k]
+    try:
+        if table in ON_THE_TIME_LINE:
+            entries = raw.setdefault(table, [])
+            if len(entries) >= ROOM:
+                raise ExperimentError(e.name, [f"{path}: has {ROOM} entries; more are not taken in one run"])
+            entry = dict(value) if isinstance(value, dict) else {"value": value}
+            entries.append(entry | {"at": k * float(e.period)})
+            if table == "reference":
+                raw[table] = [s for s in entries[:-1] if round(s["at"] / e.period) != k] + entries[-1:]
+                raw[table].sort(key=lambda s: s["at"])
+        elif path == table and isinstance(value, dict) and table != "controller":
+            raw["network"][table[8:]] = {"max_age": raw["network"][table[8:]]["max_age"], **value}
+        else:
+            set_field(raw, path, value, f"{path} = {value!r:.60}")
+        experiment = experiment_from_resolved(raw, e.text, "change", folder=e.folder)
+        if table in SCHEDULES:  # no certificate depends on them
+            rig_of(experiment)
+            check_references(experiment, loop.controller, loop.model)
+            return dataclasses.replace(loop, experiment=replace(e, **{table: getattr(experiment, table)}))
+        after = compose(experiment, certify=certify)
+    except ExperimentError:
+        raise
+    except (HilError, TypeError, KeyError, ValueError) as error:
+        raise ExperimentError(e.name, [f"{path}: {error}"]) from error
+    _fits(loop, after, path)
+    return _with_assumptions(loop, after, network=table.startswith("network."))
+
+
+def _fits(before: Loop, after: Loop, path: str) -> None:
+    """Refuse what the nodes of the run cannot take."""
+    looks: dict[str, Callable[[Loop], object]] = {
+        "samples in a sensor packet": lambda loop: (loop.samples, [s.buffer for s in loop.rig.sensors]),
+        "longest delay to the controller": lambda loop: loop.model.tau_max,
+        "longest delay to the actuator": lambda loop: loop.model.d_max,
+    }
+    faults = [
+        f"{path}: {what}: {of(after)}, and the run has {of(before)}; begin anew with --set {path}=..."
+        for what, of in looks.items() if of(before) != of(after)
+    ]  # fmt: skip
+    if faults:
+        raise ExperimentError(before.experiment.name, faults)
+
+
+def _with_assumptions(before: Loop, after: Loop, *, network: bool) -> Loop:
+    """Say in the certificate what nothing compares in a run that was changed."""
+    verdict = after.verdict
+    if verdict is None or not verdict.certified:
+        return after
+    more: tuple[str, ...] = () if before.watched is not None else (NOT_COMPARED,)
+    if network and after.watched is not None and after.watched.laws:
+        more += (LAWS_NOT_COMPARED,)
+    return dataclasses.replace(after, verdict=dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *more)))

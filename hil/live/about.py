@@ -1,0 +1,101 @@
+"""What the page is told once: the runs, their signals and fields, and what can be tried by a click."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from design.controllers.rendered_wall import WallController
+from hil.compose.loop import Loop
+from hil.errors import HilError
+from hil.experiment import load_experiment, shipped
+from hil.live.side import Side
+from transport.laws.protocols import ChainLaw, NetworkLaw
+
+
+def about(sides: Sequence[Side], where: str) -> dict[str, Any]:
+    """Return what the page is told of some runs that have begun.
+
+    Args:
+        sides: the runs.
+        where: which clock, link or log, in words.
+    """
+    return {"where": where, "runs": [_run(side) for side in sides]}
+
+
+def _run(side: Side) -> dict[str, Any]:
+    loop = side.first
+    if loop is None:
+        return {"name": "", "traces": []}
+    e = loop.experiment
+    resolved = e.resolved()
+    return {
+        "name": e.name, "description": e.description, "seed": e.seed, "period": side.period_s, "slots": e.slots,
+        "controllable": side.acts, "traces": [trace.to_json() for trace in side.traces],
+        "outputs": [{"name": s.name, "unit": s.unit} for s in e.plant.outputs],
+        "inputs": [{"name": s.name, "unit": s.unit} for s in e.plant.inputs],
+        "states": [{"name": s.name, "unit": s.unit} for s in e.plant.states],
+        "limits": dict(e.limits.state), "plant": e.kinds.get("plant", ""), "wall": _wall(loop),
+        "network": {name: _law(getattr(e.network, name).law, resolved["network"][name]) for name in ("sc", "ca")},
+        "controller": e.kinds.get("controller", ""), "own": resolved["controller"],
+        "controllers": controllers(e.kinds.get("plant", ""), side.period_s, len(e.plant.outputs)) if side.acts else {},
+    }  # fmt: skip
+
+
+def _law(law: NetworkLaw, said: Any) -> dict[str, Any]:
+    """Return a law as it is said, with its chain of ages where it has one, and presets that keep its longest delay."""
+    longest = int(said["max_age"])
+    chain = law.transition_matrix().tolist() if isinstance(law, ChainLaw) else None
+    return {"law": said["law"], "longest": longest, "chain": chain, "presets": presets(longest)}
+
+
+def presets(longest: int) -> dict[str, dict[str, Any]]:
+    """Return network laws whose ages stay within a bound, by name.
+
+    >>> presets(1)["always late"]
+    {'kind': 'constant', 'age': 1}
+    """
+    found: dict[str, dict[str, Any]] = {"no delay": {"kind": "constant", "age": 0}}
+    if longest:
+        found["seldom late"] = _markov(longest, 0.05)
+        found["often late"] = _markov(longest, 0.5)
+        found["mostly late"] = _markov(longest, 0.9)
+        found["always late"] = {"kind": "constant", "age": longest}
+    return found
+
+
+def _markov(longest: int, worse: float) -> dict[str, Any]:
+    """Return a chain of ages that grow by one with a probability, and otherwise are 0 again."""
+    matrix = np.zeros((longest + 1, longest + 1))
+    for age in range(longest + 1):
+        matrix[age, min(age + 1, longest)] += worse
+        matrix[age, 0] += 1.0 - worse
+    return {"kind": "markov", "matrix": matrix.tolist()}
+
+
+@cache
+def controllers(plant: str, period_s: float, outputs: int) -> dict[str, Any]:
+    """Return the controller tables of the shipped experiments over such a plant at such a period, by the names of these."""
+    found = dict[str, Any]()
+    for name, path in shipped().items():
+        if tomllib.loads(path.read_text(encoding="utf-8"))["plant"]["kind"] != plant:
+            continue
+        try:
+            other = load_experiment(name)
+        except HilError:  # what it needs is not installed
+            continue
+        if float(other.period) == period_s and len(other.plant.outputs) == outputs:
+            found[name] = other.resolved()["controller"]
+    return found
+
+
+def _wall(loop: Loop) -> dict[str, Any] | None:
+    """Return what the page draws of a virtual wall."""
+    if not isinstance(loop.controller, WallController):
+        return None
+    wall = loop.experiment.resolved()["controller"].get("wall", {})
+    return dict(wall) if isinstance(wall, dict) else None

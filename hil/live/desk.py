@@ -1,0 +1,180 @@
+"""What the page may do: each wish is checked, certified beside the run, shown, and armed for a slot. No run waits for it."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import msgspec
+
+from hil.compose.changed import SCHEDULES, changed
+from hil.errors import HilError
+from hil.live.composer import Composer
+from hil.live.side import Side
+from hil.runtime.changes import END, Change
+
+COMPUTED: Final = ("check", "apply", "restart", "end")
+"""What is done in its turn, beside the run."""
+WAITING: Final = 64
+"""Wishes that wait at most; more are refused."""
+LEAD_S: Final = 0.02
+CERTIFIED_LEAD_S: Final = 0.3
+"""How far ahead of the run a change is armed, by the clock on the wall; twice as far each time that its slot has begun before."""
+SPEEDS: Final = (1e-3, 1e3)
+WATCHES: Final = "in real time, and of a log, the page only watches; hil live EXPERIMENT in virtual time takes changes"
+
+
+class Wish(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a page asks for.
+
+    Args:
+        do: what.
+        path, value: of the change, to be checked, or applied.
+        sides: numbers of the runs that it is for; all by default.
+        speed: session time per time.
+        seed: of the run that begins anew.
+        slots: how many, for a step.
+    """
+
+    do: str
+    path: str = ""
+    value: Any = None
+    sides: tuple[int, ...] = ()
+    speed: float = 1.0
+    seed: int | None = None
+    slots: int = 1
+
+
+@dataclass(slots=True)
+class Draft:
+    """The change that the page shows: what it would make of each run."""
+
+    number: int = 0
+    path: str = ""
+    state: str = "none"  # none, computing, ready, refused, armed
+    told: str = ""
+    claims: list[dict[str, Any]] = field(default_factory=list)
+
+
+class Desk:
+    """Takes wishes for one run, or for several side by side.
+
+    Args:
+        sides: the runs.
+    """
+
+    def __init__(self, sides: Sequence[Side]) -> None:
+        self.sides = tuple(sides)
+        self.draft = Draft()
+        self.refused = 0
+        self.seed: int | None = None  # of the run that is asked for next
+        self.again = threading.Event()
+        self._composer = Composer()
+        self._wishes: queue.Queue[Wish | None] = queue.Queue(WAITING)
+        self._worker = threading.Thread(target=self._work, name="changes", daemon=True)
+        self._worker.start()
+
+    def close(self) -> None:
+        """End the process beside the run."""
+        self._composer.close()
+        try:
+            self._wishes.put_nowait(None)
+        except queue.Full:  # it ends with the process
+            pass
+
+    def take(self, wish: Wish) -> None:
+        """Do what is asked, or put it on the list of what is computed first.
+
+        Raises:
+            HilError: it cannot be done; with what helps.
+        """
+        quick: dict[str, Callable[[Wish], None]] = {
+            "hold": lambda wish: self._pace(held=True), "go": lambda wish: self._pace(held=False), "step": self._step,
+            "speed": self._speed,
+        }  # fmt: skip
+        if wish.do not in (*quick, *COMPUTED):
+            raise HilError(f"do: {wish.do!r:.40}, expected one of {', '.join((*quick, *COMPUTED))}")
+        if not all(side.acts for side in self.sides):
+            raise HilError(f"{wish.do}: {WATCHES}")
+        if any(not 0 <= i < len(self.sides) for i in wish.sides):
+            raise HilError(f"sides: {list(wish.sides)}, expected numbers from 0 to {len(self.sides) - 1}")
+        if wish.do in quick:
+            quick[wish.do](wish)
+            return
+        if wish.do in ("check", "apply") and wish.path == END:
+            raise HilError(f"path: {END!r} is no field; the wish to end a run is its own")
+        if wish.do == "restart" and not (wish.seed is None or 0 <= wish.seed < 2**63):
+            raise HilError(f"seed: {wish.seed}, expected a whole number from 0 on")
+        try:
+            self._wishes.put_nowait(wish)
+        except queue.Full:
+            raise HilError(f"{wish.do}: {WAITING} changes wait to be computed; this one is not taken") from None
+
+    def _pace(self, held: bool) -> None:
+        for side in self.sides:
+            if side.clock is not None:
+                side.clock.set(held=held)
+
+    def _step(self, wish: Wish) -> None:
+        if not 1 <= wish.slots <= 1000:
+            raise HilError(f"slots: {wish.slots}, expected 1 to 1000")
+        for side in self.sides:
+            if side.clock is not None:
+                side.clock.step(wish.slots)
+
+    def _speed(self, wish: Wish) -> None:
+        if not SPEEDS[0] <= wish.speed <= SPEEDS[1]:
+            raise HilError(f"speed: {wish.speed:g}, expected {SPEEDS[0]:g} to {SPEEDS[1]:g}")
+        for side in self.sides:
+            if side.clock is not None:
+                side.clock.set(speed=wish.speed)
+
+    def _work(self) -> None:
+        while (wish := self._wishes.get()) is not None:
+            sides = [self.sides[i] for i in wish.sides] or list(self.sides)
+            self.draft = Draft(self.draft.number + 1, wish.path, "computing")
+            try:
+                if wish.do == "check":
+                    claims = [self._claim(side, wish) for side in sides]
+                    self.draft = Draft(self.draft.number, wish.path, "ready", "", claims)
+                elif wish.do == "apply":
+                    slots = [self._arm(side, wish.path, wish.value) for side in sides]
+                    told = f"acts from slot {' and '.join(map(str, dict.fromkeys(slots)))}"
+                    self.draft = Draft(self.draft.number, wish.path, "armed", told, [side.claim() for side in sides])
+                else:
+                    self.draft = Draft(self.draft.number)
+                    if wish.do == "restart":
+                        self.seed = wish.seed
+                        self.again.set()
+                    for side in self.sides:
+                        side.stop()
+            except HilError as error:
+                self.refused += 1
+                self.draft = Draft(self.draft.number, wish.path, "refused", str(error)[:1000])
+
+    def _claim(self, side: Side, wish: Wish) -> dict[str, Any]:
+        if side.loop is None:
+            raise HilError("the run has not begun")
+        after = self._composer.changed(side.loop, side.next_slot(), wish.path, wish.value)
+        verdict = after.verdict
+        none = {"state": "none", "kind": "", "reason": "no certificate", "number": None, "quantity": "", "limit": None}
+        return {"run": side.name} | (none if verdict is None else {key: verdict.to_json()[key] for key in none})
+
+    def _arm(self, side: Side, path: str, value: Any) -> int:
+        """Arm a change for a slot that the run has not reached when it is composed; return the slot."""
+        loop, clock = side.loop, side.clock
+        if loop is None or clock is None or side.status != "running":
+            raise HilError(f"{path}: the run has ended; begin anew")
+        lead_s = LEAD_S if path in SCHEDULES else CERTIFIED_LEAD_S
+        while side.status == "running":
+            ahead = 0 if clock.held else round(lead_s * clock.speed / side.period_s)
+            k = side.next_slot() + ahead
+            compose = changed if path in SCHEDULES else self._composer.changed
+            after = compose(loop, k, path, value)
+            if side.arm(k, Change(path=path, value=value, loop=after)):
+                return k
+            lead_s *= 2
+        raise HilError(f"{path}: the run has ended before it could act; begin anew")

@@ -1,0 +1,101 @@
+"""What the scopes show of a time window: the smallest and the largest value of each column, so that no spike is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.live.tail import Records
+from hil.log.records import Schema
+from hil.log.topics import panels
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trace:
+    """One curve of a scope.
+
+    Args:
+        panel: title of the scope.
+        topic, field: where its values stand.
+        unit: of its values.
+    """
+
+    panel: str
+    topic: str
+    field: str
+    unit: str
+
+    def to_json(self) -> dict[str, str]:
+        """What the page is told of it."""
+        return {"panel": self.panel, "topic": self.topic, "field": self.field, "unit": self.unit}
+
+
+def traces_of(schemas: Mapping[str, Schema]) -> tuple[Trace, ...]:
+    """Return the curves of a session's scopes, from its registry of topics, scope by scope."""
+    units = {(topic, f.name): f.unit for topic, schema in schemas.items() for f in schema.fields}
+    return tuple(
+        Trace(panel=panel, topic=topic, field=curve.field, unit=units[topic, curve.field])
+        for panel, curves in panels(schemas).items()
+        for topic, curve in curves
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Window:
+    """Slots [first, end) in columns of so many slots.
+
+    Args:
+        first: slot of the first column's beginning, a multiple of `slots`, so that columns do not flicker as time goes on.
+        columns: their number.
+        slots: of one column.
+    """
+
+    first: int
+    columns: int
+    slots: int
+
+    @classmethod
+    def over(cls, first: int, end: int, most: int) -> Window:
+        """Return the window over some slots in as many columns as are asked for, or fewer.
+
+        >>> Window.over(7, 27, 10)
+        Window(first=6, columns=11, slots=2)
+        """
+        slots = max(-(-(end - first) // max(most, 1)), 1)
+        begin = first - first % slots
+        return cls(first=begin, columns=max(-(-(end - begin) // slots), 1), slots=slots)
+
+
+def thinned(records: Records, field: str, window: Window) -> tuple[Array, Array]:
+    """Return the smallest and the largest value of a field in every column, (columns,) each; NaN where there is none.
+
+    Args:
+        records: of a topic, in the order of slots, with the field ``tick``.
+        field: of numbers.
+        window: the columns.
+    """
+    low, high = np.full(window.columns, np.nan), np.full(window.columns, np.nan)
+    edges = np.arange(window.columns + 1, dtype=np.int64) * window.slots + window.first
+    places = np.searchsorted(records["tick"], edges)
+    there = np.flatnonzero(places[1:] > places[:-1])
+    if len(there):
+        values = np.asarray(records[field][places[0] : places[-1]], dtype=float)
+        starts = places[:-1][there] - places[0]
+        low[there], high[there] = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+    return low, high
+
+
+def picture(records: Mapping[str, Records], traces: Sequence[Trace], window: Window) -> bytes:
+    """Return the lows and highs of every trace, one behind the other, as float32 of little endian."""
+    none: Any = np.full(window.columns, np.nan)
+    rows: list[Array] = []
+    for trace in traces:
+        found = records.get(trace.topic)
+        rows += [none, none] if found is None or not len(found) else thinned(found, trace.field, window)
+    return np.array(rows, dtype="<f4").tobytes() if rows else b""

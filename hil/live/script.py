@@ -1,0 +1,87 @@
+"""What was done on the page, as a file: one change a line, slot, field and value; it runs again without the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from hil.compose.loop import Loop
+from hil.errors import HilError
+from hil.files.regular import read_regular
+from hil.log.records import Channel
+from hil.log.write.sinks import PayloadWriter
+from hil.replay.recorded_changes import Asked, changes_of, composed
+from hil.runtime.changes import Change
+
+MOST_BYTES: Final = 20_000_000
+
+
+class Line(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A change, as a line of JSON."""
+
+    slot: int
+    field: str
+    value: Any = None
+
+
+def read_script(path: Path) -> list[Asked]:
+    """Return the changes of a script, or of the log of a run that was changed.
+
+    Raises:
+        HilError: a line is no change, with its number, or the slots are out of order.
+    """
+    if path.suffix == ".mcap":
+        from hil.log.read.run import read_run
+
+        return changes_of(read_run(path))
+    found: list[Asked] = []
+    text = read_regular(path, MOST_BYTES, "a script of changes")
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            said = msgspec.json.decode(line, type=Line)
+        except (msgspec.DecodeError, RecursionError) as error:
+            form = '{"slot": 40, "field": "reference", "value": [1.0]}'
+            raise HilError(f"{path}: line {number}: {error}; expected {form}") from None
+        if said.slot < (found[-1][0] if found else 0):
+            raise HilError(f"{path}: line {number}: slot {said.slot} comes behind slot {found[-1][0] if found else 0}")
+        found.append((said.slot, said.field, said.value))
+    return found
+
+
+def script_of(asked: Sequence[Asked]) -> bytes:
+    """Return the text of a script."""
+    return b"".join(msgspec.json.encode(Line(slot=k, field=path, value=value)) + b"\n" for k, path, value in asked)
+
+
+class Scripted:
+    """Looks at nothing, and changes a run as a script says; see `hil.session.Onlooker`.
+
+    Args:
+        asked: the changes, in the order of slots.
+    """
+
+    clock = None
+
+    def __init__(self, asked: Sequence[Asked]) -> None:
+        self._asked = asked
+        self._to_come: list[tuple[int, Change]] = []
+
+    def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
+        """Compose every change: one that does not fit is said before anything runs."""
+        self._to_come = list(composed(loop, self._asked))[::-1]
+        return {}
+
+    def changes(self, k: int) -> Sequence[Change]:
+        """Return the changes of a slot."""
+        found = []
+        while self._to_come and self._to_come[-1][0] <= k:
+            found.append(self._to_come.pop()[1])
+        return found
+
+    def end(self) -> None:
+        """Nothing waits."""

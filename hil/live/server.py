@@ -1,0 +1,246 @@
+"""The page's server: loopback only, one process, nothing kept of a browser. A browser asks for each picture that it draws.
+
+A browser that stalls asks for nothing, so that nothing waits for it. Whoever looks needs no token; every change does.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import struct
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
+from functools import cached_property
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any, Final
+from urllib.parse import parse_qs, urlsplit
+
+import msgspec
+
+from hil.errors import HilError
+from hil.live.desk import Desk, Wish
+from hil.live.scopes import Window, picture
+from hil.live.script import script_of
+from hil.log.events import plain
+
+HOST: Final = "127.0.0.1"
+MOST_BYTES: Final = 64_000
+"""Of a wish: a matrix of some thousand numbers."""
+MOST_COLUMNS: Final = 4000
+MOST_CONNECTIONS: Final = 32
+TIMEOUT_S: Final = 10.0
+"""A connection on which nothing moves for so long is closed."""
+POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; base-uri 'none'; \
+form-action 'none'; frame-ancestors 'none'"
+ASSETS: Final = {
+    "/": ("hil.live", "live.html", "text/html"),
+    "/live.css": ("hil.live", "live.css", "text/css"),
+    "/live.js": ("hil.live", "live.js", "text/javascript"),
+    "/scopes.js": ("hil.live", "scopes.js", "text/javascript"),
+    "/devices.js": ("hil.live", "devices.js", "text/javascript"),
+    "/act.js": ("hil.live", "act.js", "text/javascript"),
+    "/page.css": ("hil.pages.html", "page.css", "text/css"),
+    "/uPlot.css": ("hil.pages.html", "uPlot.min.css", "text/css"),
+    "/uPlot.js": ("hil.pages.html", "uPlot.iife.min.js", "text/javascript"),
+}
+"""Path to package, file below its folder `assets`, and kind."""
+
+
+class LivePage(ThreadingHTTPServer):
+    """Serves the page of a desk until it is closed.
+
+    Args:
+        desk: what is watched and changed.
+        about: what stays the same: names, fields, presets.
+        port: 0 for any that is free.
+
+    Raises:
+        HilError: the port is taken.
+    """
+
+    daemon_threads = True
+    block_on_close = False  # a browser that keeps its connection open keeps nothing else open
+    allow_reuse_address = True
+
+    def __init__(self, desk: Desk, about: Callable[[], dict[str, Any]], port: int = 0) -> None:
+        self.desk, self.about = desk, about
+        self.token = secrets.token_urlsafe(18)
+        self.refused = 0
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        try:
+            super().__init__((HOST, port), Handler)
+        except OSError as error:
+            raise HilError(f"--port {port}: {error.strerror}; --port 0 takes a free one") from error
+        self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.1}, name="live page", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the page, with the token for changes."""
+        return f"http://{HOST}:{self.server_port}/?token={self.token}"
+
+    @cached_property
+    def hosts(self) -> tuple[str, ...]:
+        """Names by which the page may be asked for: no other site's name leads here."""
+        return tuple(f"{name}:{self.server_port}" for name in (HOST, "localhost"))
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection in a thread of its own, or close it where there are too many."""
+        if not self._free.acquire(blocking=False):
+            self.refused += 1
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection to its end."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that went away is no news."""
+
+    def close(self) -> None:
+        """Serve nothing more."""
+        self.shutdown()
+        self.server_close()
+        self._thread.join()
+
+    def __enter__(self) -> LivePage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Refused(Exception):
+    """A request that is not answered as it wishes."""
+
+    def __init__(self, status: HTTPStatus, told: str) -> None:
+        super().__init__(told)
+        self.status = status
+
+
+class Handler(BaseHTTPRequestHandler):
+    """One connection of a browser."""
+
+    server: LivePage
+    protocol_version = "HTTP/1.1"
+    server_version = "hil"
+    sys_version = ""
+    timeout = TIMEOUT_S
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """The terminal is the run's."""
+
+    def do_GET(self) -> None:
+        """Answer with the page, or with what it shows."""
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Take a wish."""
+        self._answer(self._post)
+
+    def _answer(self, found: Callable[[], tuple[str, bytes]]) -> None:
+        try:
+            self._check()
+            kind, data = found()
+            status = HTTPStatus.OK
+        except Refused as error:
+            self.server.refused += 1
+            self.close_connection = True  # what it still sends is not read
+            status, kind, data = error.status, "application/json", json.dumps({"error": str(error)}).encode()
+        if kind.startswith("text/"):
+            kind += "; charset=utf-8"
+        with suppress(OSError):
+            self.send_response(status)
+            for name, value in (
+                ("Content-Type", kind), ("Content-Length", str(len(data))),
+                ("Content-Security-Policy", POLICY), ("X-Content-Type-Options", "nosniff"), ("Referrer-Policy", "no-referrer"),
+                ("Cross-Origin-Resource-Policy", "same-origin"), ("Cache-Control", "no-store"),
+            ):  # fmt: skip
+                self.send_header(name, value)
+            if self.close_connection:
+                self.send_header("Connection", "close")
+            self.end_headers()
+            self.wfile.write(data)
+
+    def _check(self) -> None:
+        """Refuse a page of another site: by the name it asked for, and by where it comes from."""
+        if self.headers.get("Host", "") not in self.server.hosts:
+            raise Refused(HTTPStatus.MISDIRECTED_REQUEST, f"Host: ask for http://{HOST}:{self.server.server_port}/")
+        origin = self.headers.get("Origin")
+        if origin is not None and origin not in [f"http://{host}" for host in self.server.hosts]:
+            raise Refused(HTTPStatus.FORBIDDEN, "Origin: a page of another site gets nothing here")
+
+    def _get(self) -> tuple[str, bytes]:
+        url = urlsplit(self.path)
+        if url.path in ASSETS:
+            package, name, kind = ASSETS[url.path]
+            return kind, files(package).joinpath("assets", name).read_bytes()
+        asked = {name: values[-1] for name, values in parse_qs(url.query).items()}
+        if url.path == "/about":
+            return "application/json", _json(self.server.about() | {"acts": self._may_act()})
+        if url.path == "/script":
+            return "text/plain", script_of(self._side(asked).done)
+        if url.path == "/view":
+            return "application/octet-stream", self._view(asked)
+        raise Refused(HTTPStatus.NOT_FOUND, f"{url.path[:80]}: there is no such page")
+
+    def _side(self, asked: dict[str, str]) -> Any:
+        number, sides = _whole(asked, "side", 0), self.server.desk.sides
+        if not 0 <= number < len(sides):
+            raise Refused(HTTPStatus.BAD_REQUEST, f"side: {number}, expected 0 to {len(sides) - 1}")
+        return sides[number]
+
+    def _view(self, asked: dict[str, str]) -> bytes:
+        """Return a header of JSON behind its length, and the lows and highs of every trace in the window."""
+        side, desk = self._side(asked), self.server.desk
+        now = side.now(_whole(asked, "since", 0), "words" in asked)
+        first, end = _whole(asked, "first", now["first"]), _whole(asked, "end", now["slots"])
+        window = Window.over(max(first, 0), max(end, first + 1, 1), min(max(_whole(asked, "columns", 600), 1), MOST_COLUMNS))
+        draft = desk.draft
+        now |= {
+            "window": [window.first, window.columns, window.slots], "refused": self.server.refused + desk.refused,
+            "draft": asdict(draft),
+        }  # fmt: skip
+        head = _json(now)
+        head += b" " * (-len(head) % 4)  # the numbers behind it stand at a multiple of 4
+        return struct.pack("<I", len(head)) + head + picture(side.records(), side.traces, window)
+
+    def _may_act(self) -> bool:
+        return hmac.compare_digest(self.headers.get("X-Hil-Token", "").encode(), self.server.token.encode())
+
+    def _post(self) -> tuple[str, bytes]:
+        if self.path != "/do":
+            raise Refused(HTTPStatus.NOT_FOUND, f"{self.path[:80]}: wishes go to /do")
+        if not self._may_act():
+            raise Refused(HTTPStatus.FORBIDDEN, "X-Hil-Token: missing or wrong, so this browser only watches; open the whole URL")
+        length = self.headers.get("Content-Length", "")
+        if not length.isdigit() or len(length) > 9 or int(length) > MOST_BYTES:
+            raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a wish has {MOST_BYTES} bytes at most, and says how many")
+        try:
+            self.server.desk.take(msgspec.json.decode(self.rfile.read(int(length)), type=Wish))
+        except (HilError, msgspec.DecodeError, RecursionError) as error:
+            raise Refused(HTTPStatus.BAD_REQUEST, str(error)[:1000]) from error
+        return "application/json", b"{}"
+
+
+def _whole(asked: dict[str, str], name: str, default: int) -> int:
+    text = asked.get(name, "")
+    if not text:
+        return default
+    if not text.removeprefix("-").isdecimal() or len(text) > 15:
+        raise Refused(HTTPStatus.BAD_REQUEST, f"{name}: {text[:40]!r}, expected a whole number")
+    return int(text)
+
+
+def _json(value: object) -> bytes:
+    return json.dumps(plain(value)).encode()

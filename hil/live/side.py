@@ -1,0 +1,208 @@
+"""One run that is watched: its newest records, its events, and the changes that wait for their slot."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from itertools import count
+from typing import Any, Final
+
+import numpy as np
+
+from hil.compose.loop import Loop
+from hil.live.scopes import Trace, traces_of
+from hil.live.tail import Records, Tail
+from hil.log.events import decode_event
+from hil.log.records import EVENTS_TOPIC, Channel, Schema
+from hil.log.run import Run
+from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING
+from hil.log.write.sinks import PayloadWriter
+from hil.replay.recorded_changes import Asked
+from hil.runtime.changes import CHANGE, END, Change, Changes
+from hil.runtime.time.clock import PacedClock
+from transport.draws import REASONS
+
+EVENTS: Final = 300
+"""Events that the page shows at most."""
+LATENESS: Final = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 1e9)
+"""Edges of the histogram of lateness, us."""
+QUIET: Final = ("repeated", "sent", "delivered")
+"""Fates of packets that are no news."""
+
+
+class Side:
+    """Watches one run; see `hil.session.Onlooker`.
+
+    Args:
+        clock: paces the run in virtual time; None in real time.
+        acts: whether its experiment may be changed while it runs.
+    """
+
+    def __init__(self, clock: PacedClock | None = None, acts: bool = False) -> None:
+        self.clock, self.acts = clock, acts
+        self._turn = threading.Lock()
+        self.forget()
+
+    def forget(self, clock: PacedClock | None = None) -> None:
+        """Be ready for another run.
+
+        Args:
+            clock: of that run.
+        """
+        self.clock = clock or self.clock
+        self.first: Loop | None = None
+        self.loop: Loop | None = None  # with every change that is armed
+        self.status = "waiting"
+        self.name = ""
+        self.period_s = 1.0
+        self.traces: tuple[Trace, ...] = ()
+        self.done: list[Asked] = []
+        self._certificate: dict[str, Any] | None = None  # of a log
+        self._records: Callable[[], Mapping[str, Records]] = dict
+        self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=EVENTS)
+        self._numbers = count()
+        self._armed: deque[tuple[int, Change]] = deque()
+        self._asked = -1  # the newest slot whose changes were asked for
+
+    def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
+        """Watch a run from its beginning."""
+        timed = self.clock is None  # in virtual time nothing is late
+        schemas = {t: channel.schema for t, channel in channels.items() if not channel.schema.raw and (timed or t != TIMING.name)}
+        tails = {topic: Tail(schema) for topic, schema in schemas.items()}
+        self._records = lambda: {topic: tail.records() for topic, tail in tails.items()}
+        self._take(loop, schemas)
+        self.status = "running"
+        return {**{topic: tail.put for topic, tail in tails.items()}, EVENTS_TOPIC: self._event}
+
+    def show(self, run: Run, loop: Loop) -> None:
+        """Watch the run of a log: it is there from its beginning to its end."""
+        schemas = {topic: schema for topic, schema in run.schemas.items() if not schema.raw}
+        arrays = {topic: run.numbers(topic) for topic in schemas if topic in run.arrays}
+        self._records = lambda: arrays
+        self._take(loop, schemas)
+        self._certificate = run.certificate or None
+        for event in run.events:
+            self._note(event)
+        self.status = "log"
+
+    def _take(self, loop: Loop, schemas: Mapping[str, Schema]) -> None:
+        e = loop.experiment
+        self.first = self.loop = loop
+        self.name, self.period_s = e.name, float(e.period)
+        self.traces = traces_of(schemas)
+
+    def _event(self, t_ns: int, payload: bytes) -> None:
+        self._note(decode_event(payload))
+
+    def _note(self, event: dict[str, Any]) -> None:
+        if event["kind"] == CHANGE:
+            self.done.append((event["tick"], event["data"]["path"], event["data"]["value"]))
+        self._events.append((next(self._numbers), event))
+
+    def arm(self, k: int, change: Change) -> bool:
+        """Let a change act from slot k on; return False where that slot has begun already."""
+        with self._turn:
+            if k <= self._asked:
+                return False
+            self._armed.append((k, change))
+            if change.loop is not None:
+                self.loop = change.loop
+            return True
+
+    @property
+    def changes(self) -> Changes | None:
+        """What is asked for the changes of a slot; None where the run takes none."""
+        return self._due if self.acts else None
+
+    def _due(self, k: int) -> Sequence[Change]:
+        """Return the changes that act from slot k on."""
+        with self._turn:
+            self._asked = k
+            found = []
+            while self._armed and self._armed[0][0] <= k:
+                found.append(self._armed.popleft()[1])
+            return found
+
+    def next_slot(self) -> int:
+        """Return the first slot for which a change can be armed: behind those that are armed already."""
+        with self._turn:
+            return max(self._asked + 1, self._armed[-1][0] if self._armed else 0)
+
+    def end(self) -> None:
+        """Wait for nothing more."""
+        if self.clock is not None:
+            self.clock.end()
+
+    def stop(self) -> None:
+        """End the run before its next slot; a signal handler may call it."""
+        self.end()
+        while self.status == "running" and not self.arm(self.next_slot(), Change(path=END, value=None, loop=None)):
+            pass
+
+    def records(self) -> Mapping[str, Records]:
+        """Return the newest records by topic."""
+        return self._records()
+
+    def span(self) -> tuple[int, int]:
+        """Return the first slot that is kept, and the number of slots so far."""
+        measured = self.records().get(MEASUREMENT.name)
+        if measured is None or not len(measured):
+            return 0, 0
+        return int(measured["tick"][0]), int(measured["tick"][-1]) + 1
+
+    def now(self, since: int, words: bool) -> dict[str, Any]:
+        """Return what the page shows beside the scopes.
+
+        Args:
+            since: number of the first event that the page has not.
+            words: with what changes slowly: certificate, counters, histogram.
+        """
+        first, end = self.span()
+        clock = self.clock
+        held = clock is not None and clock.held and self.status == "running"
+        found: dict[str, Any] = {
+            "status": "held" if held else self.status, "first": first, "slots": end, "period": self.period_s,
+            "events": [{"number": number, **event} for number, event in list(self._events) if number >= since],
+            "device": self._device(end),
+        }  # fmt: skip
+        if words:
+            found |= {"speed": None if clock is None else clock.speed, "certificate": self.claim(), "changes": len(self.done)}
+            found |= self._counted()
+        return found
+
+    def claim(self) -> dict[str, Any]:
+        """Return the certificate of the loop that runs, as JSON."""
+        if self._certificate is not None:
+            return self._certificate
+        verdict = None if self.loop is None else self.loop.verdict
+        return {"state": "none", "kind": "", "reason": "no certificate"} if verdict is None else {
+            "state": verdict.state, "kind": verdict.kind, "reason": verdict.reason, "number": verdict.number,
+            "quantity": verdict.quantity, "limit": verdict.limit, "assumptions": list(verdict.assumptions),
+        }  # fmt: skip
+
+    def _device(self, end: int) -> dict[str, float]:
+        """Return the newest states, for the picture of the device."""
+        states = self.records().get(STATE.name)
+        if states is None or not len(states):
+            return {}
+        return {name: float(states[name][-1]) for name in states.dtype.names or () if name != "tick"}
+
+    def _counted(self) -> dict[str, Any]:
+        records = self.records()
+        fates: dict[str, dict[str, int]] = {}
+        for topic in (SC.name, CA.name):
+            if topic in records and len(records[topic]):
+                counts = np.bincount(records[topic]["reason"], minlength=len(REASONS))
+                fates[topic] = {name: int(n) for name, n in zip(REASONS, counts) if n and name not in QUIET}
+        timing = records.get(TIMING.name)
+        if timing is None or not len(timing) or self.loop is None:
+            return {"fates": fates, "timing": None}
+        lateness = timing["lateness_us"]
+        e = self.loop.experiment
+        return {"fates": fates, "timing": {
+            "counts": np.histogram(lateness, LATENESS)[0].tolist(), "edges": LATENESS[:-1],
+            "deadline": e.timing.deadline * self.period_s * 1e6, "worst": float(lateness.max()),
+            "work": float(np.median(timing["work_us"])), "late": int(timing["late"].sum()),
+            "overrun": int(timing["overrun"].sum()),
+        }}  # fmt: skip

@@ -1,0 +1,163 @@
+"""Runs that are watched: one, or two side by side, begun anew as often as the page asks for it; or a log."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.compose.loop import compose
+from hil.errors import HilError
+from hil.experiment import Experiment
+from hil.live.about import about
+from hil.live.desk import Desk
+from hil.live.server import LivePage
+from hil.live.side import Side
+from hil.replay.replay import experiment_of
+from hil.runtime.real.stop_signals import StopSignals
+from hil.runtime.time.clock import PacedClock, pause
+from hil.session import ClockName, Session, run_session
+
+LOOK_S = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """What is to be watched.
+
+    Args:
+        load: makes the experiment with a seed, None for its own.
+        path: returns the log to write for an experiment, reserved.
+        clock: ``virtual`` or ``real``.
+        link: URI of the link in real time, None for the experiment's own.
+        speed: session time per time, in virtual time.
+        held: whether virtual time waits before slot 0.
+        acts: whether the page may change it: in virtual time.
+    """
+
+    load: Callable[[int | None], Experiment]
+    path: Callable[[Experiment], Path]
+    clock: ClockName = "virtual"
+    link: str | None = None
+    speed: float = 1.0
+    held: bool = False
+    acts: bool = True
+
+    def pacer(self) -> PacedClock | None:
+        """Return a clock for a run; None in real time."""
+        return None if self.clock == "real" else PacedClock(self.speed, self.held)
+
+
+def watch(
+    asked: Sequence[Asked], *, port: int = 0, stay: bool = True, opened: Callable[[str], None] = lambda url: None,
+    finished: Callable[[Session], None] = lambda session: None,
+) -> int:  # fmt: skip
+    """Run experiments with a page on them; return the exit status of the last runs.
+
+    Args:
+        asked: one experiment, or two beside each other in virtual time.
+        port: of the page; 0 for any that is free.
+        stay: whether the page stays when the runs have ended, until a signal comes.
+        opened: told the page's URL.
+        finished: told of every run that has ended.
+
+    Raises:
+        HilError: an experiment cannot be composed, or the port is taken.
+    """
+    sides = [Side(each.pacer(), each.acts and each.clock == "virtual") for each in asked]
+    where = {"virtual": "virtual time", "real": "real time"}[asked[0].clock]
+    desk = Desk(sides)
+    seed: int | None = None
+    with ExitStack() as stack:
+        stack.callback(desk.close)
+        page = stack.enter_context(LivePage(desk, lambda: about(sides, where), port))
+        opened(page.url)
+        while True:
+            desk.again.clear()
+            sessions = _run(asked, sides, seed)
+            for session in sessions:
+                finished(session)
+            status = max(session.status for session in sessions)
+            if not desk.again.is_set() and (not stay or status > 128 or not _stays(desk)):
+                return status
+            seed = desk.seed
+            for side, each in zip(sides, asked):
+                side.forget(each.pacer())
+
+
+def _run(asked: Sequence[Asked], sides: Sequence[Side], seed: int | None) -> list[Session]:
+    """Run every experiment to its end: one here, where signals come; more in threads of their own."""
+
+    def run(each: Asked, side: Side) -> Session:
+        experiment = each.load(seed)
+        try:
+            return run_session(experiment, clock=each.clock, link=each.link, path=each.path(experiment), onlooker=side)
+        finally:
+            side.status = "ended"
+
+    if len(asked) == 1:
+        return [run(asked[0], sides[0])]
+    found: dict[int, Session] = {}
+    errors: list[BaseException] = []
+
+    def of(i: int) -> None:
+        try:
+            found[i] = run(asked[i], sides[i])
+        except BaseException as error:
+            errors.append(error)
+            for side in sides:
+                side.stop()
+
+    def stop(number: int) -> None:
+        for side in sides:
+            side.stop()
+
+    threads = [threading.Thread(target=of, args=(i,), name=f"run {i}") for i in range(len(asked))]
+    with StopSignals(stop) as signals:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    if errors:
+        raise errors[0]
+    if signals.seen is not None:
+        raise SystemExit(128 + signals.seen)
+    return [found[i] for i in sorted(found)]
+
+
+def _stays(desk: Desk) -> bool:
+    """Wait until the page asks for another run; return False where a signal ends the wait."""
+    with StopSignals() as signals:
+        while signals.seen is None and not desk.again.is_set():
+            pause(LOOK_S)
+    return desk.again.is_set()
+
+
+def show_log(
+    run: Any, source: str, *, port: int = 0, folder: str | None = None, opened: Callable[[str], None] = lambda url: None
+) -> None:  # fmt: skip
+    """Show a log on a page, until a signal comes.
+
+    Args:
+        run: the log.
+        source: its name, for messages.
+        port: of the page; 0 for any that is free.
+        folder: where own modules stand: they are run.
+        opened: told the page's URL.
+
+    Raises:
+        HilError: the log says not what ran, or the port is taken.
+    """
+    side = Side()
+    side.show(run, compose(experiment_of(run, source, folder=folder), certify=False))
+    if not side.span()[1]:
+        raise HilError(f"{source}: the log holds no slots to show")
+    desk = Desk([side])
+    with ExitStack() as stack:
+        stack.callback(desk.close)
+        page = stack.enter_context(LivePage(desk, lambda: about([side], source), port))
+        opened(page.url)
+        _stays(desk)

@@ -1,0 +1,54 @@
+"""Changes of a run in virtual time: which come when, and how a rig, its controller and its log take one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from hil.compose.loop import Loop
+from hil.log.write.sinks import Sink
+from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.rig import Rig
+
+CHANGE: Final = "change"
+"""Kind of the event that logs a change; its data make the change again."""
+
+
+END: Final = "end"
+"""Path of the change that ends a run."""
+END_TOLD: Final = "the run was ended"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A change, and the loop that runs from it on.
+
+    Args:
+        path: of the field, see `hil.compose.changed.changed`.
+        value: as the file's parser would give it.
+        loop: with its certificate; None: the run ends before the slot.
+    """
+
+    path: str
+    value: Any
+    loop: Loop | None
+
+
+Changes = Callable[[int], Sequence[Change]]
+"""Asked at the beginning of every slot, by its number, for the changes that act from it on."""
+
+
+def take(change: Change, rig: Rig, node: ControlNode) -> None:
+    """Let a rig and its controller go on with a change, between two slots."""
+    if change.loop is not None:
+        rig.change(change.loop, network=change.path.startswith("network."))
+        node.change(change.loop, anew=change.path.startswith("controller"))
+
+
+def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:
+    """Log a change, with what is claimed of the loop that it makes."""
+    verdict = None if change.loop is None else change.loop.verdict
+    claimed = {} if verdict is None else {"kind": verdict.kind, "state": verdict.state, "reason": verdict.reason}
+    told = END_TOLD if change.loop is None else f"{change.path} changed, certificate: {claimed.get('state', 'none')}"
+    sink.event(t_ns, CHANGE, told, tick=k, path=change.path, value=change.value, certificate=claimed)

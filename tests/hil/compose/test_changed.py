@@ -1,0 +1,165 @@
+"""A run that is changed while it goes on: which fields, what is claimed then, and what the network draws afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.compose.changed import changed
+from hil.compose.loop import Loop, compose
+from hil.errors import ExperimentError
+from hil.experiment import load_experiment
+from hil.live.script import Scripted, read_script, script_of
+from hil.log.read.run import read_run
+from hil.log.topics import APPLIED, CA, REFERENCE, SC, channels_of
+from hil.log.write.sinks import MemorySink
+from hil.replay.recorded_changes import Asked, changes_of
+from hil.replay.replay import verify
+from hil.runtime.virtual import run_virtual
+from hil.session import Session, run_session
+
+LATE = {"kind": "markov", "matrix": [[0.1, 0.9], [0.1, 0.9]]}
+LOSSY = {"kind": "packet", "latency": "1 ms", "loss": 0.8}
+EVERYTHING: list[Asked] = [
+    (20, "reference", [1.0]),
+    (30, "network.ca.law", LATE),
+    (40, "network.sc.law", {"kind": "packet", "latency": "30 ms", "loss": 0.3}),
+    (50, "fault", {"kind": "corrupt", "for": 0.5, "link": "sc"}),
+    (60, "disturbance", {"value": [0.2], "samples": 5}),
+    (70, "controller", {"kind": "h2"}),
+    (80, "fault", {"kind": "controller-restart", "for": 0.1}),
+    (90, "network.ca.law.matrix", [[0.9, 0.1], [0.1, 0.9]]),
+    (100, "fault", {"kind": "cut", "for": 0.1, "link": "ca"}),
+]
+
+
+@pytest.fixture(scope="module")
+def motor() -> Loop:
+    return compose(load_experiment("dc-motor-hinf", ["duration=6"]))
+
+
+def run_with(name: str, asked: list[Asked], path: Path, **about: Any) -> Session:
+    return run_session(load_experiment(name, **about), path=path, onlooker=Scripted(asked))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "told"),
+    [
+        ("plant.gain", 3.0, "plant.gain: does not change while it runs"),
+        ("reference", [1.0, 2.0], "reference[0].value: 2 entries, but the plant has 1 outputs"),
+        ("reference", "high", "].value"),
+        ("reference.0", [1.0], "reference.0: does not change while it runs"),
+        ("network.ca.law", {"kind": "markov", "matrix": [[0.5, 0.6], [0.7, 0.3]]}, "network.ca.law"),
+        ("network.ca.law", {"kind": "constant", "age": 4}, "network.ca"),
+        ("network.ca.max_age", 3, "the published gains cover tau <= 2 and d <= 1"),
+        ("network.ca.law.matrix.7", [0.5, 0.5], "has entries 0 to 1"),
+        ("controller", {"kind": "virtual-wall"}, "controller"),
+        ("controller", {"kind": "nobody"}, "controller.kind"),
+        ("fault", {"kind": "cut", "for": 0.1, "link": "ca", "node": "a"}, "both link and node"),
+        ("disturbance", {"value": [0.1]}, "disturbance[1].samples: missing"),
+        ("network.ca.law", {"kind": "markov", "matrix": "much"}, "network.ca.law.matrix"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_path(motor: Loop, path: str, value: Any, told: str) -> None:
+    with pytest.raises(ExperimentError) as refused:
+        changed(motor, 10, path, value)
+    assert told in str(refused.value)
+
+
+def test_what_the_nodes_of_the_run_cannot_take_is_refused() -> None:
+    loop = compose(load_experiment("dc-motor-local-fast"))
+    with pytest.raises(ExperimentError, match=r"network.ca.max_age: longest delay to the actuator: 3, and the run has 1"):
+        changed(loop, 10, "network.ca.max_age", 3)
+
+
+def test_certificate_is_that_of_the_loop_that_would_run(motor: Loop) -> None:
+    """The numbers are those of an experiment that says so from the beginning."""
+    assert motor.verdict is not None and motor.verdict.certified
+    for value, state in ((LATE, "certified"), (LOSSY, "refused")):
+        after = changed(motor, 10, "network.ca.law", value)
+        sets = [f"network.ca.law={_toml(value)}", "network.ca.max_age=1", "allow_uncertified=true"]
+        alone = compose(load_experiment("dc-motor-hinf", sets))
+        assert after.verdict is not None and alone.verdict is not None
+        assert after.verdict.state == alone.verdict.state == state
+        assert after.verdict.number == alone.verdict.number
+
+
+def _toml(value: dict[str, Any]) -> str:
+    return "{" + ", ".join(f"{k} = {v!r}" for k, v in value.items()) + "}"
+
+
+def test_solved_gains_stay_where_the_network_changes() -> None:
+    loop = compose(load_experiment("dc-motor-ours-hinf"))
+    assert changed(loop, 10, "network.ca.law", LATE).controller == loop.controller
+
+
+def test_a_fault_that_is_over_takes_no_certificate_away(motor: Loop) -> None:
+    broken = changed(motor, 10, "fault", {"kind": "cut", "for": 0.1, "link": "sc"})
+    assert broken.verdict is not None and not broken.verdict.certified
+    mended = changed(broken, 20, "network.ca.law", LATE)
+    assert mended.verdict is not None and mended.verdict.certified
+
+
+def test_claim_on_a_run_that_began_without_one_says_what_is_not_compared() -> None:
+    loop = compose(load_experiment("dc-motor-local-fast", ["network.ca.law={kind='constant', age=1}", "allow_uncertified=true"]))
+    assert loop.watched is None
+    after = changed(loop, 5, "network.ca.law", {"kind": "constant", "age": 0})
+    assert after.verdict is not None and after.verdict.certified
+    assert any("not compared" in each for each in after.verdict.assumptions)
+
+
+@pytest.mark.parametrize("law", [LATE, LOSSY], ids=["ages", "packets"])
+def test_a_new_law_draws_as_if_it_had_been_there_from_the_beginning(tmp_path: Path, law: dict[str, Any]) -> None:
+    k = 37
+    patient = ["limits.watchdog_slots=1000", "duration=4"]
+    sets = [*patient, f"network.ca.law={_toml(law)}", "network.ca.max_age=1", "allow_uncertified=true"]
+    experiments = [load_experiment("dc-motor-hinf", each) for each in (patient, sets, patient)]
+    lookers = (Scripted([(k, "network.ca.law", law)]), None, None)
+    run, alone, plain = (
+        run_session(experiment, path=tmp_path / f"{i}.mcap", onlooker=looker).run
+        for i, (experiment, looker) in enumerate(zip(experiments, lookers))
+    )  # fmt: skip
+
+    def of(run: Any, first: int, end: int) -> Any:
+        draws = run.arrays[CA.name]
+        return [draws[name][(draws["tick"] >= first) & (draws["tick"] < end)].tolist() for name in ("tick", "mode", "age")]
+
+    assert of(run, k + 5, 80) == of(alone, k + 5, 80)
+    assert of(run, 0, k) == of(plain, 0, k)
+    assert np.array_equal(run.arrays[SC.name]["age"], plain.arrays[SC.name]["age"]), "the other direction draws what it drew"
+
+
+def test_a_change_acts_from_its_slot_on(tmp_path: Path) -> None:
+    asked: list[Asked] = [(20, "reference", [1.5]), (30, "disturbance", {"value": [0.2], "samples": 3}), (40, "reference", [0.5])]
+    run = run_with("dc-motor-hinf", asked, tmp_path / "a.mcap", duration="4").run
+    r, w = run.arrays[REFERENCE.name]["angle"], run.arrays[APPLIED.name]["w_voltage"]
+    assert r[19] == 3.0 * (19 >= 20) and r[20] == 1.5 == r[39] and r[40] == 0.5 == r[-1]
+    assert np.flatnonzero(w).tolist() == [30, 31, 32]
+
+
+def test_what_was_done_runs_again_to_the_same_log(tmp_path: Path) -> None:
+    """The script of a log, and the log itself, give its SHA-256 again; a replay of it has the same bits."""
+    first = run_with("dc-motor-hinf", [*EVERYTHING, (118, "end", None)], tmp_path / "a.mcap", duration="7")
+    run = read_run(tmp_path / "a.mcap")
+    assert [k for k, *_ in changes_of(run)] == [k for k, *_ in EVERYTHING] + [118]
+    assert first.summary["slots"] == 118
+    file = tmp_path / "script.jsonl"
+    file.write_bytes(script_of(changes_of(run)))
+    for again, source in ((tmp_path / "b.mcap", file), (tmp_path / "c.mcap", tmp_path / "a.mcap")):
+        second = run_with("dc-motor-hinf", read_script(source), again, duration="7")
+        assert second.summary["log"]["sha256"] == first.summary["log"]["sha256"]
+    assert verify(run).likeness == "same bits"
+    run.events[:] = [event for event in run.events if event["data"].get("path") != "reference"]
+    assert verify(run).likeness == "different", "a replay leans on what was changed"
+
+
+def test_a_run_that_may_be_changed_and_is_not_has_the_same_bits(motor: Loop) -> None:
+    sinks = []
+    for changes in (None, lambda k: ()):
+        sink = MemorySink(channels_of(motor))
+        run_virtual(motor, 0, sink, changes=changes)
+        sinks.append(sink.payloads)
+    assert sinks[0] == sinks[1]

@@ -1,0 +1,254 @@
+"""The live page without a browser: what its server gives and refuses, what a desk does, and that no run waits for it."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+
+from hil.experiment import Experiment, load_experiment
+from hil.live.scopes import Window, thinned
+from hil.live.script import Scripted, read_script
+from hil.live.server import MOST_BYTES, MOST_CONNECTIONS
+from hil.live.tail import Tail
+from hil.live.watch import Asked, watch
+from hil.log.records import Field, Schema
+from hil.replay.recorded_changes import changes_of
+from hil.session import Session, run_session
+from tests.waiting import until
+
+
+@dataclass
+class Page:
+    """A run that is watched, and who talks to its server."""
+
+    folder: Path
+    asked: list[Asked]
+    url: str = ""
+    sessions: list[Session] = field(default_factory=list)
+    status: int = -1
+
+    def begin(self) -> None:
+        there = threading.Event()
+
+        def opened(url: str) -> None:
+            self.url = url
+            there.set()
+
+        def run() -> None:
+            self.status = watch(self.asked, stay=False, opened=opened, finished=self.sessions.append)
+
+        self.thread = threading.Thread(target=run)
+        self.thread.start()
+        assert there.wait(60)
+        self.token = parse_qs(urlsplit(self.url).query)["token"][0]
+        self.port = urlsplit(self.url).port
+        until(lambda: bool(self.view()["slots"] or self.view()["status"] == "held"), "the run")
+
+    def request(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, bytes]:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        try:
+            connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
+            answer = connection.getresponse()
+            return answer.status, answer.read()
+        finally:
+            connection.close()
+
+    def wish(self, **said: Any) -> tuple[int, Any]:
+        status, data = self.request("POST", "/do", json.dumps(said).encode(), X_Hil_Token=self.token)
+        return status, json.loads(data)
+
+    def view(self, **asked: Any) -> Any:
+        status, data = self.request("GET", "/view?" + "&".join(f"{name}={value}" for name, value in asked.items()))
+        assert status == 200, data
+        (size,) = struct.unpack_from("<I", data)
+        return json.loads(data[4 : 4 + size]) | {"numbers": np.frombuffer(data, "<f4", offset=4 + size)}
+
+    def settled(self, state: str) -> Any:
+        until(lambda: self.view()["draft"]["state"] not in ("computing", "none"), "the certificate")
+        draft = self.view()["draft"]
+        assert draft["state"] == state, draft
+        return draft
+
+    def end(self) -> None:
+        if self.thread.is_alive():
+            self.wish(do="end")
+        self.thread.join(60)
+        assert not self.thread.is_alive()
+
+
+def asked(folder: Path, name: str, number: list[int], **about: Any) -> Asked:
+    def path(experiment: Experiment) -> Path:
+        number.append(1)
+        return folder / f"{experiment.name}-{experiment.seed}-{len(number)}.mcap"
+
+    def load(sets: list[str], seed: int | None) -> Experiment:
+        return load_experiment(name, sets, seed=seed)
+
+    return Asked(load=partial(load, ["duration=600"]), path=path, **about)
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Page]:
+    page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], held=True)])
+    page.begin()
+    yield page
+    page.end()
+
+
+def test_a_spike_is_never_thinned_away() -> None:
+    records = np.zeros(10_000, [("y", "<f8"), ("tick", "<i8")])
+    records["tick"] = np.arange(10_000) + 500
+    records["y"][[1234, 7777]] = 9.0, -9.0
+    window = Window.over(500, 10_500, 300)
+    low, high = thinned(records, "y", window)
+    assert window.columns <= 301 and np.nanmax(high) == 9.0 and np.nanmin(low) == -9.0
+    at = int(np.nanargmax(high))
+    assert window.first + at * window.slots <= 1734 < window.first + (at + 1) * window.slots
+    sparse, _ = thinned(records[::1000], "y", Window.over(0, 12_000, 12_000))
+    assert np.count_nonzero(np.isfinite(sparse)) == 10
+
+
+def test_a_reader_keeps_what_it_has_while_the_oldest_are_forgotten() -> None:
+    schema = Schema(name="hil/msg/Demo", fields=(Field(type="float64", name="y"), Field(type="int64", name="tick")))
+    tail = Tail(schema, most=160)
+    for k in range(20):
+        tail.put(k, schema.pack(float(k), k))
+    seen = tail.records()
+    for k in range(20, 500):
+        tail.put(k, schema.pack(float(k), k))
+    assert seen["tick"].tolist() == list(range(20))
+    newest = tail.records()["tick"]
+    assert 10 <= len(newest) <= 20 and newest.tolist() == list(range(500 - len(newest), 500))
+
+
+def test_only_loopback_pages_with_the_token_change_anything(page: Page) -> None:
+    wish = json.dumps({"do": "step"}).encode()
+    status, data = page.request("POST", "/do", wish)
+    assert status == 403 and b"X-Hil-Token" in data
+    assert page.request("POST", "/do", wish, X_Hil_Token="guess")[0] == 403
+    assert page.request("POST", "/do", wish, X_Hil_Token=page.token, Origin="http://evil.example")[0] == 403
+    assert page.request("GET", "/about", Origin="null")[0] == 403
+    assert page.request("GET", "/about", Host="evil.example")[0] == 421, "another name that leads here is refused"
+    assert page.request("GET", "/../session.py")[0] == 404
+    assert page.view()["refused"] == 6 and page.view()["slots"] == 0
+    assert json.loads(page.request("GET", "/about")[1])["acts"] is False
+    assert page.request("GET", "/about", Origin=f"http://localhost:{page.port}", X_Hil_Token=page.token)[0] == 200
+    assert page.wish(do="step")[0] == 200
+    until(lambda: page.view()["slots"] == 1, "the step")
+
+
+def test_the_page_may_load_and_connect_to_itself_alone(page: Page) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", page.port)
+    connection.request("GET", "/")
+    answer = connection.getresponse()
+    policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy and "unsafe" not in policy and "script-src 'self'" in policy
+    answer.read()
+    connection.close()
+    for path in ("/live.js", "/scopes.js", "/devices.js", "/act.js", "/live.css", "/page.css", "/uPlot.js", "/uPlot.css"):
+        assert page.request("GET", path)[0] == 200
+
+
+NO_WISHES = (
+    b"", b"[]", b"[" * 50_000, b'{"do": "fly"}', b'{"do": "step", "slots": 0}', b'{"do": "speed", "speed": 1e99}', b"\xff\xfe",
+    b'{"do": "step", "more": 1}', b'{"do": "check", "path": "end"}', b'{"do": "apply", "sides": [7]}',
+    b'{"do": "speed", "speed": NaN}', b'{"do": "restart", "seed": -1}',
+)  # fmt: skip
+
+
+def test_a_wish_that_is_none_is_refused(page: Page) -> None:
+    for number, body in enumerate(NO_WISHES, 1):
+        status, data = page.request("POST", "/do", body, X_Hil_Token=page.token)
+        assert status == 400 and json.loads(data)["error"], body
+        assert page.view()["refused"] == number and page.view()["slots"] == 0
+
+
+def test_ten_megabytes_are_refused_before_they_are_read(page: Page) -> None:
+    for said in (str(10_000_000), "-1", "much", "9" * 30):
+        with socket.create_connection(("127.0.0.1", page.port), timeout=30) as link:
+            link.sendall(f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\nX-Hil-Token: {page.token}\r\n"
+                         f"Content-Length: {said}\r\n\r\n".encode())  # fmt: skip
+            assert b" 413 " in link.recv(4096)
+    assert page.request("POST", "/do", b"x" * (MOST_BYTES + 1), X_Hil_Token=page.token)[0] == 413
+    assert page.view()["refused"] == 5
+
+
+def test_a_change_is_shown_with_its_certificate_and_acts_when_it_is_applied(page: Page) -> None:
+    page.wish(do="check", path="network.ca.law", value={"kind": "packet", "latency": "1 ms", "loss": 0.8})
+    assert page.settled("ready")["claims"][0]["state"] == "refused"
+    assert page.view(words=1)["certificate"]["state"] == "certified", "what is shown does not act"
+    page.wish(do="check", path="network.ca.law", value={"kind": "markov", "matrix": [[0.5, 0.6], [0.7, 0.3]]})
+    assert "network.ca.law" in page.settled("refused")["told"]
+    page.wish(do="check", path="controller", value={"kind": "virtual-wall"})
+    assert "controller" in page.settled("refused")["told"]
+    assert page.view()["refused"] == 2
+    page.wish(do="step", slots=7)
+    until(lambda: page.view()["slots"] == 7, "seven slots")
+    page.wish(do="apply", path="network.ca.law", value={"kind": "constant", "age": 1})
+    assert "slot 7" in page.settled("armed")["told"]
+    page.wish(do="apply", path="reference", value=[1.25])
+    page.settled("armed")
+    page.wish(do="step", slots=5)
+    until(lambda: page.view()["slots"] == 12, "five slots")
+    page.end()
+    first = page.sessions[0]
+    log = Path(first.summary["log"]["path"])
+    assert changes_of(first.run) == [
+        (7, "network.ca.law", {"kind": "constant", "age": 1}), (7, "reference", [1.25]), (12, "end", None)
+    ]  # fmt: skip
+    again = run_session(
+        load_experiment("dc-motor-hinf", ["duration=600"]), path=page.folder / "again.mcap", onlooker=Scripted(read_script(log))
+    )  # fmt: skip
+    assert again.summary["log"]["sha256"] == first.summary["log"]["sha256"]
+
+
+def test_a_run_begins_anew_with_another_seed_and_a_log_of_its_own(page: Page) -> None:
+    page.wish(do="step", slots=3)
+    until(lambda: page.view()["slots"] == 3, "three slots")
+    page.wish(do="restart", seed=5)
+    until(lambda: json.loads(page.request("GET", "/about")[1])["runs"][0].get("seed") == 5, "the next run")
+    page.end()
+    assert [session.summary["seed"] for session in page.sessions] == [0, 5]
+    assert page.sessions[0].summary["slots"] == 3
+
+
+def test_no_run_waits_for_browsers_that_stall(page: Page) -> None:
+    """They ask and never read, and leave a few places: the run goes on, and who reads is served."""
+    stalled = []
+    for _ in range(MOST_CONNECTIONS - 8):
+        link = socket.create_connection(("127.0.0.1", page.port), timeout=30)
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
+        link.sendall(f"GET /uPlot.js HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode() * 50)
+        stalled.append(link)
+    page.wish(do="step", slots=500)
+    until(lambda: page.view()["slots"] == 500, "the run to go on")
+    for link in stalled:
+        link.close()
+
+
+def test_two_experiments_run_beside_each_other_on_the_same_delays(tmp_path: Path) -> None:
+    number: list[int] = []
+    names = ("dc-motor-local-fast", "dc-motor-hinf-fast")
+    page = Page(tmp_path, [asked(tmp_path, name, number, held=True) for name in names])
+    page.begin()
+    page.wish(do="apply", path="network.ca.law", value={"kind": "constant", "age": 1})
+    claims = page.settled("armed")["claims"]
+    assert [claim["state"] for claim in claims] == ["refused", "certified"]
+    page.wish(do="step", slots=40)
+    until(lambda: all(page.view(side=i)["slots"] == 40 for i in (0, 1)), "forty slots")
+    page.end()
+    assert len(page.sessions) == 2
+    one, two = (session.run.arrays["/network/sc"] for session in page.sessions)
+    assert one["age"].tolist() == two["age"].tolist() and len(one) >= 40
