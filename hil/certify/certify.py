@@ -29,6 +29,7 @@ from hil.certify.following_loop import certify_model_following
 from hil.certify.historical_loop import certify_historical
 from hil.certify.jump_loop import certify_jump_loop
 from hil.certify.linear_law_loop import certify_linear_law
+from hil.certify.not_covered import why_no_controller
 from hil.certify.send_all_loop import certify_send_all
 from hil.certify.wall_loop import certify_wall_loop
 from hil.certify.word_and_deed import tested
@@ -41,10 +42,6 @@ CERTIFIERS: tuple[Certifier, ...] = (
 """Asked in this order; the first that knows the kind of loop answers."""
 
 
-UNKNOWN = (
-    "no certificate covers this kind of controller; a linear one with states (an observer, say) is certified as "
-    'kind = "output-feedback" with its A, B, C, D, a static gain by its table(model)'
-)
 
 def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:
     """Return the digest of the loop that will run: its plant, controller, network, period and model, not its seed or schedule."""
@@ -69,6 +66,12 @@ def certify(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIF
         ForeignVerdict: as of `judge`.
     """
     return tested(loop, judge(loop, certifiers))
+
+
+def _too_large(loop: CertificationProblem, error: MemoryError) -> str:
+    sizes = [f"{chain.modes} modes of {name}" for name, chain in (("sc", loop.sc), ("ca", loop.ca)) if chain is not None]
+    return f"its proof takes more memory than there is, over {' times '.join(sizes)}: {str(error) or 'no memory'}; shorten a " \
+        "sojourn law's tail (a larger p or beta, a smaller q, or a table)"
 
 
 def of_external(verdict: Verdict, named: str) -> Verdict:
@@ -101,10 +104,12 @@ def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIE
             verdict = certifier(loop)
         except (np.linalg.LinAlgError, OverflowError) as error:
             return undecided(loop, "mean-square stability", f"its proof cannot be computed in double precision: {error}")
+        except MemoryError as error:
+            return undecided(loop, "mean-square stability", _too_large(loop, error))
         if verdict is not None:
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
             if loop.unmet and verdict.state != "undecided":
                 verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
             return limited_to_sound(loop, limited_to_undamped(loop, limited_to_whole(loop, verdict)))
-    return undecided(loop, "mean-square stability", UNKNOWN)
+    return undecided(loop, "mean-square stability", why_no_controller(loop.controller))

@@ -12,6 +12,7 @@ from design.controllers import HistoryGains, LoopModel, SensorNodes
 from design.controllers.sensor_nodes import window_of
 from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
+from hil.certify.not_covered import why_no_history
 from hil.plugins.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
@@ -77,11 +78,12 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
 
     plant = delayed_plant_of(loop.plant, loop.motion)
     if plant is None:
-        return undecided(loop, KIND, "the theory knows a plant that does not jump and whose state is measured")
+        return undecided(loop, KIND, why_no_history(loop.plant, loop.motion))
     history = known_past(loop.plant)
     x0 = history[0]
     if x0.shape != (len(plant.A),):
-        return undecided(loop, KIND, "the plant has states that it does not measure")
+        said = f"[plant] has {len(x0)} states, and its model {len(plant.A)}: what it costs from its first state is not known"
+        return undecided(loop, KIND, said)
     least = _least_cost(loop.plant, plant, history)
     K = loop.said.once("history", lambda: np.array(controller.history(), dtype=float))
     unknown = gains_undecided(K, nodes, controller.uses, plant.memory)
@@ -89,8 +91,13 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
         unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"
     if unknown:
         return undecided(loop, KIND, unknown, least)
-    if loop.ca is None or len(set(loop.ca.delay.tolist())) > 1:
-        return undecided(loop, KIND, "the theory covers an actuator that gets each command after the same number of slots", least)
+    if loop.ca is None:
+        return undecided(loop, KIND, loop.no_chain(), least)
+    late = sorted(set(loop.ca.delay.tolist()))
+    if len(late) > 1:
+        said = f"network.ca: commands are {', '.join(map(str, late))} slots old when they act; gains over historical data are " \
+            'judged where each is as old as the last (law = { kind = "constant", age = ... })'
+        return undecided(loop, KIND, said, least)
     plant = replace(plant, input_delay=loop.ca.max_delay)
     each = phase_gains(K, nodes, controller.uses)
     noise = loop.plant.sensor_noise() if isinstance(loop.plant, HasSensorNoise) else None

@@ -36,9 +36,13 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
     if not isinstance(controller, ModeSchedule):
         return None
     if not isinstance(plant, JumpPlant):
-        return undecided(loop, KIND, "no certificate covers gains by mode over a plant that does not jump")
+        return undecided(loop, KIND, (
+            f"[controller] has gains by mode, and [plant] {type(plant).__qualname__} states no modes (jump_system(), "
+            "jump_process()); over one set of matrices a table of gains or output feedback is judged"
+        ))  # fmt: skip
     if len(loop.model.nodes.names) > 1:
-        return undecided(loop, KIND, "no certificate covers gains by mode over several sensor nodes")
+        several = len(loop.model.nodes.names)
+        return undecided(loop, KIND, f"gains by mode are judged over one sensor node, and [nodes] has {several}")
     if loop.sc is None or loop.ca is None:
         return undecided(loop, KIND, loop.no_chain())
     from design.semi_markov_loop.sampled import sampled_verdict

@@ -13,6 +13,7 @@ from design.controllers import AgedFeedback, LinearFeedback, LinearLaw, LoopMode
 from design.verdict import Verdict
 from hil.certify.bounded_departures import ends_within
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
+from hil.certify.not_covered import jumping
 from hil.certify.send_all_loop import second_moment_verdict
 from hil.plugins.protocols import JumpPlant
 
@@ -37,7 +38,7 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
     if loop.sc is None or loop.ca is None:
         return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
-        return undecided(loop, "mean-square stability", "no certificate covers a linear controller over a plant that jumps")
+        return undecided(loop, "mean-square stability", jumping(loop.plant, "a linear controller"))
     if isinstance(controller, AgedFeedback):
         if loop.sc.holds.any() or not np.array_equal(loop.sc.label, loop.sc.delay):
             return undecided(loop, "mean-square stability", "its matrices depend on ages that the chain does not distinguish")

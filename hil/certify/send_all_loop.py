@@ -11,6 +11,7 @@ from design.controllers import GainTable, LoopModel, integrates, packet_samples
 from design.verdict import Verdict
 from hil.certify.bounded_departures import ends_within
 from hil.certify.certifier import CertificationProblem, table_of, undecided
+from hil.certify.not_covered import jumping
 from hil.plugins.protocols import JumpPlant
 from hil.rig.delay_chains import gains_within
 
@@ -34,7 +35,7 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     if loop.sc is None or loop.ca is None:
         return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
-        return undecided(loop, "mean-square stability", "no certificate covers a table of gains over a plant that jumps")
+        return undecided(loop, "mean-square stability", jumping(loop.plant, "a table of gains"))
     gains = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
     verdict = judge_gains(
         loop.motion, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),

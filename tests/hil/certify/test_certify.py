@@ -48,7 +48,7 @@ def test_the_number_that_decides_turns_the_verdict() -> None:
         ("dc-motor-packets", ("network.ca.law={kind='packet',latency={trace=['10 ms']}}",), "its latencies are a recorded trace"),
         ("dc-motor-h2", ('network.ca.law={kind="trace", ages=[0, 1, 0], past_end="refuse"}', "duration=0.1"),
          "ends after 3 slots"),
-        ("dc-motor-smith", ("controller={kind='constant'}",), "this kind of controller"),
+        ("dc-motor-smith", ("controller={kind='constant'}",), "[controller] Constant states no gains or matrices"),
         ("dc-motor-h2-friction", (), "a driver that saturates, rounds or has a dead zone, dry friction, an encoder"),
     ],
 )
