@@ -36,10 +36,9 @@ from __future__ import annotations
 
 _NAMES = {
     "hil.api.assertions": "assert_law assert_probability",
-    "hil.api.design_result": "DesignResult",
+    "hil.api.questions": "DesignResult design laws reproduce_chapter",
     "hil.api.experiment_source": "load_experiment",
     "hil.api.face": "compare report run simulate sweep verify",
-    "hil.api.questions": "design laws reproduce_chapter",
     "hil.errors": "ExperimentError HilError",
     "hil.experiment": "Experiment",
     "hil.log.read.run": "read_run",
@@ -60,7 +59,7 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    import_module("hil.plugins.shadowed_packages").refuse_shadowed_packages()
+    import_module("hil.plugins.user_modules").refuse_shadowed_packages()
     return getattr(import_module(_HOMES[name]), name)
 
 

@@ -2,7 +2,6 @@
 
 from hil.api.assertions import assert_law as assert_law
 from hil.api.assertions import assert_probability as assert_probability
-from hil.api.design_result import DesignResult as DesignResult
 from hil.api.experiment_source import load_experiment as load_experiment
 from hil.api.face import compare as compare
 from hil.api.face import report as report
@@ -10,6 +9,7 @@ from hil.api.face import run as run
 from hil.api.face import simulate as simulate
 from hil.api.face import sweep as sweep
 from hil.api.face import verify as verify
+from hil.api.questions import DesignResult as DesignResult
 from hil.api.questions import design as design
 from hil.api.questions import laws as laws
 from hil.api.questions import reproduce_chapter as reproduce_chapter

@@ -129,7 +129,7 @@ class Runner:
         Raises:
             hil.HilError: if the experiment cannot be run.
         """
-        from hil.plugins.shadowed_packages import refuse_shadowed_packages
+        from hil.plugins.user_modules import refuse_shadowed_packages
 
         refuse_shadowed_packages()
         from hil.api.experiment_source import load_experiment

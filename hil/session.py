@@ -28,8 +28,7 @@ from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink, PayloadWriter, RecordObservers, Sink, TeeSink
-from hil.measure.measure import measures_of, own_measures, quantities_of
-from hil.measure.names import Named
+from hil.measure.measure import Named, measures_of, own_measures, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of

@@ -27,7 +27,7 @@ from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.system import JumpSystem
 from hil.compose.loop import compose
 from hil.experiment import load_experiment, shipped
-from hil.log.records_digest import records_sha256
+from hil.log.run import records_sha256
 from hil.session import simulate
 from hil.sweeps.seeds import run_seeds
 

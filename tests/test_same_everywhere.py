@@ -18,7 +18,7 @@ import hil
 from hil.cli.machine_kind import stand_ins
 from hil.experiment import load_experiment, shipped
 from hil.log.read.run import read_run
-from hil.log.records_digest import records_sha256
+from hil.log.run import records_sha256
 from tests.records_sha256 import FILE
 
 HERE = {"as it is": {}, **stand_ins()}

@@ -151,8 +151,7 @@ def report(
 def _report_of_many(
     source: Comparison | ParameterSweep, output: str | Path | None, force: bool, others: Mapping[str, object]
 ) -> Path:
-    from hil.pages.compare import compare_page
-    from hil.pages.parameters import parameter_page
+    from hil.pages.many_runs import compare_page, parameter_page
 
     unfit = [name for name, value in others.items() if value is not None]
     if unfit or output is None:

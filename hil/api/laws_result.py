@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.measure.names import Named
-from hil.notebook import Result, data_frame
-from hil.notebook.result import Cell
+from hil.measure.measure import Named
+from hil.notebook import Cell, Result, data_frame
 from transport.law_tests.analysis import LawAnalysis
 
 if TYPE_CHECKING:

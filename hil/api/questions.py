@@ -1,15 +1,36 @@
-"""What a program asks without a run: gains for a plant, the network laws of an experiment, a chapter of the thesis."""
+"""What a program asks without a run: gains for a plant, the network laws of an experiment, a chapter of the thesis.
+
+A design with the plant and the network that it is for: its verdict, its file, and what a notebook shows of it.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from design.tracking.design_file import design_text, to_document
+from design.verdict import Verdict
 from hil.api.experiment_source import Source, checked_experiment
+from hil.design_questions.design_problem import TrackingTarget, verdict_on
 from hil.errors import HilError
+from hil.files.outputs import check_output, write_output
+from hil.log.write.provenance import package_versions
+from hil.notebook import Result, data_frame
 from hil.runtime.time.clock import monotonic_ns
 
 if TYPE_CHECKING:
-    from hil.api.design_result import DesignResult
+    import pandas
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from design.jump_linear.certificate import Certificate
+    from design.networked_loop.certify import LowerBounds
+    from design.tracking.gain_parametrisation import TrackingProblem
+    from design.tracking.synthesis import Design
     from hil.api.laws_result import Laws
     from hil.reproduce import Reproduction
 
@@ -31,7 +52,6 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, **opt
     """
     from design.errors import DesignError
     from design.requests.tracking import solve_tracking
-    from hil.api.design_result import DesignResult
     from hil.design_questions.design_problem import problem_for, tracking_target
 
     target = tracking_target(source, period, sojourns)
@@ -57,7 +77,7 @@ def laws(source: Source, **changes: Any) -> Laws:
         HilError: if the experiment cannot be read.
     """
     from hil.api.laws_result import Laws
-    from hil.compose.law_files import with_law_files
+    from hil.compose.named_files import with_law_files
     from hil.rig.normal_form import rig_of
     from transport.law_tests.analysis import analyse_law
 
@@ -81,9 +101,124 @@ def reproduce_chapter(chapter: str) -> Reproduction:
     Raises:
         HilError: no such chapter.
     """
-    from hil.measure.names import unknown_name
+    from hil.measure.measure import unknown_name
     from hil.reproduce import chapters, reproduce
 
     if chapter not in chapters():
         raise unknown_name("chapter", chapter, chapters())
     return reproduce(chapter)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class DesignResult:
+    """Gains, and everything known of them over the network that they are for.
+
+    Args:
+        target: plant and network.
+        design: the gains and their certificate.
+        wall_s: time that solving took, s.
+    """
+
+    target: TrackingTarget
+    design: Design
+    wall_s: float
+
+    @property
+    def gains(self) -> NDArray[np.float64]:
+        """Gains (tau labels, rows, m, py), convention u = u* + K[tau, row] (y - r)."""
+        return self.design.gains
+
+    @property
+    def certificate(self) -> Certificate:
+        """What is computed from the gains: radius, norms, margins."""
+        return self.design.certificate
+
+    @property
+    def problem(self) -> TrackingProblem:
+        """What was asked."""
+        return self.design.problem
+
+    @property
+    def bounds(self) -> LowerBounds | None:
+        """Lower bounds for any causal controller, where they are known."""
+        return self.design.bounds
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What the certifier says of the loop."""
+        return verdict_on(self.target, self.design)
+
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the design file, which ``[controller] kind = "send-all"`` takes by ``file =``; return its path.
+
+        Args:
+            path: the file.
+            force: replace one that is there.
+
+        Raises:
+            HilError: it is there already, or cannot be written.
+        """
+        where = check_output(Path(path), fresh=not force, remedy="choose another path, or add force=True")
+        document = to_document(
+            self.design, plant=self.target.plant, period_s=self.target.period_s, wall_s=self.wall_s, versions=package_versions()
+        ) | {"verdict": self.verdict.to_json()}
+        write_output(where, design_text(document), replace=force)
+        return where
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a row per gain: label of tau, row of the packet, input, output, value.
+
+        Raises:
+            HilError: if pandas is not installed.
+        """
+        names = ("tau", "row", "input", "output")
+        index = np.indices(self.gains.shape).reshape(len(names), -1)
+        return data_frame({**dict(zip(names, index)), "gain": self.gains.ravel()})
+
+    def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
+        """Draw every gain over the label of tau, a line for each row of the packet; write it to a file where one is named.
+
+        Args:
+            path: ends in .svg, .pdf or .png.
+            width_mm, height_mm: of the figure as it is printed.
+
+        Raises:
+            HilError: the figure cannot be drawn or written.
+        """
+        return self._result().plot(path, width_mm, height_mm)
+
+    def _paint(self, sheet: Figure) -> None:
+        axis = sheet.subplots()
+        taus = np.arange(self.gains.shape[0])
+        for index in np.ndindex(*self.gains.shape[1:]):
+            row, inp, out = index
+            label = f"row {row}" if self.gains[0, 0].size == 1 else f"row {row}, input {inp}, output {out}"
+            axis.plot(taus, self.gains[(slice(None), *index)], marker="o", label=label)
+        axis.set_xticks(taus)
+        axis.set_xlabel("tau (samples)")
+        axis.set_ylabel("gain")
+        axis.legend(frameon=False)
+
+    def _result(self) -> Result:
+        c, bounds = self.certificate, self.bounds
+        rows: list[list[Any]] = [
+            ["H2 norm", c.h2_norm, None if bounds is None else bounds.h2_delayed_information],
+            ["H-infinity norm", c.hinf_norm, None if bounds is None else bounds.hinf_delayed_information],
+            ["second-moment radius", c.mean_square_radius, None],
+        ]
+        heads = ("quantity", "value", "no causal controller is below")
+        return Result(
+            line=repr(self)[1:-1], answer=[f"{self.verdict.state}: {self.verdict.reason}"], columns=heads, rows=rows,
+            paint=self._paint,
+        )  # fmt: skip
+
+    def _repr_html_(self) -> str:
+        return self._result().html()
+
+    def __repr__(self) -> str:
+        c, problem = self.certificate, self.problem
+        norm = c.hinf_norm if problem.objective == "hinf" else c.h2_norm
+        name = "H-infinity" if problem.objective == "hinf" else "H2"
+        told = "" if norm is None else f", {name} norm {norm:.5g}"
+        where = f"{self.target.plant} at {self.target.period_s * 1e3:g} ms"
+        return f"<Design {problem.objective} for {where}, {problem.information}{told}, {self.verdict.state}>"

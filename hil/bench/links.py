@@ -21,7 +21,7 @@ from typing import IO, Any, Final, cast
 
 from hil.bench import plain_socket, plain_zenoh
 from hil.experiment.tables import Affinity, Timing
-from hil.runtime.real.own_python import python_module
+from hil.runtime.real.child import python_module
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link

@@ -17,7 +17,7 @@ import numpy as np
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.topics import TIMING
-from hil.measure.timing import Array, percentiles, timing_metrics
+from hil.measure.summary import Array, percentiles, timing_metrics
 from hil.session import run_session
 
 LINKS = ("can:hil:bench", "zenoh:tcp/127.0.0.1:7447", "can:udp_multicast:239.74.163.2")

@@ -1,23 +1,46 @@
-"""The seam of the door: the loop that a certifier is handed, and what a certifier answers."""
+"""The seam of the door: the loop that a certifier is handed, and what a certifier answers.
+
+What a plant and a controller say of themselves, asked once: who judges and who tests leans on the same answer.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import Controller, GainTable, LoopModel
 from design.verdict import Kind, Verdict
-from hil.certify.said import Said
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
-from hil.rig.motion import motion_of
-from hil.rig.port import Port
+from hil.rig.port import Port, motion_of
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
+
+
+T = TypeVar("T")
+
+
+class Said:
+    """Keeps the first answer to every question."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, Any] = {}
+
+    def once(self, name: str, ask: Callable[[], T]) -> T:
+        """Return the answer to a question, asked at most once.
+
+        Args:
+            name: of the question.
+            ask: asks it.
+        """
+        if name not in self._known:
+            self._known[name] = ask()
+        answer: T = self._known[name]
+        return answer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,6 +4,8 @@ Nothing else says whether a loop is certified: a design hands over gains, a plan
 kind of loop judges them as they run. To add a kind of loop, write a :class:`hil.certify.certifier.Certifier` over the
 protocols of its plant and controller, and put it into `CERTIFIERS`. A plant or controller of a user's own that fulfils the
 protocols is judged like ours.
+
+Network laws that are not ours: which of them a run is compared with, and what a verdict assumes of them.
 """
 
 from __future__ import annotations
@@ -25,16 +27,17 @@ from hil.certify.certifier import (
     limited_to_whole,
     undecided,
 )
-from hil.certify.following_loop import certify_model_following
 from hil.certify.historical_loop import certify_historical
 from hil.certify.jump_loop import certify_jump_loop
-from hil.certify.linear_law_loop import certify_linear_law
 from hil.certify.not_covered import why_no_controller
-from hil.certify.send_all_loop import certify_send_all
-from hil.certify.wall_loop import certify_wall_loop
+from hil.certify.send_all_loop import certify_linear_law, certify_send_all
+from hil.certify.wall_loop import certify_model_following, certify_wall_loop
 from hil.certify.word_and_deed import tested
 from hil.errors import ForeignVerdict
 from hil.experiment import Experiment
+from hil.plugins.user_modules import is_ours
+from hil.rig.spec import RigSpec
+from transport.laws.protocols import ChainLaw, SemiMarkovLaw
 
 CERTIFIERS: tuple[Certifier, ...] = (
     certify_send_all, certify_jump_loop, certify_wall_loop, certify_model_following, certify_historical, certify_linear_law,
@@ -113,3 +116,22 @@ def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIE
                 verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
             return limited_to_sound(loop, limited_to_undamped(loop, limited_to_whole(loop, verdict)))
     return undecided(loop, "mean-square stability", why_no_controller(loop.controller))
+
+
+def own_laws(rig: RigSpec) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Return the places of the laws that draw modes of a chain, among `RigSpec.laws`, and the assumptions on all own laws.
+
+    Args:
+        rig: the rig that runs.
+    """
+    names = (*(f"{sensor.path}.law" for sensor in rig.sensors), "network.ca.law")
+    drawn, said = [], []
+    for i, (law, name) in enumerate(zip(rig.laws, names)):
+        if is_ours(law):
+            continue
+        if isinstance(law, ChainLaw | SemiMarkovLaw) and law.family == "age":
+            drawn.append(i)
+            said.append(f"{name} draws as the chain that it states: its modes are counted when it is read, and in the run")
+        else:
+            said.append(f"{name} is as the chain of ages that it states: in the run it is not compared")
+    return tuple(drawn), tuple(said)

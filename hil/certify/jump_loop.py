@@ -1,23 +1,83 @@
-"""The certifier of Chapters 2 to 4: state feedback by mode and sojourn time over a plant that jumps."""
+"""The certifier of Chapters 2 to 4: state feedback by mode and sojourn time over a plant that jumps.
+
+A plant that jumps, in the words of the theory: its own matrices and rates, handed over and nowhere typed again.
+
+What the record of a plant that jumps fulfils in a slot in which its mode stays: the flow of that mode.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from design.controllers import ModeSchedule
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import LoopModel, ModeSchedule
 from design.errors import DesignError
 from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
-from hil.certify.jump_plant import process_of, system_of
 from hil.plugins.protocols import JumpPlant
+from plants.parts.events import JumpModel, JumpRates
+from plants.parts.semi_markov import TransitionRates
 
 if TYPE_CHECKING:
     from design.controllers.scheduled_gain import ScheduledGain
     from design.processes.semi_markov import FaultDetection, SemiMarkov
     from design.semi_markov_loop.certificate import JumpCertificate
     from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+
+
+def system_of(plant: JumpModel) -> JumpSystem | DelayedJumpSystem:
+    """Return the matrices of a plant as a system of Chapters 2 to 4.
+
+    Raises:
+        ValueError: matrices that do not fit each other, a delay that grows as fast as time (3.2), or both a delay inside and
+            uncertain matrices, for which there is no theory.
+    """
+    from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, VertexUncertainty
+
+    a, b = np.array(plant.A, dtype=float), np.array(plant.B, dtype=float)
+    c = np.array(plant.C, dtype=float) if plant.C else None
+    e = np.array(plant.E, dtype=float) if plant.E else None
+    if plant.Ad:
+        if plant.changes:
+            raise ValueError("changes: no theory covers uncertain matrices together with an internal delay")
+        return DelayedJumpSystem(
+            a=a, ad=np.array(plant.Ad, dtype=float), b=b, delay_max_s=plant.max_delay_s,
+            delay_slopes=np.array(plant.delay_slopes, dtype=float),
+            c=np.broadcast_to(np.eye(a.shape[1]), a.shape) if c is None else c, e=b if e is None else e,
+        )  # fmt: skip
+    vertices = None
+    if plant.changes:
+        dA, dB = (np.array([change[k] for change in plant.changes], dtype=float) for k in (0, 1))
+        vertices = VertexUncertainty(da=dA, db=dB)
+    return JumpSystem(a=a, b=b, c=c, e=e, uncertainty=vertices)
+
+
+def process_of(rates: JumpRates) -> SemiMarkov | FaultDetection:
+    """Return the rates of a plant as a process of Chapters 2 and 3, or of Chapter 4 where only the detected mode is measured."""
+    from design.processes.semi_markov import FaultDetection
+
+    if not rates.detection:
+        return _semi_markov(rates.rates)
+    return FaultDetection(
+        failure=_semi_markov(rates.rates),
+        detection=tuple(_semi_markov(table) for table in rates.detection),
+        failure_restarts_detection_clock=rates.failure_restarts_detection_clock,
+    )
+
+
+def _semi_markov(table: TransitionRates) -> SemiMarkov:
+    from design.processes.rates import PiecewiseLinearRate
+    from design.processes.semi_markov import SemiMarkov
+
+    def rate(i: int, j: int) -> PiecewiseLinearRate | None:
+        values = tuple(matrix[i][j] for matrix in table.rates)
+        return PiecewiseLinearRate(times_s=table.nodes_s, values=values) if i != j and any(values) else None
+
+    return SemiMarkov(rates=tuple(tuple(rate(i, j) for j in range(table.modes)) for i in range(table.modes)))
 
 
 KIND: Kind = "mean-square stability"
@@ -112,3 +172,66 @@ def _with_continuous_time(
         assumed = (*assumed, "gamma alone is of the feedback that acts at every instant, without delays")
     number = found.number if found.number is None or isfinite(found.number) else None
     return replace(found, number=number, reason=reason, assumptions=assumed, details=details, digest=loop.digest)
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JumpStep:
+    """What holds in a slot without a jump: |x(k+1) - F_i x(k) - G_i v| <= W_i (|x(k)|, |v|), entry by entry; v = u + w.
+
+    Args:
+        flows: [F_i G_i], (N, n, n + m).
+        bands: W_i, (N, n, n + m); zero where the matrices are certain.
+        seen: whether the mode that is measured is the true one; else any of them may be it.
+        unseen: mean number of jumps in a slot whose two ends show the same mode.
+        names: name and unit of every state.
+    """
+
+    flows: Array
+    bands: Array
+    seen: bool
+    unseen: float
+    names: tuple[tuple[str, str], ...]
+
+
+def jump_step(plant: JumpPlant, model: LoopModel) -> JumpStep | None:
+    r"""Return what the record of a plant that jumps fulfils; None for one with a delay inside, whose record does not show it.
+
+    What is uncertain lies within +-D_A, +-D_B. With M(A) for A with the absolute values beside its diagonal, the deviation e of
+    the motion from that of the mode is bounded by the flow of
+
+    .. math::
+        X' = (M(A) + D_A) X + (|B| + D_B) |v|, \quad E' = M(A) E + D_A X + D_B |v|, \quad X(0) = |x(k)|,\; E(0) = 0.
+
+    Args:
+        plant: what runs.
+        model: of the loop, with its period.
+    """
+    from scipy.linalg import expm
+
+    system, rates, T = plant.jump_system(), plant.jump_process(), model.period_s
+    if system.Ad:
+        return None
+    A, B = np.array(system.A, dtype=float), np.array(system.B, dtype=float)
+    N, n, m = B.shape
+    DA, DB = np.zeros_like(A), np.zeros_like(B)
+    for dA, dB in system.changes:
+        DA, DB = np.maximum(DA, np.abs(np.array(dA, dtype=float))), np.maximum(DB, np.abs(np.array(dB, dtype=float)))
+    flows, bands = np.zeros((N, n, n + m)), np.zeros((N, n, n + m))
+    for i in range(N):
+        flows[i] = expm(T * np.block([[A[i], B[i]], [np.zeros((m, n + m))]]))[:n]
+        if DA[i].any() or DB[i].any():
+            away = np.abs(A[i])
+            np.fill_diagonal(away, np.diag(A[i]))
+            whole = np.block([
+                [away + DA[i], np.zeros((n, n)), np.abs(B[i]) + DB[i]], [DA[i], away, DB[i]], [np.zeros((m, 2 * n + m))],
+            ])  # fmt: skip
+            bands[i] = np.delete(expm(T * whole)[n : 2 * n], slice(n, 2 * n), axis=1)
+    fastest = max((sum(rate for rate in row if rate > 0.0) for matrix in rates.rates.rates for row in matrix), default=0.0)
+    return JumpStep(
+        flows=flows, bands=bands, seen=not rates.detection,
+        unseen=fastest * T if rates.detection else (fastest * T) ** 2,
+        names=tuple((str(s.name), str(s.unit)) for s in plant.outputs[:n]),
+    )  # fmt: skip

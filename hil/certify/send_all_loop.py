@@ -1,16 +1,23 @@
-"""The certifier of Chapter 7: a table of gains over delay chains is a jump-linear system, whose second moments decide."""
+"""The certifiers of Chapter 7: tables of gains, and linear controllers with a state, over delay chains.
+
+The certifier of Chapter 7: a table of gains over delay chains is a jump-linear system, whose second moments decide.
+
+The certifier of linear controllers with a state: over delay chains a jump-linear system, whose second moments decide.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, LoopModel, integrates, packet_samples
+from design.controllers import AgedFeedback, GainTable, LinearFeedback, LinearLaw, LoopModel, RowsLaw, integrates, packet_samples
 from design.verdict import Verdict
 from hil.certify.bounded_departures import ends_within
-from hil.certify.certifier import CertificationProblem, table_of, undecided
+from hil.certify.certifier import CertificationProblem, limited_to_model, table_of, undecided
 from hil.certify.not_covered import jumping
 from hil.plugins.protocols import JumpPlant
 from hil.rig.delay_chains import gains_within
@@ -18,6 +25,7 @@ from hil.rig.delay_chains import gains_within
 if TYPE_CHECKING:
     from design.jump_linear.certificate import Certificate
     from design.processes.delay_chain import DelayChain
+
 
 Array = NDArray[np.float64]
 
@@ -110,3 +118,75 @@ def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:
         quantity="second-moment radius per slot", limit=1.0, details=certificate.to_json(),
         method="second moments of the jump-linear loop (Theorem 7.1)", assumptions=assumptions, digest=digest,
     )  # fmt: skip
+
+
+UNSEEN = "{} directions of the controller's state, seen by neither plant nor input, do not grow by any factor: left out"
+
+
+def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
+    """Return the verdict on a linear controller, exact over the delay chains; None for another controller.
+
+    Over several sensor nodes the chain is that of all their ages; what changes with the age, changes with the oldest.
+
+    Reference: thesis Theorem 7.1, (7.17).
+    """
+    controller = loop.controller
+    if not isinstance(controller, LinearFeedback | AgedFeedback):
+        return None
+    if loop.sc is None or loop.ca is None:
+        return undecided(loop, "mean-square stability", loop.no_chain())
+    if isinstance(loop.plant, JumpPlant):
+        return undecided(loop, "mean-square stability", jumping(loop.plant, "a linear controller"))
+    if isinstance(controller, AgedFeedback):
+        if loop.sc.holds.any() or not np.array_equal(loop.sc.label, loop.sc.delay):
+            return undecided(loop, "mean-square stability", "its matrices depend on ages that the chain does not distinguish")
+        laws, selection = laws_of(loop, controller, int(loop.sc.label.max()) + 1), controller.start(loop.model).selection
+        verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, laws, selection, digest=loop.digest)
+        return limited_to_model(loop.plant, verdict)
+    law, sc, ca = loop.said.once("law", lambda: controller.linear_law(loop.model)), loop.sc, loop.ca
+    verdict = judge_linear_law(loop.motion, sc, ca, law, digest=loop.digest)
+
+    def modes(A: Array, B: Array, C: Array) -> tuple[Array, Array]:
+        from design.networked_loop.dynamic_loop import dynamic_loop
+
+        found = dynamic_loop(A, B, C, sc, ca, law)
+        chances = np.asarray(found.system.transition) if found.between is None else found.between[1]
+        return np.asarray(found.system.A), chances
+
+    return ends_within(loop, verdict, modes)
+
+
+def laws_of(loop: CertificationProblem, controller: AgedFeedback, ages: int) -> tuple[RowsLaw, ...]:
+    """Return the matrices that a controller states for so many ages, asked once: judge and test lean on the same ones."""
+    return loop.said.once(f"laws of {ages}", lambda: controller.laws_of_ages(loop.model, ages))
+
+
+def judge_linear_law(
+    model: LoopModel, sc: DelayChain, ca: DelayChain, law: LinearLaw | Sequence[RowsLaw], selection: str = "constant", *,
+    input_weight: float = 0.01, digest: str = "",
+) -> Verdict:  # fmt: skip
+    """Return the verdict on a linear controller over a linear plant and two delay chains.
+
+    Args:
+        model: the plant at the sample period.
+        sc, ca: the delay chains.
+        law: the controller, or one for every age.
+        selection: how a row of a packet is picked.
+        input_weight: of z = [C x; rho u], for the norms that stand beside the verdict.
+        digest: of the loop that the verdict is on.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from design.jump_linear.certificate import certify_system, observed_part
+    from design.networked_loop.dynamic_loop import dynamic_loop
+
+    loop = dynamic_loop(model.A, model.B, model.C, sc, ca, law, selection, input_weight=input_weight)
+    with threadpool_limits(1, user_api="blas"):
+        plant = np.eye(len(model.A), loop.system.order)
+        system, unseen = (loop.system, 0) if isinstance(law, LinearLaw) else observed_part(loop.system, plant)
+        certificate = certify_system(
+            system, selection=selection, output="stacked", initial=loop.initial, initial_law=loop.initial_law,
+            between=loop.between, stays=loop.stays, hinf=True,
+        )  # fmt: skip
+    verdict = second_moment_verdict(certificate, digest)
+    return verdict if not unseen else replace(verdict, assumptions=(*verdict.assumptions, UNSEEN.format(unseen)))

@@ -1,8 +1,12 @@
-"""What a controller says that it is, as one that runs in the loop's own arithmetic; and the comparison of both."""
+"""What a controller says that it is, as one that runs in the loop's own arithmetic; and the comparison of both.
+
+What a controller of gains by mode, and one that renders a wall, are asked when their answers are compared.
+"""
 
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +17,7 @@ from design.controllers import (
     GainTable,
     HistoryGains,
     LinearFeedback,
+    LoopModel,
     ModeSchedule,
     MultiSampleController,
     OutputFeedback,
@@ -24,13 +29,16 @@ from design.controllers import (
 )
 from design.controllers.rendered_wall import WallController
 from design.verdict import State
-from hil.certify.answers_test import Answer, Question, Running, Start, compared, drifts, over_nodes, question
+from hil.certify.answers_test import SEED, SLOTS, Answer, Question, Running, Start, compared, drifts, over_nodes, question
 from hil.certify.certifier import CertificationProblem, table_of
-from hil.certify.linear_law_loop import laws_of
 from hil.certify.motion_test import ALIKE, EQUAL
+from hil.certify.send_all_loop import laws_of
 
 if TYPE_CHECKING:
     from design.controllers import Controller
+    from design.controllers.scheduled_gain import ScheduledGain
+    from design.requests.scheduled import Scheduled
+
 
 SIZES = (1e-3, 1e3)
 NAME = "your controller does not answer as it says"
@@ -106,13 +114,11 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
             return None
         return Historical(gains=_nested(K), uses=controller.uses), over_nodes(model, memory=K.shape[1] - 1)
     if isinstance(controller, ModeSchedule):
-        from hil.certify.mode_question import mode_question, scheduled_by
 
         gain = loop.said.once("schedule", controller.schedule_of_modes)
         return scheduled_by(gain), mode_question(model, gain)
     if isinstance(controller, WallController):
         from design.controllers.virtual_wall import VirtualWall
-        from hil.certify.mode_question import wall_question
 
         samples = packet_samples(controller)
         twin = VirtualWall(wall=controller.wall, coupler=controller.coupler, equalise=controller.equalise, samples=samples)
@@ -184,3 +190,42 @@ def _wall(
                 f"{NAME}: pressed {1e3 * size:g} mm deep it answers otherwise than its wall and coupler, in slot {asked.slots[k]}"
             )
     return None, (f"the wall answers as its coupler and materials say: compared in {len(asked.slots)} slots, down to 10 mm deep",)
+
+
+MOST_SLOTS = 1500
+"""Slots in which stays are long enough that a gain changes, as far as that goes."""
+
+
+def scheduled_by(gain: ScheduledGain) -> Scheduled:
+    """Return the controller that runs a schedule."""
+    from design.requests.scheduled import Scheduled
+
+    def nested(array: np.ndarray) -> tuple:  # type: ignore[type-arg]
+        return tuple(nested(part) for part in array) if array.ndim > 1 else tuple(map(float, array))
+
+    return Scheduled(gain=nested(gain.gain), starts_s=nested(gain.starts_s), schedule=gain.schedule)
+
+
+def mode_question(model: LoopModel, gain: ScheduledGain) -> Question:
+    """Return states at random with modes that stay, each once for longer than its gain changes where the test is long enough."""
+    rng = np.random.default_rng(SEED)
+    modes, longest = gain.modes, float(gain.starts_s.max()) / model.period_s
+    stay = int(min(max(1.2 * longest, 20.0), MOST_SLOTS / modes))
+    shown: list[int] = []
+    for mode in range(modes):
+        shown += [mode + 1] * stay
+    while len(shown) < SLOTS:
+        shown += [int(rng.integers(1, modes + 1))] * int(rng.integers(1, 20))
+    plain = question(model, width=model.C.shape[0], slots=len(shown), aims=0.0)
+    return replace(plain, samples=np.column_stack([plain.samples[:, :-1], shown]), modes=True)
+
+
+def wall_question(model: LoopModel, samples: int) -> Question:
+    """Return a device that goes in and out of a wall, and along it."""
+    rng = np.random.default_rng(SEED)
+    steps = rng.uniform(-1.0, 1.0, (SLOTS + samples, 3))
+    places = np.array([np.convolve(column, np.ones(8) / 4.0, mode="same") for column in steps.T]).T
+    plain = question(model, width=3 * samples, aims=0.0)
+    ages = plain.ages[:, 0]
+    packets = np.array([np.concatenate([places[max(k - int(ages[k]) - i, 0)] for i in range(samples)]) for k in range(SLOTS)])
+    return replace(plain, samples=packets)

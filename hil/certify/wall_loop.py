@@ -1,10 +1,18 @@
-"""The certifier of Chapter 6: a wall behind a coupler, felt over a network with a device that a hand holds."""
+"""The certifiers of Chapter 6: a wall behind a coupler, and a wall by model following.
+
+The certifier of Chapter 6: a wall behind a coupler, felt over a network with a device that a hand holds.
+
+The certifier of walls by model following: stable for one hand, and for which passive hand it is not.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
-from design.controllers.rendered_wall import WallController
+import numpy as np
+
+from design.controllers.rendered_wall import ModelFollower, WallController
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 
@@ -31,3 +39,57 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
         equalised=controller.equalise, material_chain=controller.wall.chain,
     )  # fmt: skip
     return limited_to_model(loop.plant, replace(verdict, digest=loop.digest))
+
+
+HANDS = tuple(product((0.0, 0.5, 2.0), (0.0, 10.0, 30.0), (0.0, 100.0, 800.0)))
+"""Mass in kg, damping in N s/m and stiffness in N/m of the passive hands that are tried."""
+
+
+def certify_model_following(loop: CertificationProblem) -> Verdict | None:
+    """Return the verdict on a wall by model following: refused with a passive hand that it is unstable for; None for other loops.
+
+    A passive hand that destabilises it refutes the claim of a wall that is safe for every passive hand.
+    """
+    controller, port = loop.controller, loop.port
+    if not isinstance(controller, ModelFollower):
+        return None
+    if port is None:
+        return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
+    sides = [None if chain is None else {int(d) for d in chain.delay} for chain in (loop.sc, loop.ca)]
+    if any(side is None or len(side) > 1 for side in sides):
+        return undecided(loop, "passivity", "no certificate covers model following with delays that change")
+    from design.passivity.loop import HeldDevice
+    from design.passivity.model_following import contact_matrices
+
+    running, count = controller.start(loop.model), len(controller.wall.materials)
+
+    def radius(mass: float, damping: float, stiffness: float) -> float:
+        device = HeldDevice(
+            mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_mass_kg=mass, hand_damping_n_s_per_m=damping,
+            hand_stiffness_n_per_m=port.stiffness + stiffness,
+        )  # fmt: skip
+        found = contact_matrices(
+            running, device, period_s=loop.model.period_s, sc=loop.model.tau_max, ca=loop.model.d_max, materials=count
+        )
+        return float(np.abs(np.linalg.eigvals(found)).max())
+
+    own = radius(0.0, 0.0, 0.0)
+    worst = max(HANDS, key=lambda hand: radius(*hand))
+    number = radius(*worst)
+    details = {"spectral_radius": own, "stable": own < 1.0, "worst_hand": list(worst), "hands_tried": len(HANDS)}
+    quantity = f"spectral radius in contact, the worst of {len(HANDS)} passive hands"
+    if number < 1.0:
+        reason = f"stable for {len(HANDS)} passive hands that were tried; no proof covers the others"
+        verdict = Verdict(kind="passivity", state="undecided", reason=reason, details=details, digest=loop.digest)
+        return limited_to_model(loop.plant, verdict)
+    m, b, k = worst
+    reason = (
+        f"not stable when a passive hand of {m:g} kg, {b:g} N s/m and {k:g} N/m is added (spectral radius {number:.5g}); "
+        f"{own:.4f} for the hand that it was made for"
+    )
+    verdict = Verdict(
+        kind="passivity", state="refused", reason=reason, number=number, quantity=quantity, limit=1.0, details=details,
+        method="spectral radii of the loop in contact", assumptions=("the hand is held rigidly", "contact is never lost"),
+        digest=loop.digest,
+    )  # fmt: skip
+    return limited_to_model(loop.plant, verdict)

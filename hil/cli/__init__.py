@@ -13,7 +13,7 @@ import click
 
 from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
-from hil.plugins.shadowed_packages import refuse_shadowed_packages
+from hil.plugins.user_modules import refuse_shadowed_packages
 
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",

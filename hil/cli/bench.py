@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import click
 
-from hil.cli.durations import Duration
+from hil.cli.option_types import Duration
 from hil.experiment.tables import Affinity
 
 SECONDS = (0.001, 86_400)
@@ -121,8 +121,7 @@ def soak(duration: float, sessions: int, at_once: int, as_json: bool) -> None:
 
     Exit status 0: it holds. 1: it does not. 4: undecided, the machine was too busy to tell.
     """
-    from hil.bench.soak import bench_soak
-    from hil.bench.soak_verdict import STATUS
+    from hil.bench.soak import STATUS, bench_soak
 
     row = bench_soak(duration_s=duration, sessions=sessions, at_once=at_once, progress=status_line)
     if as_json:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.durations import Duration
+from hil.cli.option_types import Duration
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def analyse(
             raise HilError("--bitrate: an experiment says it itself; change it by --set network.media.NAME.bitrate=500000")
         found = _of_experiment(target, sets, duration, bursts)
     if output is not None:
-        from hil.pages.bus_page import bus_page
+        from hil.pages.analyses import bus_page
 
         write_output(output, bus_page(found))
     if as_json:
@@ -116,8 +116,7 @@ def _print(found: BusAnalysis) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from hil.cli.tables import print_table
-    from hil.cli.terminal import visible
+    from hil.cli.terminal import print_table, visible
 
     rate = f"{found.bitrate:,} bit/s" + (f", data {found.dbitrate:,} bit/s" if found.dbitrate else "")
     table = Table(title=escape(visible(f"{found.name}: {rate}, load {100 * found.load:.2f} %")))

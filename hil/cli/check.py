@@ -27,7 +27,7 @@ def command(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_js
     one message and exit status 2.
     """
     checks = {"plants": _plant, "controllers": _controller, "laws": _law, "links": _link, "measures": _measure}
-    from hil.plugins.asked import words
+    from hil.plugins.user_plugins import words
     from plants.errors import PlantError
     from transport import TransportError
 
@@ -59,7 +59,7 @@ def _plant(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
 
 
 def _law(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
-    from hil.plugins.law_checks import check_law
+    from hil.plugins.checks import check_law
 
     return check_law(_made("hil.laws", kind, sets))
 

@@ -46,7 +46,7 @@ def command(
     from hil.experiment import load_experiment
     from hil.files.outputs import check_output, write_output
     from hil.measure.signals import with_unit
-    from hil.pages.compare import compare_page
+    from hil.pages.many_runs import compare_page
     from hil.sweeps.comparison import compare
     from hil.sweeps.sweep import statistics
 

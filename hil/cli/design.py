@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.durations import Duration
-from hil.cli.plain_number import Number
+from hil.cli.option_types import Duration, Number
 from hil.errors import HilError
 
 if TYPE_CHECKING:

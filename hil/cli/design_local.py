@@ -9,7 +9,7 @@ from design.errors import DesignError, FieldError
 from design.local import LocalMethod
 from design.requests.tracking import LocalDesigned
 from hil.certify.certifier import limited_to_model
-from hil.certify.linear_law_loop import judge_linear_law
+from hil.certify.send_all_loop import judge_linear_law
 from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at
 from hil.errors import HilError
 

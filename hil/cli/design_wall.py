@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.durations import Duration
-from hil.cli.number_lists import NumberList
+from hil.cli.option_types import Duration, NumberList
 from hil.errors import HilError
 
 

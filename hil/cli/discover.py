@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from hil.cli.durations import Duration
+from hil.cli.option_types import Duration
 
 NOBODY = 1  # exit status: neither rig nor controller
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from hil.cli.terminal import visible
-from hil.plugins.shadowed_packages import REMEDY, shadows
+from hil.plugins.user_modules import REMEDY, shadows
 from hil.vcan import what_would_run
 
 if TYPE_CHECKING:

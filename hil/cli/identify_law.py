@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.durations import Duration
+from hil.cli.option_types import Duration
 
 if TYPE_CHECKING:
     from transport.law_fit.law_fit import LawFit
@@ -77,7 +77,7 @@ def law(
         if way in found:
             write_output(path, law_text(found[way], said[way]), replace=force)
     if page is not None:
-        from hil.pages.law_page import law_page
+        from hil.pages.analyses import law_page
 
         write_output(page, law_page(fits, said, {way: _shares(fit) for way, fit in found.items()}), replace=force)
     if as_json:

@@ -33,7 +33,7 @@ def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
 def renew(folder: Path, days: int) -> None:
     """Make new certificates for the keys in FOLDER, which `hil keys new` made; it must hold ca.key. No private key changes."""
     from hil.cli.terminal import visible
-    from hil.files.renewal import renew_certificates
+    from hil.files.authority import renew_certificates
 
     for path in renew_certificates(folder, days):
         print(visible(str(path)))

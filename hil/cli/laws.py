@@ -25,7 +25,7 @@ NEGLIGIBLE = 1e-6
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
-    from hil.compose.law_files import with_law_files
+    from hil.compose.named_files import with_law_files
     from hil.experiment import load_experiment
     from hil.rig.normal_form import rig_of
     from transport.law_tests.analysis import analyse_law

@@ -46,9 +46,9 @@ def command(
     the same random numbers. A LOG is shown as it was. The page is on loopback; its URL holds the token without which it only
     watches. Ctrl-C ends it.
     """
-    from hil.cli.json_output import only_json
     from hil.cli.run import reserve
     from hil.cli.run_summary import show as show_summary
+    from hil.cli.terminal import only_json
     from hil.experiment import load_experiment
     from hil.live.watch import Asked, show_log, watch
 

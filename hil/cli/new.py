@@ -26,7 +26,7 @@ def command(part: str, name: str, folder: Path, force: bool) -> None:
     are; change them from there.
     """
     from hil.cli.terminal import visible
-    from hil.files.exclusive import written_whole
+    from hil.files.outputs import written_whole
 
     if not re.fullmatch(r"[a-z][a-z0-9_-]{0,63}", name, re.ASCII):
         raise HilError(f"NAME: {name!r:.80}: expected lower-case letters, digits, _ or -: hil new {part} my_{part}")

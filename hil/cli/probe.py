@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.durations import Duration
+from hil.cli.option_types import Duration
 from hil.errors import HilError
 
 MOST_FRAMES = 5_000_000

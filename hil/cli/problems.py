@@ -12,7 +12,7 @@ import click
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from hil.problems.problem_set import Problem, Reached
+    from hil.problems import Problem, Reached
 
 
 @click.command()
@@ -29,7 +29,7 @@ def command(controller: str | None, names: tuple[str, ...], runs: int, write: bo
     The objective is the sum of squared errors after one pulse, in the mean over the seeds. Nothing is ranked.
     Exit status 1: the controller ran on none of the problems.
     """
-    from hil.problems.problem_set import best_known, problems, reached
+    from hil.problems import best_known, problems, reached
 
     chosen = [problem for problem in problems() if not names or problem.name in names]
     unknown = set(names) - {problem.name for problem in problems()}
@@ -95,7 +95,7 @@ def _table(said: str) -> str:
 
 def _write(chosen: list[Problem]) -> None:
     from hil.files.outputs import write_output
-    from hil.problems.problem_set import RUNS, as_plain, best_known, best_of, folder, lower_bound, reached
+    from hil.problems import RUNS, as_plain, best_known, best_of, folder, lower_bound, reached
 
     path = folder() / "best.json"
     stored = best_known() if path.exists() else {}

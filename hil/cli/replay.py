@@ -132,9 +132,9 @@ def _signed(file: Path, key: Path) -> Run:
 def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json: bool) -> None:
     from hil.cli.terminal import visible
     from hil.cli.working import Working
-    from hil.log.records_digest import records_sha256
+    from hil.log.run import records_sha256
+    from hil.replay.recorded import verify_tags
     from hil.replay.replay import changed_files, experiment_of, verify
-    from hil.replay.tags import verify_tags
 
     experiment = experiment_of(run, str(file), folder=folder)
     for sentence in changed_files(run, experiment):
@@ -200,7 +200,7 @@ def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> N
     """Write columns as CSV, a piece at a time."""
     import numpy as np
 
-    from hil.files.exclusive import written_whole
+    from hil.files.outputs import written_whole
 
     with written_whole(output, replace=False) as part, open(part, "w", encoding="utf-8") as file:
         file.write(",".join(series) + "\n")

@@ -116,9 +116,8 @@ def command(
     safety; 4 timing not valid (with --require-valid-timing); 5 a second controller answered too; 6 the link was flooded; 7 the
     plant or the controller was not what it says; 130, 143 interrupted.
     """
-    from hil.cli.json_output import only_json
     from hil.cli.run_summary import show
-    from hil.cli.terminal import visible
+    from hil.cli.terminal import only_json, visible
     from hil.experiment import load_experiment
     from hil.rig.normal_form import rig_of
     from hil.rig.session_link import link_of

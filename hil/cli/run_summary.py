@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from hil.cli.two_columns import Line, print_lines
+from hil.cli.terminal import Line, print_lines
 from transport.draws import CORRUPTED, CUT, OFF_BUS, REASONS
 
 UNLIKELY: Final = 0.01
@@ -126,7 +126,7 @@ def timing_rows(timing: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the lines on timing: the verdict with its reasons, and what was measured.
 
     Args:
-        timing: part of a summary; see `hil.measure.timing.timing_metrics`.
+        timing: part of a summary; see `hil.measure.summary.timing_metrics`.
 
     >>> timing_rows({"valid": False, "why": ["9 of 20 slots overran"], "scheduler": "SCHED_OTHER", "overruns": 9,
     ...     "first_late_slot": None, "lateness_us": {"p50": 1.5}, "round_trip_us": {"p50": None}})[0]

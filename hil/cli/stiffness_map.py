@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.number_lists import NumberList
+from hil.cli.option_types import NumberList
 from hil.errors import HilError
 
 
@@ -34,7 +34,7 @@ def command(
     from design.passivity.stiffness_map import stiffness_map
     from hil.cli.working import Working
     from hil.files.outputs import check_output, write_output
-    from hil.pages.stiffness_page import stiffness_page
+    from hil.pages.analyses import stiffness_page
     from plants.omni import Omni
     from plants.parts.hand import Hand
 

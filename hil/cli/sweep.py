@@ -82,8 +82,7 @@ def command(
     from hil.experiment import load_experiment
     from hil.files.outputs import check_output, write_output
     from hil.sweeps.seeds import columns_of, here, run_sweep
-    from hil.sweeps.store import SweepStore
-    from hil.sweeps.sweep import statistics
+    from hil.sweeps.sweep import SweepStore, statistics
 
     if runs < 1:
         raise HilError(f"--runs: {runs} is below 1")
@@ -218,8 +217,7 @@ def _show(out: dict[str, Any], units: dict[str, str], as_json: bool) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from hil.cli.tables import print_table
-    from hil.cli.terminal import visible
+    from hil.cli.terminal import print_table, visible
     from hil.measure.signals import with_unit
 
     if as_json:

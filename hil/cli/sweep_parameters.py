@@ -57,7 +57,7 @@ def run_points(
 
     from hil.experiment import load_experiment
     from hil.files.outputs import check_output, write_output
-    from hil.pages.parameters import parameter_page
+    from hil.pages.many_runs import parameter_page
     from hil.sweeps.parameters import load_points, sweep_parameters
     from hil.sweeps.shown import interval_of
 
@@ -139,8 +139,7 @@ def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: 
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from hil.cli.tables import print_table
-    from hil.cli.terminal import cell, visible
+    from hil.cli.terminal import cell, print_table, visible
     from hil.measure.signals import with_unit
 
     print(f"{visible(out['experiment'])}: {out['runs']} runs at each of {len(out['points'])} points in {out['wall_s']} s")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.durations import Duration
+from hil.cli.option_types import Duration
 
 
 @click.command(context_settings={"allow_interspersed_args": False})

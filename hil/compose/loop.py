@@ -32,16 +32,13 @@ from design.requests.tracking import DesignTask
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import certify as certified
-from hil.certify.certify import digest_of, of_external
+from hil.certify.certify import digest_of, of_external, own_laws
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
-from hil.certify.jump_plant import process_of, system_of
-from hil.certify.jump_step import JumpStep, jump_step
-from hil.certify.own_laws import own_laws
+from hil.certify.jump_loop import JumpStep, jump_step, process_of, system_of
 from hil.certify.stated_controller import stated_by
-from hil.certify.watched import OneStep, Watched, one_step
+from hil.certify.word_and_deed import OneStep, Watched, one_step
 from hil.compose.fit import check_own, check_references
-from hil.compose.law_files import with_law_files
-from hil.compose.recorded_traffic import with_recorded_traffic
+from hil.compose.named_files import with_law_files, with_recorded_traffic
 from hil.compose.stored_gains import Gains, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment

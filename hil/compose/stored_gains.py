@@ -23,7 +23,7 @@ from design.verdict import digest
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.load import parse_table
-from hil.experiment.plain_form import plain
+from hil.experiment.table import plain
 from hil.files.regular import read_regular
 from hil.plugins.protocols import Designer, GivesGains, NamedController
 

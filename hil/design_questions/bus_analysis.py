@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.experiment.can_traffic import TrafficTable
-from hil.experiment.nodes import Medium
+from hil.experiment.nodes import Medium, TrafficTable
 from hil.rig.can_bus import periodic_message, periodic_traffic, rates_of
 from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
 from transport.can_bus_model.bit_rates import BitRates

@@ -10,8 +10,8 @@ import msgspec
 from docstring_parser import ParseError
 from docstring_parser.google import parse
 
-from hil.experiment.faults import Fault
 from hil.experiment.nodes import Node
+from hil.experiment.rig_tables import Fault
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Seconds
 from hil.plugins import registry
 from transport.durations import PATTERN

@@ -7,12 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import msgspec
 
-from hil.experiment.faults import Fault
-from hil.experiment.limits import Limits
-from hil.experiment.link_keys import Auth, Login, Tls, secured_uri
 from hil.experiment.nodes import Medium, Node, identifier_faults
-from hil.experiment.plain_form import plain
-from hil.experiment.table import Seconds, Table, not_negative
+from hil.experiment.rig_tables import Auth, Fault, Limits, Login, Tls, secured_uri
+from hil.experiment.table import Seconds, Table, not_negative, plain
 from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.plugins import registry
 from hil.plugins.user_modules import written_in

@@ -1,13 +1,19 @@
 """Matrices and gains from files: ``A = { file = "cart.mat", key = "A" }`` in the place of the numbers.
 
 The files are a stranger's: nothing is unpickled, and no file makes more numbers than `MOST_NUMBERS`.
+
+One matrix of real numbers from a MATLAB file, read by scipy in a process of its own, under limits.
 """
 
 from __future__ import annotations
 
 import io
 import math
+import os
+import signal
 import struct
+import subprocess
+import sys
 import tokenize
 import zipfile
 import zlib
@@ -18,8 +24,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import HilError
-from hil.files.mat_file import npy_of_mat
 from hil.files.regular import read_regular
+
+_CHILD: Final = Path(__file__).with_name("mat_child.py")
+
+
+def npy_of_mat(data: bytes, key: str, most_numbers: int) -> bytes:
+    """Return a matrix of a MATLAB file, version 4 to 7, in numpy's format `.npy`; see `hil.files.mat_child`.
+
+    Args:
+        data: the file.
+        key: name of the variable.
+        most_numbers: the most that it may hold.
+
+    Raises:
+        HilError: the file is damaged, of another version, or holds no such matrix.
+    """
+    done = subprocess.run(
+        [sys.executable, "-I", str(_CHILD), key, str(most_numbers)],  # -I: no folder of the user is on its path
+        input=data, capture_output=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    if done.returncode < 0:
+        raise HilError(f"is no whole .mat file: scipy's reader ended by {signal.Signals(-done.returncode).name}")
+    if done.returncode != 0:
+        raise HilError(done.stderr.decode(errors="replace").strip()[-500:])
+    return done.stdout
+
 
 MAX_BYTES: Final = 16_000_000
 MOST_NUMBERS: Final = 1_000_000

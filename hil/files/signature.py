@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from hil.errors import HilError
-from hil.files.exclusive import written_whole
+from hil.files.outputs import written_whole
 from hil.files.regular import read_regular
 from transport.links.private_directory import read_secret
 

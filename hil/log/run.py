@@ -1,10 +1,16 @@
 """A finished run in memory: one numpy array per topic, the events, and where it all came from.
 
 What reads one from a file is `hil.log.read.run`: a run in virtual time keeps its columns, and needs none of it.
+
+The SHA-256 of what a run recorded: in virtual time the same on every machine, for one experiment and one seed.
+
+A log also says which packages and commit made it, and holds a certificate, whose last digits depend on LAPACK; the SHA-256 of the
+file covers these too.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
@@ -93,3 +99,24 @@ class _Arrays(dict[str, StructuredArray]):
 
     def __missing__(self, topic: str) -> StructuredArray:
         raise missing(topic, [*self])
+
+
+def records_sha256(run: Run) -> str:
+    """Return the SHA-256 of every record of every topic but ``/events``: topic, field and bits, in the order of their names."""
+    digest = hashlib.sha256()
+    for topic in sorted(run.schemas):
+        records = run.numbers(topic)
+        if not len(records):
+            continue
+        for name in next(run.pieces(topic)).dtype.names or ():
+            digest.update(f"{topic} {name} {len(records)}\n".encode())
+            for piece in run.pieces(topic):  # a long log is never whole in memory
+                digest.update(_bytes_of(piece, name))
+    return digest.hexdigest()
+
+
+def _bytes_of(records: StructuredArray, name: str) -> bytes:
+    column = records[name]
+    if column.dtype.hasobject:  # raw frames, of any length
+        return b"".join(len(data).to_bytes(4, "little") + bytes(data) for data in column.tolist())
+    return column.astype(column.dtype.newbyteorder("<")).tobytes()

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
+from hil.log.read.foreign_logs import read_signal_table
 from hil.log.read.run import read_run
-from hil.log.read.signal_table import read_signal_table
 from hil.log.run import Run
 from hil.measure.view import APPLIED, MEASUREMENT, view_of
 

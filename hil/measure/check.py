@@ -16,8 +16,7 @@ from hil.log.topics import TOPICS
 from hil.measure.batch_measure import BatchMeasure
 from hil.measure.measure import Measure, Quantity, made_of, own_measures, quantities_of
 from hil.measure.view import RunView
-from hil.plugins.asked import asked, needs
-from hil.plugins.user_plugins import in_own_words
+from hil.plugins.user_plugins import asked, in_own_words, needs
 
 MEASURE: Final = {
     "title": "heading of its table",

@@ -12,7 +12,7 @@ from hil.log.append_column import pieces
 from hil.log.topics import SC, SENSOR, STATE
 from hil.measure.batch_measure import BatchValues, BatchView
 from hil.measure.measure import Quantity
-from hil.measure.network_load import loads, node_loads
+from hil.measure.network_paths import loads, node_loads
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, RunView, matrix, signal_names
 from hil.plugins.protocols import HasCost

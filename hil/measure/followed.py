@@ -1,16 +1,44 @@
-"""Outputs and the reference that they shall follow, read in blocks: a long run is never whole in memory."""
+"""Outputs and the reference that they shall follow, read in blocks: a long run is never whole in memory.
+
+The sum of a column that is never whole in memory, bit for bit what numpy's sum of it would be.
+
+Against what a tracking error counts, and over which parts of a run it is judged.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from hil.measure.pairwise_sum import LEAF
+LEAF: Final = 1 << 15
+"""Entries that are summed at once; numpy itself goes on halving down to 128."""
+
+
+def pairwise_sum(of: Callable[[int, int], npt.NDArray[np.floating[Any]]], n: int, begin: int = 0) -> float:
+    """Return the sum of n numbers by halves: s(n) = s(m) + s(n - m), m = n/2 less n/2 mod 8, as `numpy.sum` adds a column.
+
+    Args:
+        of: returns the entries from i to j - 1.
+        n: how many there are.
+        begin: the first of them.
+
+    Reference: N. J. Higham, The accuracy of floating point summation, SIAM J. Sci. Comput. 14 (1993), section 2.
+
+    >>> column = np.arange(100_000) / 7.0
+    >>> pairwise_sum(lambda i, j: column[i:j], len(column)) == np.sum(column)
+    np.True_
+    """
+    if n <= LEAF:
+        return float(np.sum(of(begin, begin + n)))
+    half = n // 2
+    half -= half % 8
+    return pairwise_sum(of, half, begin) + pairwise_sum(of, n - half, begin + half)
+
 
 Array: TypeAlias = npt.NDArray[np.floating[Any]]
 
@@ -56,3 +84,25 @@ class Followed:
             if len(found) >= most:
                 break
         return found[:most]
+
+
+SETTLING_BAND = 0.02
+"""Half width of the settling band, as a share of the step."""
+
+SETTLED_SHARE = 0.1
+"""Last share of the window that must lie in the band: a run that only crosses the band at its end has not settled."""
+
+STEADY_SHARE = 0.1
+"""Last share of the run over which the steady-state error is averaged."""
+
+AFTER_S = 5.0
+"""Begin of `sse_after_5s`, session time in s."""
+
+
+def target_of(reference: Array) -> Array:
+    """Return what the error counts against, (n, p): the reference, and before its first change the value that it goes to."""
+    target: Array = reference.copy()
+    changes = np.flatnonzero(np.any(reference[1:] != reference[:-1], axis=1)) + 1
+    if changes.size:
+        target[: changes[0]] = reference[changes[0]]
+    return target

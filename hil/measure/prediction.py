@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, feedforward, integrates
 from hil.compose.loop import Loop
+from hil.measure.followed import AFTER_S, target_of
 from hil.measure.signals import signals_of
-from hil.measure.step_response import AFTER_S, target_of
 from hil.measure.tracking import squared_unit
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant
 from hil.rig.delay_chains import gains_over
-from hil.rig.motion import motion_of
+from hil.rig.port import motion_of
 
 if TYPE_CHECKING:
     from design.networked_loop.prediction import Prediction

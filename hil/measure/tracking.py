@@ -9,13 +9,10 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hil.measure.batch_measure import BatchValues, BatchView
-from hil.measure.batch_tracking import tracking_of_batch
-from hil.measure.followed import Followed
+from hil.measure.batch_measure import BatchValues, BatchView, tracking_of_batch
+from hil.measure.followed import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, Followed, pairwise_sum
 from hil.measure.measure import Quantity
-from hil.measure.pairwise_sum import pairwise_sum
 from hil.measure.signals import Signals
-from hil.measure.step_response import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 
 Array: TypeAlias = npt.NDArray[np.floating[Any]]

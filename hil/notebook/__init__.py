@@ -1,10 +1,257 @@
 """Results in a notebook and in a paper: tables of pandas and xarray, figures of matplotlib, and the cells that show them.
 
-``run`` has those of one run, ``result`` those of many runs, of a design and of a chapter, ``sheet`` what both draw with.
+A result of many runs, of a design or of a chapter is shown as one line, its answer in sentences, a table and a plot; a run as
+tables, a figure and its cell; a figure is printed in millimetres.
 """
 
-from hil.notebook.result import Result, data_frame
-from hil.notebook.run import cell, datasets, figure, tables
-from hil.notebook.sheet import MM_PER_INCH, PAPER_STYLE
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.errors import HilError
+from hil.log.records import TIME_FIELD
+from hil.log.run import Run
+from hil.measure.measure import Quantity
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+    from hil.notebook.paper_figure import PaperFigure
+
+
+MM_PER_INCH = 25.4
+FORMATS = (".svg", ".pdf", ".png")
+PAPER_STYLE: Any = {
+    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
+    "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
+}  # fmt: skip
+"""What matplotlib is told for a figure that is printed in a column."""
+
+
+def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: float, height_mm: float) -> PaperFigure:
+    """Return a figure, and write it to a file where one is asked for.
+
+    Args:
+        paint: puts axes and lines into the figure.
+        path: where to write it; its ending says how: .svg, .pdf or .png (300 dots per inch).
+        width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals.
+
+    Raises:
+        HilError: if matplotlib is not installed, or for another ending or size.
+    """
+    try:
+        from matplotlib import rc_context
+
+        from hil.notebook.paper_figure import PaperFigure
+    except ImportError as error:
+        raise HilError("plot: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
+    if path is not None and Path(path).suffix not in FORMATS:
+        raise HilError(f"plot: {str(path)!r}; expected a name that ends in {', '.join(FORMATS)}")
+    if not (10.0 <= width_mm <= 2000.0 and 10.0 <= height_mm <= 2000.0):
+        raise HilError(f"plot: {width_mm:g} mm x {height_mm:g} mm; expected 10 to 2000 mm")
+    with rc_context(PAPER_STYLE):
+        sheet = PaperFigure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
+        paint(sheet)
+        if path is not None:
+            metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(Path(path).suffix)
+            sheet.savefig(path, dpi=300, metadata=metadata)
+    return sheet
+
+
+def as_svg(paint: Callable[[Figure], None], width_mm: float = 160.0, height_mm: float = 90.0) -> str:
+    """Return a figure as the element ``<svg>`` of a cell, nothing where matplotlib is not installed."""
+    try:
+        return drawn(paint, None, width_mm, height_mm).svg()
+    except HilError:
+        return ""
+
+
+Cell = str | float | int | None
+SIDE = 'style="text-align:{side};padding:2px 10px"'
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """What is shown of a result.
+
+    Args:
+        line: the result in one line.
+        answer: what it says, in sentences.
+        columns: heads of the table.
+        rows: of the table; None is shown as a dash.
+        paint: puts the plot into a figure of matplotlib; None where there is none.
+    """
+
+    line: str
+    answer: Sequence[str] = ()
+    columns: Sequence[str] = ()
+    rows: Sequence[Sequence[Cell]] = ()
+    paint: Callable[[Figure], None] | None = None
+
+    def html(self) -> str:
+        """Return the cell: the line, the answer, the table, and the plot where matplotlib is installed."""
+        said = "".join(f"<p><b>{escape(sentence)}</b></p>" for sentence in self.answer)
+        heads = "".join(f"<th {SIDE.format(side=_side(self.rows, i))}>{escape(c)}</th>" for i, c in enumerate(self.columns))
+        body = "".join(
+            "<tr>" + "".join(f"<td {SIDE.format(side=_side(self.rows, i))}>{_text(v)}</td>" for i, v in enumerate(row)) + "</tr>"
+            for row in self.rows
+        )
+        table = f"<table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>" if self.rows else ""
+        return f"<div><p>{escape(self.line)}</p>{said}{table}{as_svg(self.paint) if self.paint else ''}</div>"
+
+    def plot(self, path: str | Path | None, width_mm: float, height_mm: float) -> Figure:
+        """Return the plot, and write it to a file; see `hil.notebook.drawn`.
+
+        Raises:
+            HilError: there is none, or it cannot be drawn or written.
+        """
+        if self.paint is None:
+            raise HilError("plot: there is nothing to draw")
+        return drawn(self.paint, path, width_mm, height_mm)
+
+
+def data_frame(columns: Mapping[str, Any], units: Mapping[str, str] | None = None) -> pandas.DataFrame:
+    """Return columns, one entry each per row, as a table of pandas, with the units in ``attrs``.
+
+    Raises:
+        HilError: if pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise HilError("to_pandas: pandas is not installed; pip install 'hilrig[notebook]'") from error
+    frame = pandas.DataFrame(dict(columns))
+    frame.attrs["units"] = dict(units or {})
+    return frame
+
+
+def _text(value: Cell) -> str:
+    if value is None or value != value:
+        return "-"
+    return escape(value) if isinstance(value, str) else f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _side(rows: Sequence[Sequence[Cell]], column: int) -> str:
+    """Words stand at the left of their column, numbers at the right."""
+    return "left" if any(isinstance(row[column], str) for row in rows) else "right"
+
+
+TILES = 6
+
+
+def tables(run: Run) -> dict[str, pandas.DataFrame]:
+    """Return a `pandas.DataFrame` per topic, with the session time in s as its index and the units in ``attrs``.
+
+    Raises:
+        HilError: if pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise HilError("to_pandas: pandas is not installed; pip install 'hilrig[notebook]'") from error
+    found = {}
+    for topic, array in run.arrays.items():
+        columns = {name: array[name] for name in array.dtype.names or () if name != TIME_FIELD}
+        frame = pandas.DataFrame(columns, index=pandas.Index(seconds(array), name="t_s"))
+        frame.attrs["units"] = _units(run, topic)
+        found[topic] = frame
+    return found
+
+
+def datasets(run: Run) -> dict[str, xarray.Dataset]:
+    """Return an `xarray.Dataset` per topic over the coordinate ``t_s``, in s, with the unit of every variable.
+
+    Raises:
+        HilError: if xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise HilError("to_xarray: xarray is not installed; pip install 'hilrig[notebook]'") from error
+    found = {}
+    for topic, array in run.arrays.items():
+        units = _units(run, topic)
+        variables = {
+            name: ("t_s", array[name], {"units": units.get(name, "")})
+            for name in array.dtype.names or () if name != TIME_FIELD
+        }  # fmt: skip
+        found[topic] = xarray.Dataset(variables, coords={"t_s": ("t_s", seconds(array), {"units": "s"})})
+    return found
+
+
+def figure(run: Run, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
+    """Return a figure of the tracked outputs against their reference, and of the inputs, one above the other.
+
+    Args:
+        run: a log that was read, or a run in memory.
+        path: where to write it; its ending says how: .svg, .pdf or .png (300 dots per inch).
+        width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals.
+
+    Raises:
+        HilError: if matplotlib is not installed, or for another ending.
+    """
+    return drawn(partial(_paint, run), path, width_mm, height_mm)
+
+
+def _paint(run: Run, sheet: Figure) -> None:
+    view = view_of(run)
+    outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
+    rows = sheet.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]
+    measurement, reference = run.arrays[MEASUREMENT], run.arrays.get(REFERENCE)
+    for axis, name in zip(rows, outputs):
+        if reference is not None:
+            axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
+        axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
+        axis.set_ylabel(_label(name, view.signals.outputs[name]))
+        axis.legend(frameon=False)
+    if applied is not None:
+        inputs = signal_names(run, APPLIED)
+        for number, name in enumerate(inputs):
+            axis = rows[-1]
+            axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
+        rows[-1].set_ylabel(_label(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
+        if len(inputs) > 1:
+            rows[-1].legend(frameon=False)
+    rows[-1].set_xlabel("time (s)")
+
+
+def cell(run: Run, summary: dict[str, Any], line: str, quantities: Sequence[Quantity] = ()) -> str:
+    """Return a session as HTML: one line, its numbers as tiles, and the plot where matplotlib is installed.
+
+    Args:
+        run: what ran.
+        summary: its summary.
+        line: the session in one line.
+        quantities: what the numbers are, with the titles that the page of the run has.
+    """
+    known = {quantity.name: quantity for quantity in quantities}
+    units = summary.get("units", {})
+    found = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]
+    plain = {name: Quantity(name=name, title=name, unit=units.get(name, "")) for name, _ in found}
+    tiles = "".join(
+        '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
+        f'<div style="font-size:80%;opacity:.7">{escape(of.title)}</div><b>{value:.5g}</b> {escape(of.unit)}</div>'
+        for of, value in ((known.get(name, plain[name]), value) for name, value in found)
+    )
+    svg = as_svg(partial(_paint, run))
+    return f'<div><p>{escape(line)}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
+
+
+def _units(run: Run, topic: str) -> dict[str, str]:
+    schema = run.schemas.get(topic)
+    return {f.name: f.unit for f in schema.fields} if schema is not None else {}
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name
+
 
 __all__ = ["MM_PER_INCH", "PAPER_STYLE", "Result", "cell", "data_frame", "datasets", "figure", "tables"]

@@ -1,15 +1,21 @@
 """What every controller must keep, as functions that its author can run; each raises AssertionError with a sentence.
 
-Network laws have theirs in :mod:`hil.plugins.law_checks`, measures in :mod:`hil.measure.check`, plants in
+Network laws have theirs in :mod:`hil.plugins.checks`, measures in :mod:`hil.measure.check`, plants in
 :mod:`plants.parts.check`, links in :mod:`transport.links.contract`.
+
+What every network law must keep, as a function that its author can run: `check_law`.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
-from typing import Any
+from numbers import Integral
+from typing import Any, Final, cast
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from design.controllers import (
     Controller,
@@ -25,9 +31,158 @@ from design.controllers import (
     packet_samples,
     row_count,
 )
-from hil.plugins.asked import asked, needs
-from hil.plugins.law_checks import check_law
+from hil.plugins.user_plugins import asked, needs
+from transport.draws import Draw
+from transport.law_tests.statistics import law_p_value
+from transport.laws.delay_states import delay_states
+from transport.laws.protocols import (
+    AgeLaw,
+    BoundedAge,
+    BoundedTail,
+    ChainLaw,
+    ChannelLaw,
+    NetworkLaw,
+    RecordedLaw,
+    SemiMarkovLaw,
+    prepare,
+    slots_served,
+)
+from transport.medium.independent import impair
 from transport.packets import SELECTIONS
+
+DIFFERS: Final = 1e-6
+"""A law whose record is this unlikely is not the one that was stated: one right law in a million is refused."""
+
+LAW: Final = {
+    "family": '"age" for ages in slots, "packet" for a latency of every packet',
+    "start": "a method that returns the running law",
+}
+AGE: Final = {"max_age": "the largest age in slots that draw() returns, a whole number"}
+PACKET: Final = {
+    "reordering": "whether a packet may overtake an earlier one",
+    "queue": "the largest number of packets in flight",
+}
+PERIOD_S, DEADLINE_S = 0.01, 0.006
+
+
+def check_law(law: NetworkLaw, slots: int = 400) -> list[str]:
+    """Check a network law: reproducible, nothing from the future, ages within their bound, and drawn as it states.
+
+    Returns:
+        Which protocols of :mod:`transport.laws.protocols` the law fulfils and what each earns, a sentence each.
+
+    Raises:
+        AssertionError: naming the first rule that is broken, in the words of the law's author.
+    """
+    name = type(law).__name__
+    needs(law, f"{name}, a network law,", LAW)
+    assert law.family in ("age", "packet"), f'{name}.family is {law.family!r:.60}, expected "age" or "packet"'
+    needs(law, f'{name}, a network law of family "{law.family}",', AGE if law.family == "age" else PACKET)
+    if dataclasses.is_dataclass(law) or isinstance(law, msgspec.Struct):
+        asked(f"the fields of {name} must be plain data", msgspec.json.encode, law)
+    law = prepare(law)
+    check_draws(law)
+    bound = law.max_age if isinstance(law, BoundedAge) else None
+
+    def arrivals() -> list[list[int]]:
+        impairment = impair(law, np.random.default_rng(5), PERIOD_S, DEADLINE_S)
+        out, newest = [], -1
+        for k in range(slots):
+            impairment.offer(k, k)
+            draws, arrived = asked(f"draw() of slot {k}", impairment.collect, k)
+            assert all(d.tick == k for d in draws), "a draw is booked in another slot"
+            assert all(packet == g <= k for g, packet in arrived), "a packet came from the future, or under another number"
+            if bound is not None and arrived:
+                newest = max(newest, *(g for g, _ in arrived))
+                assert k - newest <= max(bound, k), "older than the law's bound"
+            out.append([g for g, _ in arrived])
+        return out
+
+    assert arrivals() == arrivals(), f"{name}.start(rng): two starts with one seed must draw the same; draw from rng alone"
+    if law.family == "packet":
+        said = [f"{name} is a PerPacketLaw: it can run in a loop"]
+        if isinstance(law, ChannelLaw):
+            said.append(f"{name} is a ChannelLaw: its losses are analysed exactly, and every record is tested against it")
+        return [*said, f"{name} is neither a ChainLaw nor a SemiMarkovLaw: loops over it run with allow_uncertified only"]
+    said = [f"{name} is an AgeLaw: it can run in a loop"]
+    modes = _check_drawn(cast(AgeLaw, law), slots)
+    if isinstance(law, RecordedLaw):
+        said.append(f"{name} is a RecordedLaw: its ages are analysed exactly, and every record is tested against it")
+    elif isinstance(law, SemiMarkovLaw):
+        said.append(f"{name} is a SemiMarkovLaw: loops over it, and stays in it, can be certified, designed for and predicted")
+        silent = [i for i, sojourn in enumerate(law.sojourn) if not isinstance(sojourn, BoundedTail)]
+        if silent:
+            said.append(f"{name}: the sojourn laws of modes {silent} are no BoundedTail: nothing is assumed beyond the cut")
+    elif isinstance(law, ChainLaw):
+        _check_chain(law)
+        said.append(f"{name} is a ChainLaw: loops over it can be certified, designed for and predicted")
+    else:
+        said.append(
+            f"{name} is neither a ChainLaw (transition_matrix() and mode_ages) nor a SemiMarkovLaw: "
+            "loops over it run with allow_uncertified only"
+        )
+    states = asked("transition_matrix() and mode_ages", delay_states, law)
+    if states is not None:
+        p_value = asked("transition_matrix() and mode_ages", law_p_value, law, modes)
+        assert not p_value < DIFFERS, f"the drawn modes do not follow the stated chain: p = {p_value:.2g}"
+        if states.has_gaps:
+            said.append(f"{name}: the age may grow by more than one per slot; what runs is min(age, last + 1), certified so")
+    return said
+
+
+def check_draws(law: Any) -> None:
+    """Check what `start` and `draw` return, shape by shape, before anything leans on it.
+
+    Raises:
+        AssertionError: naming what is missing or has another shape.
+    """
+    rng, name = np.random.default_rng(5), type(law).__name__
+    packet = law.family == "packet"
+    call = "start(rng, period_s, deadline_s)" if packet else "start(rng)"
+    running = asked(f"{name}.{call}", law.start, rng, *((PERIOD_S, DEADLINE_S) if packet else ()))
+    if packet:
+        needs(running, f"what {call} returns", {"draw": "draw(k) gives a list of Draw for the packet of slot k"})
+        drawn = asked("draw(0)", running.draw, 0)
+        right = isinstance(drawn, list) and bool(drawn) and all(isinstance(d, Draw) for d in drawn)
+        assert right, f"draw(k) returned {drawn!r:.80}, expected a list of transport.Draw"
+        return
+    bound = law.max_age
+    assert _whole(bound) and bound >= 0, f"{name}.max_age is {bound!r:.60}, expected a whole number of slots"
+    needs(running, f"what {call} returns", {"draw": "draw() gives (mode, age) of the next slot"})
+    drawn = asked("draw()", running.draw)
+    pair = isinstance(drawn, tuple) and len(drawn) == 2 and all(map(_whole, drawn))
+    assert pair, f"draw() returned {drawn!r:.80}, expected (mode, age), two whole numbers"
+
+
+def _check_chain(law: ChainLaw) -> None:
+    matrix, n = asked("transition_matrix()", lambda: np.asarray(law.transition_matrix(), dtype=float)), len(law.mode_ages)
+    assert matrix.shape == (n, n), f"transition_matrix() of shape {matrix.shape}, expected {(n, n)}: mode_ages has {n} modes"
+    for i, row in enumerate(matrix):
+        assert bool((row >= 0).all()), f"transition_matrix(): row {i} has a probability below 0 or none"
+        assert abs(row.sum() - 1.0) < 1e-9, f"transition_matrix(): row {i} sums to {row.sum():g}, expected 1"
+
+
+def _whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _check_drawn(law: AgeLaw, slots: int) -> NDArray[np.int64]:
+    """Return the modes of a run; every age must be a whole number within the bound, and that of its mode."""
+    draw = law.start(np.random.default_rng(5)).draw
+    served = slots_served(law)
+    drawn = [draw() for _ in range(slots if served is None else min(slots, served))]
+    bound = law.max_age
+    if isinstance(law, ChainLaw | SemiMarkovLaw):
+        ages = asked("mode_ages", lambda: list(law.mode_ages))
+        right = bool(ages) and all(map(_whole, ages))
+        assert right, f"mode_ages is {law.mode_ages!r:.60}, expected the age of every mode, whole numbers"
+    assert all(0 <= age <= bound for _, age in drawn), f"draw() gave an age outside 0 .. {bound}, which max_age allows"
+    if isinstance(law, ChainLaw | SemiMarkovLaw):
+        ages = list(law.mode_ages)
+        assert max(ages) <= bound, f"a mode has age {max(ages)}, above max_age {bound}"
+        assert all(0 <= mode < len(ages) and age == ages[mode] for mode, age in drawn), "an age that is not its mode's"
+    return np.array([mode for mode, _ in drawn], dtype=np.int64)
+
 
 __all__ = ["check_answers", "check_controller", "check_law", "check_table"]
 

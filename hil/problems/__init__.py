@@ -1,1 +1,160 @@
-"""Ten loops of networked control: plant, network, objective and seeds, the best controller that is known, and a lower bound."""
+"""Ten loops of networked control: plant, network, objective and seeds, the best controller that is known, and a lower bound.
+
+The problem set: what stands in `problems.toml`, as experiments; and what a controller reaches on one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from design.errors import DesignError
+from design.monte_carlo.confidence import mean_interval
+from design.networked_loop.certify import lower_bounds
+from hil.compose.loop import Loop, compose
+from hil.design_questions.design_problem import tracking_target
+from hil.errors import HilError
+from hil.experiment import Experiment, load_experiment
+from hil.sweeps.seeds import run_seeds
+
+RUNS = 1000
+PULSE_AT_S, LASTS_S = 8.0, 7.0
+OBJECTIVE = "sse"
+
+
+class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One problem.
+
+    Args:
+        name: of the problem.
+        experiment: a shipped experiment, or a file beside the set.
+        source: where plant and network come from.
+        pulse: added to every input for one sample, in the input's unit.
+        tried: tables of the controllers that were tried, in TOML.
+    """
+
+    name: str
+    experiment: str
+    source: str
+    pulse: float
+    tried: tuple[str, ...]
+
+    def load(self, controller: str | None = None) -> Experiment:
+        """Return the experiment, at rest but for one pulse, with another controller where one is given.
+
+        Raises:
+            HilError: the controller does not fit.
+        """
+        path = folder() / self.experiment
+        named: str | Path = path if self.experiment.endswith(".toml") else self.experiment
+        plain = load_experiment(named)
+        zeros, pulse = [0.0] * len(plain.plant.outputs), [self.pulse] * len(plain.plant.inputs)
+        sets = [
+            "allow_uncertified=true",
+            f"duration={PULSE_AT_S + LASTS_S}",
+            f"reference=[{{at=0,value={zeros}}}]",
+            f"disturbance=[{{at={PULSE_AT_S},samples=1,value={pulse}}}]",
+        ]
+        sets += [] if controller is None else [f"controller={controller}"]
+        return load_experiment(named, sets)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reached:
+    """What a controller reaches on a problem.
+
+    Args:
+        problem: its name.
+        controller: its table, in TOML.
+        mean, low, high: of the objective, with its 95 % interval; None where it did not run.
+        runs: how many seeds, from 0.
+        stopped: runs that safety stopped; their objective is no number of the problem.
+        verdict: what the door says of the loop.
+        said: why it did not run, empty where it did.
+    """
+
+    problem: str
+    controller: str
+    mean: float | None
+    low: float | None
+    high: float | None
+    runs: int
+    stopped: int
+    verdict: str
+    said: str = ""
+
+
+def folder() -> Path:
+    """Return where the set stands."""
+    return Path(str(resources.files("hil"))) / "problems"
+
+
+def problems() -> tuple[Problem, ...]:
+    """Return the problem set."""
+    found = msgspec.toml.decode((folder() / "problems.toml").read_bytes(), type=dict[str, tuple[Problem, ...]])
+    return found["problem"]
+
+
+def best_known() -> dict[str, dict[str, Any]]:
+    """Return what is stored of every problem: the best `Reached` as plain values, and `lower_bound`."""
+    found: dict[str, dict[str, Any]] = msgspec.json.decode((folder() / "best.json").read_bytes())
+    return found
+
+
+def reached(problem: Problem, controller: str, runs: int) -> Reached:
+    """Run a controller on a problem; one that does not fit it says why."""
+    try:
+        loop = compose(problem.load(controller))
+    except (HilError, DesignError) as error:
+        return Reached(problem=problem.name, controller=controller, mean=None, low=None, high=None, runs=0, stopped=0, verdict="",
+                       said=str(error).replace("\n", "; ")[:300])  # fmt: skip
+    return measured(problem, controller, loop, runs)
+
+
+def measured(problem: Problem, controller: str, loop: Loop, runs: int) -> Reached:
+    """Return what a composed loop reaches over seeds 0 ... runs - 1."""
+    rows = run_seeds(loop, list(range(runs)))
+    stopped = sum(row["stopped"] > 0.0 for row in rows)
+    interval = mean_interval(np.array([row[OBJECTIVE] for row in rows if not row["stopped"]]))
+    known = interval.n > 1 and not stopped
+    return Reached(
+        problem=problem.name, controller=controller, runs=runs, stopped=stopped, mean=interval.value if known else None,
+        low=interval.low if known else None, high=interval.high if known else None,
+        verdict="undecided" if loop.verdict is None else loop.verdict.state,
+        said="" if known else f"safety stopped {stopped} of {runs} runs",
+    )  # fmt: skip
+
+
+def lower_bound(problem: Problem) -> float | None:
+    """Return what no controller that is linear in what it knows goes below in the mean, None where no bound is known.
+
+    The pulse is an impulse of the discrete loop, met in a long run; the sum of squared errors after it has no end. Only for one
+    input and one sensor node: over two inputs the bound is of both impulses together.
+    """
+    path = folder() / problem.experiment
+    try:
+        target = tracking_target(str(path) if problem.experiment.endswith(".toml") else problem.experiment)
+    except HilError:
+        return None
+    if target.B.shape[1] != 1:
+        return None
+    initial = np.kron(target.sc.stationary, target.ca.stationary)
+    bounds = lower_bounds(target.A, target.B, target.C, target.sc, target.ca, initial=initial)
+    return float(problem.pulse**2 * bounds.h2_delayed_information**2)
+
+
+def best_of(found: Sequence[Reached]) -> Reached | None:
+    """Return the controller of the smallest mean, of those that ran and that no verdict refused."""
+    ran = [each for each in found if each.mean is not None and each.verdict != "refused"]
+    return min(ran, key=lambda each: each.mean or 0.0) if ran else None
+
+
+def as_plain(found: Reached, bound: float | None) -> Mapping[str, Any]:
+    """Return what is stored of a problem."""
+    return {**msgspec.to_builtins(found), "lower_bound": bound}

@@ -1,13 +1,27 @@
-"""Files of packets by their endings: our logs, tables, CAN logs of one bus seen twice, captures of ping."""
+"""Files of packets by their endings: our logs, tables, CAN logs of one bus seen twice, captures of ping.
+
+Packets in our own logs: what `hil probe` measured, or what the emulated network of a run did with every packet.
+
+One CAN bus seen twice: the same frames in two logs, the sender's and the receiver's, by identifier and data.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
+
 from hil.errors import HilError
-from hil.recordings.recording import BACK, THERE, Recording
+from hil.log.read.arrays import StructuredArray
+from hil.log.read.foreign_logs import can_frames
+from hil.log.read.run import read_run
+from hil.log.run import Run
+from hil.log.topics import CA, PROBE, SC
+from hil.recordings.recording import BACK, THERE, Recording, Way
+from transport.draws import DELIVERED, LOST, NO_MODE, OVERFLOW, SENT
 
 CAN_ENDINGS = (".log", ".asc", ".blf")
 ENDINGS = (".mcap", ".csv", *CAN_ENDINGS, ".pcap")
@@ -44,11 +58,10 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
             raise HilError(
                 f"{said}: a CAN log has no latencies by itself; expected two of one bus: the sender's, then the receiver's"
             )
-        from hil.recordings.can_pair import read_can_pair
 
         return read_can_pair(paths[0], paths[1], can_id, clocks=1 if one_clock else 2)
     if endings == {".csv"} and len(paths) == 2:
-        from hil.recordings.table import read_latencies
+        from hil.recordings.foreign_packets import read_latencies
 
         there, back = (read_latencies(path, one_clock=one_clock) for path in paths)
         if any(len(each.ways) != 1 or THERE not in each.ways for each in (there, back)):
@@ -58,13 +71,126 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
     if len(paths) != 1:
         raise HilError(f"{said}: expected one file, or two CAN logs of one bus, or two tables (.csv) of both directions")
     if endings == {".csv"}:
-        from hil.recordings.table import read_latencies
+        from hil.recordings.foreign_packets import read_latencies
 
         return read_latencies(paths[0], one_clock=one_clock)
     if endings == {".pcap"}:
-        from hil.recordings.ping_capture import read_ping_capture
+        from hil.recordings.foreign_packets import read_ping_capture
 
         return read_ping_capture(paths[0])
-    from hil.recordings.own_log import read_own_log
 
     return read_own_log(paths[0])
+
+
+def read_own_log(path: Path) -> Recording:
+    """Read a log of `hil probe`, or of a run.
+
+    Raises:
+        HilError: it is no log, or has no packets.
+    """
+    run = read_run(path)
+    if PROBE.name in run.arrays:
+        return _probe(path, run)
+    if SC.name not in run.arrays or CA.name not in run.arrays:
+        raise HilError(f"{path}: has no packets; expected a log of `hil probe` or of a run")
+    period = float(run.resolved.get("period", 0.0))
+    if not period > 0.0:
+        raise HilError(f"{path}: resolved.json: period: missing, expected seconds")
+    nodes = run.arrays[SC.name]
+    if "node" in (nodes.dtype.names or ()) and len(np.unique(nodes["node"])) > 1:
+        raise HilError(f"{path}: several sensor nodes; a law is that of one")
+    ways = {name: _emulated(run.arrays[topic], period) for name, topic in ((THERE, SC.name), (BACK, CA.name))}
+    notes = (f"{path}: the emulated network of a run, and no measured one: {run.metadata.get('experiment', '?')}",)
+    return Recording(source=str(path), ways=ways, clocks=1, notes=notes)
+
+
+def _emulated(draws: StructuredArray, period_s: float) -> Way:
+    """A packet law says the latency of every packet; under an age law what was superseded has not come by then."""
+    own = draws["mode"] != NO_MODE
+    if np.isin(draws["reason"][own], (SENT, LOST, OVERFLOW)).all():
+        ticks = draws["packet_tick"][own]
+        latency = np.where(draws["reason"][own] == SENT, draws["latency_s"][own], np.nan)
+        return Way(sent_s=ticks * period_s, difference_s=latency)
+    slots = int(draws["tick"].max(initial=-1)) + 1
+    latency, until = np.full(slots, np.nan), np.arange(slots, 0, -1, dtype=np.float64) * period_s
+    arrived = draws[(draws["reason"] == DELIVERED) & (draws["packet_tick"] >= 0)]
+    newest = -1
+    for tick, packet in zip(arrived["tick"].tolist(), arrived["packet_tick"].tolist()):
+        if packet > newest:
+            latency[packet] = (tick - packet) * period_s
+            overtaken = np.arange(newest + 1, packet)
+            until[overtaken] = (tick - overtaken) * period_s
+            newest = packet
+    return Way(sent_s=np.arange(slots, dtype=np.float64) * period_s, difference_s=latency, until_s=until)
+
+
+def _probe(path: Path, run: Run) -> Recording:
+    found = run.arrays[PROBE.name]
+    sent, there, back = (found[name] * 1e-9 for name in ("sent_ns", "answered_ns", "received_ns"))
+    came = found["received_ns"] > 0
+    where = run.session.get("clocks", "2")
+    return Recording(
+        source=str(path), clocks=1 if where == "1" else 2,
+        ways={THERE: Way(sent_s=sent, difference_s=np.where(came, there - sent, np.nan)),
+              BACK: Way(sent_s=there[came], difference_s=(back - there)[came])},
+        notes=(f"{path}: {int((~came).sum())} of {len(found)} round trips did not come back: on which way is not known, "
+               "they are counted as lost on the way there",) if not came.all() else (),
+    )  # fmt: skip
+
+
+MOST_FRAMES = 5_000_000
+
+
+def read_can_pair(sender: Path, receiver: Path, can_id: int | None, clocks: int) -> Recording:
+    """Pair the frames of two logs.
+
+    Args:
+        sender, receiver: the logs (.log, .asc, .blf).
+        can_id: only frames of this identifier; all by default.
+        clocks: 1 if both programs read one clock, else 2.
+
+    Raises:
+        HilError: a log cannot be read, has no such frame, or its frames repeat and some were lost, so that none can be paired.
+    """
+    there, here = ([*_frames(path, can_id)] for path in (sender, receiver))
+    for path, frames in ((sender, there), (receiver, here)):
+        if not frames:
+            raise HilError(f"{path}: no frame{'' if can_id is None else f' of identifier {can_id:#x}'}")
+    counts, seen = Counter(key for key, _ in there), Counter(key for key, _ in here)
+    broken = next((key for key, n in counts.items() if n > 1 and seen[key] != n), None)
+    if broken is not None:
+        raise HilError(
+            f"{sender}: frame {broken[0]:#x} with the same data is there {counts[broken]} times, in {receiver} {seen[broken]} "
+            "times: which was lost cannot be said; expected frames that differ, by a counter, or another --can-id"
+        )
+    came: dict[tuple[int, bytes], list[float]] = {}
+    for key, t_s in here:
+        came.setdefault(key, []).append(t_s)
+    for times in came.values():
+        times.reverse()
+    sent = np.array([t_s for _, t_s in there])
+    received = np.array([came[key].pop() if came.get(key) else np.nan for key, _ in there])
+    if np.isnan(received).all():
+        raise HilError(f"{sender} and {receiver}: no frame is in both; expected two logs of one bus at one time")
+    others = sum(map(len, came.values()))
+    notes = [f"{int(np.isnan(received).sum())} of {len(sent)} frames are in {sender} alone: lost"]
+    if others:
+        notes.append(f"{others} frames are in {receiver} alone: left out")
+    return Recording(
+        source=f"{sender} and {receiver}", ways={THERE: Way(sent_s=sent, difference_s=received - sent)}, clocks=clocks,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _frames(path: Path, can_id: int | None):  # type: ignore[no-untyped-def]
+    last = -np.inf
+    for number, frame in enumerate(can_frames(path)):
+        if number >= MOST_FRAMES:
+            raise HilError(f"{path}: more than {MOST_FRAMES} frames")
+        if frame.is_error_frame or frame.is_remote_frame:
+            continue
+        if frame.timestamp < last:
+            raise HilError(f"{path}: frame {number}: time stamps run backwards, from {last:.6f} to {frame.timestamp:.6f}")
+        last = frame.timestamp
+        if can_id is None or frame.arbitration_id == can_id:
+            yield (frame.arbitration_id, bytes(frame.data)), frame.timestamp

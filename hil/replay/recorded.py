@@ -1,8 +1,14 @@
-"""What a log recorded of the link: the nonces of the questions, and the answers that came in time, slot by slot."""
+"""What a log recorded of the link: the nonces of the questions, and the answers that came in time, slot by slot.
+
+Whether the answers that a log holds carry the codes of a key: who had no key can have made none of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from hmac import compare_digest
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,8 +20,10 @@ from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR, TIMING
 from hil.replay.compare import BATCH, in_time
-from hil.runtime.nodes.wire import Wire
+from hil.runtime.nodes.wire import Wire, before
+from transport.links.authenticated_link import cmac, read_key
 from transport.packets import SensorPacket, decode
+from transport.wire.tags import tag_of
 
 MOST_SORTED: Final = 200_000
 """Control packets that are sorted where a log has them out of order; hil writes them in order."""
@@ -124,3 +132,48 @@ class Woken:
         while self._next is not None and self._next[0] < k:
             self._next = next(self._late, None)
         return t_ns if self._next is None or self._next[0] != k else t_ns + round(self._next[1] * 1e3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tags:
+    """What the tags of a log say.
+
+    Args:
+        verified: answers, late ones too, whose tag is that of the key.
+        wrong: answers without a tag, or with another one.
+        first: slot of the first of those, None if there is none.
+    """
+
+    verified: int
+    wrong: int
+    first: int | None
+
+
+def verify_tags(run: Run, key: Path, source: str = "log") -> Tags:
+    """Compute the tag of every recorded answer again.
+
+    The nonce of the session, which every code covers, is that from which the nonce of slot 0 follows.
+
+    Args:
+        run: the log.
+        key: the key of the frames, as `hil keys new` makes it.
+        source: the log's name, for messages.
+
+    Raises:
+        HilError: the log has no nonce of slot 0: no real link was there.
+        TransportError: the file is no key, or others can read it.
+    """
+    code, first_nonce = cmac(read_key(str(key))), recorded_wire(run).nonce(0)
+    if not first_nonce:
+        raise HilError(f"{source}: has no nonce of slot 0, so no session over a link; --auth needs one with auth=")
+    session = before(first_nonce).to_bytes(8, "little")
+    verified, wrong = 0, 0
+    first: int | None = None
+    for tick, data in frames(run.pieces(CONTROL.name, BATCH)):
+        said = tag_of(data)
+        if said is not None and compare_digest(code(session + said.signed), said.tag):
+            verified += 1
+        else:
+            wrong += 1
+            first = tick if first is None else first
+    return Tags(verified=verified, wrong=wrong, first=first)

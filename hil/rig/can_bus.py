@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from design.controllers import row_count
-from hil.experiment.can_traffic import TrafficTable
-from hil.experiment.nodes import Medium
+from hil.experiment.nodes import Medium, TrafficTable
 from hil.rig.can_frames import CONTROL, path_of
 from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
@@ -185,7 +184,7 @@ def recorded_faults(medium: Medium, at: str, owner: Mapping[tuple[bool, int], st
     """
     if not medium.recorded:
         return
-    from hil.rig.recorded_frame import MOST, due_of
+    from hil.rig.traffic_file import MOST, due_of
 
     last = 0
     for i, line in enumerate(medium.recorded):

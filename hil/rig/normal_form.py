@@ -7,11 +7,10 @@ from hil.experiment import Experiment
 from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.rig.can_bus import can_bus_faults
 from hil.rig.can_frames import can_faults
-from hil.rig.fault_schedule import beyond_the_end, fault_schedule, fault_schedule_faults
 from hil.rig.packet_ages import Receiver
 from hil.rig.port import Port, port_of
-from hil.rig.sensor_list import sensors_of
-from hil.rig.sensor_order import ordered_names
+from hil.rig.schedules import beyond_the_end, fault_schedule, fault_schedule_faults
+from hil.rig.sensor_list import ordered_names, sensors_of
 from hil.rig.sensors import node_faults, sensor_nodes, shared_media
 from hil.rig.spec import RigSpec
 from transport.links.traits import CanFraming, traits_of

@@ -1,11 +1,19 @@
-"""The port of a device: the force that its motor puts out, the position that it acts on, and what resists there."""
+"""What is taken of a plant: its port, and the matrices by which it moves.
+
+The port of a device: the force that its motor puts out, the position that it acts on, and what resists there.
+
+By which matrices a plant moves, where a designer sees others: what theory computes with, beside what controllers know.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
-from hil.plugins.protocols import JumpPlant, Plant
+import numpy as np
+
+from design.controllers import LoopModel
+from hil.plugins.protocols import JumpPlant, MovesOtherwise, Plant
 
 CONJUGATE: Final = (("N", "m"), ("N m", "rad"))
 """Units of an input and an output whose product is energy."""
@@ -46,3 +54,16 @@ def port_of(plant: Plant) -> Port | None:
         stiffness=max(-float(model.A[1, 0]) * mass, 0.0),
         output=found[0] if found else None,
     )
+
+
+def motion_of(plant: Plant, model: LoopModel) -> LoopModel:
+    """Return the loop's model with the matrices by which the plant moves; the model itself where these are what a designer sees.
+
+    Args:
+        plant: what runs.
+        model: what controllers know of it.
+    """
+    if not isinstance(plant, MovesOtherwise):
+        return model
+    moves = plant.motion().discretise(model.period_s)
+    return replace(model, A=np.asarray(moves.A), B=np.asarray(moves.B), C=np.asarray(moves.C))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from design.controllers import SensorNodes, Turns
 from hil.experiment import Experiment
 from hil.experiment.nodes import Medium
-from hil.rig.bus_schedule import bus_cycle
+from hil.rig.schedules import bus_cycle
 from hil.rig.sensor_list import Sensor
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import BoundedAge, NetworkLaw

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 from design.controllers import SensorNodes
 from hil.experiment.tables import Links
-from hil.rig.fault_schedule import FaultSchedule
 from hil.rig.packet_ages import Receiver
 from hil.rig.port import Port
+from hil.rig.schedules import FaultSchedule
 from hil.rig.sensor_list import Sensor
 from hil.rig.sensors import SharedMedium
 from plants.parts.linear import Signal

@@ -18,8 +18,7 @@ from hil.log.topics import SC, STATE
 from hil.measure.batch_measure import BatchMeasure, BatchView
 from hil.measure.measure import measures_of
 from hil.measure.signals import signals_of
-from hil.sweeps.batch_delays import applied_rows, law_supports_batch, received, starved
-from hil.sweeps.batch_delivery import KnownSamples, delivered, nodes_of
+from hil.sweeps.batch_delivery import KnownSamples, applied_rows, delivered, law_supports_batch, nodes_of, received, starved
 from hil.sweeps.batch_protocols import (
     BatchController,
     BatchPlant,

@@ -22,7 +22,7 @@ from hil.sweeps.comparison import common_quantities
 from hil.sweeps.points import Points, numbers_of
 from hil.sweeps.seeds import columns_of, quantities_in, run_sweep
 from hil.sweeps.shown import ShownResult, asked, interval_of, mean_and_interval, paint_points, within
-from hil.sweeps.store import SweepStore
+from hil.sweeps.sweep import SweepStore
 
 if TYPE_CHECKING:
     import pandas

@@ -1,4 +1,10 @@
-"""Many seeds of one experiment on one core, all cores or many machines: same loop, same code, no log files."""
+"""Many seeds of one experiment on one core, all cores or many machines: same loop, same code, no log files.
+
+Whether a sweep has the numbers of single runs, where a part of the loop is not ours: of those the first run is made alone.
+
+That ours have them, bit for bit, tests hold. An own plant may inherit `start_batch` from one of ours and move otherwise, or be
+another one once it was pickled for a worker.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +12,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from math import isnan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +21,58 @@ from design.monte_carlo.confidence import StopRule
 from design.monte_carlo.random_streams import Workers, spread
 from hil.compose.fourth_moments import caution
 from hil.compose.loop import Loop, compose
+from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.log.topics import channels_of
 from hil.measure.batch_measure import BatchMeasure, BatchView
-from hil.measure.measure import Quantity, measures_of, quantities_of
-from hil.measure.names import Named
+from hil.measure.measure import Named, Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
+from hil.plugins.user_modules import is_ours
 from hil.session import refuse_unsound_measures, simulate
 from hil.sweeps.lockstep import measured_alone, measures_in_lockstep, run_batch, runs_per_batch, supports_batch, view_of_batch
-from hil.sweeps.same_numbers import copied, foreign_parts, refuse_other_numbers
-from hil.sweeps.store import SweepStore
-from hil.sweeps.sweep import Sweep
+from hil.sweeps.sweep import Sweep, SweepStore
+
+
+def foreign_parts(loop: Loop) -> tuple[str, ...]:
+    """Return the classes of plant, controller, network laws and measures that are not ours, by name."""
+    parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *measures_of(loop.experiment))
+    return tuple(dict.fromkeys(type(part).__qualname__ for part in parts if not is_ours(part)))
+
+
+def copied(loop: Loop) -> Loop:
+    """Return a loop as a worker gets it."""
+    from cloudpickle import dumps, loads
+
+    copy: Loop = loads(dumps(loop))
+    return copy
+
+
+def refuse_other_numbers(loop: Loop, alone: Mapping[str, float], found: Mapping[str, float]) -> None:
+    """Refuse a sweep whose first run has other numbers than it has alone.
+
+    Args:
+        loop: what is swept.
+        alone: numbers of a run of one seed.
+        found: those of the same seed in the sweep.
+
+    Raises:
+        HilError: with the number that differs most plainly: the first one.
+    """
+    if alone["seed"] != found["seed"]:
+        return  # a sweep that goes on where another one ended
+    for name, value in alone.items():
+        other = found[name]
+        if not (value == other or (isnan(value) and isnan(other))):
+            at_once = supports_batch(loop) and measures_in_lockstep(loop)
+            why = "start_batch(), ages_of_batch() or of_batch()" if at_once else "what is left of it when pickled"
+            raise HilError(
+                f"{', '.join(foreign_parts(loop))}: a sweep has other numbers than its runs: {name} of seed "
+                f"{alone['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; mend {why}"
+            )
+
 
 WORTH_WORKERS = 3_000_000
 """Slots of a sweep in lockstep, some 1 s, up to which starting processes takes longer than the sweep."""

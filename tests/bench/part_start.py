@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.runtime.real.own_python import PYTHON
+from hil.runtime.real.child import PYTHON
 from tests.bench.figure import AtMost, Figure, Found, Measure, Part, Tell
 from tests.bench.processes import HIL, NUMPY, Spent, spent
 

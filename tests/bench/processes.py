@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from hil.errors import HilError
-from hil.runtime.real.own_python import PYTHON
+from hil.runtime.real.child import PYTHON
 
 HIL: Final = (*PYTHON, "-m", "hil")
 NUMPY: Final = (*PYTHON, "-c", "import numpy")

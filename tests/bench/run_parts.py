@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.runtime.real.own_python import python_module
+from hil.runtime.real.child import python_module
 from tests.bench.catalogue import PARTS
 from tests.bench.figure import Part, Row, Tell, row_of
 

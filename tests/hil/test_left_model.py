@@ -15,7 +15,7 @@ import hil
 from design.controllers import LoopModel, SendAll
 from design.controllers.historical import Historical
 from hil.api.experiment_source import load_experiment
-from hil.certify.watched import Watched, one_step
+from hil.certify.word_and_deed import Watched, one_step
 from hil.compose.loop import Loop, compose
 from hil.log.read.run import read_run
 from hil.pages.run.run_page import verdicts

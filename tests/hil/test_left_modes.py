@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.api.experiment_source import load_experiment
-from hil.certify.jump_step import JumpStep
+from hil.certify.jump_loop import JumpStep
 from hil.compose.loop import NOT_COMPARED, compose
 from hil.runtime.nodes.jump_watch import JumpWatch
 from hil.session import simulated_session

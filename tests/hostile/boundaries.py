@@ -18,15 +18,15 @@ import numpy as np
 from design.tracking.design_file import kept_design, load_design
 from design.tracking.gain_parametrisation import TrackingProblem
 from hil.cli.dbc import _database, _decode
-from hil.cli.number_lists import NumberList
+from hil.cli.option_types import NumberList
 from hil.cli.terminal import message_lines
 from hil.errors import HilError
 from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.files.arrays import numbers_from_file
 from hil.log.events import decode_event, encode_event
-from hil.log.read.signal_table import read_signal_table
+from hil.log.read.foreign_logs import read_signal_table
 from hil.sweeps.points import grid, latin_hypercube
-from hil.sweeps.store import SweepStore
+from hil.sweeps.sweep import SweepStore
 from tests.hostile.logs import foreign_log, motor, our_log, read_log
 from tests.hostile.mutation import OF_BYTES, OF_TEXT, Edit
 from transport import ControlPacket, SensorPacket, dbc_path, decode, encode_control, encode_sensor

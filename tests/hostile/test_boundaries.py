@@ -32,7 +32,7 @@ from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.log.read.mcap_walk import walk
 from hil.log.read.recover import recover
 from hil.pages.html.payload import Payload
-from hil.sweeps.store import SweepStore
+from hil.sweeps.sweep import SweepStore
 from tests.hostile.boundaries import BOUNDARIES, DESIGN
 from tests.hostile.logs import foreign_log, motor, use_log, words, write_log
 from tests.hostile.mutation import mutated

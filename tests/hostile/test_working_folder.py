@@ -91,6 +91,6 @@ def test_every_python_of_ours_starts_without_its_working_folder() -> None:
         for line in path.read_text().splitlines()
         if "sys.executable" in line
     }
-    assert starts.pop("hil/runtime/real/own_python.py") == 'PYTHON: Final = (sys.executable, "-P")'
+    assert starts.pop("hil/runtime/real/child.py") == 'PYTHON: Final = (sys.executable, "-P")'
     assert '[sys.executable, "-P", ' in starts.pop("plants/fmu_run.py")
     assert all("-I" in line or line == "python=sys.executable," for line in starts.values()), starts

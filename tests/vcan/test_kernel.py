@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.vcan import RunnerError, Wanted, kernel, packages, runner
+from hil.vcan import RunnerError, Wanted, kernel, runner
 from tests.waiting import LIMIT_S
 
 # A stand-in for the build, of which only the time it takes is left out; it notes that it ran.
@@ -148,9 +148,9 @@ def test_missing_package_is_named_with_the_command_and_installed_only_when_asked
     debian: Path, monkeypatch: pytest.MonkeyPatch, user: int, says: str
 ) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: user)
-    packages.need(["coreutils"], install=False)
+    kernel.need(["coreutils"], install=False)
     with pytest.raises(RunnerError, match="missing here: no-such-package") as why:
-        packages.need(["coreutils", "no-such-package"], install=False)
+        kernel.need(["coreutils", "no-such-package"], install=False)
     assert says in str(why.value) and "apt-get install --no-install-recommends no-such-package" in str(why.value)
     assert not (debian / "asked").exists()
 
@@ -158,7 +158,7 @@ def test_missing_package_is_named_with_the_command_and_installed_only_when_asked
 def test_install_that_fails_says_so(debian: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     with pytest.raises(RunnerError, match="could not install no-such-package"):
-        packages.need(["coreutils", "no-such-package"], install=True)
+        kernel.need(["coreutils", "no-such-package"], install=True)
     assert (debian / "asked").read_text() == "update\n"
 
 
@@ -166,9 +166,9 @@ def test_elsewhere_than_on_debian_the_programs_are_looked_for(tmp_path: Path, mo
     (tmp_path / "gcc").write_text("")
     (tmp_path / "gcc").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
-    packages.need(["gcc", "libelf-dev"], install=False)
+    kernel.need(["gcc", "libelf-dev"], install=False)
     with pytest.raises(RunnerError, match=r"missing here: xz-utils \(Debian's names"):
-        packages.need(["gcc", "xz-utils"], install=False)
+        kernel.need(["gcc", "xz-utils"], install=False)
 
 
 def test_missing_source_names_the_other_way(debian: Path, monkeypatch: pytest.MonkeyPatch) -> None:

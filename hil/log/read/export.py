@@ -12,6 +12,8 @@
 
 Frames of a CAN log stand at the instants that were measured, counted from the moment at which the session began; a run in
 virtual time begins at 2000-01-01 UTC, since can-utils take a time below 1 s for "not begun yet". Tables have session times.
+
+Arrays into one `.npz` file, piece by piece: no array is ever whole in memory.
 """
 
 from __future__ import annotations
@@ -25,17 +27,19 @@ from contextlib import ExitStack, suppress
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Any, Final, Literal
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
+from numpy.lib import format as npy
 
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved
-from hil.files.exclusive import written_whole
+from hil.files.outputs import written_whole
 from hil.log.append_column import pieces
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.measured_frames import measured_frames
-from hil.log.read.npz import NpzFile
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
 from hil.log.topics import FRAME_TOPICS, SENSOR
@@ -44,6 +48,46 @@ from hil.rig.session_link import no_link
 
 if TYPE_CHECKING:
     from transport.links.can_identifiers import Identifiers
+
+
+class NpzFile:
+    """A file for `numpy.load`, as `numpy.savez_compressed` would write it.
+
+    Args:
+        path: the file, which is replaced.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._zip = ZipFile(path, "w", ZIP_DEFLATED)
+
+    def add(self, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterator[np.ndarray[Any, Any]]) -> None:
+        """Add an array.
+
+        Args:
+            name: under which it is read.
+            dtype: of all parts.
+            shape: of the array.
+            parts: its rows, in order.
+        """
+        with self._zip.open(f"{name}.npy", "w", force_zip64=True) as file:
+            _head(file, dtype, shape)
+            for part in parts:
+                file.write(np.ascontiguousarray(part, dtype).tobytes())
+
+    def __enter__(self) -> NpzFile:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self._zip.close()
+
+
+def _head(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    about = {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    try:
+        npy.write_array_header_1_0(file, about)
+    except ValueError:  # longer than 64 KiB
+        npy.write_array_header_2_0(file, about)
+
 
 VIRTUAL_BEGIN: Final = "2000-01-01T00:00:00Z"
 ROWS: Final = 4096  # that are made Python numbers at a time

@@ -1,16 +1,25 @@
-"""An MCAP file that is open for reading: what it is, and how long, is asked of the open file."""
+"""An MCAP file that is open for reading: what it is, and how long, is asked of the open file.
+
+What an MCAP file holds, gathered without copying message by message: for reading a run and for recovering one.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import struct
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
+
 from hil.errors import HilError
 from hil.files.regular import refuse_irregular
-from hil.log.read.mcap_walk import MAGIC
+from hil.log.read.mcap_walk import MAGIC, Budget, Record, framed, parse, parse_attachment, unpack_chunk
 
 
 @contextmanager
@@ -43,3 +52,69 @@ def open_mcap(path: Path, descriptor: int | None = None) -> Iterator[tuple[Binar
         raise HilError(f"{path}: cannot be read: {error.strerror or error}") from error
     finally:
         os.close(own)
+
+
+LATEST_START_NS = 1 << 62  # the year 2116
+
+
+def start_said(clock: Mapping[str, str]) -> int | None:
+    """Return when session time 0 was, as the metadata record `clock` says, ns since 1970; None if it says no instant."""
+    said = clock.get("start_ns", "")
+    return int(said) if said.isascii() and said.isdecimal() and len(said) <= 19 and int(said) < LATEST_START_NS else None
+
+
+@dataclass(slots=True, kw_only=True)
+class Content:
+    """Records by kind; a message stays whole, framing included (time at byte 15, payload from byte 31).
+
+    Args:
+        schemas, channels: by number.
+        messages: by number of the channel, in the order of the file; whoever reads on may take them out.
+        metadata: by name; a later record of one name replaces an earlier one.
+        attachments: by name.
+        chunks: chunks that were unpacked.
+        budget: how much the file may unpack to.
+    """
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    messages: defaultdict[int, list[bytes]] = field(default_factory=lambda: defaultdict(list))
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, Attachment] = field(default_factory=dict)
+    chunks: int = 0
+    budget: Budget
+
+    def take(self, record: Record) -> None:
+        """Take one record of the file; indexes and statistics are passed over.
+
+        Raises:
+            DamagedRecord: if the record cannot be read; no message of it was taken then.
+        """
+        if record.opcode == Opcode.CHUNK:
+            self._take_chunk(unpack_chunk(record, self.budget), record)
+            self.chunks += 1
+        elif record.opcode == Opcode.SCHEMA:
+            schema = parse(Schema.read, record)
+            self.schemas[schema.id] = schema
+        elif record.opcode == Opcode.CHANNEL:
+            channel = parse(Channel.read, record)
+            self.channels[channel.id] = channel
+        elif record.opcode == Opcode.METADATA:
+            metadata = parse(Metadata.read, record)
+            self.metadata[metadata.name] = metadata.metadata
+        elif record.opcode == Opcode.ATTACHMENT:
+            attachment = parse_attachment(record)
+            self.attachments[attachment.name] = attachment
+        elif record.opcode == Opcode.MESSAGE:
+            whole = struct.pack("<BQ", record.opcode, len(record.body)) + record.body
+            self._take_chunk(whole, record)
+
+    def _take_chunk(self, content: bytes, record: Record) -> None:
+        messages: defaultdict[int, list[bytes]] = defaultdict(list)
+        for opcode, channel, at, after in framed(content, record):
+            if opcode == Opcode.MESSAGE:
+                messages[channel].append(content[at:after])
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.take(Record(record.offset, opcode, memoryview(content)[at + 9 : after]))
+        for channel, found in messages.items():
+            self.messages[channel] += found

@@ -13,9 +13,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, MessageIndex, Metadata, Schema
 
 from hil.errors import HilError
-from hil.files.exclusive import written_whole
-from hil.log.read.mcap_content import start_said
-from hil.log.read.mcap_file import open_mcap
+from hil.files.outputs import written_whole
+from hil.log.read.mcap_file import open_mcap, start_said
 from hil.log.read.mcap_walk import (
     MESSAGE_TIME_AT,
     Budget,

@@ -14,8 +14,8 @@ from typing import Any, Final
 from hil.errors import HilError
 from hil.log.events import encode_event, to_json
 from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
-from hil.log.write.column_buffer import ColumnBuffer, Keep
 from hil.log.write.mcap_writer import Index, McapWriter
+from hil.log.write.open_chunk import ColumnBuffer, Keep
 from hil.log.write.packed_records import Packed
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import PayloadWriter, Record

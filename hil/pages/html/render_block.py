@@ -27,9 +27,8 @@ from hil.pages.html.figures import (
     Tile,
 )
 from hil.pages.html.numbers import share_text, text_of
-from hil.pages.html.payload import Payload
+from hil.pages.html.payload import Payload, Still, columns_of
 from hil.pages.html.scene import draw_scene, scene_legend
-from hil.pages.html.still_numbers import Still, columns_of
 from hil.pages.html.svg import draw_bars, draw_histogram
 
 SIGNS = {"good": "✓", "warning": "!", "bad": "✕", "neutral": "·"}

@@ -9,7 +9,7 @@ from hil.measure.measure import run_measures
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Section
 from hil.pages.html.plain_section import plain_section
-from hil.plugins.asked import asked, words
+from hil.plugins.user_plugins import asked, words
 
 MOST_WORDS = 2000
 """Characters of an error's message on a page."""

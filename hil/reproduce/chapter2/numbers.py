@@ -34,8 +34,7 @@ from design.semi_markov_loop.second_moments import second_moment_decay, second_m
 from design.semi_markov_loop.stability import analyse, largest_decay
 from design.semi_markov_loop.system import JumpSystem
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
-from hil.reproduce.chapter2.figures import certified_scales
-from hil.reproduce.chapter2.settling import SETTLING, settling, weibull_process
+from hil.reproduce.chapter2.figures import SETTLING, certified_scales, settling, weibull_process
 from hil.reproduce.statements import Statement, above, below, equal, exactly, says, untold
 
 SECTIONS = (1, 2, 4, 8)

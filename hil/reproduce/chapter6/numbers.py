@@ -24,10 +24,8 @@ from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion, distortion_bound
 from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Chapter, Plot, Stage
-from hil.reproduce.chapter6.equation_rows import EQUATIONS, equations
-from hil.reproduce.chapter6.rig_rows import IDENTIFICATION, SLIDE, identification, slide
-from hil.reproduce.chapter6.statement_rows import STATEMENTS, statements
-from hil.reproduce.chapter6.wall_rows import WALL, wall
+from hil.reproduce.chapter6.equation_rows import EQUATIONS, WALL, equations, wall
+from hil.reproduce.chapter6.statement_rows import IDENTIFICATION, SLIDE, STATEMENTS, identification, slide, statements
 from hil.reproduce.statements import Statement, above, below, exactly, says
 from plants.omni import Omni
 

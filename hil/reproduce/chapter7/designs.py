@@ -11,7 +11,7 @@ import numpy as np
 from design.tracking.synthesis import Design, TrackingProblem, solve
 from hil.pages.html.figures import BarGroup, Bars, Figure, Series
 from hil.reproduce.chapter import Plot, ReportProgress
-from hil.reproduce.chapter7.all_cores import on_all_cores
+from hil.reproduce.chapter7.emulated import on_all_cores
 from hil.reproduce.chapter7.models import (
     H2,
     HALF,

@@ -2,15 +2,27 @@
 
 Sensor, controller and actuator exchange packets as in Figure 7.1; modes start stationary. ``design.networked_loop`` predicts mean
 and deviation exactly; the sums of squares are skewed, so a printed run is judged by its rank among the runs.
+
+The same work for several arguments on all cores; every split gives the same numbers.
+
+Numbers of many seeded runs of a loop on the rig, all at once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
 import numpy as np
 import numpy.typing as npt
 
+from design.monte_carlo.random_streams import safe_path
 from design.networked_loop.steady_state import steady_state
+from hil.compose.loop import Loop
+from hil.measure.batch_measure import BatchValues, BatchView
+from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.chapter7.models import NETWORK, Array, Plant
+from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch
 
 SEED = 7
 
@@ -81,3 +93,50 @@ def sums_of_squares(error: Array, period_s: float, start: int = 0) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):
         total = period_s * (error[start:] ** 2).sum(axis=0)
     return np.asarray(np.where(np.isfinite(total), total, np.inf))
+
+
+T = TypeVar("T")
+
+
+def on_all_cores(
+    work: Callable[..., T], asked: Sequence[Sequence[Any]], report_progress: ReportProgress, names: Sequence[str]
+) -> list[T]:
+    """``work(*arguments)`` for all of them, in their order; progress is reported as each ends. Give the longest first."""
+    from joblib import Parallel, delayed
+
+    run = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", batch_size=1, return_as="generator_unordered")
+    found: dict[int, T] = {}
+    report_progress(f"{len(asked)} pieces", 0, len(asked))
+    with safe_path():
+        for at, result in run(delayed(_numbered)(at, work, *arguments) for at, arguments in enumerate(asked)):
+            found[at] = result
+            report_progress(names[at], len(found), len(asked))
+    return [found[at] for at in range(len(asked))]
+
+
+def _numbered(at: int, work: Callable[..., T], *arguments: Any) -> tuple[int, T]:
+    return at, work(*arguments)
+
+
+Numbers = Callable[[BatchView], Sequence[BatchValues]]
+
+
+def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers) -> BatchValues:
+    """Numbers of every run.
+
+    Args:
+        loop: a loop that can be run in lockstep; the numbers of a run are those that it has alone, bit for bit.
+        seeds: one run each.
+        columns: how many numbers a run has.
+        numbers: gives them from a view of runs, (runs,) each.
+
+    Returns:
+        (seeds, columns); infinite in runs that safety stops or that leave all bounds.
+    """
+    found = np.full((len(seeds), columns), np.inf)
+    size = runs_per_batch(loop)
+    for at in range(0, len(seeds), size):
+        together = run_batch(loop, seeds[at : at + size])
+        if together.known.any():
+            found[at : at + size][together.known] = np.stack(numbers(view_of_batch(loop, together)), axis=1)
+    return found

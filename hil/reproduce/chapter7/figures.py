@@ -10,13 +10,11 @@ import numpy.typing as npt
 from design.networked_loop.prediction import predict_tracking
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
-from hil.measure.batch_measure import BatchView
-from hil.measure.batch_tracking import tracking_of_batch
+from hil.measure.batch_measure import BatchView, tracking_of_batch
 from hil.pages.html.figures import Band, Figure, Marker, Series
 from hil.reproduce.chapter import Plot, ReportProgress
-from hil.reproduce.chapter7.all_cores import on_all_cores
+from hil.reproduce.chapter7.emulated import numbers_of, on_all_cores
 from hil.reproduce.chapter7.friction import Imperfections, loop_of
-from hil.reproduce.chapter7.many_runs import numbers_of
 from hil.reproduce.chapter7.models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, everywhere, vtol
 from hil.reproduce.chapter7.tables import CONTROLLERS, motor_prediction
 from hil.reproduce.statements import Statement, above, below

@@ -22,10 +22,9 @@ import numpy.typing as npt
 from design.monte_carlo.random_streams import safe_path
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
-from hil.measure.batch_measure import BatchView
-from hil.measure.batch_tracking import tracking_of_batch
+from hil.measure.batch_measure import BatchView, tracking_of_batch
 from hil.reproduce.chapter import ReportProgress
-from hil.reproduce.chapter7.many_runs import numbers_of
+from hil.reproduce.chapter7.emulated import numbers_of
 from hil.reproduce.statements import Statement, run
 
 Array = npt.NDArray[np.float64]

@@ -13,8 +13,7 @@ import numpy as np
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.prediction import Prediction, predict_tracking
 from hil.reproduce.chapter import ReportProgress
-from hil.reproduce.chapter7.all_cores import on_all_cores
-from hil.reproduce.chapter7.emulated import errors, sums_of_squares
+from hil.reproduce.chapter7.emulated import errors, on_all_cores, sums_of_squares
 from hil.reproduce.chapter7.models import (
     H2,
     HINF,

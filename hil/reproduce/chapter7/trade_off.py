@@ -11,8 +11,8 @@ from design.jump_linear.second_moment import mean_square_radius
 from design.networked_loop.closed_loop import loop_structure
 from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Plot, ReportProgress
-from hil.reproduce.chapter7.all_cores import on_all_cores
 from hil.reproduce.chapter7.designs import best
+from hil.reproduce.chapter7.emulated import on_all_cores
 from hil.reproduce.chapter7.models import H2, motor
 from hil.reproduce.statements import Statement, above, below, exactly
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from hil.compose.loop import Loop
 from hil.rig.can_bus import RECORDING, bus_nodes, can_bus_of, own_packets, periodic, rates_of
-from hil.rig.recorded_frame import due_of
+from hil.rig.traffic_file import due_of
 from hil.runtime.streams import rng_for
 from transport.can_bus_model.bits import BitErrors, CanFrame
 from transport.can_bus_model.bus import CanBus, CanNode, Transmission

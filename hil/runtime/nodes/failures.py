@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.compose.loop import Loop
 from hil.log.events import PLANT_FAILED, PLUG_IN_FAILED
-from hil.plugins.asked import told_of
+from hil.plugins.user_plugins import told_of
 from plants.errors import PlantError
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from hil.compose.loop import Loop
-from hil.experiment.faults import RESTART, Fault
-from hil.rig.fault_schedule import told
+from hil.experiment.rig_tables import RESTART, Fault
+from hil.rig.schedules import told
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import rng_for
 from transport.medium.faulted import FaultedChannel, FaultedMedium, FaultyPath

@@ -14,9 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.certify.free_motion import kind_of
-from hil.certify.motion_test import CANCELS, EQUAL, LARGEST
-from hil.certify.watched import OneStep
+from hil.certify.motion_test import CANCELS, EQUAL, LARGEST, kind_of
+from hil.certify.word_and_deed import OneStep
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]

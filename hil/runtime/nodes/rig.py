@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hil.certify.jump_step import JumpStep
+from hil.certify.jump_loop import JumpStep
 from hil.certify.motion_test import EQUAL
-from hil.certify.watched import OneStep
+from hil.certify.word_and_deed import OneStep
 from hil.compose.loop import Loop
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel

@@ -1,4 +1,7 @@
-"""The processes of a session, and the sequence that ends them: asked, given a moment together, killed."""
+"""The processes of a session, and the sequence that ends them: asked, given a moment together, killed.
+
+How a Python process of ours starts: no folder of the user stands on its path before what is installed.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,26 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from typing import IO, Any, Protocol
+from typing import IO, Any, Final, Protocol
 
-from hil.runtime.real.own_python import python_module
 from hil.runtime.time.clock import monotonic_ns
+
+PYTHON: Final = (sys.executable, "-P")
+"""Python that does not look into its working folder, where a ``pickle.py`` would stand before the standard library's."""
+
+
+def python_module(module: str, *arguments: str) -> list[str]:
+    """Return the command that runs a module that is installed.
+
+    Args:
+        module: its full name.
+        arguments: what follows.
+
+    >>> python_module("hil", "--version")[1:]
+    ['-P', '-m', 'hil', '--version']
+    """
+    return [*PYTHON, "-m", module, *arguments]
+
 
 GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
 LAST_LOOK_S = 0.05

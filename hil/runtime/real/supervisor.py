@@ -1,7 +1,13 @@
-"""Real time: rig and controller as separate processes over a real link, watched by this one, which keeps the log."""
+"""Real time: rig and controller as separate processes over a real link, watched by this one, which keeps the log.
+
+Memory that is free, given back to the system: a process that runs for days holds what it uses, and not what it once used.
+
+The session's own watchdog: a rig from which nothing comes any more is given up, within a bounded time.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import sys
@@ -11,6 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from hil.compose.loop import Loop
 from hil.errors import HilError
@@ -23,12 +30,82 @@ from hil.rig.session_link import SessionLink
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.exit_statuses import NOBODY
-from hil.runtime.real.free_memory import FreeMemory
-from hil.runtime.real.heartbeat_timeout import HeartbeatTimeout
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
 from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
 from transport.links.mesh_peer import bus_directory, clear_dead_channels
+
+EVERY_NS: Final = 1_000_000_000
+
+
+class FreeMemory:
+    """Gives back what the C library keeps of freed memory, once a second; without glibc it does nothing.
+
+    Args:
+        now_ns: monotonic time, ns.
+    """
+
+    def __init__(self, now_ns: int) -> None:
+        self._trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        self._due_ns = now_ns + EVERY_NS
+
+    def look(self, now_ns: int) -> None:
+        """Give it back if it is time; takes less than a millisecond."""
+        if self._trim is not None and now_ns >= self._due_ns:
+            self._due_ns = now_ns + EVERY_NS
+            self._trim(0)
+
+
+SHORTEST_S: Final = 1.0
+PERIODS: Final = 50
+PATIENCE: Final = 10
+"""How many times longer a rig may be silent that is not stopped: a busy machine may keep it from a CPU for seconds."""
+
+START_S: Final = 30.0
+_LONGEST_LOOK_S: Final = 0.1
+
+
+class HeartbeatTimeout:
+    """Counts for how long no record has come while this process looked.
+
+    The time in which this process did not run itself (it was stopped, or the machine slept) counts for little: what the rig
+    did in it still lies in the pipe.
+
+    Args:
+        period_s: sample period, s: every slot leaves records.
+        hello_s: how long the rig waits for a controller before its first record, s.
+    """
+
+    def __init__(self, period_s: float, hello_s: float) -> None:
+        self.stopped_s = max(SHORTEST_S, PERIODS * period_s)
+        self.silent_s = PATIENCE * self.stopped_s
+        self._start_s = hello_s + START_S
+        self._looked_ns: int | None = None
+        self._records = 0
+        self._quiet_s = self._stopped_for_s = 0.0
+
+    def look(self, now_ns: int, records: int, stopped: bool) -> str | None:
+        """Return why the rig is given up, None while it need not be.
+
+        Args:
+            now_ns: a monotonic clock, ns.
+            records: records that have come so far.
+            stopped: whether the rig's process is stopped now.
+        """
+        passed = 0.0 if self._looked_ns is None else min((now_ns - self._looked_ns) / 1e9, _LONGEST_LOOK_S)
+        self._looked_ns = now_ns
+        if records != self._records:
+            self._records, self._quiet_s = records, 0.0
+        else:
+            self._quiet_s += passed
+        self._stopped_for_s = self._stopped_for_s + passed if stopped else 0.0
+        if min(self._stopped_for_s, self._quiet_s) >= self.stopped_s:
+            return f"the rig process is stopped (SIGSTOP): no record came for {self.stopped_s:g} s"
+        limit_s = self.silent_s if records else max(self.silent_s, self._start_s)
+        if self._quiet_s >= limit_s:
+            return f"the rig process is alive and silent: no record came for {limit_s:g} s"
+        return None
+
 
 POLL_S = 0.02
 HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.bench.soak import _memory, bench_soak, slope
-from hil.bench.soak_verdict import judge
+from hil.bench.soak import _memory, bench_soak, judge, slope
 
 
 def test_the_interval_covers_the_slope_as_often_as_it_says() -> None:

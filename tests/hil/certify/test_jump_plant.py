@@ -14,11 +14,11 @@ from msgspec.structs import replace
 from design.as_printed import examples
 from design.controllers import Constant, LoopModel, SendAll
 from design.requests.scheduled import RobustScheduled, Scheduled
-from hil.certify.jump_plant import process_of, system_of
+from hil.certify.jump_loop import process_of, system_of
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.experiment.limits import Limits
+from hil.experiment.rig_tables import Limits
 from hil.experiment.tables import Seconds
 from hil.plugins.checks import check_controller
 from hil.session import simulate

@@ -7,8 +7,8 @@ import json
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
-from hil.pages.compare import compare_page
 from hil.pages.html.figures import Table
+from hil.pages.many_runs import compare_page
 from hil.pages.run.sections.theory import section as theory_section
 from hil.session import simulate
 from hil.sweeps.comparison import compare

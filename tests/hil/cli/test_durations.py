@@ -8,8 +8,7 @@ import click
 import pytest
 
 from hil.cli import COMMANDS
-from hil.cli.durations import Duration
-from hil.cli.number_lists import NumberList
+from hil.cli.option_types import Duration, NumberList
 from tests.hil.cli.conftest import Hil
 
 TIMES = {"--duration", "--for", "--wait", "--timeout", "--period"}

@@ -152,7 +152,7 @@ def test_the_summary_says_units_certificate_and_every_output_on_eighty_columns(c
 
 def test_a_run_whose_timing_is_not_valid_says_why() -> None:
     from hil.cli.run_summary import timing_rows
-    from hil.measure.timing import timing_metrics
+    from hil.measure.summary import timing_metrics
 
     late = np.array([0, 1, 1])
     timing = timing_metrics(np.full(3, 10.0), np.full(3, np.nan), late, np.zeros(3), period_s=1e-3)

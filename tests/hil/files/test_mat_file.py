@@ -15,7 +15,7 @@ from scipy.io import savemat
 
 from hil.errors import HilError
 from hil.files import mat_child
-from hil.files.mat_file import npy_of_mat
+from hil.files.arrays import npy_of_mat
 
 MOST = 100_000
 NUMBERS: dict[str, Any] = {
@@ -83,7 +83,7 @@ def test_damaged_files_end_the_reader_and_never_this_process() -> None:
 def test_a_reader_that_crashes_is_one_message(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     crash = tmp_path / "crash.py"
     crash.write_text("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-    monkeypatch.setattr("hil.files.mat_file._CHILD", crash)
+    monkeypatch.setattr("hil.files.arrays._CHILD", crash)
     with pytest.raises(HilError, match=r"is no whole \.mat file: scipy's reader ended by SIGSEGV"):
         read(b"", "A")
 

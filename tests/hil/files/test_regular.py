@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hil.errors import HilError
-from hil.files.exclusive import written_whole
+from hil.files.outputs import written_whole
 from hil.files.regular import read_regular
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hil.measure.measure import Quantity
-from hil.pages.compare import compare_page
-from hil.pages.parameters import parameter_page
+from hil.pages.many_runs import compare_page, parameter_page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import grid

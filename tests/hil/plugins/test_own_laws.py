@@ -13,7 +13,7 @@ import pytest
 import hil
 from hil.experiment import shipped
 from hil.log.read.run import read_run
-from hil.plugins.law_checks import check_law
+from hil.plugins.checks import check_law
 
 OVER: dict[str, Any] = {"duration": 2, "allow_uncertified": True}
 

@@ -10,7 +10,7 @@ import pytest
 from hil.errors import HilError
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR
-from hil.replay.tags import Tags, verify_tags
+from hil.replay.recorded import Tags, verify_tags
 from hil.runtime.nodes.wire import Wire, session_wire
 from transport.links.authenticated_link import cmac
 from transport.links.link import TransportError

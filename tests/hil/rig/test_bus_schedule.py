@@ -17,7 +17,7 @@ from hil.measure.view import view_of
 from hil.pages.html.figures import Figure
 from hil.pages.run.sections.nodes import section
 from hil.replay.replay import verify
-from hil.rig.bus_schedule import bus_cycle
+from hil.rig.schedules import bus_cycle
 from hil.session import run_session, simulate
 from tests.transport.medium.test_arbitration import bus, heard
 from transport.medium.medium import SampleClock

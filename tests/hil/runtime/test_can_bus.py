@@ -11,7 +11,7 @@ from hil.cli.run_summary import show
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.log.records_digest import records_sha256
+from hil.log.run import records_sha256
 from hil.measure.bus_load import bus_of
 from hil.measure.view import view_of
 from hil.pages.run.run_page import render_report

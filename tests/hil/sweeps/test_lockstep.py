@@ -15,7 +15,7 @@ from design.historical_data.sensor_schedule import mask_of
 from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.sweeps import lockstep, seeds
-from hil.sweeps.batch_delays import lawful
+from hil.sweeps.batch_delivery import lawful
 from hil.sweeps.lockstep import measures_in_lockstep, run_batch, supports_batch
 from hil.sweeps.seeds import run_one_by_one, run_seeds
 from transport.laws.trace import TraceAge

@@ -14,7 +14,7 @@ from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.sweeps.lockstep import supports_batch
-from hil.sweeps.same_numbers import foreign_parts
+from hil.sweeps.seeds import foreign_parts
 from plants.dc_motor import DCMotor
 from tests.hil.compose.lying_plugins import Plant, Rowed, Table
 from tests.hil.late_lies import LateTable

@@ -22,7 +22,7 @@ from hil.cli.sweep import command, stop_rule
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.sweeps.seeds import columns_of, run_sweep, sweep
-from hil.sweeps.store import SweepStore
+from hil.sweeps.sweep import SweepStore
 from tests.file_limit import files_up_to
 from tests.waiting import until
 

@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 import hil
 from hil.measure.measure import Quantity
-from hil.pages.compare import compare_page
+from hil.pages.many_runs import compare_page
 
 
 @pytest.fixture(scope="module")

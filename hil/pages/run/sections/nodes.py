@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hil.log.append_column import pieces
 from hil.log.topics import SC
-from hil.measure.network_load import loads
+from hil.measure.network_paths import loads
 from hil.measure.view import RunView
 from hil.pages.html.figures import Block, Cell, Figure, Section, Series, Table
 from hil.pages.run.curve import Records, curve, curve_of

@@ -8,10 +8,10 @@ import numpy as np
 
 from hil.compose.fourth_moments import caution
 from hil.compose.loop import Loop
-from hil.measure.composed import composed
+from hil.measure.avatar import composed
+from hil.measure.followed import target_of
 from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import with_unit
-from hil.measure.step_response import target_of
 from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.pages.html.figures import Band, Block, Figure, Section, Series, Table

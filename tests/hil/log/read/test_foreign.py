@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hil.errors import HilError
-from hil.log.read.foreign import check_events, check_topics, check_words
+from hil.log.read.run import check_events, check_topics, check_words
 from hil.log.records import Field, Schema
 from tests.hil.log.recording import TABLE
 

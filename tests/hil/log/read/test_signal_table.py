@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hil.errors import HilError
-from hil.log.read import signal_table
-from hil.log.read.signal_table import read_signal_table
+from hil.log.read import foreign_logs
+from hil.log.read.foreign_logs import read_signal_table
 
 
 def test_a_table_with_units_a_gap_and_an_empty_entry_is_read(tmp_path: Path) -> None:
@@ -38,7 +38,7 @@ def test_a_table_costs_little_more_memory_than_it_is_long(tmp_path: Path) -> Non
 def test_what_is_no_regular_file_or_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "t.csv").write_text("t,y\n0,1\n1,2\n")
-    monkeypatch.setattr(signal_table, "MOST_BYTES", 5)
+    monkeypatch.setattr(foreign_logs, "MOST_BYTES", 5)
     refused = {"pipe": "is no regular file", "": "is a folder", "none": "cannot be read", "t.csv": "more than 5 bytes"}
     for name, said in refused.items():
         with pytest.raises(HilError, match=said):

@@ -15,7 +15,7 @@ from hil.cli import main
 from hil.compose import loop as composing
 from hil.compose.loop import Loop
 from hil.errors import HilError
-from hil.measure import composed, measure, network_paths
+from hil.measure import avatar, measure, network_paths
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text
 from hil.pages.html.plain_section import plain_section
@@ -123,13 +123,13 @@ def test_a_page_composes_once_and_asks_for_sensors_and_measures_once(monkeypatch
 
         monkeypatch.setattr(module, name, counted)
 
-    counting(composed, "compose")
+    counting(avatar, "compose")
     counting(measure, "measures_of")
     for name in ("sensors_of", "shared_media", "traits_of", "fault_schedule", "port_of"):
         counting(normal_form, name)
     counting(delay_chains, "chains_of")
     counting(network_paths, "draws_of")
-    assert composing.compose is not composed.compose
+    assert composing.compose is not avatar.compose
     hil.report(tmp_path / "run.mcap", figures=tmp_path / "figures")
     assert asked == dict.fromkeys(asked, 1)
     assert asked.keys() == {
@@ -214,5 +214,5 @@ def test_one_that_shows_nothing_leaves_no_trace(page: Any) -> None:
 def test_a_view_of_one_output_shares_what_was_made() -> None:
     session = hil.run("vtol-hinf", duration=1)
     view = view_of(session.run, session.experiment)
-    loop = view.once(composed.composed)
-    assert isinstance(loop, Loop) and view.only(view.signals.tracked[0]).once(composed.composed) is loop
+    loop = view.once(avatar.composed)
+    assert isinstance(loop, Loop) and view.only(view.signals.tracked[0]).once(avatar.composed) is loop

@@ -8,7 +8,7 @@ from hil.experiment import Experiment, load_experiment
 from hil.log.read.run import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.pages.compare import compare_page
+from hil.pages.many_runs import compare_page
 from hil.pages.run.run_page import render_report
 from hil.pages.run.time_panels import markers, output_panels
 from hil.sweeps.comparison import Comparison, common_quantities

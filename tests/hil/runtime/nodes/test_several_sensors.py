@@ -21,7 +21,7 @@ from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
 from hil.measure.cost import Cost
-from hil.measure.network_load import loads
+from hil.measure.network_paths import loads
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.rig.normal_form import rig_of

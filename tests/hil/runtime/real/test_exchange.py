@@ -211,7 +211,7 @@ def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> No
     from hil.log.write.sinks import MemorySink
     from hil.runtime.nodes.controller_node import ControlNode
     from hil.runtime.nodes.rig import Rig
-    from hil.runtime.real.local_link import LocalLink
+    from hil.runtime.real.exchange import LocalLink
     from hil.runtime.slot import Slot
     from hil.session import simulate
 

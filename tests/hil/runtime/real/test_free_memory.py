@@ -5,12 +5,12 @@ import sys
 
 import pytest
 
-from hil.runtime.real import free_memory
+from hil.runtime.real import supervisor
 
 HOLES = """
 import ctypes, sys
 from pathlib import Path
-from hil.runtime.real.free_memory import EVERY_NS, FreeMemory
+from hil.runtime.real.supervisor import EVERY_NS, FreeMemory
 
 if not hasattr(ctypes.CDLL(None), "malloc_trim"):
     sys.exit(77)
@@ -41,5 +41,5 @@ def test_what_is_free_between_what_is_used_goes_back_when_it_is_time() -> None:
 
 
 def test_a_c_library_without_it_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(free_memory.ctypes, "CDLL", lambda name: object())
-    free_memory.FreeMemory(0).look(10 * free_memory.EVERY_NS)
+    monkeypatch.setattr(supervisor.ctypes, "CDLL", lambda name: object())
+    supervisor.FreeMemory(0).look(10 * supervisor.EVERY_NS)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from hil.runtime.real.child import GRACE_S, LAST_LOOK_S, end_all
-from hil.runtime.real.heartbeat_timeout import START_S, HeartbeatTimeout
+from hil.runtime.real.supervisor import START_S, HeartbeatTimeout
 
 STEP_S = 0.02
 

@@ -1,4 +1,6 @@
-"""A table of packets (.csv): latencies, round trips, or the time stamps of both ends.
+"""Packets in files of other programs: tables (.csv), and round trips of ping from a capture (.pcap).
+
+A table of packets (.csv): latencies, round trips, or the time stamps of both ends.
 
 | columns | what they are |
 |---|---|
@@ -7,6 +9,10 @@
 | `sent_s`, `received_s` | instants at the clocks of both ends |
 
 A packet that was lost has an empty entry, `lost` or `nan`. Without `sent_s` the file has one line for every packet, in order.
+
+Round trips of ping, from a capture (.pcap): ICMP echo requests and replies, IPv4 and IPv6, paired by identifier and number.
+
+Reference: libpcap's file format (pcap-savefile), RFC 792, RFC 4443. Of the readers on PyPI none is both small and kept.
 """
 
 from __future__ import annotations
@@ -15,8 +21,11 @@ import csv
 import io
 import math
 import os
+import struct
 from array import array
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,3 +116,89 @@ def _number(path: Path, line: int, text: str) -> float:
     if not math.isfinite(value):
         raise HilError(f"{path}:{line}: {text!r:.40} is no number, expected one, or nothing of a packet that was lost")
     return value
+
+
+LONGEST: Final = 1 << 18
+MAGIC: Final = {b"\xa1\xb2\xc3\xd4": (">", 1e-6), b"\xd4\xc3\xb2\xa1": ("<", 1e-6),
+                b"\xa1\xb2\x3c\x4d": (">", 1e-9), b"\x4d\x3c\xb2\xa1": ("<", 1e-9)}  # fmt: skip
+IP_AT: Final = {1: 14, 12: 0, 14: 0, 101: 0, 113: 16, 228: 0, 229: 0, 276: 20, 0: 4, 108: 4}
+"""Where the IP packet begins, by link type: Ethernet, raw IP, Linux "cooked" 1 and 2, BSD loopback."""
+
+ECHO: Final = {(4, 8): "request", (4, 0): "reply", (6, 128): "request", (6, 129): "reply"}
+
+
+def read_ping_capture(path: Path) -> Recording:
+    """Read a capture.
+
+    Raises:
+        HilError: it is none, or holds no echo requests, or no reply: a capture of one direction.
+    """
+    asked: dict[tuple[int, bytes, bytes, int, int], int] = {}
+    sent: list[float] = []
+    came: list[float] = []
+    again = strays = 0
+    with open_regular(path, "a capture") as file:
+        for t_s, kind, address, identifier, number in _echoes(path, file):
+            key = (address[0], min(address[1:]), max(address[1:]), identifier, number)
+            if kind == "request":
+                asked[key] = len(sent)  # numbers wrap after 65536: the newest counts
+                sent.append(t_s)
+                came.append(np.nan)
+            elif key not in asked:
+                strays += 1
+            elif np.isnan(came[asked[key]]):
+                came[asked[key]] = t_s
+            else:
+                again += 1
+    if not sent or not np.isfinite(came).any():
+        what = "no echo request" if not sent else "echo requests, and no reply"
+        raise HilError(
+            f"{path}: {what}: a capture of one direction; expected both, as `tcpdump -w ping.pcap icmp or icmp6` takes them"
+        )
+    notes = [
+        f"{n} {what}" for n, what in ((again, "replies came twice: the first counts"), (strays, "replies to no request")) if n
+    ]
+    instants = np.array(sent)
+    return Recording(
+        source=str(path), ways={ROUND_TRIP: Way(sent_s=instants, difference_s=np.array(came) - instants)}, clocks=1,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _echoes(path: Path, file: BinaryIO) -> Iterator[tuple[float, str, tuple[int, bytes, bytes], int, int]]:
+    for t_s, packet in _packets(path, file):
+        if len(packet) < 20:
+            continue
+        version = packet[0] >> 4
+        if version == 4 and packet[9] == 1:
+            at, address = 4 * (packet[0] & 15), (4, packet[12:16], packet[16:20])
+        elif version == 6 and len(packet) >= 40 and packet[6] == 58:
+            at, address = 40, (6, packet[8:24], packet[24:40])
+        else:
+            continue
+        if len(packet) >= at + 8 and (kind := ECHO.get((version, packet[at]))) is not None:
+            identifier, number = struct.unpack_from(">HH", packet, at + 4)
+            yield t_s, kind, address, identifier, number
+
+
+def _packets(path: Path, file: BinaryIO) -> Iterator[tuple[float, bytes]]:
+    """IP packets with their instants, counted from the first."""
+    head = file.read(24)
+    if head[:4] == b"\n\r\r\n":
+        raise HilError(f"{path}: is a pcapng capture; expected pcap: editcap -F pcap {path.name} ping.pcap")
+    if len(head) < 24 or head[:4] not in MAGIC:
+        raise HilError(f"{path}: is no pcap capture")
+    order, unit = MAGIC[head[:4]]
+    link = struct.unpack(order + "I", head[20:24])[0] & 0xFFFF
+    if link not in IP_AT:
+        raise HilError(f"{path}: link type {link}, expected one of {', '.join(map(str, sorted(IP_AT)))}")
+    record, first = struct.Struct(order + "IIII"), None
+    while len(begin := file.read(record.size)) == record.size:
+        seconds, fraction, length, _ = record.unpack(begin)
+        if length > LONGEST:
+            raise HilError(f"{path}: a packet of {length} bytes at byte {file.tell() - record.size}, at most {LONGEST}")
+        data = file.read(length)
+        if len(data) < length:
+            return  # the capture was ended in the midst of a packet
+        first = seconds if first is None else first
+        yield (seconds - first) + fraction * unit, data[IP_AT[link] :]

@@ -1,4 +1,9 @@
-"""The traffic of a recorded CAN log, in the table of an experiment: it needs nothing but itself then."""
+"""Files that an experiment names, read from beside it: recorded ages, latencies, traffic.
+
+The files that network laws name (recorded ages, latencies), read from beside the experiment.
+
+The traffic of a recorded CAN log, in the table of an experiment: it needs nothing but itself then.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +13,40 @@ from msgspec.structs import replace
 
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
-from hil.rig.recorded_frame import MOST, line_of
+from hil.experiment.table_check import fault_at
+from hil.rig.traffic_file import MOST, line_of
 from transport.can_bus_model.bits import CanFrame
 from transport.errors import FieldError
+from transport.laws.protocols import NetworkLaw, load_files, slots_served
 from transport.wire.fields import frame_length
+
+
+def with_law_files(e: Experiment) -> Experiment:
+    """Return an experiment with the files read that its network laws name: it needs nothing but itself then.
+
+    Raises:
+        ExperimentError: a file is missing or faulty, or a recording is shorter than the run.
+    """
+    sc, ca = e.network.sc, e.network.ca
+    sc, ca = replace(sc, law=_loaded_law(e, sc.law, "network.sc")), replace(ca, law=_loaded_law(e, ca.law, "network.ca"))
+    nodes = {
+        name: node if node.law is None else replace(node, law=_loaded_law(e, node.law, f"network.nodes.{name}"))
+        for name, node in e.network.nodes.items()
+    }
+    return replace(e, network=replace(e.network, sc=sc, ca=ca, nodes=nodes))
+
+
+def _loaded_law(e: Experiment, law: NetworkLaw, path: str) -> NetworkLaw:
+    try:
+        loaded = load_files(law, e.folder)
+    except ValueError as error:
+        raise ExperimentError(e.name, [fault_at(f"{path}.law", error)]) from error
+    served = slots_served(loaded)
+    if served is not None and served < e.slots:
+        said = f"the recording has {served} slots, the run has {e.slots}; past_end = 'repeat' repeats the recording"
+        raise ExperimentError(e.name, [f"{path}.law: {said}"])
+    return loaded
+
 
 ENDINGS = (".log", ".asc", ".blf")
 
@@ -34,7 +69,7 @@ def with_recorded_traffic(e: Experiment) -> Experiment:
 
 
 def _lines(path: Path) -> list[str]:
-    from hil.log.read.can_log import can_frames  # python-can is imported for a recording alone
+    from hil.log.read.foreign_logs import can_frames  # python-can is imported for a recording alone
 
     found: list[tuple[float, CanFrame]] = []
     for i, message in enumerate(can_frames(path)):

@@ -1,0 +1,103 @@
+"""Options of the command line: durations, lists of numbers, finite numbers.
+
+Durations on the command line: ``10``, ``10s``, ``2 min``.
+
+Lists of numbers on the command line: ``0,1,6`` and ``0..8``.
+
+A number as an option takes it: finite, and of a size that an experiment takes, too.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import click
+
+from transport.durations import in_seconds
+
+
+class Duration(click.ParamType[float]):
+    """A duration in seconds, as an experiment file writes it.
+
+    Args:
+        least: the shortest that is allowed, s.
+        most: the longest, s.
+        above: whether ``least`` itself is refused.
+    """
+
+    name = "TIME"
+
+    def __init__(self, least: float = 0.0, most: float = 1e9, *, above: bool = False) -> None:
+        self.least, self.most, self.above = least, most, above
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            seconds = float(value) if isinstance(value, int | float) else in_seconds(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        if not self.least <= seconds <= self.most or (self.above and seconds == self.least):
+            first = "above" if self.above else "from"
+            self.fail(f"{seconds:g} s, expected a duration {first} {self.least:g} s, at most {self.most:g} s", param, ctx)
+        return seconds
+
+
+MOST = 200
+
+
+class NumberList(click.ParamType[tuple[float, ...]]):
+    """Numbers between commas; with ``whole`` also ranges.
+
+    Args:
+        whole: whole numbers only.
+        least: smallest number that is allowed.
+        above: whether ``least`` itself is refused.
+        times: durations, in seconds or with a unit.
+    """
+
+    name = "LIST"
+
+    def __init__(self, *, whole: bool = False, least: float = 0.0, above: bool = False, times: bool = False) -> None:
+        self.whole, self.least, self.above = whole, least, above
+        self._number = int if whole else in_seconds if times else float
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        if isinstance(value, tuple):
+            return value
+        found: list[float] = []
+        for part in str(value).split(","):
+            first, dots, last = part.strip().partition("..")
+            try:
+                if dots and self.whole:
+                    found += range(int(first), min(int(last), int(first) + MOST) + 1)
+                else:
+                    found.append(self._number(part))
+                    float(found[-1])  # no number of a list is beyond these
+            except (ValueError, OverflowError):
+                what = "whole number or range such as 0..8" if self.whole else "number"
+                self.fail(f"{part.strip()!r} is no {what}", param, ctx)
+        for number in found:
+            if not math.isfinite(number) or number < self.least or (self.above and number == self.least):
+                self.fail(f"{number:g}, expected a number {'above' if self.above else 'of at least'} {self.least:g}", param, ctx)
+        if not 1 <= len(found) <= MOST:
+            self.fail(f"{len(found)} numbers, expected 1 to {MOST}", param, ctx)
+        return tuple(found)
+
+
+LARGEST: Final = 1e30
+"""As in an experiment: products of larger ones leave what a double holds."""
+
+
+class Number(click.ParamType):  # type: ignore[type-arg]
+    """A finite number of at most 1e30; the help says no range, which nobody comes near."""
+
+    name = "float"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            number = float(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a number", param, ctx)
+        if abs(number) > LARGEST:  # what is no number is for the command to say
+            self.fail(f"{value}, expected a number of at most {LARGEST:g}", param, ctx)
+        return number

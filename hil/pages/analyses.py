@@ -1,0 +1,272 @@
+"""Pages of analyses without a run: a CAN bus, an identified network law, a stiffness map.
+
+The page of an analysed CAN bus: every message with its bound, its deadline, and who delays it.
+
+The page of an identified network law: measured and fitted side by side.
+
+The page of a stiffness map: contours over delay and hand damping, stiffness over delay, every cell with its taps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from design.passivity.stiffness_map import StiffnessCell
+from hil.design_questions.bus_analysis import AnalysedMessage, BusAnalysis
+from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Cell, Figure, Section, Series, Table, Text
+from hil.pages.html.page import render_page
+from transport.law_fit.law_fit import LawFit
+from transport.law_fit.packet_record import ages_of
+from transport.law_fit.proportions import LAGS
+from transport.law_fit.region import arrivals
+
+
+def bus_page(found: BusAnalysis) -> str:
+    """Return the page."""
+    late = sum(not each.in_time for each in found.messages)
+    verdict = Badge(label="every message meets its deadline", state="good")
+    if late:
+        verdict = Badge(label=f"{late} of {len(found.messages)} messages may miss their deadline", state="bad")
+    bars = Bars(
+        title="Response times", categories=[said(each) for each in found.messages], y_label="response", y_unit="ms",
+        groups=(
+            BarGroup(label="measured", values=[each.measured_ms or 0.0 for each in found.messages]),
+            BarGroup(label="bound", values=[each.bound_ms or 0.0 for each in found.messages], hollow=True),
+        ),
+        note="By priority. A message without a bar of its bound has none.",
+    )  # fmt: skip
+    rate = f"{found.bitrate:,} bit/s" + (f", data {found.dbitrate:,} bit/s" if found.dbitrate else "")
+    return render_page(
+        f"CAN bus: {found.name}",
+        [Section(title="Messages", blocks=(_table(found), bars))],
+        kicker="hilrig · CAN bus",
+        subtitle="Worst-case response times after Davis, Burns, Bril and Lukkien 2007, for nodes that queue by priority, to the "
+        "end of EOF.",
+        badges=[verdict],
+        facts=[("rate", rate), ("load", f"{100 * found.load:.2f} %"), ("simulated", f"{found.simulated_s:g} s")],
+    )  # fmt: skip
+
+
+def said(message: AnalysedMessage) -> str:
+    """Return the identifier of a message as tools for CAN write it."""
+    return f"{message.can_id:08X}" if message.extended else f"{message.can_id:03X}"
+
+
+def _table(found: BusAnalysis) -> Table:
+    rows: list[list[Cell]] = []
+    for place, each in enumerate(found.messages):
+        meets = Badge(label="yes", state="good") if each.in_time else Badge(label="no", state="bad")
+        above = "-" if not place else f"{len(each.delayed_by)}: {', '.join(each.delayed_by[-3:])}"
+        rows.append([
+            said(each), each.name, each.length, each.frame_ms, each.period_ms, each.deadline_ms, each.bound_ms, each.measured_ms,
+            meets, above,
+        ])  # fmt: skip
+    columns = [
+        "identifier", "message", "bytes", "frame, ms", "period, ms", "deadline, ms", "bound, ms", "measured, ms", "in time",
+        "delayed by",
+    ]  # fmt: skip
+    return Table(
+        columns=columns, rows=rows, wide=True,
+        note="Delayed by: how many messages win over it, and the last three of them; beside these one frame of any other may be "
+        "on the bus already.",
+    )  # fmt: skip
+
+
+POINTS = 400
+MOST_BARS = 12
+
+
+def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_shares: dict[str, list[float]]) -> str:
+    """Return the page.
+
+    Args:
+        fits: by direction.
+        said: see `hil.recordings.law_text.fit_said`.
+        model_shares: share of slots at age 0, 1, ... under each fitted law.
+    """
+    badges = [
+        Badge(label=f"{way}: {fit.law_class}", state="warning" if fit.law_class == "none" else "good")
+        for way, fit in fits.items()
+    ]
+    return render_page(
+        "Which law is this network?", [_section(way, fit, said[way], model_shares.get(way, [])) for way, fit in fits.items()],
+        kicker="hilrig · identified network law", badges=badges,
+        subtitle="What was measured, and what the fitted law says, on one axis each.",
+        facts=tuple((name, str(said[way]["packets"]) + " packets") for way, name in ((w, w) for w in fits)),
+    )  # fmt: skip
+
+
+def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -> Section:
+    record = fit.record
+    came = np.sort(record.latency_s[record.came])
+    levels = (np.arange(len(came)) + 1.0) / len(came)
+    some = np.unique(np.linspace(0, len(came) - 1, POINTS).astype(int))
+    fitted = f"fitted: {fit.latencies.name}"
+    blocks: list[Block] = [
+        Figure(
+            title="Latency: share of packets that came within", x_label="latency", x_unit="ms", y_label="share", sync=None,
+            series=(
+                Series(label="measured", x=came[some] * 1e3, y=levels[some], style="step"),
+                Series(label=fitted, x=came[some] * 1e3, y=fit.latencies.cdf(came[some]), style="dashed"),
+            ), y_range=(0.0, 1.0),
+        ),
+        Figure(
+            title="Latency: share of packets later than", x_label="latency", x_unit="ms", y_label="share", y_log=True, sync=None,
+            series=(
+                Series(label="measured", x=came[some[:-1]] * 1e3, y=1.0 - levels[some[:-1]], style="step"),
+                Series(label=fitted, x=came[some[:-1]] * 1e3,
+                       y=np.maximum(1.0 - fit.latencies.cdf(came[some[:-1]]), 0.1 / len(came)), style="dashed"),
+            ), note="The tail: what decides how old a packet gets.",
+        ),
+    ]  # fmt: skip
+    ages = ages_of(record, fit.period_s, fit.deadline_s)
+    counted = np.bincount(ages) / len(ages)
+    bars = min(MOST_BARS, max(len(counted), len(shares)))
+    blocks.append(Bars(
+        title="Age of the newest packet", categories=[str(i) for i in range(bars)], x_label="age in slots",
+        y_label="share of slots",
+        groups=(BarGroup(label="measured", values=_padded(counted.tolist(), bars)),
+                BarGroup(label=f"law: {fit.law_class}", values=_padded(shares, bars), hollow=True)),
+        note=f"Slots of {fit.period_s * 1e3:g} ms that close after {fit.deadline_s * 1e3:g} ms.",
+    ))  # fmt: skip
+    blocks.append(_correlations(fit))
+    rows: list[tuple[str | float | int, ...]] = [
+        (c.name, c.fitted_to, c.parameters, round(c.bic, 1), *(f"{p:.2g}" for p in (c.fitness.neighbours, c.fitness.shape)))
+        if c.fitness is not None else (c.name, c.fitted_to, c.parameters, round(c.bic, 1), "-", "-")
+        for c in fit.candidates
+    ]  # fmt: skip
+    blocks.append(Table(columns=("law", "fitted to", "parameters", "BIC", "p independent", "p shape"), rows=rows))
+    came_rows = [(i, share, *pair) for i, (share, pair) in enumerate(arrivals(fit).shares())]
+    blocks.append(Table(columns=("age in slots", "comes, if not before", "95 % from", "to"), rows=came_rows[:MOST_BARS]))
+    intro = f"{fit.law_class}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
+        f"{note}." for note in said["notes"]
+    )
+    return Section(
+        title={"sc": "Sensor to controller", "ca": "Controller to actuator"}.get(way, "Round trip"),
+        intro=intro,
+        blocks=tuple(blocks),
+        columns=2,
+    )
+
+
+def _correlations(fit: LawFit) -> Figure:
+    """Correlations of the normal scores of latencies, by rank, with what chance alone gives."""
+    values = fit.record.latency_s[fit.record.came]
+    rank = np.argsort(np.argsort(values, kind="stable"), kind="stable")
+    score = special.ndtri((rank + 0.5) / len(rank))
+    power = float(score @ score)
+    lags = np.arange(1, LAGS + 1)
+    r = np.array([float(score[:-k] @ score[k:]) / power for k in lags]) if power > 0.0 else np.zeros(LAGS)
+    chance = 2.0 / np.sqrt(len(score))
+    return Figure(
+        title="Correlation of a latency with those after it", x_label="lag", x_unit="packets", y_label="correlation", sync=None,
+        series=(Series(label="measured", x=lags.astype(float), y=r, style="points"),
+                Series(label="chance: 95 %", x=lags.astype(float), y=np.full(LAGS, chance), style="dashed", colour=7),
+                Series(label="chance: 95 %, below", x=lags.astype(float), y=np.full(LAGS, -chance), style="dashed", colour=7)),
+        note="Independent latencies have none.",
+    )  # fmt: skip
+
+
+def _padded(values: list[float], n: int) -> list[float]:
+    return [*values[:n], *[0.0] * (n - len(values))]
+
+
+LEVELS = (1.0, 2.0, 5.0)
+
+
+def stiffness_page(cells: Sequence[StiffnessCell], *, mass_kg: float, damping_n_s_per_m: float) -> str:
+    """Return the page.
+
+    Args:
+        cells: the map.
+        mass_kg, damping_n_s_per_m: of the device at its tip.
+    """
+    sections = [_rate(period, [c for c in cells if c.period_s == period], damping_n_s_per_m)
+                for period in dict.fromkeys(c.period_s for c in cells)]  # fmt: skip
+    return render_page(
+        "How stiff may a virtual wall be?",
+        sections,
+        kicker="hilrig · stiffness map",
+        subtitle="Safe for every passive hand and every passive wall, at every delay up to the one shown. No wall "
+        "above the ceiling is safe.",
+        facts=(("device", f"{mass_kg:g} kg, {damping_n_s_per_m:g} N s/m at the tip"),),
+    )
+
+
+def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Section:
+    rate = f"{1e3 * period_s:g} ms"
+    delays = sorted({c.delay for c in cells})
+    hands = list(dict.fromkeys(c.hand_damping_n_s_per_m for c in cells))
+    curves = []
+    for i, hand in enumerate(hands):
+        mine = sorted((c for c in cells if c.hand_damping_n_s_per_m == hand), key=lambda c: c.delay)
+        x = [float(c.delay) for c in mine]
+        safe = [c.certified_n_per_m for c in mine]
+        curves.append(Series(label=f"certified, hand {hand:g}", x=x, y=safe, colour=i, marked=True))
+        ceiling = [c.ceiling_n_per_m for c in mine]
+        curves.append(Series(label=f"ceiling, hand {hand:g}", x=x, y=ceiling, colour=i, style="dashed", marked=True))
+    alone = [c for c in cells if c.hand_damping_n_s_per_m == hands[0]]
+    x, first = [float(c.delay) for c in alone], f"hand {hands[0]:g}"
+    undelayed = [math.nan if c.colgate_n_per_m is None else c.colgate_n_per_m for c in alone]
+    number = len(hands)
+    curves += [
+        Series(label=f"Gil-Hulin, {first}", x=x, y=[c.gil_hulin_n_per_m for c in alone], colour=number, style="points"),
+        Series(label=f"Colgate, {first}", x=x, y=undelayed, colour=number + 1, style="circles"),
+        Series(label="no coupler, no hand (exact)", x=x, y=[c.exact_n_per_m for c in alone], colour=number + 2, style="points"),
+    ]
+    ticks = tuple(map(float, delays))
+    blocks: list[Block] = []
+    if len(delays) > 1:
+        blocks += [
+            Figure(
+                title=f"Contours at T = {rate}: hand damping that a stiffness takes",
+                series=_contours(cells, damping, max(hands)), x_label="largest delay", x_unit="samples",
+                y_label="hand damping", y_unit="N s/m", sync=None, y_range=(0.0, max(*hands, 1.0)), x_ticks=ticks,
+                note="Solid: certified. Dashed: the ceiling of the same stiffness. Right of and below a solid line that "
+                "stiffness is not certified; of a dashed line, impossible. Computed at the delays that are named, not between.",
+            ),
+            Figure(
+                title=f"Stiffness at T = {rate}", series=tuple(curves), x_label="largest delay", x_unit="samples",
+                y_label="stiffness", y_unit="N/m", y_log=True, sync=None, x_ticks=ticks,
+                note="Points and circle: what the field quotes for a wall without a coupler, with the least hand; the table has "
+                "all. Colgate's b > K T/2 knows no delay.",
+            ),
+        ]  # fmt: skip
+    columns = ("delay", "hand N s/m", "certified N/m", "ceiling N/m", "Colgate N/m", "Gil-Hulin N/m", "exact, no hand N/m")
+    rows = [
+        (f"0..{c.delay}", c.hand_damping_n_s_per_m, c.certified_n_per_m, c.ceiling_n_per_m, c.colgate_n_per_m,
+         c.gil_hulin_n_per_m, c.exact_n_per_m)
+        for c in cells
+    ]  # fmt: skip
+    lists = [
+        f"delays 0..{c.delay}, hand {c.hand_damping_n_s_per_m:g} N s/m\n" + "\n".join(f"    {tap!r}" for tap in c.taps_m_per_n)
+        for c in cells
+    ]
+    taps = Text(title=f"Taps in m/N of all {len(cells)} couplers", code=True, folded=True, text="\n\n".join(lists))
+    return Section(title=f"T = {rate}", blocks=(*blocks, Table(columns=columns, rows=rows), taps))
+
+
+def _contours(cells: Sequence[StiffnessCell], damping: float, most: float) -> tuple[Series, ...]:
+    """b_h = K/K_1 - b, as every stiffness is proportional to b + b_h."""
+    one = {c.delay: c for c in cells}
+    delays = sorted(one)
+    certified, ceiling = (
+        np.array([value / (damping + one[d].hand_damping_n_s_per_m) for d, value in pairs])
+        for pairs in ([(d, one[d].certified_n_per_m) for d in delays], [(d, one[d].ceiling_n_per_m) for d in delays])
+    )
+    low, high = damping * certified.min(), (damping + most) * ceiling.max()
+    decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    levels = [m * 10.0**e for e in decades for m in LEVELS if low < m * 10.0**e < high][:8]
+    x, out = [float(d) for d in delays], []
+    for i, level in enumerate(levels):
+        for label, per, style in (("", certified, "line"), (" ceiling", ceiling, "dashed")):
+            y = np.where((need := level / per - damping) < 0.0, np.nan, need)
+            if (y <= most).any():  # else it has no point in the picture
+                name = f"{level:g} N/m{label}"
+                out.append(Series(label=name, x=x, y=y, colour=i, style="line" if style == "line" else "dashed", marked=True))
+    return tuple(out)
