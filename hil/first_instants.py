@@ -1,7 +1,8 @@
-"""Signals before the command line is there: its import takes a tenth of a second, in which Python's own answer is a traceback."""
+"""The first instants of a command: its import takes a tenth of a second, in which Python answers a signal by a traceback."""
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from types import FrameType
@@ -25,3 +26,10 @@ def heed_signals() -> None:
     for number in ENDING:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
             signal.signal(number, leave_at_once)
+
+
+def collect_garbage_again() -> None:
+    """Let Python look for garbage again, where `hil` started without, and never among what its modules left."""
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()

@@ -13,6 +13,7 @@ import click
 
 from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
+from hil.first_instants import collect_garbage_again
 from hil.plugins.user_modules import refuse_shadowed_packages
 
 COMMANDS = {
@@ -71,6 +72,8 @@ class LazyGroup(click.Group):
         if cmd_name != "doctor":  # which tells of it
             refuse_shadowed_packages()
         command: click.Command = importlib.import_module(f"hil.cli.{cmd_name.replace('-', '_')}").command
+        if cmd_name != "run":  # whose own modules come when it is called
+            collect_garbage_again()
         return command
 
     def invoke(self, ctx: click.Context) -> Any:

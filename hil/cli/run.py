@@ -17,6 +17,7 @@ import click
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.interrupts import signals_later
 from hil.errors import HilError
+from hil.first_instants import collect_garbage_again
 
 PRIVATE = 0o600  # a log tells what a plant did: its user's alone, unless asked otherwise
 
@@ -124,6 +125,7 @@ def command(
     from hil.session import run_session
     from transport.links.opening import open_link
 
+    collect_garbage_again()
     if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
         raise HilError(f"--log-mode: {log_mode!r:.20}; expected an octal mode with which you can read and write, such as 640")
     out = only_json(as_json)  # before a module of the experiment's own runs

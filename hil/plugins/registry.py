@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import difflib
 from functools import cache
-from importlib.metadata import Distribution, EntryPoint, distributions
 from typing import Final, Literal
 
 from hil.errors import HilError
+from hil.files.installed import Point, points, said_by
 from hil.plugins.user_modules import is_own, load_own, written_in
 
 Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]
@@ -20,21 +20,15 @@ OBJECT: Final = "object "
 
 
 @cache
-def _installed() -> tuple[EntryPoint, ...]:
-    """Return the entry points of every package that has ours; of two packages of one name, those of the first on the path.
-
-    `importlib.metadata.entry_points` would parse the files of all the others too, at every start.
-    """
-    first: dict[str, Distribution] = {}
-    for package in distributions():
-        if "[hil." in (package.read_text("entry_points.txt") or ""):
-            first.setdefault(package.name, package)
-    return tuple(point for package in first.values() for point in package.entry_points)
+def _found() -> dict[str, dict[str, Point]]:
+    found: dict[str, dict[str, Point]] = {}
+    for point in points("hil."):
+        found.setdefault(point.group, {})[point.name] = point
+    return found
 
 
-@cache
-def _found(group: str) -> dict[str, EntryPoint]:
-    return {e.name: e for e in _installed() if e.group == group}
+def _of(group: Group) -> dict[str, Point]:
+    return _found().get(group, {})
 
 
 def names(group: Group) -> list[str]:
@@ -43,7 +37,7 @@ def names(group: Group) -> list[str]:
     >>> "dc-motor" in names("hil.plants")
     True
     """
-    return sorted(_found(group))
+    return sorted(_of(group))
 
 
 def load(group: Group, name: str, folder: str = ".") -> type:
@@ -60,7 +54,7 @@ def load(group: Group, name: str, folder: str = ".") -> type:
     if is_own(name):
         own: type = load_own(name, folder)
         return own
-    found = _found(group)
+    found = _of(group)
     if name not in found:
         near = difflib.get_close_matches(name, found, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -76,8 +70,7 @@ def provider(group: Group, name: str) -> str:
     """Return the distribution that a plug-in comes from, for `hil doctor` and for provenance."""
     if is_own(name):
         return name.partition(":")[0].replace(".", "/") + ".py"
-    dist = _found(group)[name].dist
-    return dist.name if dist is not None else "?"
+    return said_by(_of(group)[name].package, "Name") or "?"
 
 
 def group_of(path: str) -> Group:
@@ -96,7 +89,7 @@ def kind_of(group: Group, kind: str, made: object) -> str:
     cls = type(made)
     if is_own(kind):
         return kind if written_in(cls) is not None and cls.__qualname__ == kind.partition(":")[2] else object_kind(cls)
-    named = load(group, kind) if kind in _found(group) else None
+    named = load(group, kind) if kind in _of(group) else None
     return object_kind(cls) if isinstance(named, type) and named is not cls else kind
 
 
@@ -107,5 +100,5 @@ def object_kind(cls: type) -> str:
 
 def kind_of_class(group: Group, cls: type) -> str | None:
     """Return the entry point of a class, None if it has none."""
-    fits = (name for name, point in _found(group).items() if point.value.partition(":")[2] == cls.__qualname__)
+    fits = (name for name, point in _of(group).items() if point.value.partition(":")[2] == cls.__qualname__)
     return next((name for name in fits if load(group, name) is cls), None)

@@ -75,6 +75,46 @@ def test_one_that_keeps_to_its_modes_keeps_the_certificate(cls: type[Any], name:
     assert not said(simulated_session(loop, seed))
 
 
+class Coarse:
+    """A run that is exact in a slot, and no more where it is to go many at once; it counts how often it goes."""
+
+    gone = 0
+
+    def __init__(self, run: Any, share: float) -> None:
+        self.run, self.share = run, share
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.run, name)
+
+    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
+        self.run.advance(dt_ns, u, w)
+        Coarse.gone += 1
+        if dt_ns > 20_000_000:
+            self.run._x = [(1.0 + self.share) * v for v in self.run._x]
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-3])
+def test_a_long_second_run_goes_many_slots_at_once_and_what_it_finds_is_looked_at_in_every_slot(
+    share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = load_experiment("vtol-fault").plant
+    coarse = type("CoarseVTOL", (FaultyVTOL,), {"start": lambda self, rng: Coarse(FaultyVTOL.start(self, rng), share)})
+    made = coarse(**{f.name: getattr(plant, f.name) for f in fields(plant)})  # type: ignore[arg-type]
+    loop = compose(load_experiment("vtol-fault", plant=made, duration=4, **{"limits.state": {}}))
+    monkeypatch.setattr(Coarse, "gone", 0)
+    assert not said(simulated_session(loop, 2))
+    assert Coarse.gone < 4500 if not share else Coarse.gone > 8000  # slots of the run, 4000, and those of the second one
+
+
+def test_a_plant_with_noise_that_leaves_its_modes_after_a_long_time_loses_the_certificate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(globals(), "FROM", 3500)
+    plant = own(FaultyVTOL, "vtol-fault", LIES["the input"])
+    told = said(simulated_session(compose(load_experiment("vtol-fault", plant=plant, duration=4, **{"limits.state": {}})), 2))
+    assert told.startswith("certificate withdrawn: the plant left its model at slot 35"), told
+
+
 @pytest.mark.parametrize(("scale", "kept"), [(1.0, True), (3.0, False)])
 def test_uncertain_matrices_may_vary_within_their_bounds_and_not_beyond(scale: float, kept: bool) -> None:
     shipped = load_experiment("smjls-robust", **{"plant.uncertainty": "sampled"})
@@ -85,7 +125,7 @@ def test_uncertain_matrices_may_vary_within_their_bounds_and_not_beyond(scale: f
     def start() -> Any:
         return wide.start(np.random.default_rng(4))
 
-    watch, run = JumpWatch(watched.plant, start, lambda k: (0.0,), 5_000_000), start()
+    watch, run = JumpWatch(watched.plant, start, 5_000_000), start()
     for k in range(500):
         u = (0.2 * (-1) ** (k // 7),)
         watch.take(run.state, run.measure(), u, (0.0,))

@@ -6,11 +6,11 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from platform import python_version
 from typing import Any, Final
 
+from hil.files.installed import versions_of
 from hil.log.events import to_json
 
 CHECKOUT: Final = Path(__file__).parents[3]
@@ -22,20 +22,11 @@ FORMAT: Final = "2"
 PACKAGES: Final = ("numpy", "scipy", "control", "cvxpy", "python-can", "eclipse-zenoh", "mcap", "zstandard", "msgspec")
 
 
+@cache
 def package_versions() -> dict[str, str]:
     """Versions of hilrig, of Python and of the packages that can change a result, read without importing them."""
-    return {"hilrig": _version_of("hilrig"), "python": python_version(), **{name: _version_of(name) for name in PACKAGES}}
-
-
-@cache
-def _version_of(package: str) -> str:
-    try:
-        found = distribution(package)
-    except PackageNotFoundError:
-        return "absent"
-    # The parser of `importlib.metadata` also reads the page behind the head, as an email: half a millisecond for each package.
-    said = "\n" + (found.read_text("METADATA") or "")
-    return said.partition("\nVersion:")[2].partition("\n")[0].strip() or found.version
+    found = dict.fromkeys(("hilrig", "python", *PACKAGES), "absent")
+    return found | versions_of(("hilrig", *PACKAGES)) | {"python": python_version()}
 
 
 @cache

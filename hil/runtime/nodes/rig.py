@@ -136,8 +136,9 @@ class Rig:
 
         if step is None:
             return None
-        watch = JumpWatch if isinstance(step, JumpStep) else PlantWatch
-        return watch(step, start, self._disturbed_by, self._period_ns)  # type: ignore[arg-type]  # each of its own step
+        if isinstance(step, JumpStep):
+            return JumpWatch(step, start, self._period_ns)
+        return PlantWatch(step, start, self._disturbed_by, self._period_ns)
 
     def _disturbed_by(self, k: int) -> tuple[float, ...]:
         """Return the disturbance of a slot as the run has it in the end: a change adds to it, and takes nothing back."""
