@@ -20,9 +20,9 @@ def main() -> Any:
         gc.disable()  # until `collect_garbage_again`: to look for garbage among modules takes a tenth of a short run
     except KeyboardInterrupt:
         os._exit(130)
-    from hil.cli import main
+    from hil.cli import guarded_main
 
-    return main()
+    return guarded_main()
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, v
 from hil.rig.session_link import SessionLink, link_of, no_link
 from hil.runtime.changes import Changes
 from hil.runtime.nodes.failures import failure_of
-from hil.runtime.real.exit_statuses import FAILED
+from hil.runtime.real.exit_statuses import ENDED, FAILED
 from hil.runtime.real.machine import machine
 from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import Clock, monotonic_ns, wall_clock
@@ -428,7 +428,7 @@ def _run_real(
     elif real.rig_silent is not None:
         out["rig_lost"] = real.rig_silent
         sink.event(real.pump.last_ns, "rig lost", real.rig_silent, severity="error")
-    elif real.rig_status not in (0, FAILED):
+    elif real.rig_status not in (ENDED, FAILED):
         out["rig_lost"] = (
             f"the rig process was killed by {signal.Signals(-real.rig_status).name}"
             if real.rig_status is not None and real.rig_status < 0

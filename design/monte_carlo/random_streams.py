@@ -27,10 +27,11 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -107,6 +108,7 @@ def safe_path() -> Iterator[None]:
             os.environ[_SAFE] = before
 
 
+KILLED: Final = "a worker process ended before its work was done: memory ran out, it was killed, or a plug-in ended it"
 Backend = Literal["serial", "loky", "threading", "dask"]
 Result = TypeVar("Result")
 Job = TypeVar("Job")
@@ -147,7 +149,7 @@ def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers)
     Closing the iterator (or Ctrl-C) cancels what has not begun.
 
     Raises:
-        DesignError: the dask scheduler does not answer.
+        DesignError: the dask scheduler does not answer, or a process ended before its work was done.
     """
     if workers.backend == "serial" or not jobs:
         yield from map(task, jobs)
@@ -165,7 +167,10 @@ def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers)
         with _workers_ignore_interrupts():
             results = Parallel(return_as="generator")(delayed(task)(job) for job in jobs)
         stack.enter_context(closing(results))
-        yield from results
+        try:
+            yield from results
+        except BrokenExecutor as error:
+            raise DesignError(KILLED) from error
 
 
 @contextmanager

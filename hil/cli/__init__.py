@@ -11,10 +11,13 @@ from typing import Any
 
 import click
 
+from hil.cli.guard import Guard
 from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
 from hil.first_instants import collect_garbage_again
+from hil.plugins.process_state import ProcessState
 from hil.plugins.user_modules import refuse_shadowed_packages
+from hil.plugins.watch import WATCH
 
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",
@@ -116,6 +119,24 @@ class LazyGroup(click.Group):
 @click.version_option(package_name="hilrig", prog_name="hil")
 def cli() -> None:
     """Test a networked controller without the hardware: real processes, real links, an emulated network."""
+
+
+def guarded_main() -> Any:
+    """Run the command line of this process; a user's module that ends it in silence is told, see `hil.cli.guard`."""
+    guard = Guard(ProcessState.now())
+    WATCH.set(guard)
+    status = 1
+    try:
+        main()
+        status = 0
+    except SystemExit as end:
+        if isinstance(end.code, str):
+            print(end.code, file=sys.stderr)
+            end.code = 1
+        status = end.code or 0
+        raise
+    finally:
+        guard.end(status)
 
 
 def main(args: list[str] | None = None) -> Any:

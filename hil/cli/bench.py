@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any, get_args
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
 from hil.experiment.tables import Affinity
 
@@ -53,7 +53,7 @@ def show_table(title: str, rows: list[dict[str, Any]]) -> None:
 @click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field, such as timing.idle=awake.")
 @click.option("--affinity", "affinities", multiple=True, type=click.Choice(get_args(Affinity)),
               help="CPUs of rig and controller; several are measured in turns.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option("Print JSON.")
 def timing(
     duration: float, turns: int, links: tuple[str, ...], experiments: tuple[str, ...], sets: tuple[str, ...],
     affinities: tuple[str, ...], as_json: bool,
@@ -68,7 +68,7 @@ def timing(
         affinities=affinities, progress=status_line,
     )  # fmt: skip
     if as_json:
-        print(json.dumps(rows, indent=2))
+        print_json(rows)
         return
     flat = []
     for row in rows:
@@ -96,7 +96,7 @@ def timing(
 @command.command()
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Round trips per second.")
 @click.option("--duration", type=Duration(), default="10s", show_default=True, help="On each link.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option("Print JSON.")
 def links(rate: float, duration: float, as_json: bool) -> None:
     """Round trips of all links side by side, with C over UDP as the floor."""
     from hil.bench.links import bench_links
@@ -105,7 +105,7 @@ def links(rate: float, duration: float, as_json: bool) -> None:
     _check("--duration", duration, *SECONDS)
     rows = bench_links(rate_hz=rate, duration_s=duration)
     if as_json:
-        print(json.dumps(rows, indent=2))
+        print_json(rows)
     else:
         show_table(f"round trips at {rate:g} Hz, us", rows)
 
@@ -115,7 +115,7 @@ def links(rate: float, duration: float, as_json: bool) -> None:
               help="Length of the long session.")  # fmt: skip
 @click.option("--sessions", type=click.IntRange(0, 1000), default=0, show_default=True, help="Short sessions in a row.")
 @click.option("--at-once", type=click.IntRange(0, 64), default=0, show_default=True, help="Short sessions at the same time.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@json_option("Print JSON.")
 def soak(duration: float, sessions: int, at_once: int, as_json: bool) -> None:
     """Endurance at 1 kHz over can:hil: memory of each process, log, overruns beside cyclictest.
 
@@ -125,7 +125,7 @@ def soak(duration: float, sessions: int, at_once: int, as_json: bool) -> None:
 
     row = bench_soak(duration_s=duration, sessions=sessions, at_once=at_once, progress=status_line)
     if as_json:
-        print(json.dumps(row, indent=2))
+        print_json(row)
     else:
         _soak(row)
     raise SystemExit(STATUS[row["verdict"]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
 from hil.errors import HilError
 
@@ -35,7 +35,7 @@ def command() -> None:
 @click.option("--errors", type=click.IntRange(0), help="Errors that may come at once; the bounds allow for them.")
 @click.option("--error-interval", type=Duration(above=True), default="1s", show_default=True, help="Time between further ones.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page here.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def analyse(
     target: str, bitrate: str | None, dbitrate: str | None, sets: tuple[str, ...], duration: float, errors: int | None,
     error_interval: float, output: Path | None, as_json: bool,
@@ -64,7 +64,7 @@ def analyse(
 
         write_output(output, bus_page(found))
     if as_json:
-        print(json.dumps(asdict(found), indent=2))
+        print_json(asdict(found))
     else:
         _print(found)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
@@ -19,7 +19,7 @@ GROUPS = ("plants", "controllers", "laws", "links", "measures")
 @click.option("--parameter", "sets", multiple=True, type=CHANGE, metavar="KEY=VALUE", help="A key of its table; repeatable.")
 @click.option("--in", "experiment", default="dc-motor-hinf", show_default=True, type=EXPERIMENT, metavar="EXPERIMENT",
               help="The experiment whose model a controller, and whose run a measure is checked with.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_json: bool) -> None:
     """Check a plug-in and say what it has earned: hil check laws my_module:Mine --parameter p=0.3
 
@@ -39,7 +39,7 @@ def command(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_js
         told = str(fault).partition("\n")[0] if isinstance(fault, AssertionError | PlantError) else words(fault)
         raise HilError(f"check_{group[:-1]}: {kind}: {told}") from fault
     if as_json:
-        print(json.dumps({"group": group, "kind": kind, "earned": said}, indent=2))
+        print_json({"group": group, "kind": kind, "earned": said})
         return
     from hil.cli.terminal import visible
 

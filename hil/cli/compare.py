@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from math import isfinite
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of all of them.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write a page with the distributions.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(
     experiments: tuple[str, ...], runs: int, duration: str | None, sets: tuple[str, ...], jobs: int, output: Path | None,
     as_json: bool,
@@ -84,7 +84,7 @@ def command(
         for name, values in comparison.values.items()
     }
     if as_json:
-        print(json.dumps({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None}, indent=2))
+        print_json({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None})
         return
     columns = get_terminal_size().columns
     for name in experiments[1:]:

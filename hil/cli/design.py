@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration, Number
 from hil.errors import HilError
 
@@ -71,7 +71,7 @@ class GainsOrWall(click.Command):
 @click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
@@ -149,7 +149,7 @@ def command(
         write_output(path, design_text(document), replace=force)
         document["file"] = str(path)
     if as_json:
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         _show(design, document)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from hil.cli.json_output import print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def command(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -
     except ValueError as error:
         raise HilError(f"{experiment.name}: {error}") from error
     if as_json:
-        print(json.dumps(found, indent=2))
+        print_json(found)
         return
     for line in lines(found):
         print(line)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any, get_args
 
 from design.errors import DesignError, FieldError
@@ -10,6 +9,7 @@ from design.local import LocalMethod
 from design.requests.tracking import LocalDesigned
 from hil.certify.certifier import limited_to_model
 from hil.certify.send_all_loop import judge_linear_law
+from hil.cli.json_output import print_json
 from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at
 from hil.errors import HilError
 
@@ -52,7 +52,7 @@ def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, An
 def show_local(document: dict[str, Any], *, as_json: bool) -> None:
     """Print a local design."""
     if as_json:
-        print(json.dumps(document, indent=2))
+        print_json(document)
         return
     from rich.console import Console
 

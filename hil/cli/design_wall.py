@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration, NumberList
 from hil.errors import HilError
 
@@ -21,7 +22,7 @@ from hil.errors import HilError
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design as JSON here.")
 @click.option("--c", "header", type=click.Path(path_type=Path, dir_okay=False), help="Write a C99 header here.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(
     period: float, delay: tuple[float, ...], hand: float, damping: float | None, stiffness: float | None, taps: int | None,
     path: Path | None, header: Path | None, force: bool, as_json: bool,
@@ -68,7 +69,7 @@ def command(
     if header is not None:
         write_output(header, coupler_header(found))
     if as_json:
-        print(text, end="")
+        print_json(document)
         return
     compliance = found.coupler.static_compliance_m_per_n
     for name, value in (

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
 
 NOBODY = 1  # exit status: neither rig nor controller
@@ -15,7 +15,7 @@ NOBODY = 1  # exit status: neither rig nor controller
 @click.command()
 @click.argument("links", nargs=-1, metavar="[LINK]...")
 @click.option("--wait", default="1s", show_default=True, type=Duration(0.1, 60), help="How long to wait for answers.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+@json_option("Print JSON instead of a table.")
 def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
     """Say which rigs and controllers are on zenoh LINKs: by default on those of this user on this machine.
 
@@ -28,7 +28,7 @@ def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
     endpoints = [endpoint_of(link) for link in links] or own_endpoints()
     found = [found for endpoint in endpoints for found in discover(endpoint, wait)]
     if as_json:
-        click.echo(json.dumps(found))
+        print_json(found)
     else:
         click.echo("\n".join(map(_line, found)) or "no rig or controller found")
     if not found:

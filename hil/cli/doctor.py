@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.cli.terminal import visible
 from hil.plugins.user_modules import REMEDY, shadows
 from hil.vcan import what_would_run
@@ -186,10 +187,9 @@ def _tool(program: str, package: str, why: str) -> Check:
 
 @click.command()
 @click.option("--link", metavar="URI", help="Say from whom a rig on this link accepts commands.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON list.")
+@json_option("Print one JSON list.")
 def command(link: str | None, as_json: bool) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
-    import json
 
     there = importlib.util.find_spec("zenoh") is not None
     certificates = None if link is None else _certificates_of(link)
@@ -201,7 +201,7 @@ def command(link: str | None, as_json: bool) -> None:
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     if as_json:
-        print(json.dumps([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks], indent=2))
+        print_json([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks])
         return
     columns = get_terminal_size().columns
     for check in checks:

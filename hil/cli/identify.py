@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.identify_law import law
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ command.add_command(law)
 @click.option("--plant", "kind", type=click.Choice(["omni", "dc-motor"]), help="Axis [the plant of the log].")
 @click.option("--input", "u_name", metavar="NAME", help="Signal that drives the axis [the plant's].")
 @click.option("--measured", "y_name", metavar="NAME", help="Signal that is measured [the plant's].")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: str | None, as_json: bool) -> None:
     """Estimate inertia and damping (omni), or gain and pole (dc-motor), from one or more LOGs: .mcap, or .csv with times.
 
@@ -56,7 +57,7 @@ def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: 
         raise HilError(f"identify: {error}") from error
     said = _document(kinds[0], AXES[kinds[0]], records, fit)
     if as_json:
-        print(json.dumps(said, indent=2))
+        print_json(said)
     else:
         _print(said)
     if fit.residuals.verdict == "correlated":

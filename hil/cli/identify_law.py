@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Identifier(click.ParamType):  # type: ignore[type-arg]
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the law here, for experiments.")
 @click.option("--page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page: measured and fitted side by side.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def law(
     files: tuple[Path, ...], period: float | None, deadline: float, halve: bool, one_clock: bool, can_id: int | None,
     output: Path | None, page: Path | None, force: bool, as_json: bool,
@@ -81,7 +81,7 @@ def law(
 
         write_output(page, law_page(fits, said, {way: _shares(fit) for way, fit in found.items()}), replace=force)
     if as_json:
-        print(json.dumps({way: {"law": fits[way].spec, "fit": said[way]} for way in fits}, indent=2))
+        print_json({way: {"law": fits[way].spec, "fit": said[way]} for way in fits})
     else:
         for way, fit in fits.items():
             _show(way, fit, said[way], targets.get(way))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.json_output import json_option, print_json
 
 if TYPE_CHECKING:
     from transport.law_tests.analysis import LawAnalysis
@@ -22,7 +22,7 @@ NEGLIGIBLE = 1e-6
 @click.command()
 @click.argument("experiment", type=EXPERIMENT)
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
     from hil.compose.named_files import with_law_files
@@ -46,7 +46,7 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
         laws = {"sc": told(checked.network.sc.law), "ca": told(rig.ca_law)}
         nodes = {name: laws["sc"] if law is checked.network.sc.law else told(law) for name, law in networks.items()}
         said = {"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes}
-        print(json.dumps(said, indent=2))
+        print_json(said)
         return
     way = "sensor to controller (sc)"
     titled = {way if len(rig.sensors) == 1 else f"node {name}, {way}": law for name, law in networks.items()}

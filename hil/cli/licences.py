@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import re
 from importlib.metadata import Distribution, distribution, distributions
 from typing import Any
 
 import click
 
+from hil.cli.json_output import json_option, print_json
+
 COPYLEFT = re.compile(r"\bL?GPL|\bAGPL|Lesser General Public|\bMPL|Mozilla Public|\bEPL|Eclipse Public", re.IGNORECASE)
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(as_json: bool) -> None:
     """List every installed package with its version and licence; those that ask something of who passes them on come first."""
     rows = bill()
     if as_json:
-        print(json.dumps({"packages": rows}, indent=2))
+        print_json({"packages": rows})
         return
     width = max(len(row["name"]) for row in rows)
     for row in sorted(rows, key=lambda row: (not row["copyleft"], row["name"])):

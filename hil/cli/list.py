@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from typing import Any, Final
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 FIRST: Final = "dc-motor-hinf"
@@ -26,7 +26,7 @@ def _kinds(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
 @click.command()
 @click.argument("group", type=click.Choice(GROUPS), required=False)
 @click.argument("kind", required=False, shell_complete=_kinds)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(group: str | None, kind: str | None, as_json: bool) -> None:
     """List the shipped experiments and the installed plug-ins.
 
@@ -56,7 +56,7 @@ def _all(as_json: bool) -> None:
         for group in GROUPS
     }
     if as_json:
-        print(json.dumps({"experiments": experiments, "plants": of, "first": FIRST, "plugins": plugins}, indent=2))
+        print_json({"experiments": experiments, "plants": of, "first": FIRST, "plugins": plugins})
         return
     print(f"to begin with: hil run {FIRST}; hil show {FIRST} prints its file\n")
     for plant in dict.fromkeys([of[FIRST], *of.values()]):
@@ -94,7 +94,7 @@ def _group(group: str, as_json: bool) -> None:
         except HilError as error:  # somebody's plug-in that cannot be imported
             found[name] = str(error)
     if as_json:
-        print(json.dumps(found, indent=2))
+        print_json(found)
         return
     _pairs({name: visible(text) for name, text in found.items()})
     print(f"hil list {group} KIND shows its keys")
@@ -109,7 +109,7 @@ def _kind(group: str, kind: str, as_json: bool) -> None:
     said, fields = about(f"hil.{group}", kind), fields_of(cls)  # type: ignore[arg-type]
     if as_json:
         keys: dict[str, Any] = {f.name: {"type": f.type, "default": f.default or None, "meaning": f.meaning} for f in fields}
-        print(json.dumps({"group": group, "kind": kind, "about": said, "keys": keys}, indent=2))
+        print_json({"group": group, "kind": kind, "about": said, "keys": keys})
         return
     print(f"{kind}, from {visible(registry.provider(f'hil.{group}', kind))}\n")  # type: ignore[arg-type]
     _wrapped(visible_lines(said), "")

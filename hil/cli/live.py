@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Replace a log that is there.")
 @click.option("--folder", metavar="DIR", help="Of a LOG: where own modules stand: they are run.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
-@click.option("--json", "as_json", is_flag=True, help="With --script: print the summary as one JSON object.")
+@json_option("With --script: print the summary as one JSON object.")
 def command(
     experiments: tuple[str, ...], sets: tuple[str, ...], clock: str, link: str | None, seed: int | None, duration: str | None,
     speed: float, held: bool, script: Path | None, port: int, output: Path | None, force: bool, folder: str | None, show: bool,
@@ -48,11 +49,8 @@ def command(
     """
     from hil.cli.run import reserve
     from hil.cli.run_summary import show as show_summary
-    from hil.cli.terminal import only_json
     from hil.experiment import load_experiment
     from hil.live.watch import Asked, show_log, watch
-
-    out = only_json(as_json)
 
     def opened(url: str) -> None:
         click.echo(f"open {url}", err=True)
@@ -77,8 +75,6 @@ def command(
         return reserve(output, f"{experiment.name}-live-seed{experiment.seed}", force)
 
     if script is not None:
-        import json
-
         from hil.live.script import Scripted, read_script
         from hil.session import run_session
 
@@ -88,7 +84,7 @@ def command(
         experiment = load_experiment(experiments[0], sets, seed=seed, duration=duration)
         session = run_session(experiment, path=path(experiment), onlooker=scripted)
         if as_json:
-            print(json.dumps(session.summary, indent=2), file=out)
+            print_json(session.summary)
         else:
             show_summary(session.summary)
         sys.exit(session.status)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--only", "names", multiple=True, metavar="PROBLEM", help="Only this problem; repeatable.")
 @click.option("--runs", type=click.IntRange(2, 100_000), default=200, show_default=True, help="Seeds 0, 1, ... of each problem.")
 @click.option("--write", is_flag=True, help="Run the controllers that were tried, and store the best of each problem.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(controller: str | None, names: tuple[str, ...], runs: int, write: bool, as_json: bool) -> None:
     """Show the problem set: of each problem the best controller that is known, its mean with a 95 % interval, and a lower bound.
 
@@ -47,12 +48,7 @@ def command(controller: str | None, names: tuple[str, ...], runs: int, write: bo
         from msgspec import to_builtins
 
         said = {p.name: {"source": p.source, "experiment": p.experiment, "best_known": known.get(p.name)} for p in chosen}
-        print(
-            json.dumps(
-                {name: entry | ({"yours": to_builtins(found[name])} if name in found else {}) for name, entry in said.items()},
-                indent=2,
-            )
-        )
+        print_json({name: entry | ({"yours": to_builtins(found[name])} if name in found else {}) for name, entry in said.items()})
     else:
         _show(chosen, known, found)
     if found and all(each.mean is None for each in found.values()):

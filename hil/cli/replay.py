@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.option("--speed", type=float, default=1.0, show_default=True, help="With --onto: how many times faster.")
 @click.option("--folder", metavar="DIR", help="Where the files stand that the experiment names (own modules, an FMU).")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="With --controller: write the series as CSV.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(
     file: Path,
     do_verify: bool,
@@ -104,7 +104,7 @@ def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
     with Working(f"questions to {uri}"):
         done = ask_process(run, uri, str(file))
     if as_json:
-        print(json.dumps(asdict(done), indent=2))
+        print_json(asdict(done))
     else:
         for difference in done.differences:
             print(visible(str(difference)))
@@ -147,7 +147,7 @@ def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json
         found = {"likeness": verdict.likeness, "identical": verdict.difference is None, "difference": verdict.difference}
         counts = {"answers": verdict.answers, "states": verdict.states}
         told = {} if tags is None else {"tags": asdict(tags)}
-        print(json.dumps({**found, **counts, **told, "records_sha256": sha256}, indent=2))
+        print_json({**found, **counts, **told, "records_sha256": sha256})
     else:
         alike = f"{verdict.likeness}: {verdict.answers} control packets, {verdict.states} plant states"
         print(alike if verdict.likeness != "different" else f"different: {verdict.difference}")
@@ -186,7 +186,7 @@ def _what_if(
     if output is not None:
         _write_series(output, series)
     if as_json:
-        print(json.dumps({"controller": kind, "inputs": differences, "output": str(output) if output else None}, indent=2))
+        print_json({"controller": kind, "inputs": differences, "output": str(output) if output else None})
         return
     for name, d in differences.items():
         print(
@@ -222,7 +222,7 @@ def _onto(run: Run, uri: str, speed: float, as_json: bool) -> None:
         task = bar.add_task(escape(f"onto {visible(uri)}"), total=None)
         done = onto(run, uri, speed, lambda i, n: bar.update(task, completed=i, total=n))
     if as_json:
-        print(json.dumps({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us}, indent=2))
+        print_json({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us})
     else:
         error = ", ".join(f"{name} {value:.0f}" for name, value in done.error_us.items())
         print(f"{done.frames} frames on {uri} at {speed:g} times the recorded speed; own timing error in us: {error}")

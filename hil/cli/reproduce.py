@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import textwrap
 import time
@@ -15,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.json_output import json_option, print_json
+
 if TYPE_CHECKING:
     from hil.reproduce import Checkpoint, Reproduction, Step
     from hil.reproduce.checkpoint import KeptStages
@@ -26,7 +27,7 @@ COLOURS = ("green", "yellow", "red", "blue")
 
 @click.command()
 @click.argument("chapter")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object; for all, one per chapter by its name.")
+@json_option("Print one JSON object; for all, one per chapter by its name.")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="Write the page with the figures here; for all, a folder."
 )
@@ -75,7 +76,7 @@ def command(chapter: str, as_json: bool, output: Path | None, with_power: bool) 
         found: dict[str, Any] = {name: result.to_json() for name, result in results.items()}
         if with_power:
             found = {name: {**each, "power": power(results[name].rows)} for name, each in found.items()}
-        print(json.dumps(found if chapter == ALL else found[chapter], indent=2))
+        print_json(found if chapter == ALL else found[chapter])
 
 
 def _stages(kept: KeptStages) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import os
 import re
 import stat
@@ -16,6 +15,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.interrupts import signals_later
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 from hil.first_instants import collect_garbage_again
 
@@ -91,7 +91,7 @@ def _let_go(path: Path) -> None:
 @click.option("--signals", metavar="URI", help="Publish named signals over zenoh at zenoh:tcp/127.0.0.1:7448, say.")
 @click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link within 120 s.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+@json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")
 def command(
     experiment: str,
@@ -118,7 +118,7 @@ def command(
     plant or the controller was not what it says; 130, 143 interrupted.
     """
     from hil.cli.run_summary import show
-    from hil.cli.terminal import only_json, visible
+    from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.rig.normal_form import rig_of
     from hil.rig.session_link import link_of
@@ -128,7 +128,6 @@ def command(
     collect_garbage_again()
     if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
         raise HilError(f"--log-mode: {log_mode!r:.20}; expected an octal mode with which you can read and write, such as 640")
-    out = only_json(as_json)  # before a module of the experiment's own runs
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
@@ -180,7 +179,7 @@ def command(
     if status == 0 and require_valid_timing and not session.summary["timing"]["valid"]:
         status = 4
     if as_json:
-        print(json.dumps(session.summary, indent=2), file=out)
+        print_json(session.summary)
     else:
         show(session.summary)
     sys.exit(status)

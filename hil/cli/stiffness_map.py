@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
+from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import NumberList
 from hil.errors import HilError
 
@@ -22,7 +22,7 @@ from hil.errors import HilError
 @click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), help="Write the table with the taps here.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page with the contours here.")
 @click.option("--force", is_flag=True, help="Replace a table that is there; a page always is.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(
     period: tuple[float, ...], delay: tuple[float, ...], hand: tuple[float, ...], lever: float, table: Path | None,
     output: Path | None, force: bool, as_json: bool,
@@ -61,7 +61,7 @@ def command(
         write_output(output, stiffness_page(cells, mass_kg=device.tip_mass_kg, damping_n_s_per_m=device.tip_damping_n_s_per_m))
     if as_json:
         device_said = {"mass_kg": device.tip_mass_kg, "damping_n_s_per_m": device.tip_damping_n_s_per_m}
-        print(json.dumps({"device": device_said, "cells": [asdict(cell) for cell in cells]}, indent=2))
+        print_json({"device": device_said, "cells": [asdict(cell) for cell in cells]})
         return
     from rich.console import Console
     from rich.table import Table

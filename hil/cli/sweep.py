@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 MOST_JOBS = 512
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 @click.option("--scheduler", metavar="ADDRESS", help="The dask scheduler, e.g. tcp://10.0.0.1:8786.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@json_option()
 def command(
     experiment: str,
     runs: int,
@@ -221,7 +222,7 @@ def _show(out: dict[str, Any], units: dict[str, str], as_json: bool) -> None:
     from hil.measure.signals import with_unit
 
     if as_json:
-        print(json.dumps(out, indent=2))
+        print_json(out)
         return
     name = visible(out["experiment"])
     print(f"{name}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.cli.json_output import print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def run_points(
         ],
     }
     if as_json:
-        print(json.dumps(out, indent=2))
+        print_json(out)
     else:
         _show(out, found, page, table)
     if found.interrupted:

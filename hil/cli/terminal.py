@@ -8,14 +8,12 @@ value, whatever a plug-in prints meanwhile.
 from __future__ import annotations
 
 import os
-import sys
 import unicodedata
 from collections.abc import Sequence
-from contextlib import redirect_stdout
 from dataclasses import dataclass
 from shutil import get_terminal_size
 from textwrap import wrap
-from typing import TYPE_CHECKING, Final, TextIO
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -136,15 +134,3 @@ def _painted(part: str, line: Line, number: int) -> str:
     if line.coloured is None:
         return click.style(part, fg=line.colour)
     return click.style(part[: line.coloured], fg=line.colour) + part[line.coloured :] if number == 0 else part
-
-
-def only_json(as_json: bool) -> TextIO:
-    """Return where the JSON goes; with `--json` what else is printed until the command's end goes to standard error.
-
-    Args:
-        as_json: whether `--json` was given.
-    """
-    out = sys.stdout
-    if as_json and sys.stderr is not None:
-        click.get_current_context().with_resource(redirect_stdout(sys.stderr))
-    return out

@@ -20,12 +20,20 @@ def main(key: str, most_numbers: int) -> str | None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (MOST_CPU_S, MOST_CPU_S))
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+    found = npy_or_reason(sys.stdin.buffer.read(), key, most_numbers)
+    if isinstance(found, str):
+        return found
+    sys.stdout.buffer.write(found)
+    return None
+
+
+def npy_or_reason(data: bytes, key: str, most_numbers: int) -> bytes | str:
+    """Return the array of a key in numpy's format, or the reason why the file holds none that may be read."""
     import numpy as np
     from scipy.io import loadmat, whosmat
 
     warnings.simplefilter("ignore")
     warnings.simplefilter("error", UserWarning)  # of a variable or byte order that scipy cannot read, and returns all the same
-    data = sys.stdin.buffer.read()
     if data.startswith(b"MATLAB 7.3"):
         return "is a MATLAB 7.3 file; save it with -v7"
     file, out = io.BytesIO(data), io.BytesIO()
@@ -42,8 +50,7 @@ def main(key: str, most_numbers: int) -> str | None:
         np.save(out, loadmat(file, variable_names=[key])[key], allow_pickle=False)  # type: ignore[arg-type]
     except Exception as error:  # scipy raises what it likes on a damaged file
         return f"is no whole .mat file: {type(error).__name__}: {error}"
-    sys.stdout.buffer.write(out.getbuffer())
-    return None
+    return out.getvalue()
 
 
 if __name__ == "__main__":

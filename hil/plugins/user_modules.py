@@ -23,6 +23,9 @@ from typing import Any, Final
 
 from hil.errors import HilError
 from hil.files.regular import read_regular
+from hil.plugins.process_calls import refuse_calls_from
+from hil.plugins.process_state import ProcessState
+from hil.plugins.watch import WATCH
 
 MAX_BYTES: Final = 1_000_000
 _PREFIX: Final = "hil_own_"
@@ -82,10 +85,19 @@ def _module(path: Path, expected: str | None = None) -> ModuleType:
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))  # behind everything that is installed: what it imports from its own folder
     sys.modules[name] = module  # dataclasses look their module up while it runs
+    refuse_calls_from(_PREFIX)
+    WATCH.get().begin(str(path))
+    before = ProcessState.now()
     try:
         exec(compile(text, str(path), "exec"), vars(module))
+        changes = before.changes()
+        if changes:
+            raise HilError(f"{path}: {'; '.join(changes)}; a module that is loaded leaves its process as it was")
     except BaseException as error:  # whatever a stranger's module raises when it runs
         del sys.modules[name]
+        before.restore()
+        if isinstance(error, HilError):
+            raise
         if isinstance(error, KeyboardInterrupt):
             raise
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]

@@ -31,7 +31,7 @@ ATTACKS: Final[Mapping[str, tuple[str, ...]]] = {
     "signatures of logs": ("tests/hil/files/test_signature.py",),
     "shadows in the working folder": ("tests/hostile/test_working_folder.py",),
     "completion by TAB": ("tests/hil/cli/test_completion.py",),
-    "plug-ins and modules": ("tests/hil/plugins/test_user_modules.py",),
+    "plug-ins and modules": ("tests/hil/plugins/test_user_modules.py", "tests/hostile/test_own_modules.py"),
     "FMUs": ("tests/plants/test_fmu_faults.py",),
     "output to a terminal": ("tests/hil/cli/test_terminal.py",),
     "symbolic links, pipes and devices": ("tests/hil/cli/test_outputs.py", "tests/hil/files/test_regular.py"),

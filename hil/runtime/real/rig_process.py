@@ -24,7 +24,7 @@ from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.child import read_job
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink
-from hil.runtime.real.exit_statuses import FAILED, NOBODY
+from hil.runtime.real.exit_statuses import ENDED, FAILED, NOBODY
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import WarmUpRig
 from hil.runtime.slot import Slot
@@ -106,7 +106,11 @@ class RealLoop:
 
 
 def main() -> None:
-    """Run one job from standard input; exit status `NOBODY` if no controller answered."""
+    """Run one job from standard input.
+
+    Raises:
+        SystemExit: `ENDED`; `FAILED` where a part of the loop did; `NOBODY` if no controller answered.
+    """
     job: Job = read_job()
     die_with_parent(job.parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -168,8 +172,7 @@ def main() -> None:
         )
         sink.close()
         leave_real_time()
-        if failed:
-            raise SystemExit(FAILED)
+        raise SystemExit(FAILED if failed else ENDED)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,8 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
+from hil.plugins.watch import WATCH
+
 STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 _AGAIN_S: Final = 0.1
 
@@ -51,6 +53,8 @@ class StopSignals:
     def _see(self, number: int, _frame: object) -> None:
         again, self.seen = self.seen is not None, self.seen or number
         self._told(number)
+        if self._force_s is None:
+            WATCH.get().stopping()
         if self._force_s is not None:
             signal.setitimer(signal.ITIMER_REAL, 1e-6 if again else self._force_s, _AGAIN_S)
 
@@ -62,3 +66,5 @@ class StopSignals:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in self._old.items():
             signal.signal(number, handler)
+        if self.seen is not None:
+            WATCH.get().stopping()

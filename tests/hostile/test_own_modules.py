@@ -1,0 +1,144 @@
+"""Users' modules that end, silence, hold or copy their process: the status is never 0, and there is one message."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.waiting import ended, until
+
+HIL = str(Path(sys.executable).with_name("hil"))
+MODULE = '''
+import ctypes, os, pathlib, signal, subprocess, sys, threading, time
+from dataclasses import dataclass
+from plants import DCMotor
+
+class Running:
+    def __init__(self, inner):
+        self.inner, self.last, self.slots = inner, time.monotonic(), 0
+    def advance(self, dt_ns, u, w=()):
+        now = time.monotonic()  # a warm-up does not keep the period
+        self.slots, self.last = self.slots + (now - self.last > 0.03), now
+        if self.slots == 5:
+            in_the_run()
+        return self.inner.advance(dt_ns, u, w)
+    def __getattr__(self, name):
+        return getattr(self.__dict__["inner"], name)
+
+@dataclass(frozen=True, kw_only=True)
+class Mine(DCMotor):
+    def start(self, rng):
+        at_start()
+        return Running(super().start(rng))
+
+def in_a_worker(view):
+    """The peak."""
+    if "loky" in " ".join(sys.orig_argv):
+        ctypes.CDLL(None)._exit(0)
+    return 1.0
+
+def at_start(): pass
+def in_the_run(): pass
+'''
+LEAVE = "ctypes.CDLL(None)._exit(0)"
+ENDS = {
+    "os._exit": ("os._exit(0)", 2, "line 32: RuntimeError: os._exit would end, copy or replace"),
+    "os.execv": ("os.execvp('true', ['true'])", 2, "os.execv would end, copy or replace"),
+    "fork": ("os.fork()", 2, "os.fork would end, copy or replace"),
+    "C's exit": (LEAVE, 1, "the process ended with status 0 before the command was done"),
+    "C's exit at a start": (f"def at_start(): {LEAVE}", 1, "the process ended with status 0 before the command was done"),
+    "exit of a thread": ("threading.Thread(target=os._exit, args=(0,)).start()\ntime.sleep(60)", 1, "ended with status 0 before"),
+    "SystemExit": ("sys.exit(0)", 2, "line 32: SystemExit: 0"),
+    "SIGKILL": ("os.kill(os.getpid(), 9)", 137, "the command was killed by SIGKILL before it was done"),
+    "closes 0 to 2": ("os.closerange(0, 3)", 1, "it closes or replaces standard output"),
+    "closes all": ("os.closerange(0, 4096)", 1, "it closes or replaces standard output"),
+    "takes standard output": ("os.dup2(os.open('/dev/null', os.O_WRONLY), 1)", 2, "it closes or replaces standard output"),
+    "signals": ("signal.signal(signal.SIGINT, signal.SIG_IGN)", 2, "it changes the handler of SIGINT"),
+    "sys.stdout": ("sys.stdout = None", 2, "it replaces sys.stdout"),
+    "sys.stdout at a start": ("def at_start(): sys.stdout = None", 1, "it replaces sys.stdout"),
+    "folder": ("os.chdir('/')", 2, "it changes the working folder"),
+    "environment": ("os.environ.clear()", 2, "from the environment; a module that is loaded leaves its process as it was"),
+    "a thread": ("threading.Thread(target=threading.Event().wait).start()", 1, "an exit function did not end, and was killed"),
+}  # fmt: skip
+"""What the module does in its line 32, the exit status, and what is said."""
+
+
+def command(folder: Path, does: str, *options: str, name: str = "run") -> list[str]:
+    (folder / "mine.py").write_text(MODULE + does + "\n")
+    return [HIL, name, "dc-motor-hinf", "--set", "plant={kind='mine:Mine'}", "--set", "duration=0.5 s", *options]
+
+
+@pytest.mark.parametrize("what", ENDS)
+def test_a_module_that_leaves_or_changes_its_process_is_one_message(what: str, tmp_path: Path) -> None:
+    does, status, told = ENDS[what]
+    done = subprocess.run(command(tmp_path, does, "-o", "a.mcap"), cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == status and told in done.stderr and done.stderr.count("hil: ") == 1, (done.returncode, done.stderr)
+    assert "Traceback" not in done.stderr and not (status == 2 and (tmp_path / "a.mcap").exists())
+
+
+HANGS = {
+    "a loop": "pathlib.Path('there').touch()\nwhile True: pass",
+    "a loop that heeds nothing": "pathlib.Path('there').touch()\nwhile True:\n try: time.sleep(1)\n except BaseException: pass",
+    "signals blocked": "signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 32))\npathlib.Path('there').touch()\ntime.sleep(600)",
+    "at its end": "import atexit\natexit.register(time.sleep, 600)\natexit.register(pathlib.Path('there').touch)",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", HANGS)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_module_that_hangs_ends_by_a_signal(what: str, number: int, tmp_path: Path) -> None:
+    asked = command(tmp_path, HANGS[what], "-o", "a.mcap")
+    with ended(subprocess.Popen(asked, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)) as made:
+        until((tmp_path / "there").exists, "the module")
+        made.send_signal(number)
+        _, told = made.communicate(timeout=60)
+    assert made.returncode in (128 + number, 1 if what == "at its end" else 0) and made.returncode != 0
+    assert told.count("hil: ") == 1 and "Traceback" not in told, told
+
+
+def test_a_worker_of_a_sweep_that_is_ended_is_one_message(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(MODULE)
+    done = subprocess.run(
+        [HIL, "sweep", "dc-motor-hinf", "--metric", "mine:in_a_worker", "--set", "duration=5 s", "--runs", "400", "--jobs", "2"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
+    assert "a worker process ended before its work was done" in done.stderr
+
+
+@pytest.mark.realtime
+def test_a_rig_that_a_module_ends_with_status_0_is_lost(tmp_path: Path) -> None:
+    asked = command(tmp_path, f"def in_the_run(): {LEAVE}", "--clock", "real", "--link", "local:", "-o", "a.mcap", "--json")
+    asked += ["--set", "duration=5 s"]
+    done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1, done.stderr
+    assert json.loads(done.stdout)["problems"]["rig_lost"] == "the rig process ended with status 0"
+
+
+def test_a_pytest_is_not_ended_by_a_module(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(MODULE + "os._exit(0)\n")
+    (tmp_path / "test_it.py").write_text(
+        "def test_it(hil):\n    hil.run('dc-motor-hinf', plant={'kind': 'mine:Mine'}, duration='0.5 s')\n"
+    )
+    done = subprocess.run([HIL.replace("/hil", "/pytest"), "-q"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and "os._exit would end" in done.stdout, done.stdout
+
+
+PRINTS = "print('words')\nos.write(1, b'bytes')\nsubprocess.run(['echo', 'child'])\nctypes.CDLL(None).puts(b'C')"
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("run", ("-o", "a.mcap")), ("sweep", ("--runs", "2")), ("sweep", ("--runs", "2", "--grid", "plant.gain=150,160")),
+     ("compare", ("dc-motor-h2", "--runs", "2")), ("laws", ())],
+)  # fmt: skip
+def test_json_is_one_document_whatever_a_module_prints(name: str, options: tuple[str, ...], tmp_path: Path) -> None:
+    asked = command(tmp_path, PRINTS, *options, "--json", name=name)
+    done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and isinstance(json.loads(done.stdout), dict), (done.stdout, done.stderr)
+    assert all(said in done.stderr for said in ("words", "bytes", "child"))
