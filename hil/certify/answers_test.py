@@ -186,6 +186,22 @@ def compared(own: Start, stated: Start, asked: Question, nodes: SensorNodes, siz
     return found
 
 
+def outgrows(own: Start, stated: Start, asked: Question, nodes: SensorNodes) -> tuple[int, float, float] | None:
+    """Return the last slot, and what a controller adds of its own there and in the first slots, where that grows with time.
+
+    Asked of the slots `FAR` alone: each time more than in the one before, and in the end 3 times as much as in the first slots.
+    """
+    if asked.slots[-len(FAR) :] != FAR:
+        return None
+    rest, still = answers(own(), asked, 0.0, nodes), answers(stated(), asked, 0.0, nodes)
+    if rest.shape != still.shape or len(rest) < len(asked.slots):
+        return None
+    added = np.abs(rest - still).max(axis=(1, 2))
+    early, late = float(added[: -len(FAR)].max()), added[-len(FAR) :]
+    grows = bool((late[1:] > 1.1 * late[:-1]).all()) and late[-1] > 3.0 * early + 1e-9 * float(np.abs(still).max())
+    return (asked.slots[-1], float(late[-1]), early) if grows else None
+
+
 def drifts(own: Start, asked: Question, nodes: SensorNodes) -> float:
     """Return how far the answers change while every sample and reference is zero; inf where two runs differ."""
     first, again = (answers(own(), asked, 0.0, nodes) for _ in range(2))

@@ -29,7 +29,19 @@ from design.controllers import (
 )
 from design.controllers.rendered_wall import WallController
 from design.verdict import State
-from hil.certify.answers_test import SEED, SLOTS, Answer, Question, Running, Start, compared, drifts, over_nodes, question
+from hil.certify.answers_test import (
+    SEED,
+    SLOTS,
+    Answer,
+    Question,
+    Running,
+    Start,
+    compared,
+    drifts,
+    outgrows,
+    over_nodes,
+    question,
+)
 from hil.certify.certifier import CertificationProblem, table_of
 from hil.certify.motion_test import ALIKE, EQUAL
 from hil.certify.send_all_loop import laws_of
@@ -69,6 +81,7 @@ def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
     try:
         apart = drifts(starts[0], _at_rest(asked), nodes)
         found = compared(*starts, asked, nodes, SIZES)
+        grown = outgrows(*starts, asked, nodes)
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # whatever an author's controller does when it runs
         return "refused", f"{NAME}: asked for an answer it raises {type(error).__name__}: {error}"
     said = _departed(found)
@@ -77,6 +90,12 @@ def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
     if apart:
         what = "two runs of one start differ" if np.isinf(apart) else f"they change by {apart:.3g} from slot to slot"
         return "undecided", f"the controller's answers are not its table's alone: on samples and references of zero {what}"
+    if grown is not None:
+        k, late, early = grown
+        return "undecided", (
+            f"what the controller adds of its own grows with time: on samples of zero {early:.3g} at most in the first "
+            f"{len(asked.slots)} slots, {late:.3g} in slot {k}; a certificate is of one that stays bounded"
+        )
     slots, far = len(asked.slots), asked.slots[-1]
     return None, (
         f"the controller answers as it says: compared in {slots} slots up to slot {far}, every age and row, samples of "

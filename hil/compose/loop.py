@@ -55,6 +55,7 @@ from hil.rig.traffic_file import with_traffic_file
 from plants.errors import PlantError
 from transport.packets import MAX_OUTPUTS
 
+BOUNDED = "what the controller adds of its own, on samples of zero, stays bounded while a reference stays: looked at in the run"
 NOT_COMPARED = "the plant keeps to its model beyond the test: in the run it is not compared"
 
 
@@ -250,6 +251,7 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
             drawn, assumed = own_laws(rig)
             watched = dataclasses.replace(watched, laws=drawn)
             assumed += (NOT_COMPARED,) if watched.plant is None else ()
+            assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
             verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *assumed))
     if verdict is not None and external:
         verdict = of_external(verdict, experiment.kinds.get("controller", ""))

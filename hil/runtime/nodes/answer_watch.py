@@ -1,7 +1,7 @@
 """Whether a controller that runs keeps to its table: every answer beside that of what it says that it is, asked the same.
 
-An own feedforward is the author's affair: where references are stated, both are asked again with samples of zero, and what they
-answer to the samples is what is compared.
+Where references are stated, both are asked again with samples of zero: what they answer to the samples is what is compared, and
+what the controller adds of its own is looked at apart, see `own_feedforward`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from design.controllers.contract import Controller
 from hil.certify.answers_test import Running
 from hil.certify.motion_test import EQUAL
 from hil.certify.stated_controller import handed, looks_back
+from hil.runtime.nodes.own_feedforward import OwnFeedforward
 
 ROUNDING = 1e-12
 
@@ -27,9 +28,6 @@ class AnswerWatch:
         stated: what it says that it is.
         model: what both know of the loop.
         aims: whether references are stated.
-
-    Attributes:
-        departed: the slot in which the answers left the table, and by how much; None while they did not.
     """
 
     def __init__(
@@ -43,19 +41,27 @@ class AnswerWatch:
         if aims:
             self._still = controller.start(model).rows, stated.start(model).rows
         self._largest = 0.0
-        self.departed: tuple[int, str] | None = None
+        self._left: tuple[int, str] | None = None
+        self._added = OwnFeedforward()
         if looks_back(own) != looks_back(twin):
-            self.departed = 0, f"what it is handed: it {handed(own)}, and what it states {handed(twin)}"
+            self._left = 0, f"what it is handed: it {handed(own)}, and what it states {handed(twin)}"
+
+    @property
+    def departed(self) -> tuple[int, str] | None:
+        """The slot in which the answers left the table, and by how much; None while they did not."""
+        return self._left or self._added.judge()
 
     def rows(self, *asked: Any) -> Rows:
         """Return what the controller answers; see `RunningController.rows` and `MultiSampleController.rows`."""
         found = self._own(*asked)
-        if self.departed is None:
+        if self._left is None:
             told = self._twin(*asked)
             still = None
             if self._still is not None:
                 at_rest = self._at_rest(asked)
                 still = self._still[0](*at_rest), self._still[1](*at_rest)
+                aim = asked[-1].reference if self._by_samples else asked[-1]
+                self._added.take(asked[0], aim, _apart(*still))
             if found != told:
                 self._compare(asked[0], found, told, still)
         return found
@@ -69,7 +75,7 @@ class AnswerWatch:
 
     def _compare(self, k: int, found: Rows, told: Rows, still: tuple[Rows, Rows] | None) -> None:
         if [len(row) for row in found] != [len(row) for row in told]:
-            self.departed = k, "rows of another number"
+            self._left = k, "rows of another number"
             return
         lost, worst = 0.0, 0.0
         largest = self._largest
@@ -84,4 +90,12 @@ class AnswerWatch:
         if largest < float("inf"):
             self._largest = largest
         if not worst <= EQUAL * largest + lost:
-            self.departed = k, f"{worst:.2g} where the table says {largest:.2g} at most"
+            self._left = k, f"{worst:.2g} where the table says {largest:.2g} at most"
+
+
+def _apart(own: Rows, stated: Rows) -> float:
+    """Return by how much answers to samples of zero differ at most; 0 where by rounding alone."""
+    if own == stated:
+        return 0.0
+    pairs = [(a, b) for row, by_table in zip(own, stated) for a, b in zip(row, by_table)]
+    return max((abs(a - b) for a, b in pairs if not abs(a - b) <= ROUNDING * (abs(a) + abs(b))), default=0.0)
