@@ -101,8 +101,8 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
             "jump_process()); over one set of matrices a table of gains or output feedback is judged"
         ))  # fmt: skip
     if len(loop.model.nodes.names) > 1:
-        several = len(loop.model.nodes.names)
-        return undecided(loop, KIND, f"gains by mode are judged over one sensor node, and [nodes] has {several}")
+        names = ", ".join(loop.model.nodes.names)
+        return undecided(loop, KIND, f"gains by mode are judged over one node; network.nodes has several sensor nodes: {names}")
     if loop.sc is None or loop.ca is None:
         return undecided(loop, KIND, loop.no_chain())
     from design.semi_markov_loop.sampled import sampled_verdict

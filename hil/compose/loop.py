@@ -57,6 +57,7 @@ from transport.packets import MAX_OUTPUTS
 
 BOUNDED = "what the controller adds of its own, on samples of zero, stays bounded while a reference stays: looked at in the run"
 NOT_COMPARED = "the plant keeps to its model beyond the test: in the run it is not compared"
+DELAYED = f"{NOT_COMPARED}, for its delay reaches states between the samples, which no record holds"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,7 +251,7 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
         if watched is not None and watched.claimed:
             drawn, assumed = own_laws(rig)
             watched = dataclasses.replace(watched, laws=drawn)
-            assumed += (NOT_COMPARED,) if watched.plant is None else ()
+            assumed += (_not_compared(judged.plant),) if watched.plant is None else ()
             assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
             verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *assumed))
     if verdict is not None and external:
@@ -290,6 +291,11 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
         model=model, sc=sc, sc_nodes=chains.nodes or (), ca=ca, folder=rig.folder, delayed_plant=delayed, initial_state=initial,
         chainless=chainless, **jumps,
     )  # fmt: skip
+
+
+def _not_compared(plant: Plant) -> str:
+    """Return the assumption on a plant that is not compared in its run, with the cause where it is a delay inside."""
+    return DELAYED if isinstance(plant, JumpPlant) and plant.jump_system().Ad else NOT_COMPARED
 
 
 def _step_of(plant: Plant, model: LoopModel) -> OneStep | JumpStep | None:

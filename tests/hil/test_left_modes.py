@@ -11,7 +11,7 @@ import pytest
 
 from hil.api.experiment_source import load_experiment
 from hil.certify.jump_loop import JumpStep
-from hil.compose.loop import NOT_COMPARED, compose
+from hil.compose.loop import DELAYED, NOT_COMPARED, compose
 from hil.runtime.nodes.jump_watch import JumpWatch
 from hil.session import simulated_session
 from plants import SwitchedExample
@@ -135,4 +135,4 @@ def test_uncertain_matrices_may_vary_within_their_bounds_and_not_beyond(scale: f
 
 def test_a_plant_with_a_delay_inside_is_not_compared_and_the_verdict_says_so() -> None:
     loop = compose(load_experiment("vtol-delayed"))
-    assert loop.verdict is not None and NOT_COMPARED in loop.verdict.assumptions
+    assert loop.verdict is not None and DELAYED in loop.verdict.assumptions
