@@ -36,13 +36,14 @@ from __future__ import annotations
 
 _NAMES = {
     "hil.api.assertions": "assert_law assert_probability",
-    "hil.api.questions": "DesignResult design laws reproduce_chapter",
+    "hil.api.questions": "DesignResult design laws",
     "hil.api.experiment_source": "load_experiment",
     "hil.api.face": "compare report run simulate sweep verify",
     "hil.errors": "ExperimentError HilError",
     "hil.experiment": "Experiment",
     "hil.log.read.run": "read_run",
     "hil.log.run": "Run",
+    "hil.reproduce": "reproduce_chapter",
     "hil.session": "Session",
     "hil.sweeps.comparison": "Comparison",
     "hil.sweeps.parameters": "ParameterSweep",

@@ -12,12 +12,12 @@ from hil.api.face import verify as verify
 from hil.api.questions import DesignResult as DesignResult
 from hil.api.questions import design as design
 from hil.api.questions import laws as laws
-from hil.api.questions import reproduce_chapter as reproduce_chapter
 from hil.errors import ExperimentError as ExperimentError
 from hil.errors import HilError as HilError
 from hil.experiment import Experiment as Experiment
 from hil.log.read.run import read_run as read_run
 from hil.log.run import Run as Run
+from hil.reproduce import reproduce_chapter as reproduce_chapter
 from hil.session import Session as Session
 from hil.sweeps.comparison import Comparison as Comparison
 from hil.sweeps.parameters import ParameterSweep as ParameterSweep

@@ -35,9 +35,8 @@ from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, v
 from hil.rig.session_link import SessionLink, link_of, no_link
 from hil.runtime.changes import Changes
 from hil.runtime.nodes.failures import failure_of
-from hil.runtime.real.exit_statuses import ENDED, FAILED
+from hil.runtime.real.ending import ENDED, FAILED, Forced, StopSignals
 from hil.runtime.real.machine import machine
-from hil.runtime.real.stop_signals import Forced, StopSignals
 from hil.runtime.time.clock import Clock, monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
 from transport.draws import REASONS

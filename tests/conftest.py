@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from hil.pytest_plugin import REQUIREMENTS, Requirement, has_vcan
+from hil.api.pytest_plugin import REQUIREMENTS, Requirement, has_vcan
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 NEEDS = {

@@ -14,7 +14,7 @@ from tests.changed import changed, chosen_for
     ("name", "runs", "leaves"),
     [
         ("design/tracking/bfgs.py", {"tests/design/tracking"}, {"tests/design/lmi"}),
-        ("hil/runtime/real/stop_signals.py", {"tests/hil/runtime/real", "hil/runtime/real/stop_signals.py"}, {"tests/hil/cli"}),
+        ("hil/runtime/real/ending.py", {"tests/hil/runtime/real", "hil/runtime/real/ending.py"}, {"tests/hil/cli"}),
         ("hil/session.py", {"tests/hil/test_session.py", "tests/realtime/test_sessions.py"}, {"tests/hil", "tests/plants"}),
         ("tests/waiting.py", {"tests/hil/cli/test_run.py"}, {"tests/hil/cli"}),
         ("tests/links/conftest.py", {"tests/links"}, {"tests"}),

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.cli.machine_kind import stand_ins
+from hil.cli.doctor import stand_ins
 from hil.experiment import load_experiment, shipped
 from hil.log.read.run import read_run
 from hil.log.run import records_sha256

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from design.tracking.gain_parametrisation import TrackingProblem
     from design.tracking.synthesis import Design
     from hil.api.laws_result import Laws
-    from hil.reproduce import Reproduction
 
 
 def design(source: str, *, period: float | None = None, sojourns: int = 1, **options: Any) -> DesignResult:
@@ -87,26 +86,6 @@ def laws(source: Source, **changes: Any) -> Laws:
     named = {sensor.name if len(rig.sensors) > 1 else "sc": sensor.law for sensor in rig.sensors} | {"ca": rig.ca_law}
     found = {name: analyse_law(law, period_s, checked.timing.deadline * period_s) for name, law in named.items()}
     return Laws(checked.name, found, period_s)
-
-
-def reproduce_chapter(chapter: str) -> Reproduction:
-    """Compute every number of a chapter of the thesis and judge it beside the printed one.
-
-    Args:
-        chapter: "ch2" to "ch7"; some take minutes.
-
-    Returns:
-        ``rows`` with their verdicts, ``counts`` of them, ``figures``.
-
-    Raises:
-        HilError: no such chapter.
-    """
-    from hil.measure.measure import unknown_name
-    from hil.reproduce import chapters, reproduce
-
-    if chapter not in chapters():
-        raise unknown_name("chapter", chapter, chapters())
-    return reproduce(chapter)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

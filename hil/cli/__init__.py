@@ -14,7 +14,7 @@ import click
 from hil.cli.guard import Guard
 from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
-from hil.first_instants import collect_garbage_again
+from hil.plugins.first_instants import collect_garbage_again
 from hil.plugins.process_state import ProcessState
 from hil.plugins.user_modules import refuse_shadowed_packages
 from hil.plugins.watch import WATCH

@@ -16,7 +16,7 @@ import threading
 import time
 from typing import Final, NoReturn
 
-from hil.first_instants import ENDING
+from hil.plugins.first_instants import ENDING
 from hil.plugins.process_state import ProcessState
 
 STOPS_S: Final = 1.0

@@ -1,4 +1,7 @@
-"""``hil identify``: what logs tell of a plant, and of a network."""
+"""``hil identify``: what logs tell of a plant, and of a network.
+
+``hil identify law``: which network law explains recorded packets, or none.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,137 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.identify_law import law
 from hil.cli.json_output import json_option, print_json
+from hil.cli.option_types import Duration
 from hil.errors import HilError
 
 if TYPE_CHECKING:
     from design.identification.output_error import AxisFit
     from hil.measure.axis_record import Axis, AxisRecord
+    from transport.law_fit.law_fit import LawFit
+
+
+NONE = 1
+
+
+class Identifier(click.ParamType):  # type: ignore[type-arg]
+    """A CAN identifier, decimal or 0x..."""
+
+    name = "identifier"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        try:
+            found = int(str(value), 0)
+        except ValueError:
+            found = -1
+        if not 0 <= found < 1 << 29:
+            self.fail(f"{value!r}, expected a CAN identifier such as 0x101", param, ctx)
+        return found
+
+
+@click.command()
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--period", type=Duration(above=True), help="Length of a slot [the time between two packets].")
+@click.option("--deadline", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), default=0.6, show_default=True,
+              help="When a slot closes, as a share of it.")  # fmt: skip
+@click.option("--halve", is_flag=True, help="Take half of a round trip for each direction.")
+@click.option("--one-clock", is_flag=True, help="Both time stamps are of one clock: no offset, no drift.")
+@click.option("--can-id", type=Identifier(), help="CAN logs: only frames of this identifier.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the law here, for experiments.")
+@click.option("--page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page: measured and fitted side by side.")
+@click.option("--force", is_flag=True, help="Replace files that are there.")
+@json_option()
+def law(
+    files: tuple[Path, ...], period: float | None, deadline: float, halve: bool, one_clock: bool, can_id: int | None,
+    output: Path | None, page: Path | None, force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Fit a network law to recorded packets: a log of hil probe or of a run (.mcap), a table (.csv), a capture of ping
+    (.pcap), or two CAN logs of one bus (.log, .asc, .blf), the sender's first.
+
+    Two tables are both directions. Of both directions -o law.toml writes law.sc.toml and law.ca.toml. Exit status 1: none of
+    the laws explains the packets, and no law is written.
+    """
+    from hil.cli.working import Working
+    from hil.files.outputs import check_output, write_output
+    from hil.recordings.law_text import fit_said, law_text
+    from hil.recordings.read import read_recording
+    from hil.recordings.recording import packet_records
+    from transport.law_fit.law_fit import fit_law
+
+    with Working(f"packets of {files[0]}"):
+        recording = read_recording(files, can_id=can_id, one_clock=one_clock)
+        records, notes = packet_records(recording, halve=halve)
+    targets = {} if output is None else {way: _named(output, way, len(records)) for way in records}
+    for path in (*targets.values(), *filter(None, [page])):
+        check_output(path, fresh=not force, remedy="choose another name or add --force")
+    fits = {}
+    with Working("fit of network laws"):
+        for way, record in records.items():
+            slot = record.period_s if period is None else period
+            fits[way] = fit_law(record, slot, deadline * slot)
+    said = {way: fit_said(fit, way, recording.source, notes) for way, fit in fits.items()}
+    found = {way: fit for way, fit in fits.items() if fit.law_class != "none"}
+    for way, path in targets.items():
+        if way in found:
+            write_output(path, law_text(found[way], said[way]), replace=force)
+    if page is not None:
+        from hil.pages.analyses import law_page
+
+        write_output(page, law_page(fits, said, {way: _shares(fit) for way, fit in found.items()}), replace=force)
+    if as_json:
+        print_json({way: {"law": fits[way].spec, "fit": said[way]} for way in fits})
+    else:
+        for way, fit in fits.items():
+            _show(way, fit, said[way], targets.get(way))
+    if len(found) < len(fits):
+        raise SystemExit(NONE)
+
+
+def _named(output: Path, way: str, ways: int) -> Path:
+    return output if ways == 1 else output.with_name(f"{output.stem}.{way}{output.suffix}")
+
+
+def _shares(fit: LawFit) -> list[float]:
+    from hil.experiment.load import parse_table
+    from transport.law_tests.analysis import analyse_law
+
+    shares = analyse_law(parse_table("hil.laws", fit.spec, "law"), fit.period_s, fit.deadline_s).age_shares
+    return [float(share) for share in shares]
+
+
+def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
+    from hil.cli.terminal import visible
+    from hil.recordings.law_text import WORDS, toml_value
+
+    tested = fit.tested
+    click.echo(f"{way}: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come")
+    for note in said["notes"]:
+        click.echo(f"  {visible(note)}")
+    rejected = "not rejected" if tested.independent else "rejected"
+    click.echo(f"  independence of latencies and losses is {rejected}: neighbours p = {tested.neighbours:.2g}; over 20 packets "
+               f"p = {tested.lags:.2g}, the largest correlation {tested.largest:.2g} after {tested.largest_lag}")  # fmt: skip
+    if not tested.independent and fit.law_class != "none" and fit.ages is None:
+        click.echo(f"  in which slots of {fit.period_s * 1e3:g} ms neighbours come is independent as far as can be seen "
+                   f"(p = {fit.in_slots:.2g}), and a loop sees no more")  # fmt: skip
+    shape = "as measured" if fit.latencies.name in ("table", "constant") else f"shape p = {tested.shape:.2g}"
+    click.echo(f"  latencies: {fit.latencies.name} ({shape})")
+    for name, (low, high) in list(said["intervals"].items())[:12]:
+        click.echo(f"  {name}: 95 %: {low:.4g} to {high:.4g}")
+    for age, (share, low, high) in enumerate(said.get("comes_at_age", [])[:8]):
+        click.echo(f"  comes at age {age}, if not before: {share:.5g}, 95 %: {low:.5g} to {high:.5g}")
+    for each in fit.candidates[:6]:
+        click.echo(f"  tried {each.name} on {each.fitted_to}: {each.parameters} parameters, BIC {each.bic:.1f}")
+    if fit.law_class == "none":
+        click.echo('  none of the laws explains these packets: replay them (kind = "trace", or latency = { file = ... })')
+        return
+    click.echo("" if path is None else f"  written: {path}")
+    if path is None:
+        click.echo(
+            "".join(
+                f"{key} = {text if len(text := toml_value(value)) < 200 else text[:200] + ' ...'}\n"
+                for key, value in fit.spec.items()
+            )
+        )
 
 
 @click.group()

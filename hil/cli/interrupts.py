@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final, NoReturn
 
-from hil.first_instants import ENDING, leave_at_once
+from hil.plugins.first_instants import ENDING, leave_at_once
 
 LONGEST_IMPORT_S: Final = 0.8
 """After so long a signal is raised inside an import also: within a second, everything stops."""

@@ -17,7 +17,7 @@ from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.interrupts import signals_later
 from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
-from hil.first_instants import collect_garbage_again
+from hil.plugins.first_instants import collect_garbage_again
 
 PRIVATE = 0o600  # a log tells what a plant did: its user's alone, unless asked otherwise
 

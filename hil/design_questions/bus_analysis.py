@@ -12,8 +12,8 @@ from hil.rig.can_bus import periodic_message, periodic_traffic, rates_of
 from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bus import CanBus, CanNode, Transmission
+from transport.can_bus_model.node import Waiting
 from transport.can_bus_model.traffic import Traffic
-from transport.can_bus_model.transmit_buffer import Waiting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

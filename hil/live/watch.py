@@ -17,7 +17,7 @@ from hil.live.desk import Desk
 from hil.live.server import LivePage
 from hil.live.side import Side
 from hil.replay.replay import experiment_of
-from hil.runtime.real.stop_signals import StopSignals
+from hil.runtime.real.ending import StopSignals
 from hil.runtime.time.clock import PacedClock, pause
 from hil.session import ClockName, Session, run_session
 

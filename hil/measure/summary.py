@@ -16,8 +16,7 @@ from hil.log.events import WITHDRAWN
 from hil.log.run import Run
 from hil.log.topics import BUS, SC
 from hil.measure.measure import measured, quantities_of, run_measures
-from hil.measure.network import network_metrics
-from hil.measure.network_paths import law_kinds, loads, network_paths
+from hil.measure.network_paths import law_kinds, loads, network_metrics, network_paths
 from hil.measure.view import APPLIED, TIMING, RunView, view_of
 from hil.rig.spec import RigSpec
 from transport.draws import REASONS

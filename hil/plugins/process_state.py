@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from hil.first_instants import ENDING
+from hil.plugins.first_instants import ENDING
 
 STREAMS: Final = {0: "standard input", 1: "standard output", 2: "standard error"}
 

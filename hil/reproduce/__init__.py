@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
+from hil.measure.measure import unknown_name
 from hil.reproduce.chapter import Chapter, Checkpoint, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
 from hil.reproduce.judgement import VERDICTS, Check, Row, Verdict
 from hil.reproduce.power import power, power_in_words
@@ -34,6 +35,7 @@ __all__ = [
     "power",
     "power_in_words",
     "reproduce",
+    "reproduce_chapter",
     "seconds_left",
 ]  # fmt: skip
 
@@ -47,6 +49,23 @@ def chapters() -> tuple[str, ...]:
 def reproduce(chapter: str, progress: Progress = lambda step: None, kept: Checkpoint | None = None) -> Reproduction:
     """Compute a chapter, but for the stages that were kept. Raises KeyError if it is not one of ``chapters()``."""
     return compute(_asked(chapter), progress, chapter, kept)
+
+
+def reproduce_chapter(chapter: str) -> Reproduction:
+    """Compute every number of a chapter of the thesis and judge it beside the printed one.
+
+    Args:
+        chapter: "ch2" to "ch7"; some take minutes.
+
+    Returns:
+        ``rows`` with their verdicts, ``counts`` of them, ``figures``.
+
+    Raises:
+        HilError: no such chapter.
+    """
+    if chapter not in chapters():
+        raise unknown_name("chapter", chapter, chapters())
+    return reproduce(chapter)
 
 
 def seconds_left(chapter: str, kept: Checkpoint | None = None) -> float:

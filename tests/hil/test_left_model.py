@@ -15,11 +15,11 @@ import hil
 from design.controllers import LoopModel, SendAll
 from design.controllers.historical import Historical
 from hil.api.experiment_source import load_experiment
+from hil.api.pytest_plugin import explained
 from hil.certify.word_and_deed import Watched, one_step
 from hil.compose.loop import Loop, compose
 from hil.log.read.run import read_run
 from hil.pages.run.run_page import verdicts
-from hil.pytest_plugin import explained
 from hil.runtime.nodes.plant_watch import left_over
 from hil.session import Session, run_session, simulated_session
 from hil.sweeps.seeds import run_seeds

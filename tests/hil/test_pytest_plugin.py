@@ -109,7 +109,7 @@ def test_markers_of_other_projects_are_left_alone(pytester: pytest.Pytester) -> 
 
 
 def test_missing_vcan_skips_only_users_of_the_fixture_and_fails_on_demand(pytester: pytest.Pytester) -> None:
-    from hil.pytest_plugin import has_vcan
+    from hil.api.pytest_plugin import has_vcan
 
     if has_vcan():
         pytest.skip("there is a vcan0 here, so nothing can be missing")
@@ -169,7 +169,7 @@ def test_workers_of_xdist_have_a_channel_each(pytester: pytest.Pytester) -> None
 
 def test_timing_that_is_not_valid_fails_where_it_is_required(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hil import session
-    from hil.pytest_plugin import Runner
+    from hil.api.pytest_plugin import Runner
 
     kept = session.run_session
 

@@ -80,7 +80,7 @@ def main(arguments: Sequence[str]) -> int:
     if arguments[:1] == ["files"]:
         print(*files())
         return 0
-    from hil.cli.machine_kind import told
+    from hil.cli.doctor import told
 
     known = json.loads(DATA.read_text())["attacks"] if DATA.is_file() else {}
     found = known | rows_of(map(Path, arguments[1:]))

@@ -14,14 +14,16 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, FrameLength, WireBits, flag_bits, wire_bits
-from transport.can_bus_model.fault_confinement import (
+from transport.can_bus_model.node import (
     RECESSIVE_BITS,
     RECOVERY_SEQUENCES,
     SUSPENDED_BITS,
+    BufferKind,
     ErrorCounters,
+    TransmitBuffer,
+    Waiting,
     collide,
 )
-from transport.can_bus_model.transmit_buffer import BufferKind, TransmitBuffer, Waiting
 
 _DELIMITER: Final = 8
 _MISREAD: Final = 12

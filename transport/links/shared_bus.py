@@ -22,9 +22,8 @@ from typing import Any, Final, NamedTuple
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.bus import CanBus, CanNode
-from transport.can_bus_model.fault_confinement import State
+from transport.can_bus_model.node import State, Waiting
 from transport.can_bus_model.saved_bus import restored, saved
-from transport.can_bus_model.transmit_buffer import Waiting
 from transport.links.link import TransportError
 from transport.links.mesh_peer import BUS_FILE
 

@@ -16,8 +16,8 @@ from typing import Final
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
+from transport.can_bus_model.node import Waiting
 from transport.can_bus_model.traffic import Traffic
-from transport.can_bus_model.transmit_buffer import Waiting
 from transport.draws import NO_MODE, REPLACED, SUPERSEDED, Draw
 from transport.errors import FieldError
 from transport.medium.independent import Impairment

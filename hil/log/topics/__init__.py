@@ -13,19 +13,19 @@ from typing import Final
 
 from hil.errors import HilError
 from hil.log.records import Channel, Schema
-from hil.log.topics.actuator import APPLIED as APPLIED
-from hil.log.topics.actuator import PASSIVITY as PASSIVITY
 from hil.log.topics.bus import BUS as BUS
-from hil.log.topics.controller import ROWS as ROWS
-from hil.log.topics.link import CONTROL as CONTROL
-from hil.log.topics.link import SENSOR as SENSOR
-from hil.log.topics.network import CA as CA
-from hil.log.topics.network import SC as SC
-from hil.log.topics.plant import MEASUREMENT as MEASUREMENT
-from hil.log.topics.plant import REFERENCE as REFERENCE
-from hil.log.topics.plant import STATE as STATE
+from hil.log.topics.loop import APPLIED as APPLIED
+from hil.log.topics.loop import CA as CA
+from hil.log.topics.loop import CONTROL as CONTROL
+from hil.log.topics.loop import MEASUREMENT as MEASUREMENT
+from hil.log.topics.loop import PASSIVITY as PASSIVITY
+from hil.log.topics.loop import REFERENCE as REFERENCE
+from hil.log.topics.loop import ROWS as ROWS
+from hil.log.topics.loop import SC as SC
+from hil.log.topics.loop import SENSOR as SENSOR
+from hil.log.topics.loop import STATE as STATE
+from hil.log.topics.loop import TIMING as TIMING
 from hil.log.topics.probe import PROBE as PROBE
-from hil.log.topics.timing import TIMING as TIMING
 from hil.log.topics.topic import Curve as Curve
 from hil.log.topics.topic import Logged as Logged
 from hil.log.topics.topic import MissingTopic as MissingTopic

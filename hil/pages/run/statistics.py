@@ -11,8 +11,7 @@ import numpy.typing as npt
 from hil.log.append_column import pieces, whole
 from hil.log.run import Run
 from hil.log.topics import APPLIED, ROWS, TIMING
-from hil.measure.network import expected_frequencies, expected_transitions, mode_sequence
-from hil.measure.network_paths import NetworkPath
+from hil.measure.network_paths import NetworkPath, expected_frequencies, expected_transitions, mode_sequence
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
 from hil.pages.html.numbers import text_of
 from transport.law_tests.statistics import is_testable

@@ -23,8 +23,8 @@ from hil.runtime.nodes.failures import failure_of
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.child import read_job
+from hil.runtime.real.ending import ENDED, FAILED, NOBODY
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink
-from hil.runtime.real.exit_statuses import ENDED, FAILED, NOBODY
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import WarmUpRig
 from hil.runtime.slot import Slot

@@ -29,9 +29,8 @@ from hil.plugins.registry import OBJECT
 from hil.rig.session_link import SessionLink
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
-from hil.runtime.real.exit_statuses import NOBODY
+from hil.runtime.real.ending import NOBODY, StopSignals
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
-from hil.runtime.real.stop_signals import StopSignals
 from hil.runtime.time.clock import monotonic_ns, pause
 from transport.links.mesh_peer import bus_directory, clear_dead_channels
 

@@ -8,7 +8,7 @@ from scipy.stats import binom
 
 import hil
 from hil.compose.loop import compose
-from hil.measure.network import network_metrics
+from hil.measure.network_paths import network_metrics
 from hil.session import simulated_session
 from transport import MarkovAge
 

@@ -12,7 +12,7 @@ from design.controllers import SendAll
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.measure.network import expected_frequencies, expected_transitions
+from hil.measure.network_paths import expected_frequencies, expected_transitions
 from hil.plugins.checks import check_law
 from hil.session import simulate
 from tests.hil.test_prediction import predicted_of

@@ -8,7 +8,7 @@ from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
-from hil.measure.network import network_metrics
+from hil.measure.network_paths import network_metrics
 from hil.measure.summary import run_metrics, run_timing, summarise, timing_metrics
 from hil.measure.view import view_of
 from hil.runtime.virtual import run_virtual

@@ -14,7 +14,7 @@ from transport.can_analysis import PeriodicMessage, bus_load, response_times
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import BitErrors, CanFrame, frame_length, wire_bits
 from transport.can_bus_model.bus import CanBus, CanNode, Transmission
-from transport.can_bus_model.transmit_buffer import Waiting
+from transport.can_bus_model.node import Waiting
 
 RATES = BitRates(500_000, 2_000_000)
 MS = 1_000_000

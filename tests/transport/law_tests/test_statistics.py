@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hil.measure.network import network_metrics
+from hil.measure.network_paths import network_metrics
 from transport.draws import DUPLICATED, LOST, SENT, Draw
 from transport.law_tests.statistics import is_testable, law_p_value, mode_counts, transition_counts
 from transport.laws.age import ConstantAge, IidAge, MarkovAge

@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from hil.runtime.real.stop_signals import StopSignals
+from hil.runtime.real.ending import StopSignals
 
 THREE = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

@@ -1,7 +1,11 @@
-"""SIGINT, SIGTERM, SIGHUP and SIGQUIT as a request to stop in order, so that every log is closed.
+"""How processes end: by signals, and with which exit status.
+
+SIGINT, SIGTERM, SIGHUP and SIGQUIT as a request to stop in order, so that every log is closed.
 
 A signal that is ignored when a session begins stays ignored: ``nohup`` ignores SIGHUP, ``command &`` in a script SIGINT.
 SIGTERM then still stops the session.
+
+Exit statuses of the processes of a session, which its parent reads.
 """
 
 from __future__ import annotations
@@ -68,3 +72,11 @@ class StopSignals:
             signal.signal(number, handler)
         if self.seen is not None:
             WATCH.get().stopping()
+
+
+NOBODY: Final = 3
+"""The rig: no controller answered."""
+FAILED: Final = 4
+"""The rig: a part of the loop failed in the run, as an event of the log says."""
+ENDED: Final = 5
+"""The rig: the run ended in order. 0 is what any code ends a process with."""

@@ -1,0 +1,134 @@
+"""Topics of the loop, slot by slot: plant, emulated network, link, controller, actuator node, times.
+
+The plant gives its states, its outputs and the reference that these follow; the network what it decided about every packet, in
+each direction; the link every frame, with its CAN identifier where there is one; the controller every row of the send-all packet,
+and what it was computed from; the actuator node what it applied, and what its passivity controller did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from hil.log.records import STATUS, Field
+from hil.log.topics.topic import PACKET_TICK, TICK, Curve, Logged, Topic, f64, floats, i32, i64, u8
+
+
+def _states(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
+    return [Curve(panel=name, field=name, place=1) for name in names]
+
+
+def _outputs(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
+    return [Curve(panel=name, field=name, place=0) for name in names if name in outputs]
+
+
+STATE = Topic(
+    name="/plant/state", order=1, schema="PlantState", filled_by="rig, every slot", since="0.1.0", paged=True,
+    fields=lambda logged: (*floats(logged.states), TICK), curves=_states,
+)  # fmt: skip
+MEASUREMENT = Topic(
+    name="/plant/measurement", order=2, schema="PlantMeasurement", filled_by="rig, every slot", since="0.1.0", paged=True,
+    fields=lambda logged: (*floats(logged.outputs), TICK), curves=_outputs,
+)  # fmt: skip
+REFERENCE = Topic(
+    name="/reference", order=3, schema="Reference", filled_by="rig, every slot", since="0.1.0", paged=True,
+    fields=lambda logged: (*floats(logged.outputs), TICK), curves=_outputs,
+)  # fmt: skip
+
+
+_DRAW: tuple[Field, ...] = (
+    f64("latency_s", "s", "drawn latency, NaN for an age law"), TICK, PACKET_TICK,
+    i32("mode", "1", "mode of the law"), i32("age", "samples", "age of the newest packet, -1 if none"),
+    u8("reason", "code of the fate, names in the metadata"),
+)  # fmt: skip
+_NODE_DRAW = (*_DRAW[:-1], i32("node", "1", "number of the sensor node"), _DRAW[-1])
+_AGE = (Curve(panel="network, age in samples", field="age", place=5),)
+
+SC = Topic(
+    name="/network/sc", order=6, filled_by="rig, every decision of the medium", since="0.1.0", paged=True,
+    schema=lambda logged: "NodeDraw" if logged.numbered else "NetworkDraw",
+    fields=lambda logged: _NODE_DRAW if logged.numbered else _DRAW, curves=lambda names, outputs: _AGE,
+)  # fmt: skip
+CA = Topic(
+    name="/network/ca", order=7, filled_by="rig, every decision of the medium", since="0.1.0", paged=True,
+    schema="NetworkDraw", fields=lambda logged: _DRAW, curves=lambda names, outputs: _AGE,
+)  # fmt: skip
+
+
+_CAN_ID = i32("can_id", "1", "CAN identifier of the frame, of the first one where several carry the packet")
+_FRAME = (u8("late", "came after the deadline"), Field(type="uint8[]", name="data", doc="bytes on the link"))
+
+
+def _frame_schema(logged: Logged) -> str:
+    return "CanFrame" if logged.on_can else "LinkFrame"
+
+
+def _frame_fields(logged: Logged) -> tuple[Field, ...]:
+    return (TICK, *((_CAN_ID,) if logged.on_can else ()), *_FRAME)
+
+
+SENSOR = Topic(
+    name="/link/sensor", order=8, schema=_frame_schema, fields=_frame_fields, filled_by="rig, every sensor frame",
+    since="0.1.0", paged=True, frames=True,
+)  # fmt: skip
+CONTROL = Topic(
+    name="/link/control", order=9, schema=_frame_schema, fields=_frame_fields, filled_by="rig, every control frame",
+    since="0.1.0", paged=True, frames=True,
+)  # fmt: skip
+
+
+def _row_fields(logged: Logged) -> tuple[Field, ...]:
+    u = floats(logged.inputs)
+    rows = (Field(type="float64", name=f"row{i}_{f.name}", unit=f.unit) for i in range(max(logged.n_rows, 1)) for f in u)
+    return (
+        *rows, i64("sample_ns", "ns", "nominal time of the sample that was used"),
+        i64("control_ns", "ns", "when the controller answered"), TICK,
+        i32("tau", "samples", "sensor delay that the controller measured"),
+        i32("selection", "1", "code of the selection rule"),
+    )  # fmt: skip
+
+
+ROWS = Topic(
+    name="/controller/rows", order=5, schema="ControllerRows", filled_by="rig, when an answer arrives", since="0.1.0", paged=True,
+    fields=_row_fields, curves=lambda names, outputs: [Curve(panel="delays, samples", field="tau", place=3)],
+)  # fmt: skip
+
+
+def _inputs(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
+    """Plot every input with its disturbance; beside every `x` stands a field `w_x`."""
+    inputs = [name for name in names if not (name.startswith("w_") and name[2:] in names)]
+    own = [Curve(panel=name, field=field, place=2) for name in inputs for field in (name, f"w_{name}")]
+    return [*own, Curve(panel="delays, samples", field="d", place=4)]
+
+
+APPLIED = Topic(
+    name="/actuator/applied", order=4, schema="ActuatorApplied", filled_by="rig, every slot", since="0.1.0", paged=True,
+    fields=lambda logged: (
+        *(u := floats(logged.inputs)), *(replace(f, name=f"w_{f.name}", doc="input disturbance") for f in u), TICK, PACKET_TICK,
+        i32("d", "samples", "age of the packet at the actuator"), i32("row", "1", "index of the row that was applied"),
+        u8("status", ", ".join(STATUS)),
+    ),
+    curves=_inputs,
+)  # fmt: skip
+PASSIVITY = Topic(
+    name="/actuator/passivity", order=11, schema="ActuatorPassivity", filled_by="rig, with limits.passivity", since="0.2.0",
+    logged=lambda logged: logged.passivity, paged=True,
+    fields=lambda logged: (
+        f64("energy", "J", "given by the motor beyond what damping takes"),
+        f64("damping", "1", "injected, force per speed of the device"),
+        f64("force", floats(logged.inputs)[0].unit if logged.inputs else "1", "injected on top of the command"), TICK,
+    ),
+)  # fmt: skip
+
+
+TIMING = Topic(
+    name="/timing/tick", order=10, schema="TickTiming", filled_by="rig process, in real time", since="0.1.0", paged=True,
+    fields=lambda logged: (
+        f64("lateness_us", "us", "wake-up after the nominal time"),
+        f64("round_trip_us", "us", "sensor frame out to control frame in, NaN if none came"),
+        f64("work_us", "us", "time spent in the slot, waiting excluded"), TICK,
+        u8("late", "no packet before the deadline"), u8("overrun", "the slot ended after its period"),
+    ),
+    curves=lambda names, outputs: [Curve(panel="timing, us", field=name, place=6) for name in ("lateness_us", "round_trip_us")],
+)  # fmt: skip
+TOPICS = (STATE, MEASUREMENT, REFERENCE, SC, CA, SENSOR, CONTROL, ROWS, APPLIED, PASSIVITY, TIMING)
