@@ -9,7 +9,7 @@ A controller of a plant without a network, by python-control: what a networked d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
     from design.processes.semi_markov import FaultDetection, SemiMarkov
     from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+    from design.tracking.design_file import DesignFile
     from design.tracking.gain_parametrisation import TrackingProblem
     from design.tracking.synthesis import Design, Progress
 
@@ -96,7 +97,8 @@ class Designed:
         design_seed: seed of the multistart.
         sojourns: over semi-Markov delays: how many lengths of stay at the measured delay the gain tells apart, in slots; 1: none.
         node_ages: several sensor nodes: the gain depends on the age of ``each`` node's newest sample, or on the ``oldest`` age.
-        file: a design saved by ``hil design -o``; then nothing is solved. Relative to the experiment's file.
+        file: a design saved by ``hil design -o``, relative to the experiment: its gains run, and the problem beside them is
+            the request, in the place of all the fields above; where it is another than the loop's, it is solved again.
     """
 
     objective: Literal["h2", "hinf", "mixed"] = "h2"
@@ -141,9 +143,7 @@ class Designed:
         if self.integral and p > model.B.shape[1]:
             raise FieldError("integral", f"{model.B.shape[1]} inputs cannot make the mean errors of {p} outputs zero")
         if self.file:
-            from design.tracking.design_file import load_design
-
-            read = load_design(Path(task.folder) / self.file)
+            read = self._read(task)
             return SendAll(
                 gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
                 sojourns=read.sojourns, samples=read.samples,
@@ -174,6 +174,48 @@ class Designed:
             gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
             ages=ages,
         )  # fmt: skip
+
+    def unfit(self, task: DesignTask) -> str:
+        """Return in what the problem of the file differs from that of a loop; empty where it does not, or no chain states it.
+
+        Args:
+            task: the loop; its chains have the labels that the gains of the file tell apart.
+
+        Raises:
+            FieldError: the file does not state its problem.
+        """
+        from design.tracking.filed_problem import differs, problem_of
+
+        problem = problem_of(self._read(task))
+        return "" if task.sc is None or task.ca is None else differs(problem, task.model, task.sc, task.ca)
+
+    def solve_again(self, task: DesignTask) -> SendAll:
+        """Return gains that solve the request of the file for a loop.
+
+        Args:
+            task: the loop, as of `unfit`.
+
+        Raises:
+            FieldError: names the field.
+            DesignError: no gains meet the request.
+        """
+        from design.tracking.design_file import solve_cached
+        from design.tracking.filed_problem import problem_of
+
+        sc, ca, model, read = task.sc, task.ca, task.model, self._read(task)
+        if sc is None or ca is None:
+            raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
+        filed = problem_of(read)
+        design = solve_cached(replace(filed, A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, initial=None))
+        return SendAll(
+            gains=nested(np.asarray(design.gains)), selection=design.selection, integral=read.integral,  # type: ignore[arg-type]
+            sojourns=read.sojourns, samples=read.samples,
+        )  # fmt: skip
+
+    def _read(self, task: DesignTask) -> DesignFile:
+        from design.tracking.design_file import load_design
+
+        return load_design(Path(task.folder) / self.file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -128,7 +128,7 @@ class DesignResult:
         return verdict_on(self.target, self.design)
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
-        """Write the design file, which ``[controller] kind = "send-all"`` takes by ``file =``; return its path.
+        """Write the design file, which ``[controller] kind = "designed"`` takes by ``file =``; return its path.
 
         Args:
             path: the file.

@@ -39,12 +39,12 @@ from hil.certify.stated_controller import stated_by
 from hil.certify.word_and_deed import OneStep, Watched, one_step
 from hil.compose.fit import check_own, check_references
 from hil.compose.named_files import with_law_files, with_recorded_traffic
-from hil.compose.stored_gains import Gains, problem_digest, solve_controller
+from hil.compose.stored_gains import Gains, fitted, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.table_check import fault_at
 from hil.experiment.unavailable_plugin import UnavailablePlugin
-from hil.plugins.protocols import Designer, GivesGains, JumpPlant, NamedController, Plant
+from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, JumpPlant, NamedController, Plant
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
@@ -211,10 +211,14 @@ def _modelled(experiment: Experiment, known: RigSpec | None = None) -> tuple[Exp
 
 def _solved(experiment: Experiment, rig: RigSpec, model: LoopModel) -> tuple[Experiment, Gains | None, Chains | None]:
     """Return the experiment with the controller that runs, where its gains come from, and the chains that they are for."""
-    if not isinstance(experiment.controller, Designer):
+    asked = experiment.controller
+    if not isinstance(asked, Designer):
         return experiment, None, None
-    chains = chains_for(rig, experiment.controller)
+    chains = chains_for(rig, asked)
     solved, gains = solve_controller(experiment, _task(experiment, rig, chains, model))
+    if isinstance(asked, GainsOnFile) and asked.file:
+        chains = chains_for(rig, solved)
+        solved, gains = fitted(asked, solved, _task(experiment, rig, chains, model))
     return replace(experiment, controller=solved, kinds={**experiment.kinds, "controller": solved.kind}), gains, chains
 
 

@@ -25,7 +25,7 @@ from hil.experiment import Experiment
 from hil.experiment.load import parse_table
 from hil.experiment.table import plain
 from hil.files.regular import read_regular
-from hil.plugins.protocols import Designer, GivesGains, NamedController
+from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, NamedController
 
 FORMAT: Final = "hilrig-gains/1"
 LARGEST: Final = 16_000_000
@@ -86,6 +86,24 @@ def solve_controller(experiment: Experiment, task: DesignTask) -> tuple[NamedCon
         return stored, Gains(origin="stored")
     note = f"{path.parent.name}/{path.name} {why}; `hil solve` stores them, for the same bits on every machine"
     return asked.solve(task), Gains(origin="solved here", note=note)
+
+
+def fitted(asked: GainsOnFile, given: NamedController, task: DesignTask) -> tuple[NamedController, Gains]:
+    """Return the gains of a user's file, or others where the file's problem is not that of the loop; and where they come from.
+
+    Args:
+        asked: names the file.
+        given: what stands there.
+        task: the loop; its chains have the labels that these gains tell apart.
+
+    Raises:
+        ValueError, DesignError: as `Designer.solve`.
+    """
+    why = asked.unfit(task)
+    if not why:
+        return given, Gains(origin="stored")
+    note = f"{asked.file} is of another problem ({why}); `hil design -o` writes one of this; kind = \"send-all\" runs any gains"
+    return asked.solve_again(task), Gains(origin="solved here", note=note)
 
 
 def problem_digest(request: Designer, task: DesignTask) -> str:

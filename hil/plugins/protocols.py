@@ -80,6 +80,21 @@ class GivesGains(Protocol):
 
 
 @runtime_checkable
+class GainsOnFile(Protocol):
+    """A designer whose gains may stand in a file of the user's, with the problem that they solve."""
+
+    file: str
+
+    def unfit(self, task: DesignTask) -> str:
+        """Return in what the problem of the file differs from that of the loop; empty where it does not."""
+        ...
+
+    def solve_again(self, task: DesignTask) -> NamedController:
+        """Return gains that solve what the file asks for, for the loop."""
+        ...
+
+
+@runtime_checkable
 class Designer(Protocol):
     """A ``[controller]`` table that says what is to be achieved; what runs is what it solves to.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from design.controllers import SendAll
@@ -87,6 +88,67 @@ def test_a_damaged_file_is_told_and_solved_again(own: Path, text: str, why: str)
     (own.parent / "gains" / "own.json").write_text(text)
     found = gains_of(load_experiment(own))
     assert found.origin == "solved here" and why in found.note
+
+
+@pytest.fixture
+def filed(cli: Hil, own: Path) -> Path:
+    """An experiment of a user's own whose gains `hil design -o` wrote into a file that it names."""
+    status, _, err = cli("design", own, "--objective", "h2", "--starts", 1, "-o", own.parent / "mine.json")
+    assert status == 0, err
+    own.write_text(own.read_text().replace('kind = "designed"', 'kind = "designed"\nfile = "mine.json"'))
+    return own
+
+
+def test_gains_of_a_named_file_run_while_they_are_for_the_loop(filed: Path) -> None:
+    loop, said = compose(load_experiment(filed)), json.loads((filed.parent / "mine.json").read_text())
+    assert loop.gains == Gains(origin="stored") and isinstance(loop.controller, SendAll)
+    assert np.array_equal(np.array(loop.controller.gains), said["gains"])
+    for name in ("dc-motor-ours-bursty", "vtol-ours-hinf"):
+        assert compose(load_experiment(name), certify=False).gains == Gains(origin="stored")
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        ("plant.gain=151.0", "B of the plant differs by "),
+        ("network.ca.law.matrix=[[0.4, 0.6], [0.7, 0.3]]", "the chain of network.ca differs by 0.1"),
+        ('network.ca.law={kind="constant", age=0}', "the chain of network.ca: shape (2, 2), and not (1, 1)"),
+    ],
+)
+def test_a_named_file_of_another_problem_is_solved_again_and_that_is_said(
+    cli: Hil, filed: Path, tmp_path: Path, change: str, part: str
+) -> None:
+    """What the file asks for, here its objective, is asked again; the gains fit the loop, and its certificate is of them."""
+    status, out, err = cli("run", filed, "--set", change, "--duration", "1", "-o", tmp_path / "a.mcap", "--json")
+    gains = json.loads(out)["gains"]
+    assert status == 0 and gains["origin"] == "solved here", err
+    assert gains["note"].startswith(f"mine.json is of another problem ({part}") and "hil design -o" in gains["note"]
+    asked_anew = compose(load_experiment(filed, [change, 'controller={kind="designed"}'])).controller
+    loop = compose(load_experiment(filed, [change]))
+    assert loop.verdict is not None and loop.verdict.certified and isinstance(loop.controller, SendAll)
+    assert isinstance(asked_anew, SendAll)
+    assert np.allclose(np.array(loop.controller.gains), np.array(asked_anew.gains), atol=1e-4)
+
+
+def test_a_named_file_says_what_it_asks_for_and_the_table_does_not(filed: Path) -> None:
+    path = filed.parent / "mine.json"
+    said = json.loads(path.read_text())
+    said["problem"] |= {"gain_bound": 0.05}
+    path.write_text(json.dumps(said))
+    found = compose(load_experiment(filed, ["plant.gain=151.0"])).controller
+    assert isinstance(found, SendAll) and np.abs(np.array(found.gains)).max() <= 0.05 + 1e-12
+
+
+@pytest.mark.parametrize("key", ["problem", "A", "sc", "objective"])
+def test_a_named_file_without_its_problem_is_refused(cli: Hil, filed: Path, tmp_path: Path, key: str) -> None:
+    path = filed.parent / "mine.json"
+    said = json.loads(path.read_text())
+    (said if key == "problem" else said["problem"]).pop(key)
+    if key == "objective":
+        said["problem"]["objective"] = "h3"
+    path.write_text(json.dumps(said))
+    status, _, err = cli("run", filed, "-o", tmp_path / "a.mcap")
+    assert status == 2 and "controller.file: problem: " in err and not (tmp_path / "a.mcap").exists()
 
 
 def test_the_summary_and_the_terminal_say_where_gains_come_from(cli: Hil, own: Path, tmp_path: Path) -> None:
