@@ -119,7 +119,7 @@ def _row(name: str, uri: str, affinity: str, turns: Sequence[Turn]) -> dict[str,
         "turns": len(turns),
         "lateness_us": lateness,
         "cyclictest_us": beside,
-        "ratio": {q: (lateness[q] or 0.0) / max(beside[q] or 0.0, 1.0) for q in lateness},
+        "ratio": {q: _ratio(us, beside[q]) for q, us in lateness.items()},
         "round_trip_us": timing["round_trip_us"],
         "overruns": timing["overruns"],
         "overrun_share": timing["overruns"] / len(ticks),
@@ -130,6 +130,10 @@ def _row(name: str, uri: str, affinity: str, turns: Sequence[Turn]) -> dict[str,
         "valid": timing["valid"],
         "scheduler": turns[0].summary["timing"]["scheduler"],
     }
+
+
+def _ratio(ours_us: float | None, beside_us: float | None) -> float | None:
+    return None if ours_us is None or beside_us is None else ours_us / max(beside_us, 1.0)
 
 
 def bench_timing(

@@ -78,7 +78,7 @@ def timing(
             "ratio": row["ratio"],
         }
         for name, values in shown.items():
-            points = {q: float(values[q]) for q in ("p50", "p99", "p99_9", "max")}
+            points = {q: values[q] for q in ("p50", "p99", "p99_9", "max")}
             flat.append({"experiment": row["experiment"], "link": row["link"], "lateness in us": name, **points})
     show_table("wake-up lateness", flat)
     of = f"of {rows[-1]['link']}"

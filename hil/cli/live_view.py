@@ -20,6 +20,7 @@ from hil.log.events import decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC
 from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, Logged, SignalLike, channels
 from hil.measure.signals import PURE, tracked_among
+from hil.measure.summary import percentiles
 from hil.pages.html.numbers import text_of
 
 if TYPE_CHECKING:
@@ -191,10 +192,11 @@ class LiveView:
     def _times(self) -> list[tuple[str, str]]:
         if not self._lateness:
             return []
-        p50, p99 = np.percentile(np.array(self._lateness), (50, 99))
+        lateness = percentiles(np.array(self._lateness))
         tick = self._decoded(TIMING.name)
         trip = float(tick["round_trip_us"]) if tick is not None else float("nan")
-        text = f"p50 {p50:.0f} µs   p99 {p99:.0f} µs   max {self._worst:.0f} µs"
+        known = {name: us for name, us in lateness.items() if name in ("p50", "p99") and us is not None}
+        text = "   ".join(f"{name} {us:.0f} µs" for name, us in (known | {"max": self._worst}).items())
         missed = f"{self._late} late, {self._overruns} overruns"
         return [("lateness", text), ("round trip", f"{text_of(trip, 3)} µs"), ("missed", missed)]
 

@@ -224,5 +224,5 @@ def _onto(run: Run, uri: str, speed: float, as_json: bool) -> None:
     if as_json:
         print_json({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us})
     else:
-        error = ", ".join(f"{name} {value:.0f}" for name, value in done.error_us.items())
+        error = ", ".join(f"{name} {value:.0f}" for name, value in done.error_us.items() if value is not None)
         print(f"{done.frames} frames on {uri} at {speed:g} times the recorded speed; own timing error in us: {error}")

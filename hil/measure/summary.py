@@ -5,6 +5,7 @@ How well the rig kept its times, and whether that is good enough to believe the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, TypeAlias
 
@@ -32,12 +33,16 @@ LATE_SHARE = 1e-3
 LATENESS_SHARE = 0.1
 """Largest p99 lateness of a valid run, as a share of the period: a sampling instant is then known to a tenth of T."""
 
+POINTS: Mapping[str, tuple[float, int]] = {"p50": (50, 1), "p99": (99, 100), "p99_9": (99.9, 1000), "max": (100, 1)}
+"""Quantiles in per cent, and the fewest values of which each is one."""
+
 
 def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overrun: Array, *, period_s: float) -> dict[str, Any]:
     """Return the timing part of a summary, with its verdict.
 
-    A run is valid when at most 0.1 % of its slots overran, at most 0.1 % had no answer in time, and the p99 of the
-    lateness is at most a tenth of the period. A virtual run (no ticks timed) is valid: its times are exact.
+    A run is valid when at most 0.1 % of its slots overran, at most 0.1 % had no answer in time, and the p99 of the lateness (of
+    fewer than 100 slots the largest) is at most a tenth of the period. A virtual run (no ticks timed) is valid: its times are
+    exact.
 
     Args:
         lateness_us: wake-up after the nominal time in us, (n,).
@@ -46,7 +51,7 @@ def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overru
         period_s: sample period in s.
 
     Returns:
-        valid, why (the reasons against it), lateness_us and round_trip_us (p50, p99, p99_9, max; None without samples), late,
+        valid, why (the reasons against it), lateness_us and round_trip_us (p50, p99, p99_9, max; see `percentiles`), late,
         overruns, first_late_slot (index of the first slot that was late, None if none was).
 
     >>> timing_metrics(np.array([10.0, 12.0]), np.array([80.0, np.nan]), np.array([0, 1]), np.zeros(2), period_s=1e-3)["why"]
@@ -60,9 +65,10 @@ def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overru
         why.append(f"{late_count} of {n} slots had no answer in time")
     if n and overruns > OVERRUN_SHARE * n:
         why.append(f"{overruns} of {n} slots overran")
-    p99 = lateness["p99"]
-    if p99 is not None and p99 > LATENESS_SHARE * period_s * 1e6:
-        why.append(f"p99 of the lateness is {p99:.0f} us, above a tenth of the period")
+    name = "max" if lateness["p99"] is None else "p99"
+    worst = lateness[name]
+    if worst is not None and worst > LATENESS_SHARE * period_s * 1e6:
+        why.append(f"{name} of the lateness is {worst:.0f} us, above a tenth of the period")
     missed = np.flatnonzero(late)
     return {
         "valid": not why,
@@ -76,13 +82,19 @@ def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overru
 
 
 def percentiles(values: Array) -> dict[str, float | None]:
-    """Return p50, p99, p99_9 and max of the finite values, None where there are none."""
+    """Return p50, p99, p99_9 and max of the finite values; None for what so few cannot show.
+
+    A quantile is one of the sample where at least one value may lie beyond it: p99 of 100 values, p99_9 of 1000. Of fewer it
+    would be the largest under another name.
+
+    >>> percentiles(np.arange(1.0, 201.0))
+    {'p50': 100.5, 'p99': 198.01, 'p99_9': None, 'max': 200.0}
+    """
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
-    if not finite.size:
-        return dict.fromkeys(("p50", "p99", "p99_9", "max"))
-    p50, p99, p99_9, most = np.percentile(finite, (50, 99, 99.9, 100))
-    return {"p50": float(p50), "p99": float(p99), "p99_9": float(p99_9), "max": float(most)}
+    known = {name: point for name, (point, fewest) in POINTS.items() if finite.size >= fewest}
+    found = np.percentile(finite, list(known.values())).tolist() if known else []
+    return dict.fromkeys(POINTS) | dict(zip(known, found, strict=True))
 
 
 def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, Any]:

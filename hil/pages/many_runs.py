@@ -10,20 +10,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
 from hil.pages.html.page import render_page
+from hil.pages.outliers import axis_for
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
 from hil.sweeps.shown import interval_of, within
-
-CRUSHED = 20.0
-"""Largest value above the smallest median from which a linear axis shows no difference of the smaller ones."""
 
 
 def compare_page(comparison: Comparison) -> str:
@@ -41,6 +38,7 @@ def compare_page(comparison: Comparison) -> str:
                 series.append(Series(label=name, x=values, y=share, style="step", colour=i))
         if not series:
             continue
+        axis = axis_for([found[name][metric] for name in names])
         rows: list[list[Any]] = []
         for name in names:
             values = found[name][metric]
@@ -57,7 +55,9 @@ def compare_page(comparison: Comparison) -> str:
                 series=tuple(series),
                 x_label=title,
                 x_unit=quantity.unit,
-                x_log=_crushed([found[name][metric] for name in names]),
+                x_log=axis.log,
+                x_asinh=axis.asinh,
+                note=axis.note,
                 y_label="share",
                 y_range=(0.0, 1.0),
                 sync=None,
@@ -77,15 +77,6 @@ def compare_page(comparison: Comparison) -> str:
         subtitle=", ".join(names),
         facts=(("runs of each", str(comparison.runs)), ("stopped by safety", stopped)),
     )
-
-
-def _crushed(samples: list[NDArray[np.float64]]) -> bool:
-    """Return whether one experiment would press the others onto the edge of a linear axis, and a logarithm can show all."""
-    finite = [values[np.isfinite(values)] for values in samples]
-    known = [values for values in finite if values.size]
-    if not known or min(float(values.min()) for values in known) <= 0.0:
-        return False
-    return max(float(values.max()) for values in known) > CRUSHED * min(float(np.median(values)) for values in known)
 
 
 def _answer(comparison: Comparison) -> Section:
@@ -162,10 +153,16 @@ def _pictures(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) 
         )  # fmt: skip
         groups = {f"{points.keys[0]} {row}": found[i * len(columns) : (i + 1) * len(columns)] for i, row in enumerate(rows)}
         return [chart, _lines(points.keys[1], columns, groups, quantity)]
+    if not points.axes and complete:
+        every = [tuple(row[i] for row in points.values) for i in range(len(points.keys))]
+        return [_lines(key, values, {"": found}, quantity, drawn=True) for key, values in zip(points.keys, every)]
     return []
 
 
-def _lines(key: str, axis: tuple[str, ...], groups: dict[str, list[Interval]], quantity: Quantity) -> Block:
+def _lines(
+    key: str, axis: tuple[str, ...], groups: dict[str, list[Interval]], quantity: Quantity, *, drawn: bool = False
+) -> Block:
+    """Return means over one key; of a Latin hypercube (`drawn`) its points, as their other keys differ, too."""
     x, unit = numbers_of(axis)
     label = with_unit(quantity.title, quantity.unit)
     if x is None or len(axis) < 2:
@@ -175,16 +172,19 @@ def _lines(key: str, axis: tuple[str, ...], groups: dict[str, list[Interval]], q
         )
         return Bars(title=f"{label}: mean, 95 % interval", categories=axis, groups=bars, x_label=key, y_label=label)
     order = np.argsort(x)
+    scale = axis_for([np.array([end for line in groups.values() for i in line for end in (i.value, *_ends(i))])])
     series, bands = [], []
     for colour, (name, line) in enumerate(groups.items()):
         mean, low, high = (np.array(side)[order] for side in zip(*((i.value, *_ends(i)) for i in line)))
-        series.append(Series(label=name or "mean", x=x[order], y=mean, colour=colour, marked=True))
+        series.append(Series(label=name or "mean", x=x[order], y=mean, colour=colour, marked=True,
+                             style="circles" if drawn else "line"))  # fmt: skip
         bands.append(Band(label="95 % interval", x=x[order], lower=low, upper=high, colour=colour))
     return Figure(
-        title=f"{label}: mean, 95 % interval", series=tuple(series), bands=tuple(bands), x_label=key, x_unit=unit,
-        y_label=quantity.title, y_unit=quantity.unit, sync=None, x_ticks=tuple(sorted(set(x.tolist()))),
+        title=f"{label}: mean, 95 % interval", series=tuple(series), bands=() if drawn else tuple(bands), x_label=key,
+        x_unit=unit, y_label=quantity.title, y_unit=quantity.unit, y_log=scale.log, y_asinh=scale.asinh,
+        sync=None, x_ticks=() if drawn else tuple(sorted(set(x.tolist()))),
         note="Computed at the marked points, not between. Every point has its own interval; as all points share their seeds, "
-        "the paired differences in the table are sharper.",
+        f"the paired differences in the table are sharper. {scale.note}".strip(),
     )  # fmt: skip
 
 

@@ -83,7 +83,8 @@ def draw(plot: Plot, axis: Any) -> None:
     else:
         edges, counts = np.asarray(plot.edges), np.asarray(plot.counts)
         axis.stairs(counts, edges, fill=True, color=_colour(plot.colour, 0))
-        _scales(axis, plot.x_log, plot.y_log)
+        _scale("x", axis, plot.x_log)
+        _scale("y", axis, plot.y_log)
         axis.set_xlabel(_label(plot.x_label, plot.x_unit))
         axis.set_ylabel(plot.y_label)
         _marks(axis, plot.markers)
@@ -106,7 +107,8 @@ def _curves(plot: Figure, axis: Any) -> None:
                 drawstyle="steps-post" if series.style.endswith("step") else "default",
                 linewidth=2.5 if series.halo else 1.0, marker="o" if series.marked else "", markersize=3, **style,
             )  # fmt: skip
-    _scales(axis, plot.x_log, plot.y_log)
+    _scale("x", axis, plot.x_log, plot.x_asinh)
+    _scale("y", axis, plot.y_log, plot.y_asinh)
     if plot.x_ticks:
         axis.set_xticks(plot.x_ticks)
     if plot.y_range is not None:
@@ -171,9 +173,9 @@ def _ink(shape: Shape) -> str:
     return "black" if shape.colour is None else _colour(shape.colour, 0)
 
 
-def _scales(axis: Any, x_log: bool, y_log: bool) -> None:
-    axis.set_xscale("log" if x_log else "linear")
-    axis.set_yscale("log" if y_log else "linear")
+def _scale(side: str, axis: Any, log: bool, asinh: float | None = None) -> None:
+    scale = axis.set_xscale if side == "x" else axis.set_yscale
+    scale("asinh", linear_width=asinh) if asinh else scale("log" if log else "linear")
 
 
 def _marks(axis: Any, markers: Sequence[Any]) -> None:

@@ -24,6 +24,7 @@ from hil.log.append_column import AppendColumn, pieces, whole
 from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
 from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING, channels_of
+from hil.measure.summary import percentiles
 from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
 from hil.replay.compare import BATCH, Comparison, near_frames
@@ -288,7 +289,7 @@ class Playback:
     """How a playback kept its own time: error of each frame against its recorded instant, us."""
 
     frames: int
-    error_us: dict[str, float]
+    error_us: dict[str, float | None]
 
 
 def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], None] = lambda i, n: None) -> Playback:
@@ -319,9 +320,7 @@ def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], 
                 errors.extend(np.array(found))
                 found.clear()
     errors.extend(np.array(found))
-    error = errors.array()
-    points = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
-    return Playback(frames=count, error_us={name: float(np.percentile(error, q)) for name, q in points.items()})
+    return Playback(frames=count, error_us=percentiles(errors.array()))
 
 
 def _of_role(run: Run, topic: str, role: str) -> Iterator[tuple[int, str, bytes]]:

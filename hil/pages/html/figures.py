@@ -86,7 +86,8 @@ class Figure:
     Panels with the same `sync` group share zoom and cursor (None: a panel of its own). `integer_y` ticks whole
     numbers only (delay modes). `x_ticks` are the only values that the x axis names, where nothing lies between them.
     `y_range` fixes the y axis (None: fitted to what is visible). `x_log`, `y_log` give
-    logarithmic axes. `height_px` is the plot's height on screen.
+    logarithmic axes, `x_asinh`, `y_asinh` some that are linear up to that size and logarithmic beyond, on both sides of 0.
+    `height_px` is the plot's height on screen.
     """
 
     title: str
@@ -98,8 +99,10 @@ class Figure:
     y_label: str = ""
     y_unit: str = ""
     x_log: bool = False
+    x_asinh: float | None = None
     x_ticks: tuple[float, ...] = ()
     y_log: bool = False
+    y_asinh: float | None = None
     integer_y: bool = False
     y_range: tuple[float, float] | None = None
     sync: str | None = TIME

@@ -12,6 +12,7 @@ from hil.log.append_column import pieces, whole
 from hil.log.run import Run
 from hil.log.topics import APPLIED, ROWS, TIMING
 from hil.measure.network_paths import NetworkPath, expected_frequencies, expected_transitions, mode_sequence
+from hil.measure.summary import POINTS
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
 from hil.pages.html.numbers import text_of
 from transport.law_tests.statistics import is_testable
@@ -208,7 +209,8 @@ def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:
         [name, *(None if (v := timing[field][q]) is None else round(v, 1) for q in ("p50", "p99", "p99_9", "max"))]
         for name, field in (("lateness (µs)", "lateness_us"), ("round trip (µs)", "round_trip_us"))
     ]
-    blocks.append(Table(title="Percentiles", columns=columns, rows=rows))
+    few = "" if len(ticks) >= POINTS["p99_9"][1] else f"A p99.9 needs 1000 slots, a p99 100: {len(ticks)} show the largest."
+    blocks.append(Table(title="Percentiles", columns=columns, rows=rows, note=few))
     counts: list[list[Any]] = [
         ["verdict", "valid" if timing["valid"] else "not valid: " + "; ".join(timing["why"])],
         ["scheduler", timing["scheduler"]],

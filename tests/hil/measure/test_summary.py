@@ -104,6 +104,15 @@ def test_timing_verdict_names_every_reason() -> None:
     assert bad["lateness_us"]["max"] == 230.0
 
 
+def test_a_quantile_is_said_only_where_there_are_slots_enough_for_it() -> None:
+    late = np.full(200, 30.0)
+    late[-1] = 400.0
+    found = timing_metrics(late, late, np.zeros(200), np.zeros(200), period_s=1e-3)
+    assert found["lateness_us"]["p99"] < 40.0 and found["lateness_us"]["p99_9"] is None and found["valid"]
+    few = timing_metrics(late[-50:], late[-50:], np.zeros(50), np.zeros(50), period_s=1e-3)
+    assert few["lateness_us"]["p99"] is None and few["why"] == ["max of the lateness is 400 us, above a tenth of the period"]
+
+
 @pytest.mark.parametrize(("clock", "valid"), [("real", False), ("virtual", True)])
 def test_a_session_without_a_slot_has_no_valid_timing(clock: str, valid: bool) -> None:
     run = Run(arrays={}, schemas={}, metadata={"clock": clock}, resolved={"period": 0.05})

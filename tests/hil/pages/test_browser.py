@@ -27,7 +27,7 @@ def page_of_panels() -> str:
     )
     modes = Figure(title="Mode", series=(Series(label="m", x=t, y=np.floor(t) % 3, style="step"),), integer_y=True)
     norm = Series(label="n", x=[0.01, 0.1, 1.0], y=[1.0, 2.0, 3.0])
-    alone = Figure(title="Norm", series=(norm,), x_log=True, sync=None)
+    alone = Figure(title="Norm", series=(norm,), x_log=True, y_asinh=0.5, sync=None)
     text = "<script>document.title='owned'</script>"
     return render_page(text, [Section(title="Panels", blocks=(angle, modes, alone))], subtitle=text)
 
@@ -135,7 +135,8 @@ def test_worst_marker_gets_its_label_where_there_is_no_room_for_all(tmp_path: Pa
 
 
 def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_desk(tmp_path: Path) -> None:
-    run = run_of("vtol-fault", 'duration="1 s"')
+    law = 'network.ca.law={kind="iid", probabilities=[0.5, 0.5]}'
+    run = run_of("vtol-fault", 'duration="1 s"', law, "allow_uncertified=true")
     message = "an input that stayed at its limit for several samples " * 3
     run.events.append({"tick": 1, "t_s": 0.001, "kind": "saturated", "severity": "warning", "message": message, "data": {}})
     file = tmp_path / "report.html"

@@ -185,12 +185,12 @@
         bind: { dblclick: () => () => { home(peers); return null; } },
       },
       scales: {
-        x: { time: false, distr: figure.xLog ? 3 : 1, range: figure.xLog ? undefined : (u, low, high) => (low == null ? [0, 1] : widened(low, high)) },
-        y: { distr: figure.yLog ? 3 : 1, range: figure.yRange ? () => figure.yRange : figure.yLog ? undefined : (u, low, high) => fitted(low, high, figure.integerY) },
+        x: { time: false, ...distribution(figure.xLog, figure.xAsinh), range: figure.xLog ? undefined : (u, low, high) => (low == null ? [0, 1] : widened(low, high)) },
+        y: { ...distribution(figure.yLog, figure.yAsinh), range: figure.yRange ? () => figure.yRange : figure.yLog ? undefined : (u, low, high) => fitted(low, high, figure.integerY, figure.yAsinh) },
       },
       axes: [
-        axis(figure.xLabel, 27, figure.xTicks ? { splits: () => figure.xTicks } : figure.xLog ? {} : { incrs: ROUND }),
-        axis(figure.yLabel, 62, figure.integerY ? { incrs: [1, 2, 5, 10, 20, 50, 100], space: 18 } : {}),
+        axis(figure.xLabel, 27, figure.xTicks ? { splits: () => figure.xTicks } : figure.xAsinh ? { splits: signed } : figure.xLog ? {} : { incrs: ROUND }),
+        axis(figure.yLabel, 62, figure.yAsinh ? { splits: signed } : figure.integerY ? { incrs: [1, 2, 5, 10, 20, 50, 100], space: 18 } : {}),
       ],
       series: [{ label: figure.xLabel, value: (u, v) => format(v) }, ...curves.map(curve)],
       bands,
@@ -232,8 +232,22 @@
     }).observe(place);
   }
 
-  function fitted(low, high, integer) {
+  const distribution = (log, asinh) => (asinh ? { distr: 4, asinh } : { distr: log ? 3 : 1 });
+
+  // Powers of ten on both sides of 0, from the size on up to which the axis is linear; at most some eight of them.
+  function signed(u, index, low, high) {
+    const from = Math.floor(Math.log10(u.scales[u.axes[index].scale].asinh)), to = Math.ceil(Math.log10(Math.max(-low, high)));
+    const step = Math.max(1, Math.ceil((to - from) * (low < 0 && high > 0 ? 2 : 1) / 8)), found = [0];
+    for (let e = from + 1; e <= to; e += step) found.push(10 ** e, -(10 ** e));
+    return found.filter((v) => low <= v && v <= high).sort((a, b) => a - b);
+  }
+
+  function fitted(low, high, integer, asinh) {
     if (low == null) return [0, 1];
+    if (asinh) {
+      const [from, to] = fitted(Math.asinh(low / asinh), Math.asinh(high / asinh));
+      return [asinh * Math.sinh(from), asinh * Math.sinh(to)];
+    }
     if (integer && low > 0 && low < 10) low = 0;
     if (integer) return [Math.floor(low) - 0.25, Math.max(Math.ceil(high), Math.floor(low) + 1) + 0.25];
     const room = (high - low || Math.abs(high) || 1) * 0.06;
