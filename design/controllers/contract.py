@@ -109,6 +109,26 @@ class Known(NamedTuple):
     reference: tuple[float, ...]
 
 
+class KnownInBatch(NamedTuple):
+    """What a controller knows in a slot of many runs.
+
+    Args:
+        started: whether a sample of every node has come, (runs,); once it has, a run stays started.
+        ages: of the newest sample of every node, samples, (nodes, runs).
+        y: what the newest packets hold, (width, runs).
+        reference: of the slot, (p,).
+        fresh: whether the sample of slot k - j of a node has come, (memory + 1, nodes, runs); empty without a memory.
+        held: newest sample of every output from slot k - j or before that has come, 0 without one, (memory + 1, p, runs).
+    """
+
+    started: NDArray[np.bool_]
+    ages: NDArray[np.intp]
+    y: NDArray[np.float64]
+    reference: Sequence[float]
+    fresh: NDArray[np.bool_] = np.empty((0, 0, 0), dtype=np.bool_)
+    held: NDArray[np.float64] = np.empty((0, 0, 0))
+
+
 @runtime_checkable
 class MultiSampleController(Protocol):
     """A running controller that is told which node measured what and when; any number of nodes serves it."""

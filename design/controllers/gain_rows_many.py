@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers.contract import LoopModel, Selection
+from design.controllers.contract import KnownInBatch, LoopModel, Selection
 from design.controllers.exact_products import dot, pseudo_inverse
 
 Matrix = NDArray[np.float64]
@@ -77,6 +77,7 @@ class BatchGainRows:
         self, K: Matrix, selection: Selection, model: LoopModel, runs: int, integral: bool = False, sojourns: Sequence[int] = ()
     ) -> None:
         self.selection = selection
+        self.memory: int | None = None
         p = model.C.shape[0]
         self._sum = np.zeros((p if integral else 0, runs))
         self._scalar = K.shape[2:] == (1, 1)
@@ -88,26 +89,25 @@ class BatchGainRows:
         self._tau = np.full(runs, -1, dtype=np.intp)
         self._index = np.full(runs, -1, dtype=np.intp)
 
-    def rows(self, k: int, started: NDArray[np.bool_], tau: NDArray[np.intp], y: Matrix, r: Sequence[float]) -> Matrix:
+    def rows(self, k: int, known: KnownInBatch) -> Matrix:
         """Return the rows of slot k, (rows, m, runs); where a run has not started they mean nothing and change nothing.
 
         Args:
             k: slot.
-            started: whether a sample has come, (runs,).
-            tau: age of the newest sample, samples, (runs,).
-            y: what its packet holds, (width, runs).
-            r: reference of the slot, (p,).
+            known: the oldest of the newest samples says tau.
         """
+        started, y, r = known.started, known.y, known.reference
+        tau = known.ages[0] if len(known.ages) == 1 else known.ages.max(axis=0)
         gains = self._gains.take(self._gain(started, tau), axis=-1)
         if self._scalar:
             scalar: Matrix = self._omega[0][0] * r[0] + gains[:, :, 0] * (y[0] - r[0])
             return scalar
         error = [row - r[j % len(r)] for j, row in enumerate(y)]
-        known = [*error, *self._sum]
+        summands = [*error, *self._sum]
         if len(self._sum):
             self._sum = np.where(started, self._sum + np.array(error[: len(self._sum)]), self._sum)
         total = np.zeros((gains.shape[0], gains.shape[1], gains.shape[3]))
-        for j, x in enumerate(known):
+        for j, x in enumerate(summands):
             total += gains[:, :, j] * x
         star = np.array([dot(row, r) for row in self._omega])
         return star[:, None] + total

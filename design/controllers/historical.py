@@ -11,14 +11,13 @@ Gains over historical data in many runs at once, each bit for bit what `Historic
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers.contract import Known, LoopModel, Rows, Selection
+from design.controllers.contract import Known, KnownInBatch, LoopModel, Rows, Selection
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, Uses, phase_at, window_of
 from design.errors import FieldError
 
@@ -43,23 +42,17 @@ class BatchHistorical:
     def __init__(
         self, K: Matrix, turns: Turns | None, uses: Uses, window: PacketWindow | None, delay: int, runs: int
     ) -> None:  # fmt: skip
-        self.memory = K.shape[1] - 1
+        self.memory: int | None = K.shape[1] - 1
         self._turns, self._uses, self._window, self._delay = turns, uses, window, delay
         self._inputs, self._runs = K.shape[2], runs
         some = (K != 0.0).any(axis=0)
         self._entries = [(int(i), int(j), int(l), np.ascontiguousarray(K[:, j, i, l])) for j, i, l in np.argwhere(some)]
         self._came: dict[int, Integers] = {}  # who was heard, by slot of sending
 
-    def rows_from_samples(self, k: int, fresh: NDArray[np.bool_], held: Matrix, r: Sequence[float]) -> Matrix:
-        """Return u(k) as the one row, (1, m, runs); to be called in every slot.
-
-        Args:
-            k: slot.
-            fresh: whether the sample of slot k - j of a node has come, (memory + 1, nodes, runs).
-            held: newest sample of every output from slot k - j or before that has come, 0 without one, (memory + 1, p, runs).
-            r: reference of the slot, (p,); not used.
-        """
-        phase, heard = self._phase(k, fresh)
+    def rows(self, k: int, known: KnownInBatch) -> Matrix:
+        """Return u(k) as the one row, (1, m, runs); to be called in every slot."""
+        held = known.held
+        phase, heard = self._phase(k, known.fresh)
         u = np.zeros((self._inputs, self._runs))
         for i, j, l, gains in self._entries:
             u[i] += gains.take(phase) * held[j, l]

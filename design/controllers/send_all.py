@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from design.controllers.contract import (
     Gains,
     Known,
+    KnownInBatch,
     LoopModel,
     MultiSampleController,
     Rows,
@@ -80,27 +81,14 @@ class NodeGainRowsOfMany:
     def __init__(self, running: BatchGainRows, ages: Sequence[int]) -> None:
         self._running, self._counts = running, tuple(ages)
         self.selection: Selection = running.selection
+        self.memory: int | None = None
 
-    def rows(self, k: int, started: NDArray[np.bool_], tau: NDArray[np.intp], y: Matrix, r: Sequence[float]) -> Matrix:
-        """Return the rows where all nodes are equally old; see `rows_by_node`."""
-        return self.rows_by_node(k, started, np.broadcast_to(tau, (len(self._counts), *tau.shape)), y, r)
-
-    def rows_by_node(
-        self, k: int, started: NDArray[np.bool_], ages: NDArray[np.intp], y: Matrix, r: Sequence[float]
-    ) -> Matrix:
-        """Return the rows of slot k, (rows, m, runs); where a run has not started they mean nothing and change nothing.
-
-        Args:
-            k: slot.
-            started: whether every node has been heard, (runs,).
-            ages: of the newest sample of every node, samples, (nodes, runs).
-            y: newest sample of every output, (p, runs).
-            r: reference of the slot, (p,).
-        """
-        index = np.zeros(ages.shape[1], dtype=np.intp)
-        for age, count in zip(ages, self._counts):
-            index = index * count + np.minimum(age, count - 1)
-        return self._running.rows(k, started, index, y, r)
+    def rows(self, k: int, known: KnownInBatch) -> Matrix:
+        """Return the rows of slot k, (rows, m, runs), by the age of every node's newest sample."""
+        index = np.zeros(known.ages.shape[1], dtype=np.intp)
+        for i, count in enumerate(self._counts):
+            index = index * count + np.minimum(known.ages[min(i, len(known.ages) - 1)], count - 1)
+        return self._running.rows(k, known._replace(ages=index[None]))
 
 
 def nested(K: NDArray[np.float64]) -> Gains:
@@ -233,8 +221,10 @@ class SendAll:
             return running
         return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max))
 
-    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows | NodeGainRowsOfMany:
-        """Return so many of them, ready for slot 0."""
+    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows | NodeGainRowsOfMany | None:
+        """Return so many of them, ready for slot 0; None over several nodes of which one may keep silent."""
+        if len(self.ages) > 1 and model.nodes.silent:
+            return None
         running = BatchGainRows(self.table(model), self.selection, model, runs, self.integral, self.sojourns)
         return running if len(self.ages) < 2 else NodeGainRowsOfMany(running, self.ages)
 

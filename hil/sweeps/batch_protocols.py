@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel, Selection
+from design.controllers.contract import KnownInBatch
 
 Matrix = NDArray[np.float64]
 
@@ -43,74 +44,27 @@ class BatchPlant(Protocol):
         ...
 
 
-@runtime_checkable
 class RunningControllers(Protocol):
     """One controller in many runs; called once a slot, in order."""
 
     @property
     def selection(self) -> Selection: ...
 
-    def rows(self, k: int, started: NDArray[np.bool_], tau: NDArray[np.intp], y: Matrix, r: Sequence[float]) -> Matrix:
-        """Return the rows of slot k, (rows, m, runs); where a run has not started they mean nothing and change nothing.
-
-        Args:
-            k: slot.
-            started: whether a sample has come, (runs,); once it has, a run stays started.
-            tau: age of the newest sample, samples, (runs,).
-            y: what its packet holds, (width, runs).
-            r: reference of the slot, (p,).
-        """
-        ...
-
-
-@runtime_checkable
-class RunningControllersByNode(Protocol):
-    """One controller of several sensor nodes in many runs: it is told how old each node's newest sample is."""
-
-    def rows_by_node(
-        self, k: int, started: NDArray[np.bool_], ages: NDArray[np.intp], y: Matrix, r: Sequence[float]
-    ) -> Matrix:
-        """Return the rows of slot k; see `RunningControllers.rows`.
-
-        Args:
-            k: slot.
-            started: whether every node has been heard, (runs,).
-            ages: of the newest sample of every node, samples, (nodes, runs).
-            y: newest sample of every output, (p, runs).
-            r: reference of the slot, (p,).
-        """
-        ...
-
-
-@runtime_checkable
-class RunningControllersFromSamples(Protocol):
-    """One controller in many runs that takes every sample that has come and is not older than its memory; asked in every slot."""
-
     @property
-    def memory(self) -> int:
-        """Age of the oldest sample that it takes, slots."""
+    def memory(self) -> int | None:
+        """Age of the oldest sample that it takes, slots, asked in every slot; None where the newest samples are enough."""
         ...
 
-    def rows_from_samples(self, k: int, fresh: NDArray[np.bool_], held: Matrix, r: Sequence[float]) -> Matrix:
-        """Return the rows of slot k, (rows, m, runs).
-
-        Args:
-            k: slot.
-            fresh: whether the sample of slot k - j of a node has come, (memory + 1, nodes, runs).
-            held: newest sample of every output from slot k - j or before that has come, 0 without one, (memory + 1, p, runs).
-            r: reference of the slot, (p,).
-        """
+    def rows(self, k: int, known: KnownInBatch) -> Matrix:
+        """Return the rows of slot k, (rows, m, runs); where a run has not started they mean nothing and change nothing."""
         ...
-
-
-Running = RunningControllers | RunningControllersByNode | RunningControllersFromSamples
 
 
 @runtime_checkable
 class BatchController(Protocol):
     """A controller that can answer in many runs at once."""
 
-    def start_batch(self, model: LoopModel, runs: int) -> Running | None:
+    def start_batch(self, model: LoopModel, runs: int) -> RunningControllers | None:
         """Return so many of them, ready for slot 0; None if it cannot with these parameters."""
         ...
 

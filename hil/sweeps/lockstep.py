@@ -7,12 +7,13 @@ safety would trip, or a number leaves the range in which nothing can overflow, i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from design.controllers.contract import KnownInBatch
 from hil.compose.loop import Loop
 from hil.log.topics import SC, STATE
 from hil.measure.batch_measure import BatchMeasure, BatchView
@@ -23,10 +24,7 @@ from hil.sweeps.batch_protocols import (
     BatchController,
     BatchPlant,
     Matrix,
-    Running,
     RunningControllers,
-    RunningControllersByNode,
-    RunningControllersFromSamples,
     RunningPlants,
 )
 
@@ -38,10 +36,6 @@ ENTRIES = 1_000_000
 
 MOST_RUNS = 1000
 """Runs that are computed at once: from there on a run costs the same."""
-
-Answer = Callable[[int, NDArray[np.bool_], Sequence[NDArray[np.int32]], Matrix, Sequence[float]], Matrix]
-"""Rows of a slot, (rows, m, runs): of the slot, who has started, the newest samples of every node, the outputs, the reference."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchResult:
@@ -85,11 +79,7 @@ def supports_batch(loop: Loop) -> bool:
 
 
 def _answers_together(loop: Loop) -> bool:
-    controller = loop.controller
-    running = controller.start_batch(loop.model, 1) if isinstance(controller, BatchController) else None
-    if isinstance(running, RunningControllersByNode) and any(sensor.clock.every > 1 for sensor in loop.rig.sensors):
-        return False  # whether it waits for a node with a clock is its own affair
-    return running is not None
+    return isinstance(loop.controller, BatchController) and loop.controller.start_batch(loop.model, 1) is not None
 
 
 def _sends_all(loop: Loop) -> bool:
@@ -138,16 +128,16 @@ class _Slots:
     """The pass over the slots of some runs."""
 
     def __init__(
-        self, loop: Loop, seeds: Sequence[int], plants: RunningPlants, controllers: Running, topics: Collection[str]
+        self, loop: Loop, seeds: Sequence[int], plants: RunningPlants, controllers: RunningControllers, topics: Collection[str]
     ) -> None:
         e, d_max = loop.experiment, loop.model.d_max
         self._loop, self._plants, self._controllers = loop, plants, controllers
         self._slots, self._runs, self._period_ns = e.slots, len(seeds), e.period_ns
-        by_sample = controllers if isinstance(controllers, RunningControllersFromSamples) else None
-        sc = delivered(loop, seeds, every_packet=by_sample is not None or SC.name in topics)
+        memory = controllers.memory
+        sc = delivered(loop, seeds, every_packet=memory is not None or SC.name in topics)
         ca = received(loop.rig.ca_law, seeds, "link.ca", e)
         self._sampled, self._held, self._packets, self._node_of = sc.newest, ca.newest, sc.packets, nodes_of(loop)
-        self._samples = None if by_sample is None else KnownSamples(loop, sc, by_sample.memory, self._runs)
+        self._samples = None if memory is None else KnownSamples(loop, sc, memory, self._runs)
         self._states = np.empty((len(e.plant.states), e.slots, self._runs)) if STATE.name in topics else None
         self._usable = (ca.newest >= 0) & (np.arange(e.slots, dtype=np.int32)[:, None] - ca.newest <= d_max)
         self._known = sc.known & ca.known & ~starved(self._usable, d_max, e.limits.watchdog_slots)
@@ -157,7 +147,7 @@ class _Slots:
 
     def run(self) -> BatchResult:
         """Move all plants from the first slot to the last."""
-        loop, plants, runs, answer = self._loop, self._plants, self._runs, self._answers(self._controllers)
+        loop, plants, runs, controllers = self._loop, self._plants, self._runs, self._controllers
         begun = np.logical_and.reduce if self._samples is None else np.logical_or.reduce  # of every sample, any node will do
         e, reference, disturbance = loop.experiment, loop.reference(), loop.disturbance()
         p, m = len(e.plant.outputs), len(e.plant.inputs)
@@ -178,7 +168,7 @@ class _Slots:
             begin = (k % self._ring) * loop.rows
             rows = sent[:, begin * runs : (begin + loop.rows) * runs].reshape(m, loop.rows, runs)
             if started.any() or self._samples is not None:
-                found = answer(k, started, sampled, outputs, reference(k))
+                found = controllers.rows(k, self._known_in(k, started, sampled, outputs, reference(k)))
                 rows[:] = np.where(started, found, 0.0).transpose(1, 0, 2).astype(np.float32)
                 np.maximum(peak, np.abs(rows).max(axis=(0, 1)), out=peak)
             else:
@@ -194,20 +184,15 @@ class _Slots:
             known=known, outputs=outputs, inputs=inputs, reference=targets, states=self._states, packets=self._packets
         )  # fmt: skip
 
-    def _answers(self, controllers: Running) -> Answer:
-        """Return what the controllers say: to every sample, or to the newest ones with every age or that of the oldest."""
-        samples = self._samples
-        if samples is not None and isinstance(controllers, RunningControllersFromSamples):
-            return lambda k, started, sampled, y, r: controllers.rows_from_samples(k, *samples.at(k, y), r)
-        if isinstance(controllers, RunningControllersByNode):
-            return lambda k, started, sampled, y, r: controllers.rows_by_node(
-                k, started, np.stack([k - node for node in sampled]), self._sample(y, sampled), r
-            )
-        if isinstance(controllers, RunningControllers):
-            return lambda k, started, sampled, y, r: controllers.rows(
-                k, started, k - _oldest(sampled), self._sample(y, sampled), r
-            )
-        raise TypeError(f"{type(controllers).__name__} answers in none of the ways of hil.sweeps.batch_protocols")
+    def _known_in(
+        self, k: int, started: NDArray[np.bool_], sampled: Sequence[NDArray[np.int32]], outputs: Matrix, r: Sequence[float]
+    ) -> KnownInBatch:
+        """Return what the controllers know in a slot: of every sample, or of the newest ones."""
+        ages = np.array([k - node for node in sampled], dtype=np.intp)
+        if self._samples is None:
+            return KnownInBatch(started, ages, self._sample(outputs, sampled), r)
+        fresh, held = self._samples.at(k, outputs)
+        return KnownInBatch(started, ages, held[0], r, fresh, held)
 
     def _sample(self, outputs: Matrix, sampled: Sequence[NDArray[np.int32]]) -> Matrix:
         """What the newest sensor packets hold, newest sample first, (width, runs); several samples are of one node."""
@@ -224,11 +209,6 @@ class _Slots:
         allowed += [top[names.index(name)] <= bound for name, bound in limits.state.items()]
         allowed += [(np.abs(u) <= limit).all(axis=0) for u, limit in zip(inputs, limits.input or ())]
         return np.asarray(np.logical_and.reduce(allowed), dtype=np.bool_)
-
-
-def _oldest(sampled: Sequence[NDArray[np.int32]]) -> NDArray[np.intp]:
-    oldest = sampled[0] if len(sampled) == 1 else np.minimum.reduce(sampled)
-    return oldest.astype(np.intp)
 
 
 def view_of_batch(loop: Loop, runs: BatchResult) -> BatchView:
