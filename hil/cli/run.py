@@ -8,7 +8,7 @@ import os
 import re
 import stat
 import sys
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import click
@@ -93,6 +93,7 @@ def _let_go(path: Path) -> None:
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")
+@click.option("--live", is_flag=True, help="Show the run on a page in the browser, too; virtual time is paced.")
 def command(
     experiment: str,
     sets: tuple[str, ...],
@@ -110,6 +111,7 @@ def command(
     require_valid_timing: bool,
     as_json: bool,
     quiet: bool,
+    live: bool,
 ) -> None:
     """Run EXPERIMENT (a shipped name or a TOML file), log it to MCAP, print its summary.
 
@@ -152,18 +154,20 @@ def command(
     try:
         with signals_later():
             path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force, mode)
-        if as_json or quiet or sys.stderr is None or not sys.stderr.isatty():
-            session = run_session(
-                checked, clock=clock, link=uri, path=path, external=external, signals=signals, index=index,  # type: ignore[arg-type]
-            )
-        else:
-            from hil.cli.live_view import LiveView
+        with ExitStack() as views:
+            taps, onlooker = None, None
+            if live:
+                from hil.live.watch import watched
 
-            with LiveView(checked, clock, link=uri) as view:
-                session = run_session(
-                    checked, clock=clock, link=uri, path=path, external=external, taps=view.taps,  # type: ignore[arg-type]
-                    signals=signals, index=index,  # type: ignore[arg-type]
-                )
+                onlooker = views.enter_context(watched(clock, lambda url: click.echo(f"open {url}", err=True)))  # type: ignore[arg-type]
+            if not (as_json or quiet or sys.stderr is None or not sys.stderr.isatty()):
+                from hil.cli.live_view import LiveView
+
+                taps = views.enter_context(LiveView(checked, clock, link=uri)).taps
+            session = run_session(
+                checked, clock=clock, link=uri, path=path, external=external, taps=taps, signals=signals,  # type: ignore[arg-type]
+                index=index, onlooker=onlooker,  # type: ignore[arg-type]
+            )  # fmt: skip
     except BaseException:  # Ctrl-C too
         if path is not None:
             _let_go(path)

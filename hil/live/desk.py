@@ -11,6 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from hil.compose.changed import SCHEDULES, changed
+from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.live.composer import Composer
 from hil.live.side import Side
@@ -141,7 +142,7 @@ class Desk:
                     claims = [self._claim(side, wish) for side in sides]
                     self.draft = Draft(self.draft.number, wish.path, "ready", "", claims)
                 elif wish.do == "apply":
-                    slots = [self._arm(side, wish.path, wish.value) for side in sides]
+                    slots = self._arm(sides, wish.path, wish.value)
                     told = f"acts from slot {' and '.join(map(str, dict.fromkeys(slots)))}"
                     self.draft = Draft(self.draft.number, wish.path, "armed", told, [side.claim() for side in sides])
                 else:
@@ -156,25 +157,31 @@ class Desk:
                 self.draft = Draft(self.draft.number, wish.path, "refused", str(error)[:1000])
 
     def _claim(self, side: Side, wish: Wish) -> dict[str, Any]:
-        if side.loop is None:
-            raise HilError("the run has not begun")
-        after = self._composer.changed(side.loop, side.next_slot(), wish.path, wish.value)
-        verdict = after.verdict
-        none = {"state": "none", "kind": "", "reason": "no certificate", "number": None, "quantity": "", "limit": None}
-        return {"run": side.name} | (none if verdict is None else {key: verdict.to_json()[key] for key in none})
+        after = self._composer.changed(_loop_of(side, wish.path), side.next_slot(), wish.path, wish.value)
+        return side.claim(after)
 
-    def _arm(self, side: Side, path: str, value: Any) -> int:
-        """Arm a change for a slot that the run has not reached when it is composed; return the slot."""
-        loop, clock = side.loop, side.clock
-        if loop is None or clock is None or side.status != "running":
-            raise HilError(f"{path}: the run has ended; begin anew")
+    def _arm(self, sides: Sequence[Side], path: str, value: Any) -> list[int]:
+        """Arm a change in every run for a slot that none has reached when it is composed, the same where it can be."""
         lead_s = LEAD_S if path in SCHEDULES else CERTIFIED_LEAD_S
-        while side.status == "running":
-            ahead = 0 if clock.held else round(lead_s * clock.speed / side.period_s)
-            k = side.next_slot() + ahead
-            compose = changed if path in SCHEDULES else self._composer.changed
-            after = compose(loop, k, path, value)
-            if side.arm(k, Change(path=path, value=value, loop=after)):
-                return k
+        compose = changed if path in SCHEDULES else self._composer.changed
+        armed: dict[int, int] = {}
+        while len(armed) < len(sides):
+            left = {i: side for i, side in enumerate(sides) if i not in armed}
+            k = max(_first_slot(side, path, lead_s) for side in left.values())
+            made = {i: compose(_loop_of(side, path), k, path, value) for i, side in left.items()}
+            armed |= {i: k for i, side in left.items() if side.arm(k, Change(path=path, value=value, loop=made[i]))}
             lead_s *= 2
-        raise HilError(f"{path}: the run has ended before it could act; begin anew")
+        return [armed[i] for i in range(len(sides))]
+
+
+def _loop_of(side: Side, path: str) -> Loop:
+    if side.loop is None or side.status != "running":
+        raise HilError(f"{path}: no run goes on; begin anew")
+    return side.loop
+
+
+def _first_slot(side: Side, path: str, lead_s: float) -> int:
+    """Return the slot that a run will not have reached in so much time; the next one where it is held."""
+    clock = side.clock
+    _loop_of(side, path)
+    return side.next_slot() + (0 if clock is None or clock.held else round(lead_s * clock.speed / side.period_s))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hmac
 import json
+import os
 import secrets
 import struct
 import threading
@@ -33,6 +34,7 @@ MOST_BYTES: Final = 64_000
 """Of a wish: a matrix of some thousand numbers."""
 MOST_COLUMNS: Final = 4000
 MOST_CONNECTIONS: Final = 32
+NICE: Final = 5
 TIMEOUT_S: Final = 10.0
 """A connection on which nothing moves for so long is closed."""
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; base-uri 'none'; \
@@ -98,7 +100,9 @@ class LivePage(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a connection to its end."""
+        """Serve a connection to its end, behind whatever keeps time."""
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         try:
             super().process_request_thread(request, client_address)
         finally:

@@ -42,6 +42,7 @@ class Side:
     def __init__(self, clock: PacedClock | None = None, acts: bool = False) -> None:
         self.clock, self.acts = clock, acts
         self._turn = threading.Lock()
+        self._runs = 0
         self.forget()
 
     def forget(self, clock: PacedClock | None = None) -> None:
@@ -51,6 +52,7 @@ class Side:
             clock: of that run.
         """
         self.clock = clock or self.clock
+        self._runs += 1
         self.first: Loop | None = None
         self.loop: Loop | None = None  # with every change that is armed
         self.status = "waiting"
@@ -162,7 +164,7 @@ class Side:
         clock = self.clock
         held = clock is not None and clock.held and self.status == "running"
         found: dict[str, Any] = {
-            "status": "held" if held else self.status, "first": first, "slots": end, "period": self.period_s,
+            "run": self._runs, "status": "held" if held else self.status, "first": first, "slots": end, "period": self.period_s,
             "events": [{"number": number, **event} for number, event in list(self._events) if number >= since],
             "device": self._device(end),
         }  # fmt: skip
@@ -171,15 +173,15 @@ class Side:
             found |= self._counted()
         return found
 
-    def claim(self) -> dict[str, Any]:
-        """Return the certificate of the loop that runs, as JSON."""
+    def claim(self, loop: Loop | None = None) -> dict[str, Any]:
+        """Return the certificate of a loop, by default of the one that runs, as JSON."""
         if self._certificate is not None:
-            return self._certificate
-        verdict = None if self.loop is None else self.loop.verdict
-        return {"state": "none", "kind": "", "reason": "no certificate"} if verdict is None else {
-            "state": verdict.state, "kind": verdict.kind, "reason": verdict.reason, "number": verdict.number,
-            "quantity": verdict.quantity, "limit": verdict.limit, "assumptions": list(verdict.assumptions),
-        }  # fmt: skip
+            return {"run": self.name, **self._certificate}
+        loop = loop or self.loop
+        verdict = None if loop is None else loop.verdict
+        if verdict is None:
+            return {"run": self.name, "state": "none", "kind": "", "reason": "no certificate"}
+        return {"run": self.name, **verdict.to_json()}
 
     def _device(self, end: int) -> dict[str, float]:
         """Return the newest states, for the picture of the device."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from hil.runtime.time.clock import PacedClock, pause
 from hil.session import ClockName, Session, run_session
 
 LOOK_S = 0.1
+WHERE = {"virtual": "virtual time", "real": "real time"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,13 +69,8 @@ def watch(
         HilError: an experiment cannot be composed, or the port is taken.
     """
     sides = [Side(each.pacer(), each.acts and each.clock == "virtual") for each in asked]
-    where = {"virtual": "virtual time", "real": "real time"}[asked[0].clock]
-    desk = Desk(sides)
     seed: int | None = None
-    with ExitStack() as stack:
-        stack.callback(desk.close)
-        page = stack.enter_context(LivePage(desk, lambda: about(sides, where), port))
-        opened(page.url)
+    with _page(sides, asked[0].clock, port, opened) as desk:
         while True:
             desk.again.clear()
             sessions = _run(asked, sides, seed)
@@ -136,6 +132,31 @@ def _stays(desk: Desk) -> bool:
     return desk.again.is_set()
 
 
+@contextmanager
+def watched(clock: ClockName, opened: Callable[[str], None]) -> Iterator[Side]:
+    """Give what watches one run, with a page on it that changes nothing; virtual time is paced as the clock on the wall.
+
+    Args:
+        clock: of the run.
+        opened: told the page's URL.
+    """
+    side = Side(PacedClock() if clock == "virtual" else None)
+    with _page([side], clock, 0, opened):
+        yield side
+
+
+@contextmanager
+def _page(sides: Sequence[Side], where: str, port: int, opened: Callable[[str], None]) -> Iterator[Desk]:
+    """Serve a page on some runs."""
+    desk = Desk(sides)
+    try:
+        with LivePage(desk, lambda: about(sides, WHERE.get(where, where)), port) as page:
+            opened(page.url)
+            yield desk
+    finally:
+        desk.close()
+
+
 def show_log(
     run: Any, source: str, *, port: int = 0, folder: str | None = None, opened: Callable[[str], None] = lambda url: None
 ) -> None:  # fmt: skip
@@ -155,9 +176,5 @@ def show_log(
     side.show(run, compose(experiment_of(run, source, folder=folder), certify=False))
     if not side.span()[1]:
         raise HilError(f"{source}: the log holds no slots to show")
-    desk = Desk([side])
-    with ExitStack() as stack:
-        stack.callback(desk.close)
-        page = stack.enter_context(LivePage(desk, lambda: about([side], source), port))
-        opened(page.url)
+    with _page([side], source, port, opened) as desk:
         _stays(desk)

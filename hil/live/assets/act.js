@@ -85,7 +85,7 @@ export function makeAct(place, abouts, wish, runs) {
   preset.addEventListener("change", () => {
     const law = preset.value === "as it was" ? laws().law : laws().presets[preset.value];
     if (!law) return;
-    if (law.matrix) chain(law.matrix);
+    chain(law.matrix || null);
     check(path(), law);
   });
   const sliders = () => {

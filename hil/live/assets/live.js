@@ -128,7 +128,7 @@ async function picture(run) {
   const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
   const before = run.now;
   run.now = { ...before, ...head };
-  if (before && head.slots < before.slots) return location.reload(); // it has begun anew
+  if (before && head.run !== before.run) return location.reload(); // it has begun anew
   run.scopes.show(new Float32Array(data, 4 + size), head.window, period);
   drawDevice(run.canvas, run.about, head.device);
   showEvents(run);

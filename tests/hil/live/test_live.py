@@ -49,12 +49,12 @@ class Page:
         def run() -> None:
             self.status = watch(self.asked, stay=False, opened=opened, finished=self.sessions.append)
 
-        self.thread = threading.Thread(target=run)
+        self.thread = threading.Thread(target=run, daemon=True)
         self.thread.start()
         assert there.wait(60)
         self.token = parse_qs(urlsplit(self.url).query)["token"][0]
         self.port = urlsplit(self.url).port
-        until(lambda: bool(self.view()["slots"] or self.view()["status"] == "held"), "the run")
+        until(lambda: all(self.view(side=i)["status"] == "held" for i in range(len(self.asked))), "the runs")
 
     def request(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, bytes]:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)

@@ -1,0 +1,110 @@
+"""The live page in a real browser, as a person uses it: watched, held, stepped, changed, begun anew; then the log says so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.log.read.run import read_run
+from hil.replay.recorded_changes import changes_of
+from hil.replay.replay import verify
+from tests.hil.live.test_live import Page, asked
+from tests.hil.pages import chromium
+from tests.waiting import until
+
+pytestmark = pytest.mark.chromium
+
+BADGE = "document.querySelector('.run .badge')?.innerText"
+DRAFT = "document.querySelector('.draft')?.innerText"
+KEY = "document.body.dispatchEvent(new KeyboardEvent('keydown', {{key: '{}', bubbles: true}}))"
+INK = """[...document.querySelectorAll('.scope canvas, .top canvas')].map(c => {
+  const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+  let n = 0; for (let i = 3; i < d.length; i += 4) n += d[i] > 0; return n; })"""
+
+
+def choose(label: str, value: str) -> str:
+    return (f"(() => {{ const s = document.querySelector('[aria-label=\"{label}\"]'); s.value = '{value}'; "
+            "s.dispatchEvent(new Event('input')); s.dispatchEvent(new Event('change')); return s.value; })()")  # fmt: skip
+
+
+def shows(browser: chromium.Page, expression: str, part: str) -> None:
+    until(lambda: part in str(browser.evaluate(expression)), f"{part!r} in {expression}")
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Any:
+    page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], held=True)])
+    page.begin()
+    yield page
+    page.end()
+
+
+def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page) -> None:
+    with chromium.Page(width=1400, height=1000) as browser:
+        browser.open(page.url)
+        shows(browser, BADGE, "stable")
+        browser.evaluate(KEY.format("."))
+        until(lambda: page.view()["slots"] == 1, "one slot")
+        browser.evaluate("(s => { s.value = '20'; s.dispatchEvent(new Event('change')); })(document.getElementById('speed'))")
+        browser.evaluate(KEY.format(" "))
+        until(lambda: page.view()["slots"] > 60, "the run to go on")
+        browser.evaluate(KEY.format(" "))
+        until(lambda: page.view()["status"] == "held", "the run to hold")
+        held = page.view()["slots"]
+        shows(browser, "document.getElementById('status').innerText", "held")
+        assert all(n > 500 for n in browser.evaluate(INK)), "every scope and the device are drawn"
+
+        assert browser.evaluate(choose("Loss, share of packets", "0.8")) == "0.8"
+        shows(browser, DRAFT, "not stable")
+        shows(browser, "document.querySelector('.run .badge').className", "good")
+        browser.evaluate(KEY.format("Enter"))
+        shows(browser, DRAFT, f"acts from slot {held}")
+        shows(browser, "document.querySelector('.run .badge').className", "bad")
+        browser.evaluate(choose("drag the reference of angle", "1.5"))
+        shows(browser, DRAFT, "reference: acts from slot")
+        browser.evaluate("document.getElementById('push').click()")
+        shows(browser, DRAFT, "disturbance: acts from slot")
+        browser.evaluate(choose("Preset", "as it was"))
+        shows(browser, DRAFT, "stable")
+        browser.evaluate("document.querySelector('.heat input').value = '0.9'; document.getElementById('check-matrix').click()")
+        shows(browser, DRAFT, "network.ca.law")
+        shows(browser, "document.querySelector('.draft').className", "bad")
+        page.wish(do="step", slots=3)
+        until(lambda: page.view()["slots"] == held + 3, "three slots")
+        browser.evaluate("document.getElementById('seed').value = '3'; document.getElementById('restart').click()")
+        shows(browser, "window.hilLive?.runs?.[0].about.seed", "3")
+        assert browser.problems == []
+        assert {url.split("?")[0].split("/")[2] for url in browser.requests} <= {f"127.0.0.1:{page.port}", ","}
+    page.end()
+    first, second = page.sessions
+    run = read_run(Path(first.summary["log"]["path"]))
+    assert [(k, path) for k, path, _ in changes_of(run)] == [
+        (held, "network.ca.law"), (held, "reference"), (held, "disturbance"), (held + 3, "end")
+    ]  # fmt: skip
+    assert verify(run).likeness == "same bits" and second.summary["seed"] == 3
+
+
+def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page) -> None:
+    """Two browsers: one arms, the other has no token and only looks."""
+    with chromium.Page(width=1400, height=1000) as browser, chromium.Page(width=390, height=844, dark=True) as other:
+        browser.open(page.url)
+        other.open(page.url.split("?")[0])
+        shows(browser, BADGE, "stable")
+        shows(other, BADGE, "stable")
+        assert other.evaluate("document.getElementById('pace').hidden && document.getElementById('act').hidden")
+        assert other.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing is wider than a phone"
+        browser.evaluate(choose("Trigger on", "1") + "; " + choose("Level", "1.5"))
+        browser.evaluate(KEY.format("t"))
+        page.wish(do="step", slots=300)
+        until(lambda: page.view()["slots"] == 300, "the step of the reference")
+        until(lambda: browser.evaluate("window.hilLive.table.triggered()") is not None, "the trigger")
+        assert browser.evaluate("window.hilLive.table.triggered()") == pytest.approx(1.0, abs=0.06), "where the reference steps"
+        browser.evaluate("window.hilLive.view.pointer = 0.5; window.hilLive.table.cursor(0); "
+                         "window.hilLive.view.pointer = 3.0; window.hilLive.table.cursor(1)")  # fmt: skip
+        rows = "[...document.querySelectorAll('.measured tr')].map(r => r.innerText)"
+        shows(browser, rows, "2.5")
+        reference = next(row for row in browser.evaluate(rows) if row.startswith("reference angle"))
+        assert reference.split("\t")[1:] == ["0", "3", "3"]
+        assert browser.problems == other.problems == []
