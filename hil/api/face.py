@@ -114,8 +114,9 @@ def report(
     """Make one self-contained HTML page of a run: its sections, and those that the experiment's plug-ins draw.
 
     Args:
-        source: a session, or the file of a log; a comparison or a sweep over parameters, whose page needs ``output``.
-        output: the page, a file; beside the log by default, with the ending ``.html``.
+        source: a session, or the file of a log; a comparison or a sweep over parameters, whose page needs ``output``; a folder of
+            logs, whose page lists them all, and each has a page of its own.
+        output: the page, a file; beside the log by default, with the ending ``.html``, and ``index.html`` for a folder.
         force: replace a page that is there already.
         figures: a folder in which every plot is written as SVG and PDF too.
         folder: where the files of own modules stand that the log names; without it none of them is run, and they draw nothing.
@@ -126,12 +127,16 @@ def report(
     Raises:
         HilError: the log cannot be read, or the page or the figures cannot be written.
     """
+    from hil.api.runs_of_folder import report_runs
     from hil.pages.paper import write_figures
     from hil.pages.run.run_page import render_report
     from hil.pages.run.sections import sections_of
 
     if isinstance(source, Comparison | ParameterSweep):
         return (_report_of_many(source, output, force, {"figures": figures, "folder": folder}),)
+    if not isinstance(source, Session) and Path(source).is_dir():
+        _page_alone({"figures": figures, "folder": folder}, "a folder")
+        return report_runs(Path(source), None if output is None else Path(output), force=force)
     log = source.summary["log"]["path"] if isinstance(source, Session) else source
     if log is None and output is None:
         raise HilError("report: this session kept no log to write the page beside; expected output='page.html'")
@@ -148,15 +153,20 @@ def report(
     return (target, *([] if figures is None else write_figures(view.once(sections_of), Path(figures))))
 
 
+def _page_alone(others: Mapping[str, object], what: str) -> None:
+    for name, value in others.items():
+        if value is not None:
+            raise HilError(f"report: {name}: belongs to the page of a run, {what} has output='page.html' alone")
+
+
 def _report_of_many(
     source: Comparison | ParameterSweep, output: str | Path | None, force: bool, others: Mapping[str, object]
 ) -> Path:
     from hil.pages.many_runs import compare_page, parameter_page
 
-    unfit = [name for name, value in others.items() if value is not None]
-    if unfit or output is None:
-        said = f"{unfit[0]}: belongs to the page of a run" if unfit else "many runs keep no log to write the page beside"
-        raise HilError(f"report: {said}; expected output='page.html' alone")
+    _page_alone(others, "many runs")
+    if output is None:
+        raise HilError("report: many runs keep no log to write the page beside; expected output='page.html' alone")
     target = check_output(Path(output), page=True, fresh=not force, remedy="choose another output=..., or add force=True")
     page = compare_page(source) if isinstance(source, Comparison) else parameter_page(source)
     write_output(target, page, replace=force)

@@ -1,4 +1,4 @@
-"""``hil report``: a self-contained page from a log."""
+"""``hil report``: a self-contained page from a log, or from a folder of logs."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ import click
 def command(file: Path, output: Path | None, figures: Path | None, folder: Path | None, show: bool) -> None:
     """Make one self-contained HTML page from the log FILE: it needs no network and no other file.
 
+    Where FILE is a folder, its page (index.html) lists all its logs, with a filter and their outputs; each gets its own page.
+
     An existing page is replaced; the log is never changed.
     """
     from hil.api.face import report
@@ -25,6 +27,8 @@ def command(file: Path, output: Path | None, figures: Path | None, folder: Path 
     with Working(f"page of {file}"):
         page, *drawn = report(file, output=output, force=True, figures=figures, folder=folder)
     click.echo(f"written: {visible(page)} ({page.stat().st_size / 1e6:.1f} MB)")
+    if file.is_dir():
+        click.echo(f"written: {len(drawn)} pages of runs beside it")
     if figures is not None:
         click.echo(f"written: {len(drawn)} figures in {visible(figures)}")
     if show:

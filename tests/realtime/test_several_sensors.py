@@ -40,7 +40,7 @@ def designed(name: str) -> tuple[str, ...]:
     return (f"controller={{kind='historical', uses='{gains.uses}', gains={json.dumps(gains.gains)}}}",)
 
 
-@pytest.mark.parametrize(("which", "name"), [(0, name) for name in STATES] + [(1, "dc-motor-two-nodes"), (2, "dc-motor-two-nodes")])
+@pytest.mark.parametrize(("which", "name"), [*((0, name) for name in STATES), *((i, "dc-motor-two-nodes") for i in (1, 2))])
 def test_several_nodes_in_real_time_are_the_virtual_ones(tmp_path: Path, which: int, name: str) -> None:
     link = [f"can:hil:nodes{os.getpid()}", f"zenoh:tcp/127.0.0.1:{free_port()}", "local:"][which]
     early = ["reference.0.at=0.2"] if name == "dc-motor-two-nodes" else []

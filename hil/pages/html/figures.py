@@ -204,6 +204,7 @@ class Table:
 
     `highlight` is the index of rows to set apart (e.g. the best one). A `wide` one takes the page's width, whatever stands
     side by side in its section. A long table scrolls in its own box; a `folded` one stands behind a click on its title.
+    A `searched` one has a field that filters its rows, and its rows choose curves of their names (needs the script runs.js).
     """
 
     columns: Sequence[str]
@@ -213,6 +214,7 @@ class Table:
     highlight: frozenset[int] = frozenset()
     wide: bool = False
     folded: bool = False
+    searched: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

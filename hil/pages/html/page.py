@@ -31,6 +31,7 @@ def render_page(
     tiles: Sequence[Tile] = (),
     facts: Sequence[tuple[str, str]] = (),
     footer: str = "",
+    scripts: Sequence[str] = (),
 ) -> str:
     """Return one self-contained HTML page.
 
@@ -43,6 +44,7 @@ def render_page(
         tiles: the few numbers that matter, set large.
         facts: (name, value) pairs in the head, e.g. ("seed", "0").
         footer: a closing line, e.g. the version that wrote the page.
+        scripts: more of ours that this page needs, names of assets.
 
     Returns:
         HTML text; all strings given are shown literally.
@@ -53,7 +55,7 @@ def render_page(
     """
     payload = Payload()
     body = "".join(_section(i, section, payload) for i, section in enumerate(sections))
-    library, script = _asset("uPlot.iife.min.js"), "\n".join(map(_asset, SCRIPTS))
+    library, script = _asset("uPlot.iife.min.js"), "\n".join(map(_asset, (*SCRIPTS, *scripts)))
     policy = (
         "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
         f"script-src {_digest(library)} {_digest(script)}"

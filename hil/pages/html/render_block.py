@@ -217,19 +217,25 @@ def _table(table: Table) -> str:
     head = "".join(f'<th scope="col"{kinds[j]}>{escape(str(c))}</th>' for j, c in enumerate(table.columns))
     lines = []
     for i, row in enumerate(table.rows):
-        cells = "".join(f"<td{kinds[j]}>{_cell(cell)}</td>" for j, cell in enumerate(row))
+        cells = "".join(f"<td{kinds[j]}{_exact(cell, table)}>{_cell(cell)}</td>" for j, cell in enumerate(row))
         lines.append(f"<tr{' class=highlight' if i in table.highlight else ''}>{cells}</tr>")
     # The last column takes what the others leave, unless they hold sentences too: then all of them wrap.
     widest = max((len(_words(cell)) for row in table.rows for cell in row[:-1]), default=0)
     kind = "" if numeric[-1] or widest > SHORT_CELL else ' class="prose-last"' if len(table.columns) > 2 else ""
     kind = ' class="pairs"' if len(table.columns) == 2 and not numeric[-1] else kind
     scroll = "scroll long" if len(table.rows) > LONG_TABLE else "scroll"
+    kind += " data-searched" * table.searched
     body = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
     kind = "panel wide" if table.wide else "panel"
     body = f'<div class="{scroll}">{body}</div>'
     if table.folded:
         return _panel("", f"<details><summary>{escape(table.title)}</summary>{body}</details>", table.note, kind)
     return _panel(table.title, body, table.note, kind)
+
+
+def _exact(cell: Cell, table: Table) -> str:
+    """The number of a cell for the script that subtracts them."""
+    return f' data-value="{cell!r}"' if table.searched and isinstance(cell, int | float) else ""
 
 
 def _words(cell: Cell) -> str:

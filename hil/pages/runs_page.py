@@ -1,0 +1,121 @@
+"""The page of a folder of logs: a table to filter, each run's first output, and those that one chooses in one plot."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from hil.measure.view import RunView
+from hil.pages.html.figures import Badge, Block, Cell, Figure, Link, Section, Series, Table, Tile
+from hil.pages.html.page import render_page
+from hil.pages.run.page_summary import page_summary
+from hil.pages.run.run_page import verdicts
+from hil.pages.run.time_panels import output_panels
+
+MOST_DRAWN = 60
+"""Runs whose outputs are drawn; the table names all."""
+
+MOST_NUMBERS = 5
+"""Columns of numbers: those that most runs have."""
+
+_WORST = ("bad", "warning", "neutral", "good")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoggedRun:
+    """What the page says of one log.
+
+    Attributes:
+        name: of the file.
+        page: the file of its own page, beside this one.
+        failure: why it could not be read; then the rest is empty.
+        cells: experiment, seed and clock.
+        verdict: certificate, and what went wrong.
+        numbers: title with unit to value.
+        output: its first output and the reference, None where it has none.
+    """
+
+    name: str
+    page: str = ""
+    failure: str = ""
+    cells: tuple[Cell, ...] = (None, None, None)
+    verdict: Badge | None = None
+    numbers: dict[str, float | None]
+    output: Figure | None = None
+
+
+def logged_run(name: str, page: str, view: RunView, *, drawn: bool) -> LoggedRun:
+    """Return what the page says of a run.
+
+    Args:
+        name: of its log.
+        page: the file of its own page.
+        view: the run.
+        drawn: whether its output is drawn too.
+    """
+    summary = view.once(page_summary)
+    units = summary["units"]
+    numbers = {f"{key.replace('_', ' ')} ({units[key]})" if units.get(key) else key.replace("_", " "): value
+               for key, value in summary["metrics"].items()}  # fmt: skip
+    said = sorted(verdicts(view.run, summary), key=lambda badge: _WORST.index(badge.state))
+    wrong = [badge for badge in said if badge.state != "good"]
+    certificate = next((badge for badge in said if badge.label.startswith("certified")), None)
+    verdict = replace(wrong[0], label=", ".join(badge.label for badge in wrong), detail="") if wrong else certificate or said[0]
+    return LoggedRun(
+        name=name, page=page, cells=(str(summary["experiment"]), str(summary["seed"]), str(summary["clock"])),
+        verdict=replace(verdict, detail=""), numbers=numbers, output=_small(view) if drawn else None,
+    )  # fmt: skip
+
+
+def _small(view: RunView) -> Figure | None:
+    panels = output_panels(view, ())
+    return replace(panels[0], sync=None, height_px=130, note="") if panels else None
+
+
+def runs_page(folder: str, runs: Sequence[LoggedRun]) -> str:
+    """Return the page of a folder as one self-contained HTML page.
+
+    Args:
+        folder: its name.
+        runs: of its logs, in the order of the table.
+    """
+    common = Counter(title for run in runs for title, value in run.numbers.items() if value is not None)
+    titles = [title for title, _ in common.most_common(MOST_NUMBERS)]
+    rows: list[list[Cell]] = []
+    for run in runs:
+        name = Link(label=run.name, href=run.page) if run.page else run.name
+        verdict = Badge(label="not read", state="bad") if run.failure else run.verdict
+        rows.append([name, *run.cells, verdict, *(run.numbers.get(title) for title in titles)])
+    table = Table(columns=["log", "experiment", "seed", "clock", "verdict", *titles], rows=rows, wide=True, searched=True)
+    drawn = [(run.name, run.output) for run in runs if run.output is not None]
+    intro = "Tick runs to see them alone in one plot; the first two are compared."
+    sections = [Section(title="Runs", blocks=(table,), intro=intro)]
+    if drawn:
+        left = f" The first {MOST_DRAWN} of {len(runs)} are drawn." if len(runs) > MOST_DRAWN else ""
+        sections += [
+            Section(title="Chosen runs", blocks=_together(drawn)),
+            Section(title="Every run", intro=f"The first output of each run and its reference.{left}", columns=3,
+                    blocks=tuple(replace(figure, title=name) for name, figure in drawn)),
+        ]  # fmt: skip
+    failed = [[run.name, run.failure] for run in runs if run.failure]
+    if failed:
+        sections.append(Section(title="Not read", blocks=(Table(columns=["log", "reason"], rows=failed),)))
+    certified = sum(run.verdict is not None and run.verdict.label.startswith("certified") for run in runs)
+    tiles = [Tile(label="Logs", value=len(runs)), Tile(label="Certified, nothing wrong", value=certified)]
+    tiles += [Tile(label="Not read", value=len(failed), state="bad")] if failed else []
+    return render_page(f"Runs in {folder}", sections, kicker="hilrig · runs of a folder", tiles=tiles, scripts=("runs.js",),
+                       footer="Written by hil report from the logs alone.")  # fmt: skip
+
+
+def _together(drawn: Sequence[tuple[str, Figure]]) -> tuple[Block, ...]:
+    """One figure for each kind of output, with a curve for each run."""
+    kinds: dict[tuple[str, str], list[Series]] = {}
+    for name, figure in drawn:
+        curve = replace(figure.series[-1], label=name, colour=None, halo=False)
+        kinds.setdefault((figure.y_label, figure.y_unit), []).append(curve)
+    return tuple(
+        Figure(title=label[:1].upper() + label[1:], y_label=label, y_unit=unit, sync=None, height_px=300,
+               series=tuple(replace(each, colour=i % 8) for i, each in enumerate(curves)))
+        for (label, unit), curves in kinds.items()
+    )  # fmt: skip
