@@ -19,7 +19,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, Final
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 import msgspec
 
@@ -185,18 +185,18 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(HTTPStatus.FORBIDDEN, "Origin: a page of another site gets nothing here")
 
     def _get(self) -> tuple[str, bytes]:
-        url = urlsplit(self.path)
-        if url.path in ASSETS:
-            package, name, kind = ASSETS[url.path]
+        path, _, query = self.path.partition("?")
+        if path in ASSETS:
+            package, name, kind = ASSETS[path]
             return kind, files(package).joinpath("assets", name).read_bytes()
-        asked = {name: values[-1] for name, values in parse_qs(url.query).items()}
-        if url.path == "/about":
+        asked = {name: values[-1] for name, values in parse_qs(query).items()}
+        if path == "/about":
             return "application/json", _json(self.server.about() | {"acts": self._may_act()})
-        if url.path == "/script":
+        if path == "/script":
             return "text/plain", script_of(self._side(asked).done)
-        if url.path == "/view":
+        if path == "/view":
             return "application/octet-stream", self._view(asked)
-        raise Refused(HTTPStatus.NOT_FOUND, f"{url.path[:80]}: there is no such page")
+        raise Refused(HTTPStatus.NOT_FOUND, f"{path[:80]}: there is no such page")
 
     def _side(self, asked: dict[str, str]) -> Any:
         number, sides = _whole(asked, "side", 0), self.server.desk.sides
