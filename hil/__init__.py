@@ -10,7 +10,7 @@
     hil.run("dc-motor-hinf", plant=Cart(mass=2.0), controller=MyLaw())   # objects of your own, see hil guide
 
 ========================  =======================================================================
-`load_experiment`         a shipped name or a TOML file, checked: every fault is told at once
+`load_experiment`         a shipped name or a TOML file, checked: every fault is reported at once
 `run`                     run it, in virtual or real time, with or without a log: a `Session`
 `simulate`                run it in virtual time, in memory only: a `Run`
 `read_run`                a log, read back: a `Run`

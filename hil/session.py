@@ -54,7 +54,7 @@ FORCE_S = 0.5
 LEFT = 7
 """Exit status where a plant or a controller was not, in the run, what it says that it is."""
 
-INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that somebody else sends on the link: exit status
+INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that another process sends on the link: exit status
 
 
 class Onlooker(Protocol):
@@ -221,7 +221,7 @@ def run_session(
         clock: ``virtual`` (one process, reproducible) or ``real`` (separate processes over ``link``).
         link: URI of the real link; the experiment's own by default.
         path: the log to write.
-        external: somebody else's controller answers on the link.
+        external: an external controller answers on the link.
         taps: topic to a function that gets its records as they come, for a live view.
         signals: where subscribers over zenoh read named signals as they come, such as ``zenoh:tcp/127.0.0.1:7448``.
         index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
@@ -234,7 +234,7 @@ def run_session(
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
     loop = compose(experiment, external=external)
     refuse_unsound_measures(loop)
-    quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are told now
+    quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
     on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.
@@ -363,7 +363,7 @@ def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink, onlooker: Onlook
     out: dict[str, Any] = {}
 
     def failed(error: BaseException) -> bool:
-        """Keep what a plant, a controller or a law of somebody's own raised in mid-run: the log is closed with it."""
+        """Keep what a plant, a controller or a law of the user's own raised in mid-run: the log is closed with it."""
         failure = failure_of(loop, error)
         if failure is not None:
             out[failure[0]] = failure[1]

@@ -60,7 +60,7 @@ class FMU:
     """A plant that a functional mock-up unit computes, by co-simulation: native code of the file runs in a process of its own.
 
     The rig steps it from slot to slot under a held input. Whether two steps are one of their sum is the unit's own affair; A, B
-    and C are what a controller is told of it, and no claim on them is a claim on the unit.
+    and C are what a controller is given of it, and no claim on them is a claim on the unit.
 
     It needs FMPy: pip install 'hilrig[fmu]'.
 
@@ -164,7 +164,7 @@ class FMU:
         """What was found in the file.
 
         Raises:
-            PlantError: nobody looked for it yet.
+            PlantError: it was not looked for yet.
         """
         if self._unit is None:
             raise PlantError(f"{self.file}: not read yet; with_files(folder) does")

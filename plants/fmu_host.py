@@ -185,7 +185,7 @@ class Instance:
 
 
 def remove_left_behind(folder: str) -> None:
-    """Remove what hosts of this user left behind that were killed: nobody holds its lock."""
+    """Remove what hosts of this user left behind that were killed: no process holds its lock."""
     for entry in os.scandir(folder):
         with suppress(OSError):
             about = entry.stat(follow_symlinks=False)

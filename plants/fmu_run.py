@@ -135,7 +135,7 @@ class FMURun:
         if not dt_ns:
             return
         held = [a + b for a, b in zip(u, w)] if w else u
-        with suppress(OSError):  # a process that is gone is told of below
+        with suppress(OSError):  # a process that is gone is reported below
             self._user.send_bytes(STEP.pack(self._t_ns, dt_ns) + struct.pack(f"={len(held)}d", *held))
         self._t_ns += dt_ns
         self._hear(f"in the step to {self._t_ns / NS_PER_S:g} s")

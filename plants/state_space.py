@@ -171,7 +171,7 @@ class TransferFunction:
             raise FieldError("num", "is 0: the input does not reach the output")
         if len(np.trim_zeros(self.num, "f")) >= len(self.den):
             raise FieldError("num", "is not of a lower degree than den; a rig measures y(k) before u(k) exists")
-        self._realised()  # what its names and numbers lack is told now
+        self._realised()  # what its names and numbers lack is reported now
 
     def _realised(self) -> LinearPlant:
         n = len(self.den) - 1

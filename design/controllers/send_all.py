@@ -37,7 +37,7 @@ class NodeGainRows:
     keep silent by its trigger is not waited for: its outputs count as 0, its age as 0.
 
     Args:
-        running: the rows of a table by its index; it is told the index where it expects tau.
+        running: the rows of a table by its index; it takes the index where it expects tau.
         model: the loop, with its sensor nodes.
         ages: how many ages of each node have tables; an older sample has the gains of the oldest.
         rows: rows of a packet.

@@ -72,7 +72,7 @@ class SensorNodes:
         turns: who may send when; None where every node sends in every slot.
         silent: nodes that may let their turn pass, by their trigger or their clock.
         mixed: some nodes share a medium and others do not, or there are several media.
-        unforeseen: why nobody knows beforehand who is heard when, empty where it is known.
+        unforeseen: why it is not known beforehand which packet comes when, empty where it is known.
     """
 
     names: tuple[str, ...]

@@ -39,7 +39,7 @@ class GappedGains:
     Args:
         gains: (phases, memory + 2, p, n): on x(k), ..., x(k - memory), and on what is held from before.
         renewed: (phases, n), whether what is held becomes the oldest sample.
-        window: the outcomes that are told apart; its slots are those in which the packets come that take the shortest time.
+        window: the outcomes that are distinguished; its slots are those in which the packets come that take the shortest time.
     """
 
     gains: Array
@@ -116,7 +116,7 @@ def window_mask(nodes: SensorNodes, window: PacketWindow, memory: int) -> Mask:
 
     Args:
         nodes: the sensor nodes, with one constant delay.
-        window: the outcomes that are told apart.
+        window: the outcomes that are distinguished.
         memory: tau, the oldest sample that the controller uses.
     """
     delay = nodes.delays[0] or 0

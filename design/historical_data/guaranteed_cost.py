@@ -151,7 +151,7 @@ def synthesise(
         start: what the cost is averaged over.
         transition: chain of the phases; default the cycle.
         initial: gains to start from; default zero.
-        progress: told the cost of every iteration.
+        progress: called with the cost of every iteration.
 
     Returns:
         K of shape (phases, memory + 1, p, n); a local optimum.

@@ -52,8 +52,8 @@ class Information:
     def __post_init__(self) -> None:
         if not self.nodes or min(self.nodes) < 0:
             raise FieldError("nodes", f"{list(self.nodes)}, expected a node from 0 for every state")
-        strangers = sorted(set(self.order) - set(self.nodes))
-        if not self.order or strangers:
+        unknown = sorted(set(self.order) - set(self.nodes))
+        if not self.order or unknown:
             raise FieldError("order", f"{list(self.order)}, expected nodes that measure something: {sorted(set(self.nodes))}")
         if not 1 <= self.buffer <= self.memory + 1:
             raise FieldError("buffer", f"{self.buffer} samples, expected 1 to memory + 1 = {self.memory + 1}")

@@ -9,7 +9,7 @@ Reference: thesis (6.1), (6.2), sec. 6.2.1; variable projection: Golub and Perey
 
 One recorded experiment on an axis: what was put in, what was measured.
 
-What moves an axis so that its parameters can be told, and how well they will be told, before anything runs.
+What moves an axis so that its parameters can be estimated, and how well, before anything runs.
 """
 
 from __future__ import annotations

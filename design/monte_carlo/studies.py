@@ -129,7 +129,7 @@ def settling_times(
     Args:
         runs: how many, numbered from ``first``.
         duration_s: length of a run (s), a multiple of the grid's dt_s (s).
-        progress: told how many runs are done.
+        progress: called with how many runs are done.
 
     Returns:
         T_s (s), shape (runs,); ``inf`` where the last grid point is outside the band.

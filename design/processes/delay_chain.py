@@ -253,7 +253,7 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
             oldest of the ages only. A product of one chain is that chain.
 
     Raises:
-        FieldError: outputs that do not fit, ages beyond those told apart, or more than `MOST_MODES` modes.
+        FieldError: outputs that do not fit, ages beyond those distinguished, or more than `MOST_MODES` modes.
 
     >>> step = DelayChain(transition=[[0.5, 0.5], [1.0, 0.0]])
     >>> both = product_chain([step, step], [[0], [1]], told=(2, 2))

@@ -65,7 +65,7 @@ def solve_tracking(problem: TrackingProblem, progress: Progress | None = None) -
 
     Args:
         problem: plant, network, information, objective.
-        progress: told the stage, the start, of how many, and the norm reached.
+        progress: called with the stage, the start, of how many, and the norm reached.
 
     Raises:
         DesignError: no gains meet the request.

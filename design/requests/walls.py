@@ -127,7 +127,7 @@ def damping_of(task: DesignTask) -> float:
         task: a plant of state (position, speed) under one force.
 
     Raises:
-        FieldError: another kind of plant, or one whose damping cannot be told.
+        FieldError: another kind of plant, or one whose damping cannot be said.
     """
     from design.passivity.loop import continuous
 

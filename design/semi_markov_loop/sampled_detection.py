@@ -8,7 +8,7 @@ infimum over the period and delta_t the most that it varies within two periods,
     e^(-|mu| T) Psi' P_ikb Psi + sum_t (mu_t + delta_t) (landing at t and what follows within the period) - P_ikb < 0,
 
 convex in mu, so that it is checked at the corners of the bounds. P falls where the count enters a new section. Where r was left
-and entered again between two samples nobody sees it: the bounds of section b hold for every younger age too.
+and entered again between two samples is not seen: the bounds of section b hold for every younger age too.
 
 Reference: thesis (4.2), (4.14), sampled.
 

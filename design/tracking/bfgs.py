@@ -54,8 +54,8 @@ def bfgs(
         gradient_tolerance: stop where the gradient is below it, relative to max(1, |value|).
         value_tolerance, patience: stop after `patience` iterations that each gained relatively less than this.
         stop: asked with each new value; True ends the descent.
-        watch: told (iteration, value).
-        ceiling: told every value that is not to be exceeded from now on: above it the objective may answer inf.
+        watch: called with (iteration, value).
+        ceiling: called with every value that is not to be exceeded from now on: above it the objective may answer inf.
         metric: x -> first guess of the inverse Hessian at x, where the objective was evaluated last; positive definite. Without,
             a multiple of the identity, fitted to the first step.
     """

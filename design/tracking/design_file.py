@@ -1,6 +1,6 @@
 """Designs as JSON files, which an experiment names: gains, norms, certificate, and the problem that they solve.
 
-JSON of a stranger: a regular file of bounded size, read without waiting, with one kind of error for all that is wrong.
+JSON files of users: a regular file of bounded size, read without waiting, with one kind of error for all that is wrong.
 
 Solved designs, kept between runs: the same problem is solved once per machine.
 

@@ -27,7 +27,7 @@ FLATTEST = 1e-8
 class LoopObjective:
     """H2 and H-infinity norm over a gain space; counts evaluations, and starts each fold from the last one.
 
-    An H-infinity norm above `ceiling` may be told as inf: to know that it is above takes far less than to find it.
+    An H-infinity norm above `ceiling` may be said as inf: to know that it is above takes far less than to find it.
 
     Args:
         structure: the loop.

@@ -78,7 +78,7 @@ def solve(problem: TrackingProblem, *, progress: Progress | None = None) -> Desi
 
     Args:
         problem: what is asked.
-        progress: told (stage, start, starts, value) now and then.
+        progress: called with (stage, start, starts, value) now and then.
 
     Raises:
         NotStable: no gains stabilise the loop; `value` is the radius (or eigenvalue) that decides it.

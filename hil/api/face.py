@@ -80,7 +80,7 @@ def run(
         log: where to keep the log, a new file; without it none is kept.
         force: replace a log that is there already.
         signals: where subscribers over zenoh read named signals while it runs, such as "zenoh:tcp/127.0.0.1:7448".
-        external: somebody else's controller answers on the link.
+        external: an external controller answers on the link.
         changes: path to value, as in `load_experiment`; of a loaded experiment plant and controller alone.
 
     Returns:

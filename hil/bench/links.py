@@ -74,7 +74,7 @@ def bench_links(
         duration_s: length for each link, s.
         links: URIs; ``{port}``, ``{pid}`` and ``{folder}`` are filled in.
         floor: whether UDP in C is measured, too.
-        progress: told what is running.
+        progress: called with the name of what is running.
 
     Returns:
         One row per link and affinity, the floor first: `link`, `affinity`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio
@@ -224,7 +224,7 @@ def _has_threads(template: str) -> bool:
 
 
 def free_port() -> int:
-    """Return a port of this machine that nobody has."""
+    """Return a free port of this machine."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

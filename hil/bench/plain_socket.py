@@ -17,7 +17,7 @@ _PATIENCE: Final = struct.pack("ll", 0, 50_000)  # seconds and microseconds that
 
 
 class PlainSocket(Closing):
-    """One end of it; nothing is checked, and nobody is kept out.
+    """One end of it; nothing is checked, and no process is kept out.
 
     Args:
         uri: with the path.

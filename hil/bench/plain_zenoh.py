@@ -18,7 +18,7 @@ SCHEME: Final = "plain-zenoh"
 
 
 class PlainZenoh(Closing):
-    """One end of it; bounded in nothing and safe from nobody.
+    """One end of it; no queue limit, no authentication.
 
     Args:
         uri: with the endpoint.

@@ -162,7 +162,7 @@ def bench_soak(
         duration_s: length of the long session, s.
         sessions: so many short ones follow, one after the other.
         at_once: so many short ones follow, all at once, each on a channel of its own.
-        progress: told what is running.
+        progress: called with the name of what is running.
 
     Returns:
         `verdict` and `why` (see `judge`), `status`, `safety` (why it stopped the run, or None), `slots`, `slots_expected`,

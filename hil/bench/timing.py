@@ -158,7 +158,7 @@ def bench_timing(
         experiments: names or paths; they take turns too, so that two of them are measured in the same minute.
         sets: changes ``path=value`` of the experiments, for instance ``timing.affinity=pinned``.
         affinities: of `timing.affinity`; every experiment runs with each over each link, in turns [the experiment's].
-        progress: told what is running.
+        progress: called with the name of what is running.
 
     Raises:
         HilError: cyclictest is not installed, a session failed, or ``sets`` touches what the bench fixes.

@@ -57,11 +57,11 @@ class CertificationProblem:
         faults: faults on the time line.
         input_limits: largest command per input that the run allows, None where it has no limit.
         state_limits: largest value of named states.
-        selection: rule by which the controller that was started says that a row is picked; empty: nobody looked.
+        selection: rule by which the controller that was started says that a row is picked; empty: not looked for.
         said: what plant and controller said of themselves.
         unmet: what of the network never happens, as its laws begin; empty: every mode of theirs may come.
         neglects: what the chains leave out; empty: nothing.
-        chainless: what keeps the experiment from having a chain of ages on both links; empty: nobody looked, or nothing does.
+        chainless: what keeps the experiment from having a chain of ages on both links; empty: not looked for, or nothing does.
         port: force and position of a device under one force, None for another plant.
         slack: how far what the controller has of each output may be from what was measured, by triggers; empty: nowhere.
     """
@@ -100,7 +100,7 @@ class Certifier(Protocol):
     """Says what can be claimed of one kind of loop. The door asks them in order; the first that knows the kind answers."""
 
     def __call__(self, loop: CertificationProblem) -> Verdict | None:
-        """Return the verdict on a loop, None if loops of this kind are somebody else's."""
+        """Return the verdict on a loop, None if loops of this kind are another certifier's."""
         ...
 
 

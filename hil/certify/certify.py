@@ -78,7 +78,7 @@ def _too_large(loop: CertificationProblem, error: MemoryError) -> str:
 
 
 def of_external(verdict: Verdict, named: str) -> Verdict:
-    """Return what is known of a loop whose controller is somebody else's program: nothing, whatever the named one is worth.
+    """Return what is known of a loop whose controller is an external program: nothing, whatever the named one is worth.
 
     Args:
         verdict: on the loop of the controller that the experiment names.

@@ -88,7 +88,7 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
 
     The state of the verdict is that of the loop as it runs: sampled at T, held, delayed by whole samples, its modes seen at the
     samples. The conditions of Chapters 2 to 4 are of a feedback that acts at every instant on the state of that instant; what
-    they say stands in the details, and leaves a loop undecided that nobody can decide at T.
+    they say stands in the details, and leaves a loop undecided that cannot be decided at T.
 
     Reference: thesis (2.4), (3.27), (4.14).
     """

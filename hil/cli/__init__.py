@@ -86,7 +86,7 @@ class LazyGroup(click.Group):
                 return super().invoke(ctx)
             finally:
                 if sys.stdout is not None:  # `hil ... >&-`
-                    sys.stdout.flush()  # here, where its faults can be told
+                    sys.stdout.flush()  # here, where its faults can be reported
         except (KeyboardInterrupt, RuntimeError) as e:
             at: BaseException | None = e  # Python 3.11 makes a RuntimeError of what comes while a class is made
             while at is not None and not isinstance(at, KeyboardInterrupt):

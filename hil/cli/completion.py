@@ -19,7 +19,7 @@ PLACES = {
     "fish": ("XDG_CONFIG_HOME", ".config", "fish/completions/hil.fish"),
 }
 PLAIN = re.compile(r"[\w.-]+", re.ASCII)
-"""What a shell may take into its line as it is: a key of a stranger's file could be `$(command)`."""
+"""What a shell may take into its line as it is: a key of a downloaded file could be `$(command)`."""
 
 NEXT = {
     "bash": "a new bash completes hil, where the package bash-completion is installed; else add to ~/.bashrc: source {path}",
@@ -57,7 +57,7 @@ class FieldChange(click.ParamType[str]):
             return []
         try:
             paths = keys_of(_static(shipped().get(source, Path(source))))
-        except (HilError, ValueError, RecursionError):  # what is wrong is told when the command runs
+        except (HilError, ValueError, RecursionError):  # what is wrong is reported when the command runs
             return []
         return [CompletionItem(f"{path}=") for path in paths if path.startswith(incomplete) and PLAIN.fullmatch(path)]
 

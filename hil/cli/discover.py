@@ -9,7 +9,7 @@ import click
 from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
 
-NOBODY = 1  # exit status: neither rig nor controller
+NONE_THERE = 1  # exit status: neither rig nor controller
 
 
 @click.command()
@@ -19,9 +19,9 @@ NOBODY = 1  # exit status: neither rig nor controller
 def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
     """Say which rigs and controllers are on zenoh LINKs: by default on those of this user on this machine.
 
-    LINK is zenoh:tcp/HOST:PORT and the like. A link with certificates or passwords tells nobody but its own ends.
+    LINK is zenoh:tcp/HOST:PORT and the like. A link with certificates or passwords answers its own ends alone.
 
-    Exit status: 0 somebody is there, 1 nobody, 2 bad input.
+    Exit status: 0 a rig or controller is there, 1 none, 2 bad input.
     """
     from transport.links.zenoh_discover import discover, endpoint_of, own_endpoints
 
@@ -32,7 +32,7 @@ def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
     else:
         click.echo("\n".join(map(_line, found)) or "no rig or controller found")
     if not found:
-        raise SystemExit(NOBODY)
+        raise SystemExit(NONE_THERE)
 
 
 def _line(found: dict[str, Any]) -> str:

@@ -37,7 +37,7 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def signals_as_exceptions() -> Iterator[None]:
-    """Raise KeyboardInterrupt for SIGINT and `Terminated` for SIGTERM, SIGHUP and SIGQUIT, unless somebody else handles them.
+    """Raise KeyboardInterrupt for SIGINT and `Terminated` for SIGTERM, SIGHUP and SIGQUIT, unless other code handles them.
 
     Raises:
         KeyboardInterrupt: SIGINT came.

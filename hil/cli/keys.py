@@ -1,4 +1,4 @@
-"""``hil keys``: keys and certificates that let one controller command, and nobody else."""
+"""``hil keys``: keys and certificates that let one controller command, and no other."""
 
 from __future__ import annotations
 

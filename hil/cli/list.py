@@ -91,7 +91,7 @@ def _group(group: str, as_json: bool) -> None:
     for name in registry.names(f"hil.{group}"):  # type: ignore[arg-type]
         try:
             found[name] = " ".join(about(f"hil.{group}", name).split("\n\n")[0].split())  # type: ignore[arg-type]
-        except HilError as error:  # somebody's plug-in that cannot be imported
+        except HilError as error:  # a user's plug-in that cannot be imported
             found[name] = str(error)
     if as_json:
         print_json(found)

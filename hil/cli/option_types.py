@@ -89,7 +89,7 @@ LARGEST: Final = 1e30
 
 
 class Number(click.ParamType):  # type: ignore[type-arg]
-    """A finite number of at most 1e30; the help says no range, which nobody comes near."""
+    """A finite number of at most 1e30; the help says no range, which no use comes near."""
 
     name = "float"
 

@@ -125,7 +125,7 @@ def _show(result: Reproduction) -> None:
 class _Progress:
     """Stages, the steps inside them, and the time that is left: a bar on a terminal, a line per new word elsewhere.
 
-    The rest is told from the nominal lengths of the stages and from how long those that were computed here have taken.
+    The rest is estimated from the nominal lengths of the stages and from how long those that were computed here have taken.
     """
 
     def __init__(self, names: Sequence[str], kept: Checkpoint | None) -> None:

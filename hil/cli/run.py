@@ -44,7 +44,7 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
                 flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK | (os.O_EXCL if fresh else os.O_NOFOLLOW)
                 descriptor = os.open(path, flags, mode)
                 try:
-                    if stat.S_ISREG(os.fstat(descriptor).st_mode):  # a device is told where the log is opened
+                    if stat.S_ISREG(os.fstat(descriptor).st_mode):  # a device is refused where the log is opened
                         os.fchmod(descriptor, mode)  # whatever the umask, and whoever could read the file before
                 finally:
                     os.close(descriptor)

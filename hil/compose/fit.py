@@ -22,7 +22,7 @@ def check_own(controller: Controller, model: LoopModel) -> None:
         raise FieldError("kind", f"check_controller: {error}") from error
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever a stranger's controller does when it runs
+    except BaseException as error:  # whatever a user's controller does when it runs
         if isinstance(error, HilError | FieldFault):  # it says itself what does not fit
             raise
         raise FieldError("kind", f"check_controller: {words(error)}") from error

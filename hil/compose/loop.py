@@ -73,7 +73,7 @@ class Loop:
         rows: rows in one send-all packet.
         selection: how the actuator picks one of them.
         samples: samples that the controller takes from a node: the newest, and so many less one before it.
-        verdict: what is claimed of the closed loop, None if nobody asked.
+        verdict: what is claimed of the closed loop, None if not asked for.
         gains: where solved gains come from; None where the experiment itself has them.
         watched: what the run is compared with; None where no claim rests on it.
     """
@@ -149,7 +149,7 @@ def compose(
         experiment: the checked description.
         certify: whether to say what can be claimed of the loop.
         rig: of the experiment, where it is known already.
-        external: somebody else's controller answers on the link: of its loop nothing is known.
+        external: an external controller answers on the link: of its loop nothing is known.
 
     Raises:
         ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is

@@ -27,7 +27,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     """Return what gains cost, what no controller can go below, and the gains; the cost is the plant's own.
 
     The means are over x(0) ~ N(0, I) with a zero history; slot 0 is any turn of a cycle, and drawn where turns are. The bound of
-    a causal controller is known where the schedule is a cycle or a chain that nobody's state or input changes: not with triggers,
+    a causal controller is known where the schedule is a cycle or a chain that no state or input changes: not with triggers,
     clocks that draw, or delays that change.
 
     Args:

@@ -106,7 +106,7 @@ def _explain(definition: dict[str, Any]) -> None:
     """Give every key what the docstring of its class says of it, so that an editor can show it."""
     try:
         doc = parse(definition.get("description", ""))
-    except ParseError:  # somebody else's plug-in, in a style of its own
+    except ParseError:  # a user's plug-in, in a style of its own
         return
     definition["description"] = "\n\n".join(filter(None, (doc.short_description, doc.long_description)))
     for param in doc.params:

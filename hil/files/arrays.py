@@ -1,6 +1,6 @@
 """Matrices and gains from files: ``A = { file = "cart.mat", key = "A" }`` in the place of the numbers.
 
-The files are a stranger's: nothing is unpickled, and no file makes more numbers than `MOST_NUMBERS`.
+The files may come from anywhere: nothing is unpickled, and no file makes more numbers than `MOST_NUMBERS`.
 
 One matrix of real numbers from a MATLAB file, read by scipy in a process of its own, under limits.
 """

@@ -1,6 +1,6 @@
 """Places to write to, checked before the work is done whose result goes there, and written in one step.
 
-Files that a command writes: whole or not at all, never through somebody's link, never over somebody's file unasked.
+Files that a command writes: whole or not at all, never through a symbolic link, never over a file unasked.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hil.errors import HilError
 def written_whole(target: Path, *, replace: bool) -> Iterator[Path]:
     """Give a new, empty file beside the target to write to, and put it in the target's place when all went well.
 
-    The new file's name is drawn at random and the file is created exclusively, so that nobody can have put a link there. It
+    The new file's name is drawn at random and the file is created exclusively, so that no link can stand there. It
     keeps the target's ending, by which some writers choose their format.
 
     Args:

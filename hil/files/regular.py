@@ -37,8 +37,8 @@ def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
 def open_regular(path: str | Path, what: str, *, follow: bool = True) -> Iterator[BinaryIO]:
     """Open a regular file for reading.
 
-    The type is asked of the open file, so that nobody can put a pipe in its place between the question and the reading; it
-    is opened without waiting, as a pipe that nobody writes would be waited for without end.
+    The type is asked of the open file, so that no pipe can be put in its place between the question and the reading; it
+    is opened without waiting, as a pipe without a writer would be waited for without end.
 
     Args:
         path: the file.

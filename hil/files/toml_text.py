@@ -1,4 +1,4 @@
-"""TOML from a stranger: no text costs more than a fraction of a second, and every fault is one error with one message."""
+"""TOML from anywhere: no text costs more than a fraction of a second, and every fault is one error with one message."""
 
 from __future__ import annotations
 

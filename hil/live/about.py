@@ -18,7 +18,7 @@ from transport.laws.protocols import ChainLaw, NetworkLaw
 
 
 def about(sides: Sequence[Side], where: str) -> dict[str, Any]:
-    """Return what the page is told of some runs that have begun.
+    """Return what the page is given of some runs that have begun.
 
     Args:
         sides: the runs.

@@ -62,8 +62,8 @@ def watch(
         asked: one experiment, or two beside each other in virtual time.
         port: of the page; 0 for any that is free.
         stay: whether the page stays when the runs have ended, until a signal comes.
-        opened: told the page's URL.
-        finished: told of every run that has ended.
+        opened: called with the page's URL.
+        finished: called with every run that has ended.
 
     Raises:
         HilError: an experiment cannot be composed, or the port is taken.
@@ -167,7 +167,7 @@ def show_log(
         source: its name, for messages.
         port: of the page; 0 for any that is free.
         folder: where own modules stand: they are run.
-        opened: told the page's URL.
+        opened: called with the page's URL.
 
     Raises:
         HilError: the log says not what ran, or the port is taken.

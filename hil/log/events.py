@@ -68,7 +68,7 @@ def plain(value: object, depth: int = 0) -> Any:
 def _text(value: object) -> str:
     try:
         return str(value)[:_MAX_TEXT]
-    except Exception:  # somebody else's __str__; an event must not fail for it
+    except Exception:  # a foreign __str__; an event must not fail for it
         return f"<{type(value).__name__}>"
 
 

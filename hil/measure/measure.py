@@ -161,7 +161,7 @@ class MeasureOfFunction:
             found = None if value is None else float(value)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # whatever a stranger's function does
+        except BaseException as error:  # whatever a user's function does
             raise HilError(f"metric {self._name}: {words(error)}") from error
         return {self._name: found if found is None or math.isfinite(found) else None}
 
@@ -211,7 +211,7 @@ def _numbers(measure: Measure, view: RunView, failed: dict[str, str] | None) -> 
         return dict(measure.of(view))
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever a stranger's measure does
+    except BaseException as error:  # whatever a user's measure does
         told = str(error) if isinstance(error, HilError) else f"measure {type(measure).__name__}: {words(error)}"
         if failed is None:
             raise HilError(told) from error

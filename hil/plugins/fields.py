@@ -74,7 +74,7 @@ def about(group: registry.Group, name: str) -> str:
     text = inspect.getdoc(registry.load(group, name)) or ""
     try:
         doc = parse(text)
-    except ParseError:  # somebody else's plug-in, in a style of its own
+    except ParseError:  # a user's plug-in, in a style of its own
         return text
     return "\n\n".join(filter(None, (doc.short_description, doc.long_description)))
 

@@ -3,7 +3,7 @@
 The module runs under a name that holds the digest of its text: two experiments may have modules of one name, a file that was
 changed is another module, and a verdict on its class is a verdict on that text.
 
-Whether `design`, `plants` and `transport` are ours: a module of that name in somebody's folder takes their place.
+Whether `design`, `plants` and `transport` are ours: a module of that name in a user's folder takes their place.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _module(path: Path, expected: str | None = None) -> ModuleType:
         changes = before.changes()
         if changes:
             raise HilError(f"{path}: {'; '.join(changes)}; a module that is loaded leaves its process as it was")
-    except BaseException as error:  # whatever a stranger's module raises when it runs
+    except BaseException as error:  # whatever a user's module raises when it runs
         del sys.modules[name]
         before.restore()
         if isinstance(error, HilError):
@@ -154,7 +154,7 @@ def shadows() -> dict[str, str]:
 
 
 def refuse_shadowed_packages() -> None:
-    """Refuse to go on with somebody else's `design`, `plants` or `transport`.
+    """Refuse to go on with a foreign `design`, `plants` or `transport`.
 
     Raises:
         HilError: a line for each file that shadows one of ours, with what helps.

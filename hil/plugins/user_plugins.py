@@ -1,6 +1,6 @@
-"""What a plug-in of somebody's own has to be before it runs, told in one sentence instead of a traceback.
+"""What a plug-in of a user has to be before it runs, said in one sentence instead of a traceback.
 
-What a plug-in of somebody's own lacks or does wrong, in its author's words: never an error or a line of our own code.
+What a plug-in of a user lacks or does wrong, in its author's words: never an error or a line of our own code.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         return function(*arguments)
     except (AssertionError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # whatever a stranger's code raises, SystemExit too
+    except BaseException as error:  # whatever a user's code raises, SystemExit too
         raise AssertionError(f"{what}: {words(error)}") from error
 
 
@@ -120,7 +120,7 @@ def own_fault(group: Group, made: object) -> str | None:
 
 @contextmanager
 def in_own_words() -> Iterator[None]:
-    """Tell whatever a stranger's code raises, BaseException and SystemExit too, as one AssertionError in its author's words."""
+    """Report whatever a user's code raises, BaseException and SystemExit too, as one AssertionError in its author's words."""
     try:
         yield
     except (AssertionError, KeyboardInterrupt):

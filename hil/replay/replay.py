@@ -124,7 +124,7 @@ class Recorded:
     Args:
         loop: the composed experiment.
         heard: the control packets that arrived in time.
-        foreign: somebody else's controller answered; ours is not asked.
+        foreign: an external controller answered; ours is not asked.
     """
 
     def __init__(self, loop: Loop, heard: RecordedAnswers, foreign: bool) -> None:

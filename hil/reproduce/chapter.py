@@ -61,7 +61,7 @@ class Stage:
     Args:
         title: what it computes, in a few words.
         compute: takes a `ReportProgress`, returns numbers by name; under ``figures`` those that it draws.
-        seconds: how long it takes on two quiet cores, by which the remaining time is told; no promise.
+        seconds: how long it takes on two quiet cores, by which the remaining time is estimated; no promise.
         statements: what is judged by the numbers.
     """
 
@@ -193,7 +193,7 @@ def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Checkpoi
 
     Args:
         chapter: what to compute.
-        progress: told how far it is.
+        progress: called with how far it is.
         name: of the chapter, under which its stages are kept.
         kept: what was done before, and where the rest is put as it is done.
     """

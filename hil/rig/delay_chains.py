@@ -77,10 +77,10 @@ def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[i
     Args:
         rig: its laws' files read.
         sojourns: of one node: lengths of stay with labels of their own.
-        ages: of several nodes: how many ages of each are told apart; none: by the oldest sample alone.
+        ages: of several nodes: how many ages of each are distinguished; none: by the oldest sample alone.
 
     Raises:
-        ValueError: lengths of stay that nobody can measure, or that say nothing over this law.
+        ValueError: lengths of stay that cannot be measured, or that say nothing over this law.
     """
     from design.processes.delay_chain import product_chain
 
@@ -153,7 +153,7 @@ def delay_chain(
         states: of the law, where they are known.
 
     Raises:
-        ValueError: lengths of stay that nobody can measure, or that say nothing over this law.
+        ValueError: lengths of stay that cannot be measured, or that say nothing over this law.
     """
     from design.processes.delay_chain import DelayChain
 

@@ -107,7 +107,7 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
     """Return in every slot of the cycle, from slot 0, the (node, age) that the bus carries; or why there is no such cycle.
 
     The bus is run, by the rule that runs it in the rig, until what waits is as it was before. What is carried in the first slots
-    may lack samples from before slot 0 only, which were zero and which nobody needs.
+    may lack samples from before slot 0 only, which were zero and are not needed.
 
     Args:
         clocks: of all nodes, by number.

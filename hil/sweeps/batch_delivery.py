@@ -99,7 +99,7 @@ def starved(usable: NDArray[np.bool_], d_max: int, watchdog_slots: int) -> NDArr
 
     Args:
         usable: whether the actuator holds a packet that its rows cover, (slots, runs).
-        d_max: largest age that they cover; up to that slot nobody waits.
+        d_max: largest age that they cover; up to that slot nothing is missing.
         watchdog_slots: so many slots in a row without one trip it.
 
     >>> starved(np.array([[0, 1], [1, 1], [0, 0], [0, 1], [0, 0]], dtype=bool), 1, 3).tolist()

@@ -85,7 +85,7 @@ class NewestOfMany(Protocol):
     def newest_of_batch(
         self, rngs: Iterable[np.random.Generator], runs: int, slots: int, period_s: float, deadline_s: float
     ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """Return the slot of the newest packet that has come by every slot, (slots, runs), and which runs are told, (runs,).
+        """Return the slot of the newest packet by every slot, (slots, runs), and of which runs it is known, (runs,).
 
         Args:
             rngs: stream of every run; one packet is sent in every slot.

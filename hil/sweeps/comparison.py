@@ -150,7 +150,7 @@ def compare(
         experiments: by the name that tables and pages give them; differences are against the first.
         runs: of each.
         jobs: processes on this machine, -1 for one per core.
-        progress: told the experiment and how many of its runs have been done.
+        progress: called with the experiment and how many of its runs have been done.
     """
     quantities = common_quantities([quantities_in(experiment) for experiment in experiments.values()])
     values: dict[str, Mapping[str, NDArray[np.float64]]] = {}

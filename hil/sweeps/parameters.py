@@ -178,7 +178,7 @@ def sweep_parameters(
         first_seed: the first of them.
         workers: where the runs are computed.
         folder: finished runs are kept in here, a file per point, and taken from there instead of being run again.
-        progress: told how many runs of all have been done.
+        progress: called with how many runs of all have been done.
 
     Raises:
         HilError: if a point cannot be composed, or the folder holds something else.

@@ -187,7 +187,7 @@ def run_sweep(
         experiment: what to run, in virtual time.
         seeds: one run each; with ``until`` the most that may be run.
         workers: Where: this process, the cores of this machine, or a dask cluster.
-        progress: told how many runs have been done.
+        progress: called with how many runs have been done.
         store: where finished runs are kept, and taken from instead of being run again.
         until: (metric, StopRule). Stop as soon as the interval of the metric is narrow enough. It is looked at only at the rule's
             numbers of runs, which is what its error rate needs; runs in which the metric is undefined do not count for it.

@@ -123,7 +123,7 @@ class SweepStore:
         try:
             if path.exists() and not path.is_file():  # a device has no end
                 raise HilError(f"--resume: {path} is no file")
-            self._file = open(path, "a+b", buffering=0)  # noqa: SIM115 (what does not fit is told by write)
+            self._file = open(path, "a+b", buffering=0)  # noqa: SIM115 (what does not fit is reported by write)
         except OSError as e:
             raise HilError(f"--resume: {path}: {e.strerror}") from e
         try:
@@ -201,7 +201,7 @@ class SweepStore:
         try:
             self._write(start, *plain)
             self.rows |= found
-        except KeyboardInterrupt:  # what was begun is ended first, so that what is told and the file are the same
+        except KeyboardInterrupt:  # what was begun is ended first, so that what is reported and the file are the same
             self._write(start, *plain)
             self.rows |= found
             raise

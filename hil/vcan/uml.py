@@ -60,7 +60,7 @@ def argv(wanted: Wanted, find: Callable[[Wanted], Kernel]) -> list[str]:
     }
     _check_order(order)
     try:
-        # Not in a user namespace: there setuid programs (mount) would run as nobody in the guest, too.
+        # Not in a user namespace: there setuid programs (mount) would run as the user nobody in the guest, too.
         private = unshare("pid", "mount", allow_user=False)
         order["work"] = order["memory"] = COVERED
     except RunnerError:  # a plain container, or not root: our own exit must clean up
@@ -106,7 +106,7 @@ def boot(order_text: str) -> int:
     order = json.loads(order_text)
     work = Path(order["work"])
     if order["work"] == COVERED:
-        # Nobody else sees it and it ends with us, however we end; /dev/shm may be small or noexec.
+        # No other process sees it and it ends with us, however we end; /dev/shm may be small or noexec.
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"exec,size={ROOM}", "hil-vcan", COVERED], check=True)
     stdin = not order["virtual_time"] and _has_stdin()  # when bytes arrive is no part of virtual time
     command = guest.command(order["command"], os.environ, order["backend"], order["virtual_time"])
@@ -197,7 +197,7 @@ def _has_stdin() -> bool:
 
 
 def _pump(source: int, target: int, child: subprocess.Popen[bytes]) -> bool:
-    """Carry bytes until the source ends; False, and the guest ends, if nobody wants them any more."""
+    """Carry bytes until the source ends; False, and the guest ends, if they are not wanted any more."""
     try:
         while data := os.read(source, 65536):
             _write(target, data)

@@ -310,7 +310,7 @@ def flag_bits(wire: str, bit: int, *, dominant: bool, answered: bool = True) -> 
     [12, 7, 6]
     """
     if not answered or bit >= len(wire) - 13:
-        return 6  # nobody else, or a bit that must be recessive: all notice at once
+        return 6  # no other node, or a bit that must be recessive: all notice at once
     seen = wire[:bit] + ("1" if wire[bit] == "0" else "0")
     flag = "0" if dominant else "1"
     run = len(seen) - len(seen.rstrip(flag))

@@ -294,7 +294,7 @@ class CanBus:
         return place
 
     def leave(self, i: int) -> None:
-        """Take a node off the bus for good: what it sends now ends, nobody else of it is heard."""
+        """Take a node off the bus for good: what it sends now ends, and nothing more of it is received."""
         self.nodes[i] = CanNode(recovers=False)
         self._off.add(i)
         self._busy.discard(i)

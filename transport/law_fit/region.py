@@ -72,7 +72,7 @@ def confidence_region(fit: LawFit, reach: int, factor: float = 1.0, share: float
 
     Args:
         fit: what was fitted.
-        reach: ages up to this one are told apart.
+        reach: ages up to this one are distinguished.
         factor: as if so many times the packets had been counted, in the same shares.
         share: of the 5 % that may miss.
     """

@@ -61,7 +61,7 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float) -> LawAnaly
     """Return what a law does in the long run.
 
     Args:
-        law: parameters of a network law, ours or a stranger's; what it states by the protocols of `transport.laws.protocols` is
+        law: parameters of a network law, ours or a user's; what it states by the protocols of `transport.laws.protocols` is
             exact, the rest comes from a run.
         period_s: length T of a slot, seconds.
         deadline_s: seconds after the start of a slot at which it closes.

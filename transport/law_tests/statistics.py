@@ -68,7 +68,7 @@ def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None, slo
 
     Chains are tested by the rows of their transition counts; semi-Markov laws by the hazard of leaving a
     mode at every sojourn time, and by the embedded chain; a record agrees (1.0) or does not (0.0); packet
-    laws by their channel's transitions, and with `draws` by losses and latencies too. A stranger's law is tested by the
+    laws by their channel's transitions, and with `draws` by losses and latencies too. A user's law is tested by the
     protocol that it fulfils. NaN where there is no test (see `is_testable`), or too little was drawn for one.
 
     Args:

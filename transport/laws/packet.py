@@ -155,7 +155,7 @@ class PacketLaw:
     ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
         """Return the slot of the newest packet that has come, one sent in every slot, (slots, runs); -1 before the first.
 
-        With it which runs are told, (runs,): none in which the queue overflows, nor any of a trace that is too short.
+        With it of which runs it is known, (runs,): none in which the queue overflows, nor any of a trace that is too short.
 
         Args:
             rngs: stream of every run.

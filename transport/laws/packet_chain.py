@@ -118,7 +118,7 @@ def packet_chain(
         latencies: its latencies.
         period_s, deadline_s: length of a slot, and when it closes, s.
         tolerance: of a latency that ends with a slot, in slots.
-        reach: ages up to this one are told apart, whatever the longest latency.
+        reach: ages up to this one are distinguished, whatever the longest latency.
     """
     if isinstance(latencies, LatencyTrace):
         return "its latencies are a recorded trace"
@@ -307,7 +307,7 @@ def channel_modes(first: Row, rows: Sequence[Row], levels: Seconds) -> NDArray[n
 def newest_received(
     sent: Sequence[Flags], delays: Sequence[NDArray[np.int64]], *, reordering: bool, queue: int
 ) -> tuple[Slots, Flags]:
-    """Return the slot of the newest packet that has come, (slots, runs), -1 before the first, and which runs are told, (runs,).
+    """Return the slot of the newest packet that has come, (slots, runs), -1 before the first, and in which runs known, (runs,).
 
     Args:
         sent: of every slot, whether the packet leaves, and whether a copy follows it; (slots, runs) each.

@@ -205,7 +205,7 @@ class HilBus(can.BusABC):
         """Receive without a `can.Message`: identifier with the flags of <linux/can.h>, whether FD, data; or None.
 
         Args:
-            timeout: s; None may come earlier, when somebody joined or left.
+            timeout: s; None may come earlier, when a participant joined or left.
         """
         taken = self._take(timeout)
         return None if taken is None else (taken[0][2], bool(taken[0][4] & FD_FRAME), taken[1])

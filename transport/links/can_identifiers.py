@@ -72,7 +72,7 @@ class Identifiers:
 
 
 def derived(base: int = BASE, fd: bool = True, nodes: int = 1) -> Identifiers:
-    """Return the identifiers that nobody has set.
+    """Return the identifiers that are not set.
 
     Args:
         base: a multiple of 0x100.

@@ -86,7 +86,7 @@ def _frames_of(bus: can.BusABC, fd: bool) -> _Frames:
 class CanLink(Closing):
     """One end of a link on a CAN bus.
 
-    A packet counts as dropped where nobody who listens had room for it (`can:hil` says so), and where we had none: one that never
+    A packet counts as dropped where no listener had room for it (`can:hil` says so), and where we had none: one that never
     reads, be it a logger or a flooder, does not make it so.
 
     Args:

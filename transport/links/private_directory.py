@@ -1,6 +1,6 @@
 """A directory that is one user's alone, and the lock by which processes that meet in it take turns.
 
-A file that holds a secret: regular, small, and nobody's to read but its owner's.
+A file that holds a secret: regular, small, and its owner's alone to read.
 
 Be the only one in a role: a locked file in a directory that is one user's alone, so that no other user can hold it.
 """
@@ -34,7 +34,7 @@ def locked(directory: Path, timeout_s: float) -> Iterator[None]:
         timeout_s: how long to wait for the lock, s.
 
     Raises:
-        TransportError: it or its parent belongs to somebody else, others may enter it, it is a symbolic link, there is no room
+        TransportError: it or its parent belongs to another user, others may enter it, it is a symbolic link, there is no room
             for it, or the lock is not to be had.
     """
     os.close(_private(directory.parent))
@@ -81,7 +81,7 @@ def private_directory(directory: Path) -> Path:
         directory: in a directory where others may write, such as /tmp, it must be ours already or not exist.
 
     Raises:
-        TransportError: it belongs to somebody else, others may enter it, it is a symbolic link, or there is no room for it.
+        TransportError: it belongs to another user, others may enter it, it is a symbolic link, or there is no room for it.
     """
     os.close(_private(directory))
     return directory
@@ -100,7 +100,7 @@ MOST_BYTES = 65_536
 def read_secret(path: str, what: str) -> bytes:
     """Return the bytes of a secret file.
 
-    Type and mode are asked of the open file, so that nobody can put another in its place between question and reading.
+    Type and mode are asked of the open file, so that no other can be put in its place between question and reading.
 
     Args:
         path: the file.

@@ -1,7 +1,7 @@
 """One CAN bus that takes time for several processes: its state stands in a file, and whoever holds the lock lets time pass.
 
 The bus is that of `transport.can_bus_model.bus`, in the time of CLOCK_MONOTONIC. Every participant queues its frames there, lets
-time pass until now, and finds in its own list what has become of its frames: it hands out those that got through. Nobody decides
+time pass until now, and finds in its own list what has become of its frames: it hands out those that got through. No node decides
 for the others: any process comes to the same, as arbitration is decided by the instants at which frames were queued.
 
 Frames are handed out in the order of the bus: under the lock, and not before those of others that ended earlier, unless their

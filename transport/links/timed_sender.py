@@ -22,7 +22,7 @@ MOST_WAITING: Final = 1024
 
 _ON_THE_BUS: Final = 16  # of these: enough that the bus is never idle for want of a frame, and few to write down each time
 
-_IN_VAIN_S: Final = 0.005  # nobody acknowledges: the bus repeats without being looked at
+_IN_VAIN_S: Final = 0.005  # no node acknowledges: the bus repeats without being looked at
 _SWEEP_S: Final = 0.5
 _IDLE_S: Final = 0.25
 

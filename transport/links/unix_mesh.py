@@ -1,13 +1,13 @@
 """Processes of one user that hear each other's datagrams, over Unix sockets, without a broker.
 
 Every participant listens on a socket in one directory and is connected to every other participant. A newcomer connects to
-all sockets that it finds there, removes those that nobody answers (their owners were killed), and changes a shared mark;
+all sockets that it finds there, removes those that no process answers (their owners were killed), and changes a shared mark;
 a sender that sees the mark changed lets the newcomers in first. Hence everyone hears whatever is sent after it joined.
 The mark is read and written, never mapped: whatever is done to its file costs a newcomer, not a life (SIGBUS).
 
 The kernel queues up to `QUEUE_LIMIT` datagrams from each sender at each receiver. Beyond that a datagram is lost for this
 receiver only: the sender counts it as dropped, and the next datagram that gets through tells the receiver how many it
-missed. Nobody ever waits for another participant, be it slow, stopped or dead.
+missed. No participant ever waits for another, be it slow, stopped or dead.
 
 A datagram begins with `HEAD`: the time it was sent, for who logs it, and the number of datagrams missed before it, which is
 the mesh's to fill in. A receiver merges its senders by the instant at which its own kernel took each datagram: what a sender
@@ -58,7 +58,7 @@ class Mesh(Closing):
         refused: how often a newcomer found no free file descriptor here. It is let in when one is free again.
 
     Raises:
-        TransportError: no such directory can be had, it belongs to somebody else, or the disk or the descriptors are used up.
+        TransportError: no such directory can be had, it belongs to another user, or the disk or the descriptors are used up.
     """
 
     def __init__(self, directory: Path, *, echo: bool = False, looks: bool = True) -> None:
@@ -108,7 +108,7 @@ class Mesh(Closing):
             except (ConnectionRefusedError, FileNotFoundError):
                 connection.close()
                 path.unlink(missing_ok=True)
-            except OSError:  # another kind of socket: nobody of ours
+            except OSError:  # another kind of socket, not ours
                 connection.close()
             else:
                 peers.append(Peer(connection))
@@ -154,9 +154,9 @@ class Mesh(Closing):
             while not self._closed and self._listener is not None:
                 try:
                     connection, _ = self._listener.accept()
-                except OSError as error:  # nobody left, or gone again
+                except OSError as error:  # none left, or gone again
                     if error.errno in (EMFILE, ENFILE, ENOMEM, ENOBUFS) and self._listening:
-                        # Nobody can be let in, and who waits would wake us up without end: look again when one has left.
+                        # No one can be let in, and who waits would wake us up without end: look again when one has left.
                         self._epoll.unregister(self._listener)
                         self._listening = False
                         self.refused += 1
@@ -324,7 +324,7 @@ class Mesh(Closing):
             self._joined = -1
 
     def _last(self) -> bool:
-        """Return whether all others have left or were killed; nobody can join while the lock is held."""
+        """Return whether all others have left or were killed; none can join while the lock is held."""
         self._admit()
         poll = select.poll()
         for peer in self._peers:

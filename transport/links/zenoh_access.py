@@ -6,7 +6,7 @@ the peer whose certificate is called *controller* may write the control key at t
 controller, which connects, knows its rig by the endpoint alone.
 
 A rule must cover the subscriber's own key expression, so both ends subscribe to exactly what the list names. Whoever
-else connects is told what this end listens to and answers, and that it is there: a zenoh program sends only what somebody
+else connects is given what this end listens to and answers, and that it is there: a zenoh program sends only what another
 listens to, and so what it writes comes to this end and is denied here, where `transport.links.zenoh_refusals` counts it.
 
 One controller of a rig, over zenoh, from whatever machine: the rig says by a token which one it hears.
@@ -88,7 +88,7 @@ class Access:
             if login not in known:
                 raise TransportError(f"{self.users}: no line {login}:PASSWORD")
             if self.role == "rig":
-                mine = {"user": "rig", "password": os.urandom(16).hex()}  # for nobody: a rig connects to none
+                mine = {"user": "rig", "password": os.urandom(16).hex()}  # never used: a rig connects to none
                 entries["transport/auth/usrpwd"] = mine | {"dictionary_file": self.users}
                 subject |= {"usernames": [self.peer]}
             else:

@@ -3,10 +3,10 @@
 The rig listens at the endpoint and the controller connects to it; there is no router, no multicast and no gossip. Sensor
 packets are published under ``hil/<name>/sensor``, control packets under ``hil/<name>/control``, so that any zenoh program
 that is let in at the rig's endpoint can watch, or be the controller. A peer of the rig does not see what another peer
-publishes, so the rig says again under ``hil/<name>/heard`` what control packets it hears, once somebody listens there. Every
-packet has the encoding `ENCODING` and an attachment ``slot=K;session=S``. Liveliness tokens say who is there and which
-controller the rig hears (`transport.links.zenoh_access`), and the rig answers queries for ``hil/<name>/info``. Certificates and
-passwords keep all of that from everybody else.
+publishes, so the rig says again under ``hil/<name>/heard`` what control packets it receives, once a subscriber listens
+there. Every packet has the encoding `ENCODING` and an attachment ``slot=K;session=S``. Liveliness tokens say who is there
+and which controller the rig hears (`transport.links.zenoh_access`), and the rig answers queries for ``hil/<name>/info``.
+Certificates and passwords keep all of that from everybody else.
 
 Without an endpoint the link is a Unix socket in a directory of mode 0700 (`zenoh_directory`): who is not this user cannot
 reach it. ``tls/`` takes certificates of both ends, and only the one called *controller* is heard: see
@@ -104,7 +104,7 @@ class ZenohLink(Closing):
                 congestion_control=zenoh.CongestionControl.DROP,
             )
             publisher = declared(f"hil/{name}/{says}")
-            if role == "rig":  # what nobody listens to is not said again: it would come before an answer is looked at
+            if role == "rig":  # what has no subscriber is not said again: it would come before an answer is looked at
                 again = declared(f"hil/{name}/heard")
                 again.declare_matching_listener(zenoh.handlers.Callback(partial(_note, self._listened_to), indirect=False))
                 self._say_again = again.put
@@ -205,7 +205,7 @@ def zenoh_directory() -> Path:
 
 
 def config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
-    """Return the configuration of one end: a peer that nobody finds by itself.
+    """Return the configuration of one end: a peer that is not found by itself.
 
     Args:
         role: the rig listens, the controller connects.
@@ -219,7 +219,7 @@ def config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
         "mode": "peer",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        # A peer listens on all interfaces unless it is told where, also one that only connects.
+        # A peer listens on all interfaces unless it is given where, also one that only connects.
         "listen/endpoints": [endpoint] if role == "rig" else [],
         "connect/endpoints": [] if role == "rig" else [endpoint],
         "connect/exit_on_failure": False,

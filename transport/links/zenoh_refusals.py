@@ -1,8 +1,8 @@
 """Whom zenoh turns away, counted: it keeps no statistics, and a denied message reaches no callback, but its log has a line.
 
 zenoh writes its log to standard output and to nothing else. So refusals are counted only in a process that says its standard
-output is nobody's, as a rig's process does. A line is counted by what it says and goes nowhere. A pipe of 1 MiB holds what
-strangers cause between two looks; a flood that fills it waits for the next look, 20 ms at most.
+output is not read by it, as a rig's process does. A line is counted by what it says and goes nowhere. A pipe of 1 MiB holds what
+refused peers cause between two looks; a flood that fills it waits for the next look, 20 ms at most.
 
 The package of ``hilrig[zenoh]``, which only a link over zenoh imports.
 
@@ -140,7 +140,7 @@ def add_refused(counters: LinkCounters, number: int = 1) -> None:
 
 
 def say(why: str) -> None:
-    """Say on standard error why zenoh refused a connection, once a reason; not where standard output is somebody's.
+    """Say on standard error why zenoh refused a connection, once a reason; not where standard output is in use.
 
     Args:
         why: in words.

@@ -1,6 +1,6 @@
 """A log, read back: every record checked, nothing of it run.
 
-Whether a log holds what hil's own recorder writes, checked once where it is read: nobody behind this need doubt a type.
+Whether a log holds what hil's own recorder writes, checked once where it is read: behind this no type is in doubt.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class _Reading:
         for number in [*content.messages]:
             channel = content.channels.get(number)
             if channel is None:
-                continue  # it may be told later
+                continue  # it may be said later
             messages = content.messages.pop(number)
             if channel.topic == EVENTS_TOPIC:
                 payloads = [message[MESSAGE_PAYLOAD_AT:] for message in messages]

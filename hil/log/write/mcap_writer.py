@@ -72,7 +72,7 @@ class McapWriter:
         stream: takes the bytes; those before a `flush` are as good as written, later ones may go to the disk or not.
         profile, library: what the header says.
         index: `full` has where in its chunk every message stands; `chunk` has the chunks only.
-        chunk_ended: told every chunk that is written: its bytes, and where its messages stand in them.
+        chunk_ended: called with every chunk that is written: its bytes, and where its messages stand in them.
         folder: where the chunks' index of a long run is kept until the end, see `AppendColumn`.
         room: bytes of the longest chunk, see `Compressor`.
 

@@ -212,7 +212,7 @@ def pump(
         channels: the session's table.
         taps: topic to a function that also gets time and payload of that topic's records, for a live view. One that raises is
             taken off and reported.
-        stop: asked whenever the pipe is empty; true ends the pump though somebody still holds the writing end.
+        stop: asked whenever the pipe is empty; true ends the pump though a process still holds the writing end.
         report: filled in as records come, for who watches; a new one by default.
         poll_s: longest wait in s.
 
@@ -318,7 +318,7 @@ def _take(data: bytes, takers: Mapping[int, _Taker], sink: Sink, report: PumpRep
 
 
 def _ignore(t_ns: int, payload: bytes) -> None:
-    """Take a record that nobody wants."""
+    """Take a record that is not kept."""
 
 
 def _tapped(topic: str, put: PayloadWriter, tap: PayloadWriter, report: PumpReport) -> PayloadWriter:

@@ -24,7 +24,7 @@ class Sink(Protocol):
     """Takes a session's records."""
 
     def channel(self, topic: str) -> PayloadWriter | None:
-        """Function that takes the records of ``topic``; None if nobody wants them, so that nobody need pack them."""
+        """Function that takes the records of ``topic``; None if they are not kept, so that they are not packed."""
 
     def event(
         self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
@@ -58,7 +58,7 @@ class Dated(Protocol):
 
 
 def record_to(sink: Sink, channel: Channel) -> Record | None:
-    """Return the function that logs a record of a topic; None if nobody wants them."""
+    """Return the function that logs a record of a topic; None if they are not kept."""
     if isinstance(sink, PacksRecords):
         return sink.records((channel.topic,))
     put, pack = sink.channel(channel.topic), channel.schema.pack

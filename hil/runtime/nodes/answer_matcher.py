@@ -35,9 +35,9 @@ MOST_LOST = 6
 class AnswerMatcher:
     """Takes frames from the link: one may answer the slot, the rest is counted by what it is.
 
-    A frame is *malformed* (no control packet), *late* (the first answer to a slot that had none in time), or *foreign*: nobody
-    was asked for it. A second answer that differs from the first, an answer to a slot that was not yet asked, and one whose echo
-    is that of other frames than were sent, or whose sample was never sent, show that somebody else speaks on the link.
+    A frame is *malformed* (no control packet), *late* (the first answer to a slot that had none in time), or *foreign*: it
+    was not asked for. A second answer that differs from the first, an answer to a slot that was not yet asked, and one whose echo
+    is that of other frames than were sent, or whose sample was never sent, show that another process sends on the link.
 
     Args:
         inputs: number m of inputs.

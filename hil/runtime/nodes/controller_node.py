@@ -72,7 +72,7 @@ class ControlNode:
         seq = packet.seq
         if seq == HELLO:
             return self._greet(packet, data, now_ns)
-        if not packet.nonce and not self._questions.running:  # virtual time: nobody else can speak
+        if not packet.nonce and not self._questions.running:  # virtual time: no other process can send
             if self._restarts and self._down(seq):
                 return None
             return self._answer(seq, 0) if self._keep(packet, seq) and not packet.flags & MORE else None

@@ -1,4 +1,4 @@
-"""What a run says of a part that failed in it: a plant, a controller or a law, ours or somebody's own."""
+"""What a run says of a part that failed in it: a plant, a controller or a law, ours or a user's own."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, 
     Args:
         loop: what ran.
         error: as it was caught.
-        others: what ran beside it and may be somebody's own, such as the link.
+        others: what ran beside it and may be a user's own, such as the link.
     """
     if isinstance(error, PlantError):
         return PLANT_FAILED, str(error)

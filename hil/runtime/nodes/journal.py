@@ -30,7 +30,7 @@ _DRAWS = range(1, 4)
 
 
 class Journal:
-    """Packs the records of a rig and hands them to a sink; what nobody wants is not packed.
+    """Packs the records of a rig and hands them to a sink; what is not kept is not packed.
 
     Args:
         sink: where records go.
@@ -135,7 +135,7 @@ class Journal:
                 self._sensor(t_ns, (k, *self._sensor_id(frame), 0, frame))
 
     def _sensor_id(self, frame: bytes) -> tuple[int, ...]:
-        """Return what the record of a sensor frame holds; -1 if its mangled number names no node, as nobody sends it then."""
+        """Return what the record of a sensor frame holds; -1 if its mangled number names no node, as no node sends it then."""
         own = self._sensor_ids
         node = node_of(frame) if len(own) > 1 else 0
         return own[node] if node < len(own) else self._nowhere

@@ -22,7 +22,7 @@ from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
 UNLIKELY: Final = 1e-9
-"""Chance of so many jumps that nobody saw, by Chernoff's bound."""
+"""Chance of so many jumps that were not seen, by Chernoff's bound."""
 SUSPECT: Final = 1e-3
 """The same, of a second run that goes many slots at once: where it is less likely, every slot is looked at."""
 FEW: Final = 3

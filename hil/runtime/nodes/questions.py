@@ -40,8 +40,8 @@ class Questions:
     """Judges sensor frames by their nonces and counters.
 
     A hello names a session that may begin; it begins with the first slot whose nonce the name foretold. Its
-    slots only go on; none can be asked for that the rig has not reached, as nobody knows its nonce. Frames of a slot wait until
-    the one that closes it. A controller that starts in mid-run takes the session that it hears first.
+    slots only go on; none can be asked for that the rig has not reached, as its nonce is not known yet. Frames of a slot
+    wait until the one that closes it. A controller that starts in mid-run takes the session that it hears first.
 
     Args:
         counts: where refusals are counted.

@@ -60,7 +60,7 @@ class Rig:
         sink: where records go.
         channels: the table of what is logged.
         stop: ends the run (after a trip of the safety, once ``after_trip`` has passed).
-        wire: the nonces; by default none, as nobody else can speak in virtual time.
+        wire: the nonces; by default none, as no other process can send in virtual time.
         identifiers: CAN identifiers of the frames, where the table holds them.
         woken: when the slot of a nominal time really began, session time, ns; in virtual time at its nominal time.
         changing: whether the experiment may be changed in the run, see `change`.

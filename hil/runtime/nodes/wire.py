@@ -3,7 +3,7 @@ r"""The nonces of a session: whoever knows those of the past cannot tell the nex
 .. math:: n_k = h(n_{k+1}), \qquad h(n) = \mathrm{SHA256}(n)_{1 \ldots 8},
 
 a hash chain that is computed backwards from a secret and revealed slot by slot; the hello reveals
-:math:`n_{-1}`. So nobody but the rig can put a question for a slot that the rig has not begun, without any key at the controller.
+:math:`n_{-1}`. So only the rig can put a question for a slot that the rig has not begun, without any key at the controller.
 After `SEGMENT` slots the next chain begins.
 
 Reference: L. Lamport, Password authentication with insecure communication, Comm. ACM 24 (1981) 770-772; A. Perrig et al., The
@@ -38,7 +38,7 @@ class Wire:
     """How a rig speaks.
 
     Args:
-        nonce: the nonce of a slot, u64; 0 for all where nobody else can speak.
+        nonce: the nonce of a slot, u64; 0 for all where no other process can send.
         hello: the nonce of the hello.
     """
 

@@ -74,7 +74,7 @@ class StopSignals:
             WATCH.get().stopping()
 
 
-NOBODY: Final = 3
+NO_CONTROLLER: Final = 3
 """The rig: no controller answered."""
 FAILED: Final = 4
 """The rig: a part of the loop failed in the run, as an event of the log says."""

@@ -189,7 +189,7 @@ class LinkExchange:
         deadline_ns: how long the answer may take, ns.
         stopped: whether the run was ended from outside.
         now: session time, ns.
-        happened: told how much after the begin of its slot the question left, or a frame came, ns.
+        happened: called with how long after the begin of its slot the question left, or a frame came, ns.
     """
 
     def __init__(

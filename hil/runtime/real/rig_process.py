@@ -23,7 +23,7 @@ from hil.runtime.nodes.failures import failure_of
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.child import read_job
-from hil.runtime.real.ending import ENDED, FAILED, NOBODY
+from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import WarmUpRig
@@ -109,7 +109,7 @@ def main() -> None:
     """Run one job from standard input.
 
     Raises:
-        SystemExit: `ENDED`; `FAILED` where a part of the loop did; `NOBODY` if no controller answered.
+        SystemExit: `ENDED`; `FAILED` where a part of the loop did; `NO_CONTROLLER` if no controller answered.
     """
     job: Job = read_job()
     die_with_parent(job.parent)
@@ -145,7 +145,7 @@ def main() -> None:
             if greeting.foreign:
                 sys.stderr.write(f"hil: {greeting.foreign} frames that are no answer came on {job.link.uri} meanwhile\n")
             sink.close()
-            raise SystemExit(NOBODY)
+            raise SystemExit(NO_CONTROLLER)
         real.begin()
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
         sink.commit()

@@ -29,7 +29,7 @@ from hil.plugins.registry import OBJECT
 from hil.rig.session_link import SessionLink
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
-from hil.runtime.real.ending import NOBODY, StopSignals
+from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
 from hil.runtime.time.clock import monotonic_ns, pause
 from transport.links.mesh_peer import bus_directory, clear_dead_channels
@@ -142,7 +142,7 @@ def run_real(
         seed: seed of the run.
         link: between rig and controller.
         sink: takes every record, in this process.
-        external: do not start a controller: somebody else's program answers on the link.
+        external: do not start a controller: an external program answers on the link.
         hello_timeout_s: how long the rig waits for a first answer, s.
         taps: see :func:`hil.log.write.pipe.pump`.
 
@@ -217,7 +217,7 @@ def run_real(
     outcome.interrupted = signals.seen
     outcome.rig_status = children[0].poll()
     if signals.seen is None and not outcome.pump.records:
-        if outcome.controller_lost is None and outcome.rig_status == NOBODY:
+        if outcome.controller_lost is None and outcome.rig_status == NO_CONTROLLER:
             raise HilError(f"no controller answered on {link.uri} within {job.hello_timeout_s:g} s")
         why = outcome.rig_silent or outcome.controller_failed or outcome.controller_lost or children[0].how()
         raise HilError(f"{why} before the run began; see its message above, if any")
