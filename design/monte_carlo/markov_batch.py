@@ -21,6 +21,7 @@ import numpy.typing as npt
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.monte_carlo.random_streams import CHAIN, NOISE, DrawTable, Workers, chunk_numbers, inside_chunk, spread
+from design.processes.elementary import normal_quantile
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -99,9 +100,7 @@ class _Task:
         return energy[inside], np.sqrt(peak[inside]), x[:, inside].T, mean, second, occupancy
 
     def _noise(self, table: DrawTable, k: int, q: int) -> FloatArray:
-        from scipy.special import ndtri
-
-        return np.asarray(ndtri(np.stack([table.row(k * q + c) for c in range(q)])))
+        return normal_quantile(np.stack([table.row(k * q + c) for c in range(q)]))
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
