@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, as_change, checked_experiment
 from hil.errors import HilError
 from hil.session import Session
 from hil.sweeps.probability import frequency
 
 
+@checked_arguments
 def assert_probability(
     source: Source,
     holds: Callable[[Session], object],
@@ -86,6 +88,7 @@ def command_of(source: Source, seed: int, changes: Mapping[str, Any]) -> str:
     return shlex.join(["hil", "run", str(source), "--seed", str(seed), *sets])
 
 
+@checked_arguments
 def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
     """Assert that the delays of a run are those of its network law, by the law's own test of goodness of fit.
 

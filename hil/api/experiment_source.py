@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hil.api.arguments import checked_arguments
 from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment as read_experiment
 from hil.experiment.load import parse_plugin
@@ -66,6 +67,7 @@ LAW = re.compile(r"network\.(sc|ca|nodes\.[^.]+)\.law")
 """The same for network laws."""
 
 
+@checked_arguments
 def load_experiment(
     source: str | Path, sets: Sequence[str] = (), *, seed: int | None = None, duration: str | float | None = None, **changes: Any
 ) -> Experiment:
@@ -145,7 +147,10 @@ def _table_of(path: str, value: Any) -> Any:
                 return {"kind": "output-feedback", "A": found.A, "B": found.B, "C": found.C, "D": found.D}
             value = found.D
         if isinstance(value, np.ndarray | list | tuple | float | int):
-            return {"kind": "local", "gain": np.atleast_2d(np.asarray(value, dtype=np.float64))}
+            try:
+                return {"kind": "local", "gain": np.atleast_2d(np.asarray(value, dtype=np.float64))}
+            except (TypeError, ValueError) as error:
+                raise HilError(f"controller: {value!r:.60}; expected a gain, a matrix (m, p) of numbers, or an object") from error
     return value
 
 

@@ -11,13 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, as_change, checked_experiment, load_experiment, object_of
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.files.outputs import check_output, write_output
 from hil.log.read.run import read_run
+from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
+from hil.log.topics import channels_of
+from hil.measure.measure import unknown_name
 from hil.measure.view import view_of
 from hil.replay.replay import Verdict as LogVerdict
 from hil.replay.replay import experiment_of
@@ -28,10 +32,11 @@ from hil.sweeps.comparison import Comparison
 from hil.sweeps.comparison import compare as compare_experiments
 from hil.sweeps.parameters import ParameterSweep, load_points, sweep_parameters
 from hil.sweeps.points import Points, grid_of, latin_hypercube
-from hil.sweeps.seeds import here, run_sweep
+from hil.sweeps.seeds import LAST_SEED, here, run_sweep
 from hil.sweeps.sweep import Sweep
 
 
+@checked_arguments
 def verify(
     log: str | Path, *, plant: object = None, controller: object = None, laws: Mapping[str, object] | None = None,
     folder: str | Path | None = None,
@@ -57,6 +62,7 @@ def verify(
     return verify_run(run, str(log), experiment_of(run, str(log), folder=where, laws=laws, **made))
 
 
+@checked_arguments
 def run(
     source: Source,
     *,
@@ -103,6 +109,7 @@ def run(
     return replace(session, log=lambda: run, summary=summary)
 
 
+@checked_arguments
 def report(
     source: Session | Comparison | ParameterSweep | str | Path,
     *,
@@ -173,6 +180,7 @@ def _report_of_many(
     return target
 
 
+@checked_arguments
 def simulate(
     source: Source | Loop,
     *,
@@ -197,9 +205,14 @@ def simulate(
             raise HilError("a composed loop takes no changes: give them to load_experiment")
         return simulate_loop(source, source.experiment.seed if seed is None else seed, topics)
     checked = checked_experiment(source, seed, duration, changes)
-    return simulate_loop(compose(checked), checked.seed, topics)
+    loop = compose(checked)
+    unknown = sorted({*map(str, topics or ())} - {*channels_of(loop), EVENTS_TOPIC})
+    if unknown:
+        raise unknown_name("topic", unknown[0], channels_of(loop))
+    return simulate_loop(loop, checked.seed, topics)
 
 
+@checked_arguments
 def sweep(
     source: Source,
     *,
@@ -231,8 +244,8 @@ def sweep(
     Raises:
         HilError: if the experiment cannot be run, or the points are none.
     """
-    if runs < 1 or first_seed < 0:
-        raise HilError(f"runs: {runs}, first_seed: {first_seed}; expected at least one run and no negative seed")
+    if runs < 1 or first_seed < 0 or first_seed + runs > LAST_SEED:
+        raise HilError(f"runs: {runs}, first_seed: {first_seed}; expected at least one run, and seeds from 0 to 2^63 - 1")
     if grid is None and range is None and points is None:
         seeds = builtins.range(first_seed, first_seed + runs)
         return run_sweep(checked_experiment(source, None, None, changes), seeds, workers=here(jobs))
@@ -269,6 +282,7 @@ def _points(
     return latin_hypercube([f"{path}={':'.join(ends)}" for path, ends in said.items()], count or 0)
 
 
+@checked_arguments
 def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -> Comparison:
     """Run several experiments for the same seeds, so that those with the same network laws meet the same delays.
 
@@ -285,6 +299,6 @@ def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -
     named = {experiment.name: experiment for experiment in checked}
     if not named or len(named) < len(checked):
         raise HilError(f"compare: {len(checked)} experiments have {len(named)} names; expected one name each")
-    if runs < 2:
-        raise HilError(f"compare: {runs} runs of each; expected at least 2")
+    if not 2 <= runs <= LAST_SEED:
+        raise HilError(f"compare: {runs} runs of each; expected at least 2, and seeds below 2^63")
     return compare_experiments(named, runs, jobs=jobs)

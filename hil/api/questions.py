@@ -14,6 +14,7 @@ import numpy as np
 
 from design.tracking.design_file import design_text, to_document
 from design.verdict import Verdict
+from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, checked_experiment
 from hil.design_questions.design_problem import TrackingTarget, verdict_on
 from hil.errors import HilError
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from hil.api.laws_result import Laws
 
 
+@checked_arguments
 def design(source: str, *, period: float | None = None, sojourns: int = 1, **options: Any) -> DesignResult:
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -53,7 +55,9 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, **opt
     from design.requests.tracking import solve_tracking
     from hil.design_questions.design_problem import problem_for, tracking_target
 
-    target = tracking_target(source, period, sojourns)
+    if sojourns < 1:
+        raise HilError(f"design: sojourns: {sojourns}; expected a whole number of at least 1")
+    target = tracking_target(source, None if period is None else float(period), sojourns)
     begun = monotonic_ns()
     try:
         found = solve_tracking(problem_for(target, **options))
@@ -62,6 +66,7 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, **opt
     return DesignResult(target=target, design=found, wall_s=round((monotonic_ns() - begun) / 1e9, 3))
 
 
+@checked_arguments
 def laws(source: Source, **changes: Any) -> Laws:
     """Return what an experiment's network laws do in the long run, before anything runs.
 

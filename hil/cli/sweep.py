@@ -16,8 +16,6 @@ from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
-MOST_JOBS = 512
-
 if TYPE_CHECKING:
     from design.monte_carlo.confidence import StopRule
 
@@ -185,6 +183,8 @@ def measures_with(experiment: str, sets: tuple[str, ...], own: tuple[str, ...]) 
 
 def check_jobs(jobs: int) -> None:
     """Refuse a number of processes that means nothing, or that would only bring the machine down."""
+    from hil.sweeps.seeds import MOST_JOBS
+
     if jobs == 0 or not -1 <= jobs <= MOST_JOBS:
         raise HilError(f"--jobs: {jobs}; expected -1 or a number from 1 to {MOST_JOBS}")
 

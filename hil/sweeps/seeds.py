@@ -35,6 +35,10 @@ from hil.session import refuse_unsound_measures, simulate
 from hil.sweeps.lockstep import measured_alone, measures_in_lockstep, run_batch, runs_per_batch, supports_batch, view_of_batch
 from hil.sweeps.sweep import Sweep, SweepStore
 
+MOST_JOBS = 512
+LAST_SEED = 2**63
+"""Seeds are below it."""
+
 
 def foreign_parts(loop: Loop) -> tuple[str, ...]:
     """Return the classes of plant, controller, network laws and measures that are not ours, by name."""
@@ -166,7 +170,13 @@ def sweep(
 
 
 def here(jobs: int) -> Workers:
-    """So many processes on this machine, -1 for one per core."""
+    """So many processes on this machine, -1 for one per core.
+
+    Raises:
+        HilError: a number that means nothing, or that would only bring the machine down.
+    """
+    if jobs == 0 or not -1 <= jobs <= MOST_JOBS:
+        raise HilError(f"jobs: {jobs}; expected -1 or a number from 1 to {MOST_JOBS}")
     return Workers(backend="serial") if jobs == 1 else Workers(backend="loky", jobs=jobs)
 
 

@@ -123,6 +123,8 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: in
         HilError: if the file cannot be read, is no MCAP file, is no log of ours, is torn or damaged, or unpacks to far more
             than its length; the message names the file and the offset in it, and the remedy where there is one.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise HilError(f"read_run: path: {path!r:.40}; expected the path of a log, text or a path")
     path = Path(path)
     with open_mcap(path, descriptor) as (file, size):
         reading = _Reading(Content(budget=Budget(size)), path.parent)

@@ -1,0 +1,81 @@
+"""What a caller hands over by mistake is one error that says what is expected, and never a traceback of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from hil.session import Session
+
+WRONG = [None, 3, 2.5, True, {}, {"plant": 1}, [], ["dc-motor-h2"], ("dc-motor-h2",), {"a"}, b"x", object(), np.zeros(3)]
+CALLS: dict[str, Callable[..., Any]] = {
+    "run": hil.run, "simulate": hil.simulate, "sweep": hil.sweep, "compare": hil.compare, "design": hil.design, "laws": hil.laws,
+    "load_experiment": hil.load_experiment, "verify": hil.verify, "read_run": hil.read_run, "report": hil.report,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return hil.run("dc-motor-h2", duration=1)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_source_of_another_kind_is_one_error(name: str) -> None:
+    for wrong in WRONG:
+        with pytest.raises(hil.HilError, match=rf"{name}: (source|sources|log|path): .*; expected ") as told:
+            CALLS[name](wrong)
+        assert "\n" not in str(told.value)
+
+
+def test_a_chapter_of_another_kind_is_one_error() -> None:
+    for wrong in WRONG:
+        with pytest.raises(hil.HilError, match="no chapter is called"):
+            hil.reproduce_chapter(wrong)  # type: ignore[arg-type]
+
+
+def test_experiments_of_a_comparison_stand_for_themselves() -> None:
+    with pytest.raises(hil.HilError) as told:
+        hil.compare({"a": "dc-motor-h2", "b": "dc-motor-hinf"})  # type: ignore[arg-type]
+    assert str(told.value) == (
+        "hil.compare: sources: a dict; expected the name of an experiment, the path of its file or what load_experiment "
+        "returned; hand over each as an argument of its own"
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"seed": "x"}, "hil.run: seed: 'x'; expected a whole number or None"),
+        ({"seed": True}, "hil.run: seed: True; expected a whole number or None"),
+        ({"clock": "fast"}, "hil.run: clock: 'fast'; expected 'virtual' or 'real'"),
+        ({"log": 3}, "hil.run: log: 3; expected text, a path or None"),
+        ({"external": "yes"}, "hil.run: external: 'yes'; expected True or False"),
+        ({"signals": "x", "clock": "real"}, "signals 'x': expected zenoh:"),
+        ({"controller": ("a",)}, "controller: ('a',); expected a gain, a matrix (m, p) of numbers, or an object"),
+    ],
+)
+def test_an_option_of_another_kind_is_one_error(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(hil.HilError) as told:
+        hil.run("dc-motor-h2", **changes)
+    assert str(told.value).startswith(said)
+
+
+def test_numbers_that_nobody_can_run_are_refused() -> None:
+    for call in (
+        lambda: hil.sweep("dc-motor-h2", runs=10**30), lambda: hil.sweep("dc-motor-h2", runs=2, jobs=0),
+        lambda: hil.compare("dc-motor-h2", "dc-motor-hinf", runs=10**30), lambda: hil.sweep("dc-motor-h2", jobs=10**30),
+        lambda: hil.design("dc-motor", sojourns=0), lambda: hil.design("dc-motor", period=10**30),
+        lambda: hil.sweep("dc-motor-h2", grid=3), lambda: hil.load_experiment("dc-motor-h2", [3]),  # type: ignore[arg-type, list-item]
+        lambda: hil.load_experiment("dc-motor-h2", "seed=3"), lambda: hil.simulate("dc-motor-h2", topics=["/plant/measurment"]),
+    ):  # fmt: skip
+        with pytest.raises(hil.HilError):
+            call()
+
+
+def test_numbers_of_numpy_are_numbers(session: Session) -> None:
+    assert hil.run("dc-motor-h2", seed=np.int64(0), duration=np.float64(1.0)).metrics == session.metrics  # type: ignore[arg-type]
+    assert hil.run.__wrapped__.__name__ == hil.run.__name__  # type: ignore[attr-defined]  # signature and documentation stay
