@@ -53,16 +53,20 @@ def show_table(title: str, rows: list[dict[str, Any]]) -> None:
 @click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field, such as timing.idle=awake.")
 @click.option("--affinity", "affinities", multiple=True, type=click.Choice(get_args(Affinity)),
               help="CPUs of rig and controller; several are measured in turns.")  # fmt: skip
+@click.option("--live", is_flag=True, help="Instead: lateness with no, one and three readers of the live page.")
 @json_option("Print JSON.")
 def timing(
     duration: float, turns: int, links: tuple[str, ...], experiments: tuple[str, ...], sets: tuple[str, ...],
-    affinities: tuple[str, ...], as_json: bool,
+    affinities: tuple[str, ...], live: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Run the rig (by default at 1 kHz) beside cyclictest at the same priority."""
     from hil.bench.timing import EXPERIMENT, LINKS, bench_timing
 
     _check("--duration", duration, *SECONDS)
     _check("--duration over --turns", duration / turns, *SECONDS)
+    if live:
+        _live(duration, turns, (links or LINKS)[0], (experiments or (EXPERIMENT,))[0], as_json)
+        return
     rows = bench_timing(
         duration_s=duration, turns=turns, links=links or LINKS, experiments=experiments or (EXPERIMENT,), sets=sets,
         affinities=affinities, progress=status_line,
@@ -91,6 +95,20 @@ def timing(
         for row in rows
     ])  # fmt: skip
     print(f"{rows[0]['slots']} slots for each link; {rows[0]['scheduler']}")
+
+
+def _live(duration: float, turns: int, link: str, experiment: str, as_json: bool) -> None:
+    from hil.bench.live import bench_live
+
+    rows = bench_live(duration_s=duration, turns=turns, link=link, experiment=experiment, progress=status_line)
+    if as_json:
+        print_json(rows)
+        return
+    show_table(f"lateness of {experiment} over {link}, in us", [
+        {"readers": row["readers"], **row["lateness_us"], **{f"{q}, ratio": v for q, v in row["ratio"].items()},
+         "late or over": row["missed"], "dropped": row["dropped_records"], "pictures": row["pictures"]}
+        for row in rows
+    ])  # fmt: skip
 
 
 @command.command()

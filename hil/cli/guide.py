@@ -10,9 +10,10 @@ import click
 from hil.errors import HilError
 
 ORDER = (
-    "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "who-commands", "real-time", "vcan",
-    "ci", "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls", "several-sensors",
-    "can-bus", "identification", "networks", "reproducing-the-thesis", "errata", "glossary", "architecture", "decisions",
+    "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "who-commands", "real-time",
+    "live", "vcan", "ci", "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls",
+    "several-sensors", "can-bus", "identification", "networks", "reproducing-the-thesis", "errata", "glossary", "architecture",
+    "decisions",
 )  # fmt: skip
 """Topics in reading order; a page that is not named here comes last."""
 

@@ -73,6 +73,7 @@ class LivePage(ThreadingHTTPServer):
         self.desk, self.about = desk, about
         self.token = secrets.token_urlsafe(18)
         self.refused = 0
+        self.closed = False
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
         try:
             super().__init__((HOST, port), Handler)
@@ -112,7 +113,8 @@ class LivePage(ThreadingHTTPServer):
         """A browser that went away is no news."""
 
     def close(self) -> None:
-        """Serve nothing more."""
+        """Serve nothing more; a connection that is open gets one more answer at most."""
+        self.closed = True
         self.shutdown()
         self.server_close()
         self._thread.join()
@@ -161,6 +163,7 @@ class Handler(BaseHTTPRequestHandler):
             self.server.refused += 1
             self.close_connection = True  # what it still sends is not read
             status, kind, data = error.status, "application/json", json.dumps({"error": str(error)}).encode()
+        self.close_connection = self.close_connection or self.server.closed
         if kind.startswith("text/"):
             kind += "; charset=utf-8"
         with suppress(OSError):
