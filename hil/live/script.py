@@ -44,7 +44,7 @@ def read_script(path: Path) -> list[Asked]:
             continue
         try:
             said = msgspec.json.decode(line, type=Line)
-        except (msgspec.DecodeError, RecursionError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             form = '{"slot": 40, "field": "reference", "value": [1.0]}'
             raise HilError(f"{path}: line {number}: {error}; expected {form}") from None
         if said.slot < (found[-1][0] if found else 0):

@@ -18,6 +18,7 @@ from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.measure.measure import Quantity
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
+from hil.notebook.paper_style import paper_style
 
 if TYPE_CHECKING:
     import pandas
@@ -29,11 +30,6 @@ if TYPE_CHECKING:
 
 MM_PER_INCH = 25.4
 FORMATS = (".svg", ".pdf", ".png")
-PAPER_STYLE: Any = {
-    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
-    "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
-}  # fmt: skip
-"""What matplotlib is told for a figure that is printed in a column."""
 
 
 def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: float, height_mm: float) -> PaperFigure:
@@ -47,17 +43,14 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
     Raises:
         HilError: if matplotlib is not installed, or for another ending or size.
     """
-    try:
-        from matplotlib import rc_context
+    context = paper_style("plot")
+    from hil.notebook.paper_figure import PaperFigure
 
-        from hil.notebook.paper_figure import PaperFigure
-    except ImportError as error:
-        raise HilError("plot: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
     if path is not None and Path(path).suffix not in FORMATS:
         raise HilError(f"plot: {str(path)!r}; expected a name that ends in {', '.join(FORMATS)}")
     if not (10.0 <= width_mm <= 2000.0 and 10.0 <= height_mm <= 2000.0):
         raise HilError(f"plot: {width_mm:g} mm x {height_mm:g} mm; expected 10 to 2000 mm")
-    with rc_context(PAPER_STYLE):
+    with context:
         sheet = PaperFigure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
         paint(sheet)
         if path is not None:
@@ -254,4 +247,4 @@ def _label(name: str, unit: str) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-__all__ = ["MM_PER_INCH", "PAPER_STYLE", "Result", "cell", "data_frame", "datasets", "figure", "tables"]
+__all__ = ["MM_PER_INCH", "Result", "cell", "data_frame", "datasets", "figure", "tables"]

@@ -10,7 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hil.errors import HilError
-from hil.notebook import MM_PER_INCH, PAPER_STYLE
+from hil.notebook import MM_PER_INCH
+from hil.notebook.paper_style import paper_style
 from hil.pages.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 from hil.pages.html.numbers import share_text
 
@@ -34,17 +35,15 @@ def write_figures(
     Raises:
         HilError: if matplotlib is not installed, or the folder cannot be written.
     """
-    try:
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure as Sheet
-    except ImportError as error:
-        raise HilError("--figures: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
+    context = paper_style("--figures")
+    from matplotlib.figure import Figure as Sheet
+
     written: list[Path] = []
     plots = [block for section in sections for block in section.blocks if isinstance(block, Plot)]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for number, plot in enumerate(plots, start=1):
-            with rc_context(PAPER_STYLE):
+        with context:
+            for number, plot in enumerate(plots, start=1):
                 sheet = Sheet(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
                 draw(plot, sheet.subplots())
                 for ending in ENDINGS:

@@ -37,6 +37,8 @@ from hil.recordings.recording import ROUND_TRIP, THERE, Recording, Way
 Array = NDArray[np.float64]
 
 MOST_BYTES = 256 << 20
+LATEST_S = 1e12
+"""No instant of a clock is as late, s."""
 VALUES = {"latency_s": (THERE, 1.0), "latency_ms": (THERE, 1e-3), "rtt_s": (ROUND_TRIP, 1.0), "rtt_ms": (ROUND_TRIP, 1e-3)}
 NOMINAL_S = 1.0
 """Time between packets of a table that does not say when they were sent."""
@@ -113,8 +115,8 @@ def _number(path: Path, line: int, text: str) -> float:
         value = float(word)
     except ValueError:
         value = math.inf
-    if not math.isfinite(value):
-        raise HilError(f"{path}:{line}: {text!r:.40} is no number, expected one, or nothing of a packet that was lost")
+    if not abs(value) < LATEST_S:
+        raise HilError(f"{path}:{line}: {text!r:.40} is no number below {LATEST_S:g}, expected one, or nothing of a lost packet")
     return value
 
 

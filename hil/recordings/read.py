@@ -20,6 +20,7 @@ from hil.log.read.foreign_logs import can_frames
 from hil.log.read.run import read_run
 from hil.log.run import Run
 from hil.log.topics import CA, PROBE, SC
+from hil.recordings.foreign_packets import LATEST_S
 from hil.recordings.recording import BACK, THERE, Recording, Way
 from transport.draws import DELIVERED, LOST, NO_MODE, OVERFLOW, SENT
 
@@ -189,6 +190,8 @@ def _frames(path: Path, can_id: int | None):  # type: ignore[no-untyped-def]
             raise HilError(f"{path}: more than {MOST_FRAMES} frames")
         if frame.is_error_frame or frame.is_remote_frame:
             continue
+        if not abs(frame.timestamp) < LATEST_S:
+            raise HilError(f"{path}: frame {number}: {frame.timestamp!r:.40} is no instant, expected seconds below {LATEST_S:g}")
         if frame.timestamp < last:
             raise HilError(f"{path}: frame {number}: time stamps run backwards, from {last:.6f} to {frame.timestamp:.6f}")
         last = frame.timestamp

@@ -72,7 +72,13 @@ def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
 
 
 def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
-    rows = csv.DictReader(text.splitlines())
+    try:
+        return _of_rows(path, csv.DictReader(text.splitlines()))
+    except csv.Error as error:  # of the head, too
+        raise HilError(f"{path}: is no table: {error}") from error
+
+
+def _of_rows(path: Path, rows: csv.DictReader[str]) -> tuple[TrafficTable, ...]:
     unknown = set(rows.fieldnames or ()) - set(TrafficTable.__struct_fields__)
     missing = {"can_id", "period"} - set(rows.fieldnames or ())
     if unknown or missing:
@@ -121,18 +127,18 @@ def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
     try:
         database: Any = cantools.database.load_string(text, "dbc", strict=False)
     except Exception as error:  # of any kind, from whatever stands in the file
-        raise HilError(f"{path}: is no DBC: {str(error).splitlines()[0]:.200}") from error
+        raise HilError(f"{path}: is no DBC: {str(error).partition(chr(10))[0]:.200}") from error
     found = []
     for message in database.messages:
         if message.cycle_time:
-            values = {
-                "name": message.name, "can_id": message.frame_id, "period": Seconds(message.cycle_time / 1000),
-                "length": message.length, "extended": message.is_extended_frame, "fd": bool(message.is_fd),
-                "node": message.senders[0] if message.senders else "",
-            }  # fmt: skip
             try:
+                values = {
+                    "name": message.name, "can_id": message.frame_id, "period": Seconds(message.cycle_time / 1000),
+                    "length": message.length, "extended": message.is_extended_frame, "fd": bool(message.is_fd),
+                    "node": message.senders[0] if message.senders else "",
+                }  # fmt: skip
                 found.append(_sound(values))
-            except ValueError as error:
+            except (ValueError, TypeError) as error:  # an attribute of another type than the format has
                 raise HilError(f"{path}: message {message.name}: {error}") from error
     return tuple(found)
 

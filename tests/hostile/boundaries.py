@@ -7,6 +7,7 @@ import io
 import json
 import os
 import resource
+import struct
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -26,8 +27,12 @@ from hil.errors import HilError
 from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.files import mat_child
 from hil.files.arrays import MOST_NUMBERS, _of_npy, numbers_from_file
+from hil.live.script import read_script
 from hil.log.events import decode_event, encode_event
 from hil.log.read.foreign_logs import read_signal_table
+from hil.recordings.read import read_recording
+from hil.recordings.recording import packet_records
+from hil.rig.traffic_file import read_traffic
 from hil.sweeps.points import grid, latin_hypercube
 from hil.sweeps.sweep import SweepStore
 from tests.hostile.logs import foreign_log, motor, our_log, read_log
@@ -178,6 +183,62 @@ def _can_log(suffix: str) -> Callable[[], list[bytes]]:
     return real
 
 
+# Recordings, traffic and scripts
+
+
+def _recording(path: Path) -> bool:
+    packet_records(read_recording([path]))
+    return True
+
+
+@cache
+def bus_log() -> bytes:
+    """A log of 300 frames that differ."""
+    return "".join(f"({1e9 + k:.6f}) can0 123#{k:08X}\n" for k in range(300)).encode()
+
+
+def _pair_of_logs(path: Path) -> bool:
+    other = path.with_name("other.log")
+    other.write_bytes(bus_log())
+    packet_records(read_recording([path, other]))
+    return True
+
+
+def ping() -> bytes:
+    """A capture of 300 echoes, Ethernet and IPv4, as `tcpdump -w` writes it."""
+    out = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    for k in range(300):
+        for kind, at_us in ((8, 0), (0, 1500 + k % 7)):
+            addresses = (b"\n\0\0\1", b"\n\0\0\2")[:: 1 if kind == 8 else -1]
+            data = b"\0" * 12 + b"\x08\0" + struct.pack(">BBHHHBBH", 0x45, 0, 28, 0, 0, 64, 1, 0) + b"".join(addresses)
+            data += struct.pack(">BBHHH", kind, 0, 0, 77, k)
+            out += struct.pack("<IIII", 1_700_000_000 + k, at_us, len(data), len(data)) + data
+    return out
+
+
+def _table(head: str, row: Callable[[int], str]) -> bytes:
+    return "\n".join([head, *map(row, range(300))]).encode()
+
+
+PACKETS = [
+    _table("latency_ms", lambda k: "lost" if k % 9 == 4 else f"1.{k % 7}"),
+    _table("sent_s [s],received_s [s]", lambda k: f"{k},{k}.{k % 7 + 1}"),
+    _table("sent_s,rtt_s", lambda k: f"{k},0.0{k % 7 + 1}"),
+]  # fmt: skip
+TRAFFIC = [b"can_id,period,length,node,jitter\n0x123,10 ms,8,a,1 ms\n291,0.02,4,,\n"]
+BUS = b"""VERSION ""
+NS_ :
+BS_:
+BU_: pump
+BO_ 291 state: 8 pump
+ SG_ level : 0|16@1+ (0.1,0) [0|100] "l" Vector__XXX
+BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;
+BA_DEF_DEF_ "GenMsgCycleTime" 0;
+BA_ "GenMsgCycleTime" BO_ 291 20;
+"""
+SCRIPT = [b'{"slot": 4, "field": "reference", "value": [1.0]}\n\n{"slot": 9, "field": "network.sc.law", "value": {"age": 1}}\n']
+
+
 # The rest
 
 
@@ -288,6 +349,12 @@ def _table() -> dict[str, Boundary]:
         "event": raw(60_000, lambda: [EVENT], lambda _place, data: bool(decode_event(data))),
         "candump": file(20_000, "x.log", _can_log(".log"), _decoded),
         "blf": raw(20_000, _can_log(".blf"), _in_file("x.blf", _decoded)),
+        "packets": file(20_000, "x.csv", lambda: PACKETS, _recording),
+        "capture of ping": raw(20_000, lambda: [ping()], _in_file("x.pcap", _recording)),
+        "pair of CAN logs": file(4_000, "x.log", lambda: [bus_log()], _pair_of_logs),
+        "traffic": file(20_000, "x.csv", lambda: TRAFFIC, read_traffic),
+        "DBC": file(8_000, "x.dbc", lambda: [BUS], read_traffic),
+        "script of a live run": file(20_000, "x.jsonl", lambda: SCRIPT, read_script),
         "key": file(40_000, "k", lambda: KEYS, lambda path: read_key(str(path)), (TransportError,)),
         "passwords": file(40_000, "u", lambda: [b"controller:secret\nother:word\n"], _login, (TransportError,)),
         "frame": raw(120_000, _frames, _frame, ()),

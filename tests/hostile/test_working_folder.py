@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import py_compile
 import subprocess
 import sys
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 HIL = str(Path(sys.executable).with_name("hil"))
 NAMES = (
     "pickle", "can", "design", "numpy", "zenoh", "json", "struct", "msgspec", "signal", "transport", "plants", "hil", "joblib",
-    "multiprocessing", "socket", "selectors",
+    "multiprocessing", "socket", "selectors", "sitecustomize", "usercustomize", "matplotlib", "cloudpickle",
 )  # fmt: skip
 NOTE = """import os, pathlib
 pathlib.Path(__file__).with_name(f"RAN-{__name__}-{os.getpid()}").touch()
@@ -46,9 +48,15 @@ COMMANDS = {
 
 @pytest.fixture
 def shadowed(tmp_path: Path) -> Path:
-    """A folder with sixteen files that say when they run."""
+    """A folder with files that say when they run: modules, their bytecode, a library, a .pth; and what configures Python."""
     for name in NAMES:
         (tmp_path / f"{name}.py").write_text(NOTE)
+        py_compile.compile(str(tmp_path / f"{name}.py"))
+        (tmp_path / f"{name}{EXTENSION_SUFFIXES[0]}").write_bytes(b"no library")
+    (tmp_path / "here.pth").write_text("import pickle\n")
+    (tmp_path / "pyvenv.cfg").write_text(f"home = {tmp_path}\ninclude-system-site-packages = true\n")
+    (tmp_path / ".env").write_text(f"PYTHONPATH={tmp_path}\n")
+    (tmp_path / "python311._pth").write_text(".\n")
     (tmp_path / "inside").mkdir()
     (tmp_path / "inside" / "test_mine.py").write_text(PLUG_IN.format(pid=os.getpid()))
     return tmp_path
@@ -94,3 +102,18 @@ def test_every_python_of_ours_starts_without_its_working_folder() -> None:
     assert starts.pop("hil/runtime/real/child.py") == 'PYTHON: Final = (sys.executable, "-P")'
     assert '[sys.executable, "-P", ' in starts.pop("plants/fmu_run.py")
     assert all("-I" in line or line == "python=sys.executable," for line in starts.values()), starts
+
+
+@pytest.mark.parametrize("kind", ["settings", "bytes", "pipe"])
+def test_a_matplotlibrc_of_the_folder_is_not_read(kind: str, tmp_path: Path) -> None:
+    """It could run TeX, take a canvas of its own, or never end."""
+    subprocess.run([HIL, "run", "dc-motor-hinf", "--duration", "1", "--quiet", "-o", "a.mcap"], cwd=tmp_path, check=True)
+    if kind == "pipe":
+        os.mkfifo(tmp_path / "matplotlibrc")
+    else:
+        text = b"text.usetex: True\nbackend: module://pickle\nfont.size: 1000\n" if kind == "settings" else bytes(range(256))
+        (tmp_path / "matplotlibrc").write_bytes(text)
+    asked = [HIL, "report", "a.mcap", "--figures", "figures"]
+    done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert [*(tmp_path / "figures").glob("*.svg")]
