@@ -136,7 +136,7 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     ))  # fmt: skip
     blocks.append(_correlations(fit))
     rows: list[tuple[str | float | int, ...]] = [
-        (c.name, c.fitted_to, c.parameters, round(c.bic, 1), *(f"{p:.2g}" for p in (c.fitness.neighbours, c.fitness.shape)))
+        (c.name, c.fitted_to, c.parameters, round(c.bic, 1), *(f"{p:.2g}" for p in (c.fitness.independence, c.fitness.shape)))
         if c.fitness is not None else (c.name, c.fitted_to, c.parameters, round(c.bic, 1), "-", "-")
         for c in fit.candidates
     ]  # fmt: skip

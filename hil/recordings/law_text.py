@@ -44,8 +44,9 @@ def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict
     said: dict[str, Any] = {
         "source": source, "way": way, "class": fit.law_class, "packets": len(record.sent_s), "lost": int((~record.came).sum()),
         "period_s": fit.period_s, "deadline_s": fit.deadline_s, "distribution": fit.latencies.name,
-        "p_neighbours": tested.neighbours, "p_lags": tested.lags, "largest_correlation": tested.largest,
-        "at_lag": tested.largest_lag, "p_slots": fit.in_slots, "p_shape": tested.shape, "notes": list(notes),
+        "p_independent": tested.independence, "p_neighbours": tested.neighbours, "p_lags": tested.lags,
+        "largest_correlation": tested.largest, "at_lag": tested.largest_lag, "p_slots": fit.in_slots, "p_shape": tested.shape,
+        "notes": list(notes),
     }  # fmt: skip
     if fit.ages is not None:
         said["intervals"] = {name: list(pair) for name, pair in fit.ages.intervals.items()}

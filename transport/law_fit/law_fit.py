@@ -20,7 +20,7 @@ from transport.law_fit.age_models import AgeFit, fit_ages
 from transport.law_fit.latency_families import LatencyFit, bic, fit_latencies
 from transport.law_fit.loss_models import LossFit, fit_loss
 from transport.law_fit.packet_record import PacketRecord, ages_of, delays_in_slots
-from transport.law_fit.proportions import REJECT, Fitness, fitness
+from transport.law_fit.proportions import LAGS, REJECT, Fitness, fitness
 
 Array = NDArray[np.float64]
 LawClass = Literal["constant", "independent", "gilbert-elliott", "markov", "semi-markov", "none"]
@@ -53,7 +53,7 @@ class LawFit:
         ages: the fit of ages, where latencies are not independent.
         candidates: all that was tried, the best of every kind first.
         tested: residuals of the packet law: independence of latencies and losses, and the shape.
-        in_slots: p-value of independence of the slots in which neighbours come, where that of latencies is rejected; else 1.
+        in_slots: p-value of independence of the slots in which packets come, where that of latencies is rejected; else 1.
         record: what was fitted.
         period_s, deadline_s: length of a slot, and when it closes.
     """
@@ -116,7 +116,7 @@ def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: flo
         Candidate(name=f.kind, fitted_to="ages", parameters=f.parameters, bic=f.score, fitness=t) for f, t in zip(chains, checked)
     ]
     best = chains[0]
-    sound = checked[0].independent and not checked[0].pattern  # there is no further law to try: every pattern counts
+    sound = checked[0].independent
     kind: LawClass = "none" if not sound else "markov" if best.kind == "markov" else "semi-markov"
     return replace(found, law_class=kind, spec=best.spec, ages=best, candidates=tuple(tried))
 
@@ -150,7 +150,7 @@ def _bounded(record: PacketRecord, latencies: LatencyFit, period_s: float, deadl
 
 
 def _slots_independent(record: PacketRecord, period_s: float, deadline_s: float) -> float:
-    """p-value of independence of the slots of neighbours: Fisher's exact test of each delay that comes up and of loss."""
+    """p-value of independence of the slots up to `LAGS` apart: Fisher's exact test of each delay that comes up and of loss."""
     if np.isfinite(record.censored_s).any():
         return 0.0  # what was overtaken has no slot
     delays = delays_in_slots(record, period_s, deadline_s)
@@ -160,6 +160,7 @@ def _slots_independent(record: PacketRecord, period_s: float, deadline_s: float)
     smallest = 1.0
     for delay in found.tolist():
         here = delays == delay
-        pairs = np.array([[(a & b).sum() for b in (here[1:], ~here[1:])] for a in (here[:-1], ~here[:-1])])
-        smallest = min(smallest, float(stats.fisher_exact(pairs).pvalue))
-    return min(1.0, smallest * len(found))
+        for lag in range(1, LAGS + 1):
+            pairs = np.array([[(a & b).sum() for b in (here[lag:], ~here[lag:])] for a in (here[:-lag], ~here[:-lag])])
+            smallest = min(smallest, float(stats.fisher_exact(pairs).pvalue))
+    return min(1.0, smallest * len(found) * LAGS)

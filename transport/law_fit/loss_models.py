@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special, stats
+from scipy import stats
 
 from transport.law_fit.latency_families import bic
-from transport.law_fit.proportions import Interval, wald_logit, wilson
+from transport.law_fit.profile_intervals import angles_of, minimum, profile_intervals, values_of
+from transport.law_fit.proportions import Interval, wilson
 
 Array = NDArray[np.float64]
 Lost = NDArray[np.bool_]
@@ -24,11 +25,16 @@ ALL = ("p_gb", "p_bg", "loss_good", "loss_bad")
 STARTS = ((0.25, 0.7, 1.0), (0.2, 0.8, 0.6), (0.4, 0.6, 0.5))
 """Where the search begins, as the likelihood has several tops: loss in the good mode as a share of all, in the bad one, and how
 much longer than they look the stays are."""
-AT_AN_END = 8.0
-"""A logit beyond this is at its end: the good mode then loses nothing, or the bad one all, and it is estimated no more."""
+SEARCHED = 1e-3
+"""A mode that loses nothing, or all, is taken where the likelihood is no smaller there, as far as the search tells."""
 
-NEARLY = 0.15
-"""An end of an interval that is nearer to 0 (or 1) than this share of the estimate is 0 (or 1): the logit knows no end."""
+IMPOSSIBLE = 1e300
+AT_ONCE = 1 << 14
+"""Blocks of eight packets whose matrices are multiplied at once, about: these stay in a cache."""
+LANES = 64
+"""Pieces of the record whose products are taken side by side, so that numbers that meet lie side by side."""
+ONE = 256
+"""Code of the unit matrix, which fills the last piece."""
 SUSPECT = 0.01
 FEWEST_LOSSES = 10
 """Of fewer losses no channel is estimated."""
@@ -41,7 +47,7 @@ class LossFit:
     Attributes:
         kind: "none", "independent" or "gilbert-elliott".
         values: of the parameters: `loss`, or p_gb, p_bg, loss_good, loss_bad.
-        intervals: with 95 % confidence, of those that were estimated.
+        intervals: with 95 % confidence, of all of them, also of one whose estimate is at an end.
         log_likelihood, parameters: of it.
         predicted: (n,) Pr(the packet is lost | what became of those before it).
     """
@@ -77,9 +83,7 @@ def fit_loss(lost: Lost, *, whole: bool) -> list[LossFit]:
         log_likelihood=losses * np.log(p) + (n - losses) * np.log1p(-p) if p < 1.0 else 0.0,
     )]  # fmt: skip
     if whole and losses >= FEWEST_LOSSES and _in_bursts(lost):
-        likelihood = _likelihood_of(lost)
-        fit = _channel(lost, ALL, likelihood)
-        found += [] if fit is None else [fit]
+        found.append(_channel(lost, _likelihood_of(lost)))
     return sorted(found, key=lambda f: bic(f.log_likelihood, f.parameters, n))
 
 
@@ -93,80 +97,92 @@ def _in_bursts(lost: Lost) -> bool:
     return False
 
 
-def _all(free: Array, names: tuple[str, ...]) -> Array:
-    """(4,) p_gb, p_bg, loss_good, loss_bad from the logits of those that are estimated."""
-    full = {"p_gb": 0.0, "p_bg": 0.0, "loss_good": 0.0, "loss_bad": 1.0} | dict(zip(names, special.expit(free).tolist()))
-    return np.array(list(full.values()))
-
-
-def _channel(lost: Lost, names: tuple[str, ...], likelihood: Callable[[Array], float]) -> LossFit | None:
+def _channel(lost: Lost, likelihood: Callable[[Array], Array]) -> LossFit:
     n, p = len(lost), float(lost.mean())
     again = float((lost[1:] & lost[:-1]).sum() / max(1, lost[:-1].sum()))  # Pr(lost | the one before was)
     leave = min(0.9, max(1e-3, 1.0 - again))
-    start = {"p_gb": min(0.5, max(2.0 / n, p * leave / (1.0 - p))), "p_bg": leave}
+    enter = min(0.5, max(2.0 / n, p * leave / (1.0 - p)))
 
-    def cost(free: Array) -> float:
-        return -likelihood(_all(free, names)) if np.abs(free).max() < 30.0 else 1e300
+    def cost(angles: Array) -> Array:
+        return -likelihood(values_of(angles))
 
-    tried = []
-    for good, bad, rate in STARTS:
-        all_of_them = {name: rate * value for name, value in start.items()} | {"loss_good": p * good, "loss_bad": bad}
-        begin = special.logit([min(0.95, all_of_them[name]) for name in names])
-        found = optimize.minimize(cost, begin, method="Nelder-Mead", options={"xatol": 1e-2, "fatol": 1e-2, "maxiter": 400})
-        tried.append(optimize.minimize(cost, found.x, method="BFGS", options={"gtol": 1e-3}))
-    best = min(tried, key=lambda each: float(each.fun))
-    ends = {name for name, x in zip(names, best.x.tolist()) if (x < -AT_AN_END if name == "loss_good" else x > AT_AN_END)}
-    if ends & {"loss_good", "loss_bad"}:
-        return _channel(lost, tuple(name for name in names if name not in ends or name.startswith("p_")), likelihood)
-    values = _all(best.x, names)
+    begins = (np.array([rate * enter, rate * leave, p * good, bad]) for good, bad, rate in STARTS)
+    at, least = min((minimum(cost, angles_of(np.minimum(begin, 0.97))) for begin in begins), key=lambda each: each[1])
+    values, free = values_of(at), len(ALL)
     if values[2] > values[3]:
-        return None
-    intervals = wald_logit(cost, best.x, names)
-    if "loss_good" in intervals and intervals["loss_good"].low < NEARLY * values[2]:
-        intervals["loss_good"] = Interval(0.0, intervals["loss_good"].high)
-    if "loss_bad" in intervals and 1.0 - intervals["loss_bad"].high < NEARLY * (1.0 - values[3]):
-        intervals["loss_bad"] = Interval(intervals["loss_bad"].low, 1.0)
+        values = values[[1, 0, 3, 2]]  # the modes have no names of their own
+    for number, end in ((2, 0.0), (3, 1.0)):
+        there = np.where(np.arange(len(ALL)) == number, end, values)
+        found, value = _rest(cost, angles_of(there), number)
+        if value <= least + SEARCHED:
+            values, least, free = values_of(found), min(least, value), free - 1
+    found = angles_of(values)
     return LossFit(
-        kind="gilbert-elliott", values=dict(zip(("p_gb", "p_bg", "loss_good", "loss_bad"), values.tolist())), intervals=intervals,
-        log_likelihood=-float(best.fun), parameters=len(names), predicted=_predicted(lost, values),
+        kind="gilbert-elliott", values=dict(zip(ALL, values.tolist())), log_likelihood=-least, parameters=free,
+        intervals=dict(zip(ALL, profile_intervals(cost, found))), predicted=_predicted(lost, values),
     )  # fmt: skip
 
 
+def _rest(cost: Callable[[Array], Array], at: Array, held: int) -> tuple[Array, float]:
+    """All angles, and the cost, where it is least with one of them held."""
+    found, value = minimum(lambda x: cost(np.insert(x, held, at[held], axis=1)), np.delete(at, held))
+    return np.insert(found, held, at[held]), value
+
+
 def _matrices(values: Array) -> tuple[Array, Array]:
-    """Stationary row (2,), and (2, 2, 2): for came and lost, emission and then transition."""
-    p_gb, p_bg, good, bad = values.tolist()
+    """Stationary rows (b, 2), and (2, 2, b, 2): entries, then came and lost, of emission and then transition."""
+    p_gb, p_bg, good, bad = values.T
     transition = np.array([[1.0 - p_gb, p_gb], [p_bg, 1.0 - p_bg]])
-    emission = np.array([[1.0 - good, 1.0 - bad], [good, bad]])
-    return np.array([p_bg, p_gb]) / (p_gb + p_bg), emission[:, :, None] * transition[None]
+    emission = np.array([[1.0 - good, good], [1.0 - bad, bad]])  # (mode, symbol, b)
+    return np.stack([p_bg, p_gb], axis=1) / (p_gb + p_bg)[:, None], np.einsum("isb,ijb->ijbs", emission, transition)
 
 
-def _likelihood_of(lost: Lost) -> Callable[[Array], float]:
-    """Return the log-likelihood as a function of (p_gb, p_bg, loss_good, loss_bad)."""
+def _product(left: Array, right: Array) -> Array:
+    """(2, 2, ...) entry by entry."""
+    found = left[:, :1] * right[:1]
+    found += left[:, 1:] * right[1:]
+    return found
+
+
+def _ordered(factors: Array) -> tuple[Array, Array]:
+    """Product of (2, 2, b, k, lanes) along k, each scaled to the sum 1, and (b,) the logarithm of what was taken out."""
+    logarithm = np.zeros(factors.shape[2])
+    while factors.shape[3] > 1:
+        even = factors.shape[3] // 2 * 2
+        found = _product(factors[:, :, :, 0:even:2], factors[:, :, :, 1:even:2])
+        sums = found.sum(axis=(0, 1))
+        logarithm += np.log(sums).sum(axis=(1, 2))
+        found /= sums
+        factors = np.concatenate([found, factors[:, :, :, even:]], axis=3) if even < factors.shape[3] else found
+    return factors[:, :, :, 0], logarithm
+
+
+def _likelihood_of(lost: Lost) -> Callable[[Array], Array]:
+    """Return the log-likelihood as a function of rows (b, 4) of p_gb, p_bg, loss_good, loss_bad; (b,)."""
     blocks = len(lost) // 8
-    codes = np.packbits(lost[: 8 * blocks].reshape(blocks, 8), axis=1)[:, 0]
+    codes = np.packbits(lost[: 8 * blocks].reshape(blocks, 8), axis=1)[:, 0].astype(np.intp)
+    codes = np.append(codes, np.full(-blocks % LANES, ONE)).reshape(LANES, -1).T.copy()
     rest = lost[8 * blocks :].astype(np.int64)
+    together = max(1, AT_ONCE // codes.size)
+    one = np.eye(2)[:, :, None, None]
 
-    def likelihood(values: Array) -> float:
+    def likelihood(values: Array) -> Array:
+        return np.concatenate([of_rows(values[i : i + together]) for i in range(0, len(values), together)])
+
+    def of_rows(values: Array) -> Array:
         first, steps = _matrices(values)
         eights = steps
         for _ in range(3):  # two, four, eight packets
-            size = len(eights)
-            eights = (eights[:, None] @ eights[None]).reshape(size * size, 2, 2)
-        product, logarithm = eights[codes], 0.0
-        while len(product) > 1:
-            half = len(product) // 2
-            tail = product[2 * half :]
-            product = product[0 : 2 * half : 2] @ product[1 : 2 * half : 2]
-            sums = product.sum(axis=(1, 2))
-            if (sums <= 0.0).any():
-                return -1e300
-            logarithm += float(np.log(sums).sum())
-            product = np.concatenate([product / sums[:, None, None], tail])
-        row = first @ product[0] if blocks else first
-        for symbol in rest.tolist():
-            row = row @ steps[symbol]
-        total = float(row.sum())
-        return logarithm + float(np.log(total)) if total > 0.0 else -1e300
+            eights = _product(eights[..., :, None], eights[..., None, :]).reshape(2, 2, len(values), -1)
+        eights = np.concatenate([eights, np.broadcast_to(one, (2, 2, len(values), 1))], axis=3)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            lanes, inner = _ordered(np.take(eights, codes, axis=3))
+            product, outer = _ordered(lanes[..., None])
+            row = np.einsum("bi,ijb->bj", first, product[..., 0])
+            for symbol in rest.tolist():
+                row = np.einsum("bi,ijb->bj", row, steps[..., symbol])
+            total = inner + outer + np.log(row.sum(axis=1))
+        return np.where(np.isfinite(total), total, -IMPOSSIBLE)
 
     return likelihood
 

@@ -1,18 +1,17 @@
-"""Confidence intervals of probabilities: Wilson's of counts, Clopper and Pearson's for guarantees, Wald's of logits.
+"""Confidence intervals of counted probabilities: Wilson's, and Clopper and Pearson's for guarantees.
 
 Whether a law explains a record: its residuals must be independent and normal.
 
 Every law says, of the next packet or slot and given the past, Pr(X < x) and Pr(X <= x). A uniform number between both of what
 came is uniform on [0, 1] and independent of all before, if the law is right (Rosenblatt 1952; randomised where there are atoms,
-Dunn and Smyth 1996); its normal quantile is the residual. Neighbours are tested three ways: correlation of the residuals, of
-their squares (which sees changes of spread and bursts), and their table of thirds. Further lags are tested by the statistic of
-Ljung and Box (1978): with many packets it sees patterns that matter to no loop, so that these count only where they are large,
-and are said always.
+Dunn and Smyth 1996); its normal quantile is the residual. That of |2 u - 1|, uniform and independent as well, is large where x is
+far from the middle, whichever side: it sees changes of spread, and bursts. Both are normal whatever the latencies are, so that no
+heavy tail spoils a test. Five tests, each at a fifth of the level (Bonferroni): of both kinds the correlation of neighbours, and
+the statistic of Ljung and Box (1978) over `LAGS` lags; and the table of neighbours' thirds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -59,41 +58,12 @@ def clopper_pearson(count: Array, n: Array, miss: float) -> tuple[Array, Array]:
     return np.asarray(low), np.asarray(high)
 
 
-def wald_logit(cost: Callable[[Array], float], at: Array, names: Sequence[str], step: float = 0.02) -> dict[str, Interval]:
-    """Return intervals from the observed information, on logits, where a log-likelihood is near a paraboloid.
-
-    Args:
-        cost: minus the log-likelihood of logits (m,).
-        at: its minimum, (m,).
-        names: of the parameters.
-        step: of the differences.
-    """
-    m = len(at)
-    hessian = np.empty((m, m))
-    steps = np.eye(m) * step
-    for i in range(m):
-        for j in range(i, m):
-            corners = (cost(at + a * steps[i] + b * steps[j]) * a * b for a in (-1, 1) for b in (-1, 1))
-            hessian[i, j] = hessian[j, i] = sum(corners) / (4.0 * step * step)
-    try:
-        variance = np.linalg.inv(hessian).diagonal()
-    except np.linalg.LinAlgError:
-        return {}
-    z = float(stats.norm.ppf(0.5 + LEVEL / 2.0))
-    at_an_end = 12.0  # there a logit has no interval
-    return {
-        name: Interval(*special.expit([x - z * s, x + z * s]).tolist())
-        for name, x, s in zip(names, at.tolist(), np.sqrt(np.where(variance > 0.0, variance, np.inf)).tolist())
-        if abs(x) < at_an_end
-    }
-
-
 LAGS = 20
+"""Tested at most; of fewer than 1000 packets one in 50, as the statistic of many lags exceeds its limit too often there."""
 CELLS = 40
 REJECT = 0.001
 """Probability, at most, with which a right law is rejected by a test."""
-LARGE = 0.2
-"""A correlation at a further lag that is larger counts: it explains more than 4 % of the variance."""
+TESTS = 5
 
 
 class Fitness(NamedTuple):
@@ -101,14 +71,16 @@ class Fitness(NamedTuple):
 
     Attributes:
         neighbours: p-value of independence of neighbours: the smallest of three, times three.
-        lags: p-value of Ljung and Box's statistic over `LAGS` lags, of residuals or their squares (the smaller, times two).
-        largest: the largest correlation at any of these lags, in size.
+        lags: p-value of Ljung and Box's statistic over `LAGS` lags, of residuals or of their size (the smaller, times two).
+        independence: p-value of independence: the smallest of all five, times five.
+        largest: the largest correlation of residuals at any of these lags, in size.
         largest_lag: where it is.
         shape: p-value of the distribution of the residuals.
     """
 
     neighbours: float
     lags: float
+    independence: float
     largest: float
     largest_lag: int
     shape: float
@@ -116,12 +88,7 @@ class Fitness(NamedTuple):
     @property
     def independent(self) -> bool:
         """Whether independence of the residuals is not rejected."""
-        return self.neighbours > REJECT and not (self.lags <= REJECT and abs(self.largest) > LARGE)
-
-    @property
-    def pattern(self) -> bool:
-        """Whether there is a pattern at further lags, however weak."""
-        return self.lags <= REJECT
+        return self.independence > REJECT
 
     @property
     def shaped(self) -> bool:
@@ -142,12 +109,13 @@ def fitness(low: Array, high: Array, parameters: int, rng: np.random.Generator) 
     counts = np.histogram(u, bins=np.linspace(0.0, 1.0, CELLS + 1))[0]
     chi_square = float(((counts - len(u) / CELLS) ** 2).sum() / (len(u) / CELLS))
     freedom = max(1, CELLS - 1 - min(parameters, CELLS // 2))
-    plain, square, root_n = correlations(score), correlations(score**2), len(u) ** 0.5
-    firsts = (2.0 * float(stats.norm.sf(abs(r[0]) * root_n)) for r in (plain, square))
+    size = np.asarray(stats.norm.ppf(np.clip(np.abs(2.0 * u - 1.0), 1e-15, 1.0 - 1e-15)), dtype=np.float64)
+    plain, sizes, root_n = correlations(score), correlations(size), len(u) ** 0.5
+    neighbours = min(_thirds(u), *(2.0 * float(stats.norm.sf(abs(r[0]) * root_n)) for r in (plain, sizes)))
+    lags = min(_ljung_box(r[: max(1, len(u) // 50)], len(u)) for r in (plain, sizes))
     largest = int(np.abs(plain).argmax())
     return Fitness(
-        neighbours=min(1.0, 3.0 * min(*firsts, _thirds(u))),
-        lags=min(1.0, 2.0 * min(_ljung_box(r, len(u)) for r in (plain, square))),
+        neighbours=min(1.0, 3.0 * neighbours), lags=min(1.0, 2.0 * lags), independence=min(1.0, TESTS * min(neighbours, lags)),
         largest=float(plain[largest]), largest_lag=largest + 1, shape=float(stats.chi2.sf(chi_square, freedom)),
     )  # fmt: skip
 
@@ -160,7 +128,7 @@ def correlations(values: Array) -> Array:
 
 
 def _ljung_box(r: Array, n: int) -> float:
-    return float(stats.chi2.sf(n * (n + 2) * (r**2 / (n - np.arange(1, LAGS + 1))).sum(), LAGS))
+    return float(stats.chi2.sf(n * (n + 2) * (r**2 / (n - np.arange(1, len(r) + 1))).sum(), len(r)))
 
 
 def _thirds(u: Array) -> float:
