@@ -88,8 +88,10 @@ def laws(source: Source, **changes: Any) -> Laws:
     checked = with_law_files(checked_experiment(source, None, None, changes))
     period_s = float(checked.period)
     rig = rig_of(checked)
-    named = {sensor.name if len(rig.sensors) > 1 else "sc": sensor.law for sensor in rig.sensors} | {"ca": rig.ca_law}
-    found = {name: analyse_law(law, period_s, checked.timing.deadline * period_s) for name, law in named.items()}
+    named = {sensor.name if len(rig.sensors) > 1 else "sc": (sensor.law, sensor.law_kind) for sensor in rig.sensors}
+    deadline_s = checked.timing.deadline * period_s
+    every = {**named, "ca": (rig.ca_law, rig.ca_kind)}.items()
+    found = {name: analyse_law(law, period_s, deadline_s, kind) for name, (law, kind) in every}
     return Laws(checked.name, found, period_s)
 
 

@@ -25,7 +25,7 @@ def experiment_over_history(subject: str) -> Experiment | None:
     from hil.plugins.registry import names
     from hil.rig.normal_form import rig_of
 
-    if subject in names("hil.plants"):
+    if subject in names("hil.plants") or ":" in subject:
         return None
     experiment = load_experiment(subject)
     return experiment if len(rig_of(experiment).sensors) > 1 or isinstance(experiment.controller, OverHistory) else None

@@ -35,23 +35,25 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     period_s = float(checked.period)
     deadline_s = checked.timing.deadline * period_s
     rig = rig_of(checked)
-    networks = {sensor.name: sensor.law for sensor in rig.sensors}
+    networks = {sensor.name: (sensor.law, sensor.law_kind) for sensor in rig.sensors}
 
-    def told(law: NetworkLaw) -> dict[str, Any]:
+    def told(law: NetworkLaw, kind: str) -> dict[str, Any]:
         matrix = mode_transitions(law)
-        found: dict[str, Any] = _json(asdict(analyse_law(law, period_s, deadline_s)))
+        found: dict[str, Any] = _json(asdict(analyse_law(law, period_s, deadline_s, kind)))
         return found | {"transition_matrix": None if matrix is None else matrix.tolist()}
 
     if as_json:
-        laws = {"sc": told(checked.network.sc.law), "ca": told(rig.ca_law)}
-        nodes = {name: laws["sc"] if law is checked.network.sc.law else told(law) for name, law in networks.items()}
+        shared = checked.network.sc.law
+        laws = {"sc": told(shared, checked.kinds.get("network.sc.law", "?")), "ca": told(rig.ca_law, rig.ca_kind)}
+        nodes = {name: laws["sc"] if law is shared else told(law, kind) for name, (law, kind) in networks.items()}
         said = {"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes}
         print_json(said)
         return
     way = "sensor to controller (sc)"
-    titled = {way if len(rig.sensors) == 1 else f"node {name}, {way}": law for name, law in networks.items()}
-    titled["controller to actuator (ca)"] = rig.ca_law
-    _print(checked.name, period_s, {title: analyse_law(law, period_s, deadline_s) for title, law in titled.items()})
+    titled = {way if len(rig.sensors) == 1 else f"node {name}, {way}": both for name, both in networks.items()}
+    titled["controller to actuator (ca)"] = rig.ca_law, rig.ca_kind
+    every = {title: analyse_law(law, period_s, deadline_s, kind) for title, (law, kind) in titled.items()}
+    _print(checked.name, period_s, every)
 
 
 def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis]) -> None:

@@ -136,7 +136,8 @@ def timing_rows(timing: dict[str, Any]) -> list[tuple[str, str]]:
     verdict = "valid" if timing["valid"] else f"NOT VALID: {'; '.join(timing['why'])}"
     return [
         ("timing", f"{verdict}; {timing['scheduler'] or 'no slot was run'}"),
-        *((f"{name[:-3].replace('_', ' ')}, µs", "  ".join(f"{q} {number(v)}" for q, v in timing[name].items()))
+        *((f"{name[:-3].replace('_', ' ')}, µs",
+           "  ".join(f"{q} {number(v)}" for q, v in timing[name].items() if v is not None) or "-")
           for name in ("lateness_us", "round_trip_us")),
         ("overruns", f"{timing['overruns']}; first late slot: {'none' if late is None else late}"),
     ]  # fmt: skip

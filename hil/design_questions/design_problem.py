@@ -48,7 +48,7 @@ class TrackingTarget(NamedTuple):
 
 
 def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1) -> TrackingTarget:
-    """Plant and network of a plant plug-in (network (7.34)) or of an experiment.
+    """Plant and network of a plant plug-in or a class of one's own, as "my_module:Cart" (network (7.34)), or of an experiment.
 
     The name "vtol" without a period means the discrete model that Section 7.4.1 prints; an experiment always means the
     model of the plant that it runs.
@@ -58,11 +58,11 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
     """
     from hil.plugins.registry import load, names
 
-    of_experiment = name not in names("hil.plants")
+    of_experiment = name not in names("hil.plants") and ":" not in name
     if not of_experiment:
         if sojourns > 1:
             raise HilError(f"--sojourns: over the Markov network of {name} it adds no information; name an experiment")
-        plant = load("hil.plants", name)()
+        plant = load("hil.plants", name, ".")()
         period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:

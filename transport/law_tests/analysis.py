@@ -28,7 +28,7 @@ class LawAnalysis:
     """A law in the long run.
 
     Attributes:
-        kind: kind of the law.
+        kind: name of its plug-in.
         mode_ages: age of every mode in slots, (n,); empty for packet laws, whose modes are those of the channel.
         stationary: share of slots in every mode, (n,); empty for a law that does not say.
         mean_bursts: mean number of slots that a mode lasts, (n,).
@@ -57,16 +57,17 @@ class LawAnalysis:
     mean_latency_s: float
 
 
-def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float) -> LawAnalysis:
+def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float, kind: str = "") -> LawAnalysis:
     """Return what a law does in the long run.
 
     Args:
-        law: parameters of a network law, ours or a user's; what it states by the protocols of `transport.laws.protocols` is
+        law: parameters of a network law; what it states by the protocols of `transport.laws.protocols` is
             exact, the rest comes from a run.
         period_s: length T of a slot, seconds.
         deadline_s: seconds after the start of a slot at which it closes.
+        kind: name of its plug-in; that of its class by default.
     """
-    law = prepare(law)
+    law, kind = prepare(law), kind or type(law).__name__
     stationary, bursts = mode_shares(law), mode_bursts(law)
     method: Literal["exact", "simulated"] = "exact"
     overflow = 0.0
@@ -102,7 +103,7 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float) -> LawAnaly
         shares, unused, overflow = _simulated(law, period_s, deadline_s)
     older = max(0.0, 1.0 - float(shares.sum())) if len(shares) == LONGEST else 0.0
     return LawAnalysis(
-        kind=str(law.kind),
+        kind=kind,
         mode_ages=() if ages is None else tuple(ages),
         stationary=() if stationary is None else tuple(stationary.tolist()),
         mean_bursts=() if bursts is None else tuple(bursts.tolist()),

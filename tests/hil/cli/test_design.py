@@ -4,12 +4,14 @@ import dataclasses
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from design.requests.tracking import LocalDesigned, solve_tracking
+from hil.cli import cli
 from hil.cli.design import command
 from hil.cli.design_local import design_local
 from hil.compose.loop import compose
@@ -156,3 +158,12 @@ def test_bench_meets_a_goal_and_prints_the_other_route_beside_it():
 def test_every_goal_is_reached():
     """How long each took is the bench's to say: it depends on the machine."""
     assert [row["design"] for row in bench_design(programmes=0) if not row["reached"]] == []
+
+
+def test_a_plant_of_ones_own_is_designed_for_by_its_file_and_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["new", "plant", "cart"], catch_exceptions=False).exit_code == 0
+    done = CliRunner().invoke(cli, ["design", "cart:Cart", "--starts", "1", "-o", "gains.json"], catch_exceptions=False)
+    assert done.exit_code == 0 and json.loads(Path("gains.json").read_text())["verdict"]["state"] == "certified"
+    with pytest.raises(HilError, match=r"cart\.py has no 'Wagon'; it has Cart"):
+        CliRunner().invoke(cli, ["design", "cart:Wagon"], catch_exceptions=False)

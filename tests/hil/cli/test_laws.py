@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from hil.cli import cli
 from hil.cli.laws import command
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
@@ -73,3 +74,10 @@ def test_every_sensor_node_has_the_law_of_its_own_network() -> None:
 def test_a_faulty_law_is_named_by_its_path() -> None:
     with pytest.raises(HilError, match=r"network\.ca\.law\.matrix\[1\]: row sums to 0\.98, expected 1"):
         laws("--set", 'network.ca.law={kind="markov", matrix=[[0.5, 0.5], [0.5, 0.48]]}')
+
+
+def test_a_law_of_ones_own_is_called_by_its_file_and_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["new", "law", "calm"], catch_exceptions=False).exit_code == 0
+    shown = CliRunner().invoke(command, ["calm.toml"], catch_exceptions=False)
+    assert shown.exit_code == 0 and "calm:Calm law, T = 50 ms" in shown.output and "0.5000" in shown.output
