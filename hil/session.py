@@ -209,6 +209,7 @@ def run_session(
     link: str | None = None,
     path: Path,
     external: bool = False,
+    wait_s: float | None = None,
     taps: Mapping[str, PayloadWriter] | None = None,
     signals: str | None = None,
     index: Index = "full",
@@ -222,6 +223,7 @@ def run_session(
         link: URI of the real link; the experiment's own by default.
         path: the log to write.
         external: an external controller answers on the link.
+        wait_s: how long the rig waits for a first answer, s; by default 120 for an external controller.
         taps: topic to a function that gets its records as they come, for a live view.
         signals: where subscribers over zenoh read named signals as they come, such as ``zenoh:tcp/127.0.0.1:7448``.
         index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
@@ -269,7 +271,7 @@ def run_session(
         if clock == "virtual":
             outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(observers)) if observers else sink, onlooker)
         else:
-            outcome = _run_real(loop, on, sink, external, observers)
+            outcome = _run_real(loop, on, sink, external, wait_s, observers)
         sink.commit()
         outcome |= _unreached(loop)
         problems = {name: text for name, text in outcome.items() if text}
@@ -391,12 +393,13 @@ def _interrupted(number: int, sink: Sink, t_ns: int) -> dict[str, Any]:
 
 
 def _run_real(
-    loop: Loop, link: SessionLink, sink: McapSink, external: bool, taps: Mapping[str, PayloadWriter] | None
+    loop: Loop, link: SessionLink, sink: McapSink, external: bool, wait_s: float | None,
+    taps: Mapping[str, PayloadWriter] | None,
 ) -> dict[str, Any]:
     from hil.runtime.real.supervisor import run_real
 
     try:
-        real = run_real(loop, loop.experiment.seed, link, sink, external=external, taps=taps)
+        real = run_real(loop, loop.experiment.seed, link, sink, external=external, hello_timeout_s=wait_s, taps=taps)
     except HilError:  # nothing ran: nothing is left behind
         sink.discard()
         raise

@@ -36,6 +36,7 @@ COMMANDS = {
     "dbc": "Print the DBC of the frames, make a C codec of it, decode a CAN log.",
     "sweep": "Run an experiment for many seeds on all cores.",
     "compare": "Compare experiments under common random numbers.",
+    "rig": "Run only the rig of an experiment, and wait for a controller on a link.",
     "controller": "Run only the controller of an experiment, on a link.",
     "design": "Solve a design and certify it.",
     "solve": "Solve the gains of an experiment and store them beside it.",

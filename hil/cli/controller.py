@@ -16,7 +16,7 @@ from hil.cli.completion import CHANGE, EXPERIMENT
 def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
     """Answer sensor frames on a link with the controller of EXPERIMENT, until Ctrl-C.
 
-    The rig is started elsewhere with `hil run EXPERIMENT --clock real --external --link URI`.
+    The rig is started elsewhere: hil rig EXPERIMENT --link URI.
     """
     from hil.cli.working import Working
     from hil.compose.loop import compose

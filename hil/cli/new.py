@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import keyword
 import re
+import sys
 from pathlib import Path
 
 import click
 
+from hil.cli.completion import EXPERIMENT
 from hil.errors import HilError
 
 PARTS = ("plant", "controller", "law", "measure", "experiment")
@@ -18,12 +20,23 @@ PARTS = ("plant", "controller", "law", "measure", "experiment")
 @click.argument("name")
 @click.option("-o", "--output", "folder", type=click.Path(file_okay=False, path_type=Path), default=Path("."),
               help="Folder to write to; made where it is not there. The working folder by default.")  # fmt: skip
+@click.option("--language", type=click.Choice(["python", "c"]),
+              help="controller: a program of its own in this language, for `hil rig EXPERIMENT`.")  # fmt: skip
+@click.option("--for", "experiment", type=EXPERIMENT, metavar="EXPERIMENT", default="dc-motor-hinf", show_default=True,
+              help="With --language: the rig that the program is for, and the gains that it has.")  # fmt: skip
+@click.option("--link", "kind", type=click.Choice(["can", "zenoh"]), help="With --language: the link. Default: can.")
+@click.option("--keyed", is_flag=True, help="With --language: every packet has a message authentication code.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
-def command(part: str, name: str, folder: Path, force: bool) -> None:
+def command(
+    part: str, name: str, folder: Path, language: str | None, experiment: str, kind: str | None, keyed: bool, force: bool
+) -> None:
     """Write a plant, controller, law, measure or experiment of your own: hil new plant cart
 
     Makes cart.py with the class Cart, the experiment cart.toml that runs it, and the pytest file test_cart.py. All run as they
     are; change them from there.
+
+    With --language a controller is a program that needs nothing of hilrig:
+    hil new controller drive --language c --for dc-motor-h2
     """
     from hil.cli.terminal import visible
     from hil.files.outputs import written_whole
@@ -33,7 +46,12 @@ def command(part: str, name: str, folder: Path, force: bool) -> None:
     module = name.replace("-", "_")
     if keyword.iskeyword(module) or _is_taken(module):
         raise HilError(f"NAME: {name!r}: Python has a module or a word of this name; take another: hil new {part} my_{module}")
-    texts = {folder / file: text for file, text in files_of(part, module).items()}
+    if language is None and (keyed or kind is not None):
+        raise HilError("--link and --keyed: of a program, with --language python or c; a plug-in runs on any link")
+    if language is not None and part != "controller":
+        raise HilError(f"--language: of a controller, not of a {part}: hil new controller {module} --language {language}")
+    files = files_of(part, module) if language is None else _program(module, language, experiment, kind or "can", keyed)
+    texts = {folder / file: text for file, text in files.items()}
     there = [path for path in texts if path.exists() or path.is_symlink()]
     if there and not force:
         raise HilError(f"{there[0]}: exists already; choose another name, or add --force")
@@ -44,11 +62,29 @@ def command(part: str, name: str, folder: Path, force: bool) -> None:
     for path, text in texts.items():
         with written_whole(path, replace=force) as new:
             new.write_text(text, encoding="utf-8")
-    experiment = folder / f"{module}.toml"
     print("\n".join(f"wrote {visible(str(path))}" for path in texts))
-    print(f"\n  hil run {visible(str(experiment))}\n  pytest {visible(str(folder / f'test_{module}.py'))}")
+    if language is not None:
+        print(f"\n  how to start it: {visible(str(next(iter(texts))))}, its first lines")
+        return
+    print(f"\n  hil run {visible(str(folder / f'{module}.toml'))}\n  pytest {visible(str(folder / f'test_{module}.py'))}")
     if part != "experiment":
         print(f"  hil guide first-plugin   # what each line of {module}.py is for")
+
+
+def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> dict[str, str]:
+    """Return the files of a controller as a program of its own; see `hil.cli.new_external`."""
+    from hil.cli.new_external import external_controller, program_files
+    from hil.cli.working import Working
+    from hil.compose.loop import compose
+    from hil.experiment import load_experiment
+
+    named = load_experiment(argument)
+    with Working(f"{named.name}: its loop"):
+        loop = compose(named)
+    of = external_controller(loop, argument, kind, keyed)  # type: ignore[arg-type]  # click knows the words
+    if of.law.why_none:
+        print(f"note: {of.law.why_none}: the program answers zeros until you write its law", file=sys.stderr)
+    return program_files(of, stem, language)  # type: ignore[arg-type]
 
 
 def files_of(part: str, module: str) -> dict[str, str]:
@@ -72,7 +108,6 @@ def files_of(part: str, module: str) -> dict[str, str]:
 
 def _is_taken(module: str) -> bool:
     """Return whether ``import module`` in a test would find Python's own module of this name, or an installed one."""
-    import sys
     import sysconfig
     from importlib.machinery import PathFinder
 

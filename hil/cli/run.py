@@ -19,6 +19,9 @@ from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 from hil.plugins.first_instants import collect_garbage_again
 
+LONGEST_WAIT_S = 1e8
+"""What `hil rig` waits, s: until Ctrl-C."""
+
 PRIVATE = 0o600  # a log tells what a plant did: its user's alone, unless asked otherwise
 
 
@@ -89,7 +92,8 @@ def _let_go(path: Path) -> None:
 @click.option("--sign", "sign", type=click.Path(path_type=Path), metavar="KEY",
               help="Sign the log with this key (hil keys signing); the signature stands in FILE.mcap.sig.")  # fmt: skip
 @click.option("--signals", metavar="URI", help="Publish named signals over zenoh at zenoh:tcp/127.0.0.1:7448, say.")
-@click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link within 120 s.")
+@click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link (or: hil rig).")
+@click.option("--wait", "wait", type=float, metavar="S", help="How long to wait for it; 120 s by default.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")
@@ -108,6 +112,7 @@ def command(
     sign: Path | None,
     signals: str | None,
     external: bool,
+    wait: float | None,
     require_valid_timing: bool,
     as_json: bool,
     quiet: bool,
@@ -124,6 +129,7 @@ def command(
     from hil.experiment import load_experiment
     from hil.rig.normal_form import rig_of
     from hil.rig.session_link import link_of
+    from hil.runtime.real.supervisor import EXTERNAL_TIMEOUT_S
     from hil.session import run_session
     from transport.links.opening import open_link
 
@@ -133,6 +139,8 @@ def command(
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
+    if wait is not None and not (external and 0.0 < wait <= LONGEST_WAIT_S):
+        raise HilError(f"--wait: {wait:g}; expected more than 0 s and at most {LONGEST_WAIT_S:g} s, with --external")
     on = link_of(rig_of(checked), link) if clock == "real" else None
     # An external controller may be there already: do not let it meet this end.
     if on is not None and not external and not on.traits.in_process:
@@ -140,7 +148,8 @@ def command(
             pass
     uri = None if on is None else on.uri
     if external and uri is not None and sys.stderr is not None:
-        print(f"waiting up to 120 s for your controller on {visible(uri)}", file=sys.stderr)
+        limit = "until Ctrl-C" if wait == LONGEST_WAIT_S else f"up to {wait or EXTERNAL_TIMEOUT_S:g} s"
+        print(f"waiting {limit} for your controller on {visible(uri)}", file=sys.stderr)
     signer = None
     if sign is not None:
         from hil.files.signature import Signer
@@ -165,8 +174,8 @@ def command(
 
                 taps = views.enter_context(LiveView(checked, clock, link=uri)).taps
             session = run_session(
-                checked, clock=clock, link=uri, path=path, external=external, taps=taps, signals=signals,  # type: ignore[arg-type]
-                index=index, onlooker=onlooker,  # type: ignore[arg-type]
+                checked, clock=clock, link=uri, path=path, external=external, wait_s=wait,  # type: ignore[arg-type]
+                taps=taps, signals=signals, index=index, onlooker=onlooker,  # type: ignore[arg-type]
             )  # fmt: skip
     except BaseException:  # Ctrl-C too
         if path is not None:

@@ -72,6 +72,11 @@ def test_doctor_says_in_one_line_who_could_command(doctor: list[dict[str, Any]])
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
+        (["rig", "nosuch"], "no experiment 'nosuch'"),
+        (["rig", "dc-motor-hinf", "--link", "foo:bar"], "no link is called 'foo'"),
+        (["rig", "dc-motor-hinf", "--wait", "0"], "--wait: 0; expected more than 0 s"),
+        (["rig", "dc-motor-hinf", "--wait", "0.2", "--link", "can:hil:nobodyrig"], "no controller answered on can:hil:nobodyrig"),
+        (["run", "dc-motor-hinf", "--wait", "9"], "with --external"),
         (["controller", "nosuch"], "no experiment 'nosuch'"),
         (["controller", "dc-motor-hinf", "--link", ""], "link '': no scheme"),
         (["controller", "dc-motor-hinf", "--link", "foo:bar"], "no link is called 'foo'"),

@@ -41,11 +41,28 @@ def test_every_part_is_written_runs_and_passes_its_own_tests(cli: Hil, tmp_path:
         (("law", "class"), "take another: hil new law my_class"),
         (("law", "json"), "take another: hil new law my_json"),
         (("part", "x"), "is not one of"),
+        (("plant", "cart", "--language", "c"), "of a controller, not of a plant"),
+        (("controller", "pd", "--keyed"), "with --language python or c"),
+        (("controller", "pd", "--link", "can"), "with --language python or c"),
+        (("controller", "pd", "--language", "c", "--link", "zenoh"), "use --link can, or python"),
+        (("controller", "pd", "--language", "c", "--for", "nosuch"), "no experiment 'nosuch'"),
     ],
 )
 def test_a_name_that_will_not_do_is_refused_and_nothing_is_written(cli: Hil, words: tuple[str, str], says: str) -> None:
     status, _, err = cli("new", *words)
     assert status == 2 and says in err and not list(Path().iterdir())
+
+
+def test_a_program_of_its_own_is_written_for_an_experiment_and_says_what_it_lacks(cli: Hil) -> None:
+    words = ("--language", "python", "--for", "dc-motor-h2", "--link", "zenoh", "--keyed")
+    status, out, err = cli("new", "controller", "drive", *words)
+    assert status == 0 and not err and "wrote drive.py" in out
+    text = Path("drive.py").read_text()
+    assert "hil rig dc-motor-h2 --link zenoh:tcp/127.0.0.1:7447?auth=KEYFILE" in text and "[[-0.198]]" in text
+    assert "@" not in text.replace("@property", "") and "#?" not in text and not re.search("^(import|from) hil", text, re.M)
+    status, out, err = cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")
+    assert status == 0 and "answers zeros until you write its law" in err and Path("packet_codes.h").is_file()
+    assert cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")[0] == 2  # files are there
 
 
 def test_files_that_exist_are_kept_without_force(cli: Hil) -> None:

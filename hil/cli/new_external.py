@@ -1,0 +1,188 @@
+"""``hil new controller --language``: a controller as a program of its own, for the rig of any experiment."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from math import isqrt
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from hil.compose.law_tables import LawTables, law_tables
+from hil.compose.loop import Loop
+from hil.errors import HilError
+from hil.rig.sensor_list import Sensor
+from hil.rig.session_link import SessionLink, link_of
+from transport.packets import SELECTIONS
+from transport.wire.layout import MAX_VALUES
+
+Language = Literal["python", "c"]
+LinkKind = Literal["can", "zenoh"]
+HERE: Final = {"can": "can:hil:rig0", "zenoh": "zenoh:tcp/127.0.0.1:7447"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExternalController:
+    """What a program of somebody else needs to know of a loop.
+
+    Args:
+        loop: composed.
+        law: the tables of its controller.
+        link: of the program, with the identifiers of its frames.
+        kind: of the link.
+        keyed: whether every packet has a message authentication code.
+        argument: the experiment, as the command line names it.
+    """
+
+    loop: Loop
+    law: LawTables
+    link: SessionLink
+    kind: LinkKind
+    keyed: bool
+    argument: str
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensor nodes, by number."""
+        return self.loop.rig.sensors
+
+    @property
+    def step(self) -> int:
+        """Bytes that one CAN frame carries."""
+        return 64 if self.link.traits.can is None else self.link.traits.can.frame_bytes
+
+
+def external_controller(loop: Loop, argument: str, kind: LinkKind, keyed: bool) -> ExternalController:
+    """Return what a program needs to know.
+
+    Args:
+        loop: composed.
+        argument: the experiment, as the command line names it.
+        kind: of the link; the experiment's own link counts where it is of this kind.
+        keyed: whether every packet has a message authentication code.
+
+    Raises:
+        HilError: more values than a packet carries.
+    """
+    rig, law = loop.rig, law_tables(loop)
+    own = rig.links.uri
+    auth = "auth=frames.key" if keyed else ""  # the file is not read: only its place in the packet counts
+    uri = own if own.startswith(f"{kind}:") and kind == "can" and "auth=" not in own else HERE[kind]
+    link = link_of(rig, uri + ("?" if "?" not in uri else "&") * keyed + auth)
+    _, rows, inputs, _ = law.gains.shape
+    if rows * inputs > MAX_VALUES:
+        raise HilError(f"controller: {rows} rows of {inputs} inputs, a packet carries {MAX_VALUES} values")
+    if kind == "can" and link.identifiers is None:
+        raise HilError("network.nodes: more nodes than a CAN link has identifiers for; use --link zenoh")
+    return ExternalController(loop=loop, law=law, link=link, kind=kind, keyed=keyed, argument=argument)
+
+
+def program_files(of: ExternalController, stem: str, language: Language) -> dict[str, str]:
+    """Return name and text of every file of the program.
+
+    Args:
+        of: what it needs to know.
+        stem: its name.
+        language: C is for CAN links.
+
+    Raises:
+        HilError: C over zenoh.
+    """
+    if language == "python":
+        return {f"{stem}.py": _filled("external_controller.py.txt", of, _python_values(of, stem))}
+    if of.kind != "can":
+        raise HilError("--link zenoh: a program in C needs zenoh-pico, which is not generated for; use --link can, or python")
+    from hil.cli.new_external_c import c_codec, c_tables
+
+    values = _words(of, stem, "KEYFILE INTERFACE|-" if of.keyed else "INTERFACE|-") | {
+        "SHA256_H": ", ".join(f"0x{_root_bits(p, 2):08x}u" for p in _primes(8)),
+        "SHA256_K": ", ".join(f"0x{_root_bits(p, 3):08x}u" for p in _primes(64)),
+        "CMAC_TOO": ", AES-128 and its CMAC" if of.keyed else "",
+    }
+    header, codec, database = c_codec(of)
+    return {
+        f"{stem}.c": _filled("external_controller.c.txt", of, values),
+        f"{stem}.h": c_tables(of, database),
+        "packet_codes.h": _filled("packet_codes.h.txt", of, values),
+        "hilrig.h": header,
+        "hilrig.c": codec,
+    }
+
+
+def _words(of: ExternalController, stem: str, usage: str) -> dict[str, Any]:
+    e = of.loop.experiment
+    framing = of.link.traits.can
+    options = "" if of.kind != "can" or framing is None or framing.fd else "?fd=0"
+    return {
+        "CONTROLLER": repr(e.kinds.get("controller", "?")), "EXPERIMENT": e.name, "ARGUMENT": of.argument, "STEM": stem,
+        "FILE": f"{stem}.py", "USAGE": usage, "OPTIONS": options,
+        "AUTH": ("&" if options else "?") + "auth=KEYFILE" if of.keyed else "",
+        "WHY": of.law.why_none, "FIRST": 2 if of.keyed else 1,
+    }  # fmt: skip
+
+
+def _python_values(of: ExternalController, stem: str) -> dict[str, Any]:
+    law, loop, sensors, ids = of.law, of.loop, of.sensors, of.link.identifiers
+    usage = {"can": "CHANNEL [INTERFACE]", "zenoh": "ENDPOINT [NAME]"}[of.kind]
+    selection = SELECTIONS.index(loop.selection)
+    values = _words(of, stem, "KEYFILE " * of.keyed + usage)
+    return values | {
+        "PERIOD_NS": loop.experiment.period_ns, "SELECTION": selection, "SELECTION_NAME": loop.selection,
+        "ROWS": law.gains.shape[1], "INPUTS": law.gains.shape[2], "OUTPUTS": law.omega.shape[1], "SAMPLES": law.samples,
+        "NODES": tuple(sensor.outputs for sensor in sensors), "BUFFERS": tuple(sensor.buffer for sensor in sensors),
+        "WAITED": tuple(sensor.trigger.kind == "every-slot" for sensor in sensors),
+        "STEP": of.step, "FD": of.step == 64, "SENSORS": ids and ids.sensors, "CONTROL": ids and ids.control,
+        "AGES": law.ages, "RANGES": law.ranges, "FEEDFORWARD": law.omega.tolist(), "GAINS": law.gains.tolist(),
+        "NEXT": law.state.tolist(), "STATE_FIRST": law.state_first,
+        "TAGGED_FLAG": "| TAGGED" if of.keyed else "", "KEY": "key" if of.keyed else "",
+    }  # fmt: skip
+
+
+def _filled(template: str, of: ExternalController, values: dict[str, Any]) -> str:
+    """Return a template with its names filled in, and of its conditional blocks those that hold."""
+    from importlib import resources
+
+    text = (Path(str(resources.files("hil") / "templates")) / template).read_text(encoding="utf-8")
+    holds = {"keyed": of.keyed, "plain": not of.keyed, "known": not of.law.why_none, "unknown": bool(of.law.why_none),
+             "can": of.kind == "can", "zenoh": of.kind == "zenoh"}  # fmt: skip
+    lines, nested = list[str](), list[bool]()
+    for line in text.splitlines():
+        mark = re.fullmatch(r"\s*(?:#|//)\? (\w+)", line)
+        if mark is None:
+            if all(nested):
+                lines.append(line)
+        elif mark[1] == "end":
+            nested.pop()
+        else:
+            nested.append(holds[mark[1]])
+    return re.sub(r" *@([A-Z0-9_]+)@", lambda name: _placed(name, values), "\n".join(lines)) + "\n"
+
+
+def _placed(name: re.Match[str], values: dict[str, Any]) -> str:
+    value = str(values[name[1]])
+    return name[0][: name[0].index("@")] + value if value else ""
+
+
+def _primes(count: int) -> list[int]:
+    found: list[int] = []
+    n = 2
+    while len(found) < count:
+        if all(n % prime for prime in found):
+            found.append(n)
+        n += 1
+    return found
+
+
+def _root_bits(prime: int, degree: int) -> int:
+    """Return the first 32 bits behind the point of the root of a prime: the constants of SHA-256 (FIPS 180-4).
+
+    >>> hex(_root_bits(2, 2)), hex(_root_bits(2, 3))
+    ('0x6a09e667', '0x428a2f98')
+    """
+    if degree == 2:
+        return isqrt(prime << 64) & 0xFFFFFFFF
+    low, high = 0, 8 << 32
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if middle**3 <= prime << 96 else (low, middle)
+    return low & 0xFFFFFFFF
