@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.json_output import json_option
 
 
 @click.command()
@@ -18,7 +19,7 @@ from hil.cli.completion import CHANGE, EXPERIMENT
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
 @click.option("--force", is_flag=True, help="Replace a log that is there.")
 @click.option("--wait", type=float, metavar="S", help="How long to wait for a controller; until Ctrl-C by default.")
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+@json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")
 @click.pass_context
 def command(ctx: click.Context, /, experiment: str, wait: float | None, **options: object) -> None:
