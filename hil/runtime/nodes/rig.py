@@ -48,7 +48,7 @@ KEPT = 4096
 
 STATES = {"active": "error active", "warning": "above the warning level", "passive": "error passive", "off": "off the bus"}
 
-_new = tuple.__new__  # a packet without its Python constructor
+_new = tuple.__new__  # without the Python constructor: in five files 2 % of a virtual slot (dc-motor-hinf)
 
 
 class Rig:
