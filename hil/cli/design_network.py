@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from hil.design_questions.design_problem import TrackingTarget
 from hil.design_questions.measured_network import Measured, measured, over_network, region_verdict
 from hil.errors import HilError
-from hil.recordings.read import read_recording
-from hil.recordings.recording import BACK, THERE, packet_records
+from hil.log.recordings.read import read_recording
+from hil.log.recordings.recording import BACK, THERE, packet_records
 from transport.law_fit.law_fit import fit_law
 
 if TYPE_CHECKING:

@@ -63,9 +63,9 @@ def law(
     """
     from hil.cli.working import Working
     from hil.files.outputs import check_output, write_output
-    from hil.recordings.law_text import fit_said, law_text
-    from hil.recordings.read import read_recording
-    from hil.recordings.recording import packet_records
+    from hil.log.recordings.law_text import fit_said, law_text
+    from hil.log.recordings.read import read_recording
+    from hil.log.recordings.recording import packet_records
     from transport.law_fit.law_fit import fit_law
 
     with Working(f"packets of {files[0]}"):
@@ -111,7 +111,7 @@ def _shares(fit: LawFit) -> list[float]:
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
     from hil.cli.terminal import visible
-    from hil.recordings.law_text import WORDS, toml_value
+    from hil.log.recordings.law_text import WORDS, toml_value
     from transport.law_fit.proportions import LAGS, REJECT
 
     tested = fit.tested

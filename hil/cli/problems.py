@@ -13,7 +13,7 @@ from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from hil.problems import Problem, Reached
+    from hil.sweeps.problems import Problem, Reached
 
 
 @click.command()
@@ -30,7 +30,7 @@ def command(controller: str | None, names: tuple[str, ...], runs: int, write: bo
     The objective is the sum of squared errors after one pulse, in the mean over the seeds. Nothing is ranked.
     Exit status 1: the controller ran on none of the problems.
     """
-    from hil.problems import best_known, problems, reached
+    from hil.sweeps.problems import best_known, problems, reached
 
     chosen = [problem for problem in problems() if not names or problem.name in names]
     unknown = set(names) - {problem.name for problem in problems()}
@@ -70,7 +70,7 @@ def _table(said: str) -> str:
     """
     from hil.files.regular import read_regular
     from hil.files.toml_text import parse_toml
-    from hil.recordings.law_text import toml_value
+    from hil.log.recordings.law_text import toml_value
 
     path = Path(said)
     try:
@@ -91,7 +91,7 @@ def _table(said: str) -> str:
 
 def _write(chosen: list[Problem]) -> None:
     from hil.files.outputs import write_output
-    from hil.problems import RUNS, as_plain, best_known, best_of, folder, lower_bound, reached
+    from hil.sweeps.problems import RUNS, as_plain, best_known, best_of, folder, lower_bound, reached
 
     path = folder() / "best.json"
     stored = best_known() if path.exists() else {}

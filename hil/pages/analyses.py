@@ -86,7 +86,7 @@ def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_sha
 
     Args:
         fits: by direction.
-        said: see `hil.recordings.law_text.fit_said`.
+        said: see `hil.log.recordings.law_text.fit_said`.
         model_shares: share of slots at age 0, 1, ... under each fitted law.
     """
     badges = [

@@ -30,8 +30,8 @@ from hil.files.arrays import MOST_NUMBERS, _of_npy, numbers_from_file
 from hil.live.script import read_script
 from hil.log.events import decode_event, encode_event
 from hil.log.read.foreign_logs import read_signal_table
-from hil.recordings.read import read_recording
-from hil.recordings.recording import packet_records
+from hil.log.recordings.read import read_recording
+from hil.log.recordings.recording import packet_records
 from hil.rig.traffic_file import read_traffic
 from hil.sweeps.points import grid, latin_hypercube
 from hil.sweeps.sweep import SweepStore

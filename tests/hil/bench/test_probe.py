@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hil.log.read.run import read_run
-from hil.recordings.read import read_recording
-from hil.recordings.recording import packet_records
+from hil.log.recordings.read import read_recording
+from hil.log.recordings.recording import packet_records
 from tests.hil.cli.conftest import Hil, cli
 
 __all__ = ["cli"]

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from hil.errors import HilError
 from hil.files.regular import open_regular
-from hil.recordings.recording import ROUND_TRIP, THERE, Recording, Way
+from hil.log.recordings.recording import ROUND_TRIP, THERE, Recording, Way
 
 Array = NDArray[np.float64]
 

@@ -92,7 +92,7 @@ class Reached:
 
 def folder() -> Path:
     """Return where the set stands."""
-    return Path(str(resources.files("hil"))) / "problems"
+    return Path(str(resources.files("hil.sweeps"))) / "problems"
 
 
 def problems() -> tuple[Problem, ...]:

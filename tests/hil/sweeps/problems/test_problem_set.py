@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.problems import RUNS, best_known, best_of, lower_bound, problems, reached
+from hil.sweeps.problems import RUNS, best_known, best_of, lower_bound, problems, reached
 from tests.hil.cli.conftest import Hil, cli
 
 __all__ = ["cli"]

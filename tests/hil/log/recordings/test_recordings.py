@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 import hil
 from hil.errors import HilError
-from hil.recordings.read import read_recording, shipped_recordings
-from hil.recordings.recording import packet_records
+from hil.log.recordings.read import read_recording, shipped_recordings
+from hil.log.recordings.recording import packet_records
 from transport.law_fit.law_fit import fit_law
 
 N = 400
