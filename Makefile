@@ -114,10 +114,12 @@ figures: $(INSTALLED) ## measure every figure of speed, make the guide's page of
 	@grep -qx figures hil/guide/index.md || sed -i 's/^performance$$/performance\nfigures/' hil/guide/index.md
 
 # Sphinx is wanted by nobody but this target: it is installed when it is first asked for.
-docs: $(INSTALLED) ## the guide as a site, in runs/docs
+docs: $(INSTALLED) ## the guide as a site with a gallery of all experiments, in runs/docs
 	@$(BIN)/python -c 'import sphinx, myst_parser, furo' 2>/dev/null || \
 	    $(PIP) --require-hashes --no-deps -r .ci/docs.txt
-	$(BIN)/python -m sphinx -q -W -b html -c hil/guide hil/guide runs/docs
+	@rm -rf runs/guide && mkdir -p runs && cp -r hil/guide runs/guide && $(BIN)/python -m tests.gallery runs/guide
+	@sed -i 's/^figures$$/figures\ngallery/' runs/guide/index.md
+	$(BIN)/python -m sphinx -q -W -b html -c runs/guide runs/guide runs/docs
 	@echo "guide  file://$(CURDIR)/runs/docs/index.html"
 
 clean: ## remove .venv, runs and caches (not ~/.cache/hilrig)
