@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
@@ -77,3 +77,30 @@ class Verdict:
             "limit": self.limit, "assumptions": list(self.assumptions), "method": self.method, "digest": self.digest,
         }  # fmt: skip
         return {**{name: value for name, value in self.details.items() if name not in own}, **own}
+
+    def on_every_machine(self) -> dict[str, object]:
+        """Return `to_json` with the digits that every CPU computes alike, and ``precision``, which says how many they are.
+
+        What an interior-point solver came to is left as it is, and named.
+        """
+        found = [name for name in FROM_A_SOLVER if self.details.get("solver") and self.to_json().get(name) is not None]
+        said = {name: value if name in found else _rounded(value, name) for name, value in self.to_json().items()}
+        return {**said, "precision": PRECISION + (f"; {', '.join(found)}: to some per cent, by a solver" if found else "")}
+
+
+DIGITS: Final = 10
+DECIMALS: Final = 10
+FROM_A_SOLVER: Final = ("number", "margin", "decay_rate", "gamma")
+NEAR_ZERO: Final = ("residual", "h2_residual", "hinf_margin", "rounding")
+"""Numbers that are differences of others: decimals count, and not digits."""
+PRECISION: Final = f"{DIGITS} digits, of residuals {DECIMALS} decimals, alike on every CPU"
+
+
+def _rounded(value: object, name: str = "") -> object:
+    if isinstance(value, Mapping):
+        return {key: _rounded(each, str(key)) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(each, name) for each in value]
+    if not isinstance(value, float | np.floating) or not np.isfinite(value):
+        return value
+    return round(float(value), DECIMALS) + 0.0 if name in NEAR_ZERO else float(f"{value:.{DIGITS}g}")

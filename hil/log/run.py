@@ -4,8 +4,8 @@ What reads one from a file is `hil.log.read.run`: a run in virtual time keeps it
 
 The SHA-256 of what a run recorded: in virtual time the same on every machine, for one experiment and one seed.
 
-A log also says which packages and commit made it, and holds a certificate, whose last digits depend on LAPACK; the SHA-256 of the
-file covers these too.
+A log also says which packages and commit made it, and holds a certificate, of which a solver may have made numbers; the SHA-256
+of the file covers these too.
 """
 
 from __future__ import annotations
