@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from traceback import walk_tb
+
 from design.controllers import Controller, GainTable, LoopModel, held_exactly, integrates
 from design.errors import FieldError
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.plugins.protocols import FieldFault
-from hil.plugins.user_plugins import words
+from hil.plugins.user_plugins import told_of, words
 
 
 def check_own(controller: Controller, model: LoopModel) -> None:
     """Refuse a controller of the user's own that does not answer as a loop asks: told now, and not in slot 17."""
-    from hil.plugins.checks import check_answers, check_table  # which no run of ours needs
+    from hil.plugins.checks import check_answers, check_statements, check_table  # which no run of ours needs
 
     try:
         check_answers(controller, model)
+        check_statements(controller, model)
         if isinstance(controller, GainTable):
             check_table(controller, model)
     except AssertionError as error:
@@ -46,3 +51,38 @@ def check_references(e: Experiment, controller: Controller, model: LoopModel) ->
         faults.append(f"controller.integral: {n_inputs} inputs cannot make the mean errors of {n_outputs} outputs zero")
     if faults:
         raise ExperimentError(e.name, faults)
+
+
+@contextmanager
+def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
+    """Say of which part of the user's own an exception comes that nobody expected, and in which line: told before anything runs.
+
+    Raises:
+        ExperimentError: the exception came of plant, controller or a network law that is not ours.
+    """
+    try:
+        yield
+    except HilError:
+        raise
+    except Exception as error:  # whatever an author's part raises when it is asked
+        told = told_of(error, _parts(experiment).values())
+        if told is None:
+            raise
+        asked = [frame.f_locals.get("self") for frame, _ in walk_tb(error.__traceback__)]
+        paths = [path for path, part in _parts(experiment).items() if any(part is each for each in asked)]
+        raise ExperimentError(experiment.name, [f"{paths[0] if paths else 'a plug-in'}: {told}"]) from error
+
+
+def _parts(e: Experiment) -> dict[str, object]:
+    laws = {f"network.nodes.{name}.law": node.law for name, node in e.network.nodes.items()}
+    ends = {"network.sc.law": e.network.sc.law, "network.ca.law": e.network.ca.law}
+    return {"plant": e.plant, "controller": e.controller, **ends, **laws}
+
+
+def changed_meanwhile(experiment: Experiment) -> ExperimentError:
+    """Return the refusal of a plant or a controller whose fields changed while they were asked: no verdict is on what runs."""
+    plant, own = type(experiment.plant).__qualname__, type(experiment.controller).__qualname__
+    return ExperimentError(experiment.name, [
+        f"controller ({own}) or plant ({plant}): fields changed while it was asked what it is; parameters stay as they are, and "
+        "what changes belongs into what start() returns"
+    ])  # fmt: skip

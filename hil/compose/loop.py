@@ -37,7 +37,7 @@ from hil.certify.historical_loop import delayed_plant_of, known_past, mask_fault
 from hil.certify.jump_loop import JumpStep, jump_step, process_of, system_of
 from hil.certify.stated_controller import stated_by
 from hil.certify.word_and_deed import OneStep, Watched, one_step
-from hil.compose.fit import check_own, check_references
+from hil.compose.fit import changed_meanwhile, check_own, check_references, in_words_of_parts
 from hil.compose.named_files import with_law_files, with_recorded_traffic
 from hil.compose.stored_gains import Gains, fitted, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
@@ -155,8 +155,11 @@ def compose(
         ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is
             not set.
     """
-    with _small_matrices():
-        return _compose(experiment, certify, external, rig)
+    with in_words_of_parts(experiment), _small_matrices():
+        try:
+            return _compose(experiment, certify, external, rig)
+        except ForeignVerdict as error:
+            raise changed_meanwhile(experiment) from error
 
 
 def solved_gains(experiment: Experiment) -> tuple[NamedController, str] | None:

@@ -18,19 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import (
+    AgedFeedback,
     Controller,
     GainTable,
     HistoryGains,
     Known,
+    LinearFeedback,
+    LinearLaw,
     LoopModel,
     ModeSchedule,
     MultiSampleController,
+    RowsLaw,
     Sample,
     SeveralSamples,
     integrates,
     packet_samples,
     row_count,
 )
+from design.controllers.scheduled_gain import ScheduledGain
 from hil.plugins.user_plugins import asked, needs
 from transport.draws import Draw
 from transport.law_tests.statistics import law_p_value
@@ -204,6 +209,7 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     again = asked("pickle", lambda: pickle.loads(pickle.dumps(controller)))
     assert again == controller, f"the parameters of {name} must survive pickling, for the controller is another process"
     check_answers(controller, model)
+    check_statements(controller, model)
     said = [f"{name} is a Controller: it can run in a loop"]
     if isinstance(controller, GainTable):
         check_table(controller, model)
@@ -236,6 +242,28 @@ def check_table(controller: GainTable, model: LoopModel) -> None:
     fits = table.ndim == 4 and len(table) > 0 and table.shape[1:] == (rows, m, width)
     assert fits, f"table(model) of shape {table.shape}, expected (tau, {rows}, {m}, {width}), tau up to {model.tau_max}"
     assert np.isfinite(table).all(), "table(model): a gain is not finite"
+
+
+def check_statements(controller: Controller, model: LoopModel) -> None:
+    """Check what a controller states of itself beside a table: what it returns is of the kind that is asked for.
+
+    Raises:
+        AssertionError: naming the first rule that is broken.
+    """
+    samples = asked("samples", packet_samples, controller)
+    assert samples in (1, 2), f"samples is {samples!r:.60}, expected 1 or 2"
+    for states, name, arguments, kind in (
+        (LinearFeedback, "linear_law", (model,), LinearLaw), (ModeSchedule, "schedule_of_modes", (), ScheduledGain),
+        (HistoryGains, "history", (), np.ndarray),
+    ):  # fmt: skip
+        if isinstance(controller, states):
+            said = f"{name}({'model' if arguments else ''})"
+            found = asked(said, getattr(controller, name), *arguments)
+            assert isinstance(found, kind), f"{said} returned {found!r:.60}, expected a {kind.__name__}"
+    if isinstance(controller, AgedFeedback):
+        laws = asked("laws_of_ages(model, ages)", controller.laws_of_ages, model, model.tau_max + 1)
+        alike = isinstance(laws, tuple) and len(laws) == model.tau_max + 1 and all(isinstance(law, RowsLaw) for law in laws)
+        assert alike, f"laws_of_ages(model, {model.tau_max + 1}) returned {laws!r:.60}, expected so many RowsLaw in a tuple"
 
 
 def check_answers(controller: Controller, model: LoopModel) -> None:

@@ -95,17 +95,16 @@ def open_link(uri: str, role: Role) -> Link:
         raise TransportError(f"link {uri!r}: plug-in {plugin.value} cannot be loaded: {error}") from error
     try:
         link: Link = opener(uri, role)
+        check_is_link(link)
+        return link if around is None else around(link)
     except (TransportError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # whatever a plug-in raises
+    except AssertionError as error:
+        raise TransportError(f"link {uri!r}: plug-in {plugin.value}: check_link: {error}") from None
+    except BaseException as error:  # whatever a plug-in raises, where it is opened or asked what it has
         last = extract_tb(error.__traceback__)[-1]
         where = f"({last.filename}, line {last.lineno})"
         raise TransportError(f"link {uri!r}: plug-in {plugin.value}: {type(error).__name__}: {error} {where}") from error
-    try:
-        check_is_link(link)
-    except AssertionError as error:
-        raise TransportError(f"link {uri!r}: plug-in {plugin.value}: check_link: {error}") from None
-    return link if around is None else around(link)
 
 
 LINK: Final = {

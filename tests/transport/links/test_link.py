@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
 
 import pytest
 
@@ -69,6 +70,32 @@ def test_a_users_link_comes_in_by_the_same_door(monkeypatch: pytest.MonkeyPatch)
     assert open_link("mine:x", "rig").uri == "mine:xrig"
     with pytest.raises(TransportError, match="plug-in nowhere:Link cannot be loaded"):
         open_link("broken:x", "rig")
+
+
+@pytest.mark.parametrize(("option", "times"), [("", 0), ("?auth=KEY", 1)])
+def test_a_users_link_that_raises_when_it_is_asked_what_it_has_is_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, times: int
+) -> None:
+    key = tmp_path / "frames.key"
+    key.write_text("00" * 16)
+    key.chmod(0o600)
+    asked = []
+    mine = EntryPoint("mine", "transport.links.memory:MemoryLink", "hil.links")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: EntryPoints([mine]))
+
+    def fails(self: object) -> str:
+        asked.append(1)
+        if len(asked) > times:
+            raise RuntimeError("no address")
+        return "mine:x"
+
+    def begin(self: object, uri: str, role: str) -> None:
+        self.counters = LinkCounters()  # type: ignore[attr-defined]
+
+    monkeypatch.setattr("transport.links.memory.MemoryLink.__init__", begin)
+    monkeypatch.setattr("transport.links.memory.MemoryLink.uri", property(fails), raising=False)
+    with pytest.raises(TransportError, match=r"plug-in transport.links.memory:MemoryLink: RuntimeError: no address \(.*line"):
+        open_link(f"mine:x{option.replace('KEY', str(key))}", "rig")
 
 
 def test_importing_the_package_imports_neither_can_nor_zenoh_nor_numpy() -> None:
