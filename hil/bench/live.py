@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -28,10 +27,10 @@ HZ: Final = 30
 
 def read_page(url: str) -> int:
     """Ask for the picture of the last ten seconds as the page does, until the server ends; return how many came."""
-    at = urlsplit(url)
+    host = url.removeprefix("http://").partition("/")[0]
     pictures = 0
     try:
-        link = HTTPConnection(at.hostname or "", at.port, timeout=10)
+        link = HTTPConnection(host, timeout=10)
         while True:
             link.request("GET", "/view?columns=1000&words=1" if pictures % 8 == 0 else "/view?columns=1000")
             link.getresponse().read()
