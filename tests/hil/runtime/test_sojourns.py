@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -110,6 +111,9 @@ def test_counts_must_cover_the_tables_and_the_law() -> None:
     one = ((0.0,),)
     with pytest.raises(ValueError, match=r"sojourns: \[2, 2\], expected counts whose sum is the number of tables, 3"):
         SendAll(gains=((one,), (one,), (one,)), sojourns=(2, 2))
+    model = replace(compose(load_experiment("dc-motor-ours-h2"), certify=False).model, tau_max=3)
+    with pytest.raises(ValueError, match="2 tables, but tau reaches 3"):
+        SendAll(gains=((one, one), (one, one))).start(model)
     with pytest.raises(ValueError, match="but the delay reaches 2"):
         delay_chain(BURSTY, (2, 2))
     assert delay_chain(MarkovAge(matrix=((0.5, 0.5), (0.7, 0.3))), (1, 1)) is not None
