@@ -55,7 +55,10 @@ from hil.rig.traffic_file import with_traffic_file
 from plants.errors import PlantError
 from transport.packets import MAX_OUTPUTS
 
-BOUNDED = "what the controller adds of its own, on samples of zero, stays bounded while a reference stays: looked at in the run"
+BOUNDED = (
+    "what the controller adds of its own, on samples of zero, stays bounded while a reference stays: looked at in the run, in a "
+    "second instance that shares no memory with the first"
+)
 NOT_COMPARED = "the plant keeps to its model beyond the test: in the run it is not compared"
 DELAYED = f"{NOT_COMPARED}, for its delay reaches states between the samples, which no record holds"
 

@@ -39,7 +39,7 @@ class Run:
     Args:
         arrays: topic to records in the order of the log; field ``t_ns`` (nominal session time) first, then the fields of the
             topic's schema. Raw frames have the field ``data`` of bytes objects. A topic without records has length 0. The arrays
-            of a long log are mapped from a file, and read only.
+            are read only; those of a long log are mapped from a file.
         schemas: topic to schema, with the units.
         events: records of ``/events``; see ``records.EVENT_SCHEMA``.
         metadata: ``experiment``, ``seed``, ``clock``, ``link``, ``format`` (all text) and what else the record ``hilrig`` holds.
@@ -63,6 +63,11 @@ class Run:
     certificate: dict[str, Any] = field(default_factory=dict)
     summary: dict[str, Any] = field(default_factory=dict)
     start_ns: int = 0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.arrays, dict):  # others make their arrays when they are asked for
+            for array in self.arrays.values():
+                array.setflags(write=False)  # a record is no measure's to change
 
     @classmethod
     def from_memory(cls, sink: MemorySink, **about: Any) -> Run:

@@ -9,6 +9,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
@@ -208,7 +209,7 @@ def measured(view: RunView, measures: Sequence[Measure], failed: dict[str, str] 
 
 def _numbers(measure: Measure, view: RunView, failed: dict[str, str] | None) -> Mapping[str, float | None]:
     try:
-        return dict(measure.of(view))
+        return _as_promised(measure, view, dict(measure.of(view)))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever a user's measure does
@@ -217,6 +218,23 @@ def _numbers(measure: Measure, view: RunView, failed: dict[str, str] | None) -> 
             raise HilError(told) from error
         failed[measure.title] = told
         return {quantity.name: None for quantity in measure.quantities(view.signals)}
+
+
+def _as_promised(measure: Measure, view: RunView, found: Mapping[str, float | None]) -> Mapping[str, float | None]:
+    """Return the numbers of a measure, which may be others in a long run than in the short one in which it was checked.
+
+    Raises:
+        HilError: one that it names is missing, or is no number.
+    """
+    name = type(measure).__name__
+    for quantity in measure.quantities(view.signals):
+        if quantity.name not in found:
+            gave = ", ".join(found) or "nothing"
+            raise HilError(f"measure {name}: of(view) gave {gave}, and not {quantity.name!r}, which it names")
+        value = found[quantity.name]
+        if value is not None and not isinstance(value, Real):
+            raise HilError(f"measure {name}: {quantity.name} is {value!r:.60}, expected a number or None")
+    return found
 
 
 T = TypeVar("T")

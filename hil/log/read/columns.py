@@ -121,7 +121,8 @@ class Topics(MutableMapping[str, StructuredArray]):
         if topic not in self._topics:
             raise missing(topic, [*self])
         if topic not in self._arrays:
-            self._arrays[topic] = self._columns[topic].array()
+            array = self._arrays[topic] = self._columns[topic].array()
+            array.setflags(write=False)  # a record is no measure's to change
         return self._arrays[topic]
 
     def __setitem__(self, topic: str, array: StructuredArray) -> None:
