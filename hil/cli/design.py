@@ -90,9 +90,7 @@ def command(
     from design.errors import DesignError
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
-    from hil.cli.design_historical import command as historical
-    from hil.cli.design_historical import experiment_over_history
-    from hil.cli.design_network import measured_network
+    from hil.cli.design_answers import experiment_over_history, measured_network, show_historical
     from hil.cli.working import Working
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain
@@ -102,7 +100,7 @@ def command(
     experiment = experiment_over_history(subject)
     if experiment is not None:
         _refuse_others({"subject", "orders", "spread", "as_json"}, "with gains over historical data, which [controller] asks for")
-        historical(experiment, orders, spread, as_json)
+        show_historical(experiment, orders, spread, as_json)
         return
     if orders or spread:
         raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with gains over historical data")
@@ -157,7 +155,7 @@ def command(
 def _local(target: TrackingTarget, method: str, input_weight: float | None, noise: float | None, as_json: bool) -> None:
     """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
     from design.requests.tracking import LocalDesigned
-    from hil.cli.design_local import design_local, show_local
+    from hil.cli.design_answers import design_local, show_local
     from hil.cli.working import Working
 
     common = {"subject", "period", "input_weight", "local", "noise", "as_json"}
@@ -186,8 +184,8 @@ def _show(design: Design, document: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from hil.cli.design_network import network_lines
-    from hil.cli.terminal import visible
+    from hil.cli.design_answers import network_lines
+    from hil.cli.terminal import print_facts, visible
 
     console, c, problem = Console(), design.certificate, design.problem
     table = Table(title=escape(f"gains K[tau][row], row by {design.selection!r}"))
@@ -226,7 +224,6 @@ def _show(design: Design, document: dict[str, Any]) -> None:
             lines.append(("guaranteed H-infinity", f"{told['hinf_norm']:.6g}", ""))
     if "network" in document:
         lines += network_lines(document["network"])
-    for name, value, note in lines:
-        console.print(f"{name:>22}  {value:<12} {note}", highlight=False)
     if "file" in document:
-        console.print(f"{'written':>22}  {visible(document['file'])}", highlight=False, markup=False)
+        lines.append(("written", visible(document["file"]), ""))
+    print_facts(lines)

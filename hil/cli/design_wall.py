@@ -9,6 +9,7 @@ import click
 
 from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration, NumberList
+from hil.cli.terminal import print_facts
 from hil.errors import HilError
 
 
@@ -72,10 +73,9 @@ def command(
         print_json(document)
         return
     compliance = found.coupler.static_compliance_m_per_n
-    for name, value in (
-        ("stiffness", f"{found.stiffness_n_per_m:.6g} N/m, {document['ceiling_n_per_m']:.6g} N/m is the ceiling"),
-        ("static compliance", f"{compliance:.6g} m/N, at least {found.bound_m_per_n:.6g} m/N for these delays"),
-        ("certified", f"delays {found.delays[0]} to {found.delays[-1]} samples, any passive hand, {beta:g} N s/m of damping"),
-        ("taps", f"{len(found.coupler.taps_m_per_n)}: " + " ".join(f"{c:.5g}" for c in found.coupler.taps_m_per_n)),
-    ):
-        click.echo(f"{name:>18}  {value}")
+    print_facts((
+        ("stiffness", f"{found.stiffness_n_per_m:.6g} N/m, {document['ceiling_n_per_m']:.6g} N/m is the ceiling", ""),
+        ("static compliance", f"{compliance:.6g} m/N, at least {found.bound_m_per_n:.6g} m/N for these delays", ""),
+        ("certified", f"delays {found.delays[0]} to {found.delays[-1]} samples, any passive hand, {beta:g} N s/m of damping", ""),
+        ("taps", f"{len(found.coupler.taps_m_per_n)}: " + " ".join(f"{c:.5g}" for c in found.coupler.taps_m_per_n), ""),
+    ))  # fmt: skip

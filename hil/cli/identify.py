@@ -13,6 +13,7 @@ import click
 
 from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
+from hil.cli.terminal import print_facts
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -235,12 +236,11 @@ def _print(said: dict[str, Any]) -> None:
     text = "gives none" if plain is None else ", ".join(f"{name} {value:.6g}" for name, value in plain.items())
     test = said["residuals"]
     tested = f" (Q = {test['statistic']:.3g} over {test['lags']} lags, p = {test['p_value']:.2g})"
-    for title, value in (
-        ("plain least squares", f"{text}, for comparison"),
-        ("noise", f"{said['noise_sd']:.3g} (standard deviation), {said['samples']} samples at {1e3 * said['period_s']:g} ms"),
-        ("residuals", WORDS[test["verdict"]] + ("" if test["verdict"] == "exact" else tested)),
-    ):
-        click.echo(f"{title:>22}  {value}")
+    print_facts((
+        ("plain least squares", f"{text}, for comparison", ""),
+        ("noise", f"{said['noise_sd']:.3g} (standard deviation), {said['samples']} samples at {1e3 * said['period_s']:g} ms", ""),
+        ("residuals", WORDS[test["verdict"]] + ("" if test["verdict"] == "exact" else tested), ""),
+    ))  # fmt: skip
     click.echo("\n[plant]\nkind = " + json.dumps(said["plant"]))
     for name, found in said["estimates"].items():
         click.echo(f"{name} = {found['value']:.6g}")

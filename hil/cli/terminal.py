@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from shutil import get_terminal_size
 from textwrap import wrap
@@ -76,6 +76,12 @@ def cell(value: object, style: str = "") -> Text:
     from rich.text import Text
 
     return Text(visible(value), style=style)
+
+
+def print_facts(facts: Iterable[tuple[str, str, str]]) -> None:
+    """Print facts, one a line: name, value, remark."""
+    for name, value, remark in facts:
+        click.echo(f"{name:>22}  {value:<12} {remark}".rstrip())
 
 
 def print_table(table: Table) -> None:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from design.requests.historical import HistoricalDesigned
 from hil.cli import cli
-from hil.cli.design_historical import experiment_over_history
+from hil.cli.design_answers import experiment_over_history
 from hil.compose.loop import compose
 from hil.design_questions.design_problem import tracking_target
 from hil.design_questions.historical_bounds import judge_historical

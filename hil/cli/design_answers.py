@@ -1,0 +1,202 @@
+"""What `hil design` answers beside gains that are solved: over historical data, without a network, over a measured one.
+
+``hil design EXPERIMENT`` of gains over historical data: what they cost, and how far that is from the best possible.
+
+``hil design PLANT|EXPERIMENT --local``: a design for the plant alone, and what is certified of it over the network.
+
+``hil design PLANT --network LOG``: from what was measured of a link to a controller that is certified for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, get_args, runtime_checkable
+
+import click
+
+from design.errors import DesignError, FieldError
+from design.local import LocalMethod
+from design.requests.tracking import LocalDesigned
+from hil.certify.certifier import limited_to_model
+from hil.certify.send_all_loop import judge_linear_law
+from hil.cli.json_output import print_json
+from hil.cli.terminal import print_facts
+from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at
+from hil.design_questions.measured_network import Measured, measured, over_network, region_verdict
+from hil.errors import HilError
+from hil.log.recordings.read import read_recording
+from hil.log.recordings.recording import BACK, THERE, packet_records
+from transport.law_fit.law_fit import fit_law
+
+if TYPE_CHECKING:
+    from design.controllers.sensor_nodes import Uses
+    from design.tracking.synthesis import Design
+    from hil.experiment import Experiment
+
+
+@runtime_checkable
+class OverHistory(Protocol):
+    """A controller, or the request for one, that says which of the samples its gains use."""
+
+    uses: Uses
+
+
+def experiment_over_history(subject: str) -> Experiment | None:
+    """Return the experiment of a name with several sensor nodes, or with gains over historical data; None for any other name."""
+    from hil.experiment import load_experiment
+    from hil.plugins.registry import names
+    from hil.rig.normal_form import rig_of
+
+    if subject in names("hil.plants") or ":" in subject:
+        return None
+    experiment = load_experiment(subject)
+    return experiment if len(rig_of(experiment).sensors) > 1 or isinstance(experiment.controller, OverHistory) else None
+
+
+def show_historical(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -> None:
+    """Print what gains over historical data cost."""
+    from hil.cli.working import Working
+    from hil.compose.loop import compose
+    from hil.design_questions.historical_bounds import judge_historical
+
+    try:
+        with Working(f"{experiment.name}: what its gains cost"):
+            found = judge_historical(compose(experiment), orders=orders, spread=spread)
+    except ValueError as error:
+        raise HilError(f"{experiment.name}: {error}") from error
+    if as_json:
+        print_json(found)
+        return
+    for line in historical_lines(found):
+        print(line)
+
+
+def historical_lines(found: dict[str, Any]) -> list[str]:
+    """Return a judgement as lines for people."""
+    said = [f"{found['experiment']}, uses {found['uses']}", f"cost from the plant's start   {found['cost']:.6g}"]
+    if "cost_sd" in found:
+        said.append(f"  standard deviation of runs  {found['cost_sd']:.6g}")
+    said.append(f"mean cost, x(0) ~ N(0, I)     {found['mean_cost']:.6g}")
+    if found["bound_causal"] is None:
+        said.append("bound, any causal controller  undecided: which node's packet arrives is not a Markov chain of its own")
+    else:
+        said.append(f"bound, any causal controller  {found['bound_causal']:.6g} (ours is {100 * found['gap']:.2f} % above)")
+    said.append(f"bound, full state             {found['bound_full_state']:.6g}")
+    said += [f"order {', '.join(each['nodes'])}: mean cost {each['mean_cost']:.6g}" for each in found.get("orders", ())]
+    said.append("gains [phase][j], of x(k - j):")
+    for i, phase in enumerate(found["gains"]):
+        for j, rows in enumerate(phase):
+            said += [f"  [{i}][{j}] " + " ".join(f"{entry:10.5g}" for entry in row) for row in rows]
+    return said
+
+
+METHODS: tuple[str, ...] = get_args(LocalMethod)
+
+
+def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, Any]:
+    """Return a local design as plain data: its matrices, its norms without a network, the verdict over the network.
+
+    Raises:
+        HilError: no such design.
+    """
+    from design.processes.delay_chain import DelayChain
+
+    try:
+        law = request.law(model_at(target))
+    except FieldError as error:
+        raise HilError(f"--{error.field.replace('_', '-')}: {error.message}") from error
+    except DesignError as error:
+        raise HilError(f"design: {error}") from error
+    none = DelayChain(transition=((1.0,),))
+    rho = request.input_weight
+    alone = judge_linear_law(model_at(target), none, none, law, input_weight=rho).to_json()
+    over_network = judge_linear_law(
+        model_at(target), target.sc, target.ca, law, input_weight=rho, digest=digest_of_law(target, law)
+    )  # fmt: skip
+    verdict = limited_to_model(target.of, over_network)
+    return {
+        "plant": target.plant,
+        "period_s": target.period_s,
+        "local": request.method,
+        "input_weight": rho,
+        "noise": request.noise,
+        "law": {"A": law.A.tolist(), "B": law.B.tolist(), "C": law.C.tolist(), "D": law.D.tolist()},
+        "without_network": {"h2": alone["h2_norm"], "hinf": alone["hinf_norm"], "radius": alone["number"]},
+        "verdict": verdict.to_json(),
+    }
+
+
+def show_local(document: dict[str, Any], *, as_json: bool) -> None:
+    """Print a local design."""
+    if as_json:
+        print_json(document)
+        return
+    alone, verdict = document["without_network"], document["verdict"]
+    click.echo(f"{document['plant']}, {document['local']} by python-control, period {document['period_s']:g} s")
+    print_facts((
+        ("H2 norm", f"{alone['h2']:.6g}", "of z = [C x; rho u], without a network"),
+        ("H-infinity norm", f"{alone['hinf']:.6g}", "without a network"),
+        ("second-moment radius", f"{alone['radius']:.6f}", "without a network"),
+        ("over the network", verdict["state"], verdict["reason"]),
+        ("in an experiment", "", f'[controller] kind = "local-designed", method = "{document["local"]}"'),
+    ))  # fmt: skip
+
+
+DEADLINE = 0.6
+"""Share of a slot within which a packet must come, as in an experiment that says nothing else."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OverMeasured:
+    """A plant over a measured network.
+
+    Attributes:
+        target: what is designed for.
+        sc, ca: both directions.
+        notes: what was done about clocks.
+    """
+
+    target: TrackingTarget
+    sc: Measured
+    ca: Measured
+    notes: tuple[str, ...]
+
+    def document(self, design: Design) -> dict[str, Any]:
+        """Return the laws, and the verdict over all that the measurement leaves possible, as plain values."""
+        region = region_verdict(self.target, design, self.sc, self.ca).to_json()
+        return {THERE: _way(self.sc), BACK: _way(self.ca), "notes": list(self.notes), "region": region}
+
+
+def _way(way: Measured) -> dict[str, Any]:
+    fit = way.fit
+    return {"class": fit.law_class, "packets": len(fit.record.sent_s), "law": fit.spec, "max_age": way.at.max_age}
+
+
+def measured_network(path: Path, target: TrackingTarget) -> OverMeasured:
+    """Read a log, fit both directions, and put the plant over them.
+
+    Args:
+        path: a log of `hil probe`, or of a run.
+        target: plant and period; its network is replaced.
+
+    Raises:
+        HilError: the log has one direction, or a direction that no law explains.
+    """
+    records, notes = packet_records(read_recording([path]))
+    if THERE not in records or BACK not in records:
+        said = f"holds {' and '.join(records)}; a design needs both directions, as `hil probe` measures them"
+        raise HilError(f"--network {path}: {said}")
+    found = {}
+    for way, record in records.items():
+        try:
+            found[way] = measured(fit_law(record, target.period_s, DEADLINE * target.period_s), holds_input=way == BACK)
+        except HilError as error:
+            raise HilError(f"--network {path}: {way}: {error}") from error
+    return OverMeasured(target=over_network(target, found[THERE], found[BACK]), sc=found[THERE], ca=found[BACK], notes=notes)
+
+
+def network_lines(said: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return what a document says of the measured network, line by line: name, value, remark."""
+    lines = [(f"network, {way}", said[way]["class"], f"{said[way]['packets']} packets") for way in (THERE, BACK)]
+    return [*lines, ("over all it leaves", said["region"]["state"], said["region"]["reason"])]
