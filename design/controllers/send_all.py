@@ -205,7 +205,7 @@ class SendAll:
             raise FieldError(
                 "gains",
                 f"shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "
-                f"for selection {self.selection!r} with d up to {model.d_max}",
+                f"for selection {self.selection!r} with d up to {model.d_max}, the max_age of network.ca",
             )
         if self.ages:
             count = len(model.nodes.names)

@@ -46,6 +46,7 @@ def checked_arguments(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        __tracebackhide__ = True  # pytest shows the line of the test, not this function
         if not hints:
             hints.update(get_type_hints(SimpleNamespace(__annotations__=own), globalns=vars(_module(function))))
         for name, value in named.bind(*args, **kwargs).arguments.items():
