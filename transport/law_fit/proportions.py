@@ -104,13 +104,12 @@ def fitness(low: Array, high: Array, parameters: int, rng: np.random.Generator) 
         parameters: of the law, estimated from these data.
         rng: for the uniform numbers.
     """
-    u = np.clip(low + (high - low) * rng.random(len(low)), 1e-15, 1.0 - 1e-15)
-    score = np.asarray(stats.norm.ppf(u), dtype=np.float64)
+    u = low + (high - low) * rng.random(len(low))
+    score = _normal(u)
     counts = np.histogram(u, bins=np.linspace(0.0, 1.0, CELLS + 1))[0]
     chi_square = float(((counts - len(u) / CELLS) ** 2).sum() / (len(u) / CELLS))
     freedom = max(1, CELLS - 1 - min(parameters, CELLS // 2))
-    size = np.asarray(stats.norm.ppf(np.clip(np.abs(2.0 * u - 1.0), 1e-15, 1.0 - 1e-15)), dtype=np.float64)
-    plain, sizes, root_n = correlations(score), correlations(size), len(u) ** 0.5
+    plain, sizes, root_n = correlations(score), correlations(_normal(np.abs(2.0 * u - 1.0))), len(u) ** 0.5
     neighbours = min(_thirds(u), *(2.0 * float(stats.norm.sf(abs(r[0]) * root_n)) for r in (plain, sizes)))
     lags = min(_ljung_box(r[: max(1, len(u) // 50)], len(u)) for r in (plain, sizes))
     largest = int(np.abs(plain).argmax())
@@ -118,6 +117,12 @@ def fitness(low: Array, high: Array, parameters: int, rng: np.random.Generator) 
         neighbours=min(1.0, 3.0 * neighbours), lags=min(1.0, 2.0 * lags), independence=min(1.0, TESTS * min(neighbours, lags)),
         largest=float(plain[largest]), largest_lag=largest + 1, shape=float(stats.chi2.sf(chi_square, freedom)),
     )  # fmt: skip
+
+
+def _normal(u: Array) -> Array:
+    """Normal quantiles of uniform numbers; 0 and 1, where a table ends at the extremes of the record, count as half a packet."""
+    half = 0.5 / len(u)
+    return np.asarray(stats.norm.ppf(np.clip(u, half, 1.0 - half)), dtype=np.float64)
 
 
 def correlations(values: Array) -> Array:

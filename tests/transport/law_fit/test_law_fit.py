@@ -117,6 +117,17 @@ def test_a_weak_rhythm_of_a_heavy_tail_is_seen_where_there_are_packets_enough() 
     assert not fit.tested.independent
 
 
+def test_the_extremes_of_a_table_hide_no_dependence() -> None:
+    """A table ends at the smallest and at the largest latency: their probabilities are 0 and 1, and no infinite residuals."""
+    rng = np.random.default_rng(15)
+    noise = rng.standard_normal(414)
+    below = np.asarray(stats.norm.cdf((noise[14:] + 0.5 * noise[:-14]) / np.hypot(1.0, 0.5)))
+    table = np.where(below == below.min(), 0.0, np.where(below == below.max(), 1.0, below))
+    plain, ends = (fitness(u, u, 0, rng) for u in (below, table))
+    assert ends.largest_lag == plain.largest_lag == 14
+    assert ends.largest == pytest.approx(plain.largest, rel=0.05)
+
+
 def test_dependence_that_no_slot_shows_is_said_and_does_not_count() -> None:
     """Latencies far below the deadline: whatever they do, every packet comes in its own slot."""
     rng = np.random.default_rng(2)
