@@ -112,20 +112,14 @@ def _shares(fit: LawFit) -> list[float]:
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
     from hil.cli.terminal import visible
-    from hil.log.recordings.law_text import WORDS, toml_value
-    from transport.law_fit.proportions import LAGS, REJECT
+    from hil.log.recordings.law_text import WORDS, independence_said, toml_value
 
     tested = fit.tested
     click.echo(f"{way}: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come")
     for note in said["notes"]:
         click.echo(f"  {visible(note)}")
-    rejected = "not rejected" if tested.independent else "rejected"
-    click.echo(f"  independence of latencies and losses is {rejected}: p = {tested.independence:.2g}, level {REJECT:g} "
-               f"(neighbours {tested.neighbours:.2g}, up to {LAGS} packets apart {tested.lags:.2g}; the largest correlation is "
-               f"{tested.largest:.2g}, {tested.largest_lag} apart)")  # fmt: skip
-    if not tested.independent and fit.law_class != "none" and fit.ages is None:
-        click.echo(f"  independence of the slots of {fit.period_s * 1e3:g} ms in which packets come is not rejected "
-                   f"(p = {fit.in_slots:.2g}), and a loop sees no more")  # fmt: skip
+    for line in independence_said(fit):
+        click.echo(f"  {line}")
     shape = "as measured" if fit.latencies.name in ("table", "constant") else f"shape p = {tested.shape:.2g}"
     click.echo(f"  latencies: {fit.latencies.name} ({shape})")
     for name, (low, high) in list(said["intervals"].items())[:12]:

@@ -18,11 +18,12 @@ from scipy import special
 
 from design.passivity.stiffness_map import StiffnessCell
 from hil.design_questions.bus_analysis import AnalysedMessage, BusAnalysis
+from hil.log.recordings.law_text import WORDS, independence_said
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Cell, Figure, Section, Series, Table, Text
 from hil.pages.html.page import render_page
 from transport.law_fit.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
-from transport.law_fit.proportions import LAGS
+from transport.law_fit.proportions import LAGS, REJECT
 from transport.law_fit.region import arrivals
 
 
@@ -79,6 +80,7 @@ def _table(found: BusAnalysis) -> Table:
 
 POINTS = 400
 MOST_BARS = 12
+MOST_PARAMETERS = 20
 
 
 def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_shares: dict[str, list[float]]) -> str:
@@ -136,15 +138,18 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     ))  # fmt: skip
     blocks.append(_correlations(fit))
     rows: list[tuple[str | float | int, ...]] = [
-        (c.name, c.fitted_to, c.parameters, round(c.bic, 1), *(f"{p:.2g}" for p in (c.fitness.independence, c.fitness.shape)))
-        if c.fitness is not None else (c.name, c.fitted_to, c.parameters, round(c.bic, 1), "-", "-")
+        (c.name, c.fitted_to, c.parameters, round(c.bic), *(_chance(p) for p in (c.fitness.independence, c.fitness.shape)))
+        if c.fitness is not None else (c.name, c.fitted_to, c.parameters, round(c.bic), "-", "-")
         for c in fit.candidates
     ]  # fmt: skip
-    blocks.append(Table(columns=("law", "fitted to", "parameters", "BIC", "p independent", "p shape"), rows=rows))
+    blocks.append(Table(columns=("law", "fitted to", "parameters", "BIC", "independent: p", "shape: p"), rows=rows))
     came_rows = [(i, share, *pair) for i, (share, pair) in enumerate(arrivals(fit).shares())]
     blocks.append(Table(columns=("age in slots", "comes, if not before", "95 % from", "to"), rows=came_rows[:MOST_BARS]))
-    intro = f"{fit.law_class}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
-        f"{note}." for note in said["notes"]
+    parameters = [(name, *pair) for name, pair in said["intervals"].items()]
+    blocks.append(Table(columns=("parameter of the law", "95 % from", "to"), rows=parameters[:MOST_PARAMETERS]))
+    tested = (f"{line[0].upper()}{line[1:]}" for line in independence_said(fit))
+    intro = f"The law: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
+        f"{note}." for note in (*tested, *said["notes"])
     )
     return Section(
         title={"sc": "Sensor to controller", "ca": "Controller to actuator"}.get(way, "Round trip"),
@@ -152,6 +157,11 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
         blocks=tuple(blocks),
         columns=2,
     )
+
+
+def _chance(p: float) -> str:
+    """A p-value; below 0.001 only that counts. The spaces do not break."""
+    return f"{p:.2g}" if p >= REJECT else f"< {REJECT:g}".replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def _correlations(fit: LawFit) -> Figure:

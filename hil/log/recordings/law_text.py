@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 from transport.law_fit.law_fit import LawFit
+from transport.law_fit.proportions import LAGS, REJECT
 from transport.law_fit.region import arrivals
 
 WORDS = {
@@ -55,6 +56,23 @@ def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict
         said["intervals"] = {name: list(pair) for name, pair in fit.losses.intervals.items()}
     said["tried"] = [{"name": c.name, "fitted_to": c.fitted_to, "parameters": c.parameters, "bic": c.bic} for c in fit.candidates]
     return said
+
+
+def independence_said(fit: LawFit) -> tuple[str, ...]:
+    """Return what the test of independence says, in words: of latencies and losses, and of slots where it is rejected."""
+    tested = fit.tested
+    rejected = "not rejected" if tested.independent else "rejected"
+    said = (
+        f"independence of latencies and losses is {rejected}: p = {tested.independence:.2g}, level {REJECT:g} (neighbours "
+        f"{tested.neighbours:.2g}, up to {LAGS} packets apart {tested.lags:.2g}; the largest correlation is "
+        f"{tested.largest:.2g}, {tested.largest_lag} apart)"
+    )
+    if tested.independent or fit.law_class == "none" or fit.ages is not None:
+        return (said,)
+    return said, (
+        f"independence of the slots of {fit.period_s * 1e3:g} ms in which packets come is not rejected (p = {fit.in_slots:.2g}), "
+        "and a loop sees no more"
+    )
 
 
 def law_text(fit: LawFit, said: dict[str, Any]) -> str:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from transport.law_fit.age_models import fit_ages
 from transport.law_fit.law_fit import fit_law
-from transport.law_fit.loss_models import ALL, fit_loss
+from transport.law_fit.loss_models import ALL, _channel, _likelihood_of, fit_loss
 from transport.law_fit.packet_record import PacketRecord
-from transport.law_fit.profile_intervals import angles_of, critical, profile_intervals, values_of
+from transport.law_fit.profile_intervals import angles_of, critical, minimum, profile_intervals, values_of
 from transport.law_fit.proportions import clopper_pearson, wilson
 from transport.law_fit.region import arrivals, confidence_region
 from transport.laws.age import MarkovAge
@@ -50,6 +50,15 @@ def test_a_channel_is_found_where_the_likelihood_has_several_tops(seed: int) -> 
     fit = fit_loss(lost, whole=True)[0]
     assert fit.values["loss_good"] > 0.003
     assert fit.intervals["p_gb"].low < 0.03 < fit.intervals["p_gb"].high
+
+
+def test_the_search_begins_in_several_places() -> None:
+    """Bursts of two packets and losses between them: from the first place alone the search ends 2 below the largest one."""
+    channel = GilbertElliott(p_gb=0.005, p_bg=0.5, loss_good=0.05, loss_bad=0.5)
+    lost = channel_losses(channel, 20_000, 37)
+    likelihood = _likelihood_of(lost)
+    _, least = minimum(lambda angles: -likelihood(values_of(angles)), angles_of(np.array([0.005, 0.5, 0.05, 0.5])))
+    assert _channel(lost, likelihood).log_likelihood > -least - 0.5
 
 
 CHANNELS = GilbertElliott(p_gb=0.03, p_bg=0.3, loss_good=0.01, loss_bad=0.7), GilbertElliott(p_gb=0.02, p_bg=0.2)
