@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,7 +33,7 @@ class Smith:
         m, p = model.B.shape[1], model.C.shape[0]
         if K.shape != (m, p):
             raise FieldError("gain", f"shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
-        return _SmithRows(K, model)
+        return _SmithRows(self.gain, model)
 
     def laws_of_ages(self, model: LoopModel, ages: int) -> tuple[RowsLaw, ...]:
         """Return its matrices for every age; state: the model's, then the model's outputs of the last slots, newest first."""
@@ -67,24 +68,37 @@ class Smith:
 
 
 class _SmithRows:
-    """One predictor that runs: a batch of one."""
-
     selection: Selection = "applied"
 
-    def __init__(self, K: NDArray[np.float64], model: LoopModel) -> None:
-        self._one = BatchSmith(K, model, 1)
+    def __init__(self, K: Sequence[Sequence[float]], model: LoopModel) -> None:
+        self._K, self._omega = K, feedforward(model).tolist()
+        self._AB = np.hstack([model.A, model.B]).tolist()
+        self._C, self._d_max = model.C.tolist(), model.d_max
+        self._x = [0.0] * model.A.shape[0]
+        self._past: deque[list[float]] = deque([product(self._C, self._x)], maxlen=64)  # model outputs, newest last
         self._k: int | None = None
+        self._u = [0.0] * model.B.shape[1]
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
-        for _ in range(0 if self._k is None else k - self._k - 1):  # a slot whose packet was lost still passes for the model
-            self._one.move()
+        if self._k is not None:
+            for _ in range(k - self._k):  # a slot whose packet was lost still passes for the model
+                self._x = product(self._AB, [*self._x, *self._u])
+                self._past.append(product(self._C, self._x))
         self._k = k
-        known = KnownInBatch(np.ones(1, dtype=np.bool_), np.array([[tau]]), np.array(y, dtype=float)[:, None], r)
-        return tuple(map(tuple, self._one.rows(k, known)[:, :, 0].tolist()))
+        bias = [a - b for a, b in zip(y, self._past[-1 - min(tau, len(self._past) - 1)])]
+        star = product(self._omega, r)
+        x, rows = self._x, []
+        for _ in range(self._d_max + 1):
+            error = [a + b - c for a, b, c in zip(product(self._C, x), bias, r)]
+            u = [a + b for a, b in zip(star, product(self._K, error))]
+            rows.append(tuple(u))
+            x = product(self._AB, [*x, *u])
+        self._u = list(rows[0])
+        return tuple(rows)
 
 
 class BatchSmith:
-    """The predictor in many runs.
+    """The predictor in many runs, each bit for bit what `_SmithRows` computes alone; as a batch of one a slot costs five times.
 
     Args:
         K: gain, (m, p).
@@ -105,16 +119,12 @@ class BatchSmith:
         self._held = np.ones(runs, dtype=np.intp)
         self._ran = np.zeros(runs, dtype=np.bool_)
 
-    def move(self) -> None:
-        """Let a slot pass for the model of every run that has started."""
+    def rows(self, k: int, known: KnownInBatch) -> NDArray[np.float64]:
+        """Return the rows of slot k, (rows, m, runs); see `BatchGainRows.rows`."""
         self._x = np.where(self._ran, product_of_batch(self._AB, (*self._x, *self._u)), self._x)
         newer = np.concatenate((product_of_batch(self._C, self._x)[None], self._past[:-1]))
         self._past = np.where(self._ran, newer, self._past)
         self._held = np.minimum(self._held + self._ran, 64)
-
-    def rows(self, k: int, known: KnownInBatch) -> NDArray[np.float64]:
-        """Return the rows of slot k, (rows, m, runs); see `BatchGainRows.rows`."""
-        self.move()
         tau, r = known.ages.max(axis=0), known.reference
         self._ran = known.started.copy()
         bias = known.y - self._past[np.minimum(tau, self._held - 1), :, np.arange(len(tau))].T

@@ -25,3 +25,15 @@ def test_a_delayed_sample_of_a_plant_that_is_its_model_gives_the_rows_of_a_promp
         assert delayed.rows(k, tau, (outputs[-1 - tau],), (1.0,)) == pytest.approx(np.array(rows), abs=1e-12)
         x = loop.A @ x + loop.B @ np.array(rows[0])
     assert abs(outputs[-1] - outputs[-1 - tau]) > 1e-3  # it still moves: an older sample is another one
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_loop_that_diverges_is_no_warning_and_a_lost_slot_passes_for_the_model() -> None:
+    loop = model(1)
+    every, some = (Smith(gain=((-0.3,),)).start(loop) for _ in range(2))
+    every.rows(0, 0, (1.0,), (0.0,))
+    some.rows(0, 0, (1.0,), (0.0,))
+    once = some.rows(3, 0, (0.5,), (0.0,))
+    assert once != every.rows(1, 0, (0.5,), (0.0,))  # two slots more have passed
+    for k in range(4, 10):
+        assert len(some.rows(k, 1, (-1e308 if k % 2 else 1e308,), (1e308,))) == loop.d_max + 1
