@@ -6,6 +6,7 @@ import queue
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Any, Final
 
 import msgspec
@@ -74,7 +75,8 @@ class Desk:
         self.seed: int | None = None  # of the run that is asked for next
         self.again = threading.Event()
         self._composer = Composer()
-        self._wishes: queue.Queue[Wish | None] = queue.Queue(WAITING)
+        self._numbers = count(1)
+        self._wishes: queue.Queue[tuple[int, Wish] | None] = queue.Queue(WAITING)
         self._worker = threading.Thread(target=self._work, name="changes", daemon=True)
         self._worker.start()
 
@@ -86,8 +88,8 @@ class Desk:
         except queue.Full:  # it ends with the process
             pass
 
-    def take(self, wish: Wish) -> None:
-        """Do what is asked, or put it on the list of what is computed first.
+    def take(self, wish: Wish) -> int:
+        """Do what is asked, or put it on the list of what is computed first; return the number of its draft, 0 for none.
 
         Raises:
             HilError: it cannot be done; with what helps.
@@ -104,15 +106,17 @@ class Desk:
             raise HilError(f"sides: {list(wish.sides)}, expected numbers from 0 to {len(self.sides) - 1}")
         if wish.do in quick:
             quick[wish.do](wish)
-            return
+            return 0
         if wish.do in ("check", "apply") and wish.path == END:
             raise HilError(f"path: {END!r} is no field; the wish to end a run is its own")
         if wish.do == "restart" and not (wish.seed is None or 0 <= wish.seed < 2**63):
             raise HilError(f"seed: {wish.seed}, expected a whole number from 0 on")
+        number = next(self._numbers)
         try:
-            self._wishes.put_nowait(wish)
+            self._wishes.put_nowait((number, wish))
         except queue.Full:
             raise HilError(f"{wish.do}: {WAITING} changes wait to be computed; this one is not taken") from None
+        return number
 
     def _pace(self, held: bool) -> None:
         for side in self.sides:
@@ -134,19 +138,20 @@ class Desk:
                 side.clock.set(speed=wish.speed)
 
     def _work(self) -> None:
-        while (wish := self._wishes.get()) is not None:
+        while (asked := self._wishes.get()) is not None:
+            number, wish = asked
             sides = [self.sides[i] for i in wish.sides] or list(self.sides)
-            self.draft = Draft(self.draft.number + 1, wish.path, "computing")
+            self.draft = Draft(number, wish.path, "computing")
             try:
                 if wish.do == "check":
                     claims = [self._claim(side, wish) for side in sides]
-                    self.draft = Draft(self.draft.number, wish.path, "ready", "", claims)
+                    self.draft = Draft(number, wish.path, "ready", "", claims)
                 elif wish.do == "apply":
                     slots = self._arm(sides, wish.path, wish.value)
                     told = f"acts from slot {' and '.join(map(str, dict.fromkeys(slots)))}"
-                    self.draft = Draft(self.draft.number, wish.path, "armed", told, [side.claim() for side in sides])
+                    self.draft = Draft(number, wish.path, "armed", told, [side.claim() for side in sides])
                 else:
-                    self.draft = Draft(self.draft.number)
+                    self.draft = Draft(number)
                     if wish.do == "restart":
                         self.seed = wish.seed
                         self.again.set()
@@ -154,7 +159,7 @@ class Desk:
                         side.stop()
             except HilError as error:
                 self.refused += 1
-                self.draft = Draft(self.draft.number, wish.path, "refused", str(error)[:1000])
+                self.draft = Draft(number, wish.path, "refused", str(error)[:1000])
 
     def _claim(self, side: Side, wish: Wish) -> dict[str, Any]:
         after = self._composer.changed(_loop_of(side, wish.path), side.next_slot(), wish.path, wish.value)

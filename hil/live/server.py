@@ -234,10 +234,10 @@ class Handler(BaseHTTPRequestHandler):
         if not length.isdigit() or len(length) > 9 or int(length) > MOST_BYTES:
             raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a wish has {MOST_BYTES} bytes at most, and says how many")
         try:
-            self.server.desk.take(msgspec.json.decode(self.rfile.read(int(length)), type=Wish))
+            number = self.server.desk.take(msgspec.json.decode(self.rfile.read(int(length)), type=Wish))
         except (HilError, msgspec.DecodeError, RecursionError) as error:
             raise Refused(HTTPStatus.BAD_REQUEST, str(error)[:1000]) from error
-        return "application/json", b"{}"
+        return "application/json", _json({"number": number})
 
 
 def _whole(asked: dict[str, str], name: str, default: int) -> int:

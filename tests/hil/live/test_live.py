@@ -38,6 +38,7 @@ class Page:
     url: str = ""
     sessions: list[Session] = field(default_factory=list)
     status: int = -1
+    number: int = 0
 
     def begin(self) -> None:
         there = threading.Event()
@@ -67,7 +68,9 @@ class Page:
 
     def wish(self, **said: Any) -> tuple[int, Any]:
         status, data = self.request("POST", "/do", json.dumps(said).encode(), X_Hil_Token=self.token)
-        return status, json.loads(data)
+        answer = json.loads(data)
+        self.number = answer.get("number") or self.number
+        return status, answer
 
     def view(self, **asked: Any) -> Any:
         status, data = self.request("GET", "/view?" + "&".join(f"{name}={value}" for name, value in asked.items()))
@@ -76,7 +79,8 @@ class Page:
         return json.loads(data[4 : 4 + size]) | {"numbers": np.frombuffer(data, "<f4", offset=4 + size)}
 
     def settled(self, state: str) -> Any:
-        until(lambda: self.view()["draft"]["state"] not in ("computing", "none"), "the certificate")
+        """Return what became of the last wish."""
+        until(lambda: (d := self.view()["draft"])["number"] == self.number and d["state"] != "computing", "the certificate")
         draft = self.view()["draft"]
         assert draft["state"] == state, draft
         return draft
