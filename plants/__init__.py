@@ -24,7 +24,7 @@ _NAMES: Final = {
     "plants.parts.friction": "Friction RubbingAxis",
     "plants.parts.events": "JumpModel JumpRates",
     "plants.parts.linear": "DiscreteStateSpace LinearRun Signal StateSpace",
-    "plants.parts.protocols": "BeyondModel Departure HasCost HasDepartures HasOwnInputs HasSensorNoise HasStateDelays "
+    "plants.parts.protocols": "BeyondModel Departure GoesOn HasCost HasDepartures HasOwnInputs HasSensorNoise HasStateDelays "
     "HasStateHistory JumpPlant MovesOtherwise Plant PlantRun ReferencesFiles",
     "plants.parts.semi_markov": "JumpProcess TransitionRates",
     "plants.state_space": "LinearPlant TransferFunction from_control to_control",

@@ -21,6 +21,7 @@ from plants.parts.linear import Signal as Signal
 from plants.parts.linear import StateSpace as StateSpace
 from plants.parts.protocols import BeyondModel as BeyondModel
 from plants.parts.protocols import Departure as Departure
+from plants.parts.protocols import GoesOn as GoesOn
 from plants.parts.protocols import HasCost as HasCost
 from plants.parts.protocols import HasDepartures as HasDepartures
 from plants.parts.protocols import HasOwnInputs as HasOwnInputs

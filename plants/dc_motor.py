@@ -14,7 +14,7 @@ from plants.parts.actuators import Axes, Driver, Encoder, FreeAxes, MotorRuns
 from plants.parts.exponential import zero_order_hold
 from plants.parts.friction import Friction, RubbingAxes, RubbingAxis
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
-from plants.parts.protocols import Departure
+from plants.parts.protocols import Departure, PlantRun
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _NEVER_NS = 1 << 62
@@ -183,6 +183,24 @@ class DCMotor:
         """Return the load torque, where there is one: it sets in and ends by the clock, whatever the motor does."""
         return ("a load torque",) if self.load.torque_v else ()
 
+    def may_change(self) -> tuple[str, ...]:
+        """Return what another motor may have that takes over from one that runs."""
+        return ("gain", "pole", "friction", "driver", "encoder")
+
+    def own_way(self) -> tuple[str, ...]:
+        """Return nothing: its load sets in by the clock, and stays."""
+        return ()
+
+    def go_on(self, run: PlantRun) -> DCMotorRun:
+        """Return this motor where another one is, which runs.
+
+        Raises:
+            PlantError: the other one is no motor.
+        """
+        if not isinstance(run, DCMotorRun):
+            raise PlantError(f"go_on: a {type(run).__name__}, expected a motor")
+        return DCMotorRun(self, run)
+
     def start(self, rng: np.random.Generator) -> DCMotorRun:
         """Return the motor at time 0. It draws nothing from ``rng``."""
         return DCMotorRun(self)
@@ -252,7 +270,7 @@ class DCMotorRun:
 
     __slots__ = ("_angle", "_applied", "_drive", "_move", "_now_ns", "_pieces", "_read", "_speed", "_tacho", "_through")
 
-    def __init__(self, motor: DCMotor) -> None:
+    def __init__(self, motor: DCMotor, before: DCMotorRun | None = None) -> None:
         damping = motor._damping
         axis: _Axis = (
             _DryAxis(RubbingAxis(motor.gain, motor.pole, motor.friction))
@@ -268,6 +286,9 @@ class DCMotorRun:
         self._now_ns = 0
         self._angle, self._speed = float(motor.initial_angle_rad), float(motor.initial_speed_rad_s)
         self._applied = 0.0
+        if before is not None:
+            self._now_ns, self._applied = before._now_ns, before._applied
+            self._angle, self._speed = before._angle, before._speed
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
         """Hold the command for dt_ns.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from plants.parts.events import pass_time
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.hand import Hand, PathRun, PushRun, SlideRun
 from plants.parts.linear import NS_PER_S, Flow, LinearRun, Signal, StateSpace
+from plants.parts.protocols import PlantRun
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _BARE = ((Signal("torque", "N m"),), (Signal("angle", "rad"),), (Signal("angle", "rad"), Signal("speed", "rad/s")))
@@ -141,6 +143,25 @@ class Omni:
         """Return what the hand does of its own will: it pushes, leads the device along its path, and slides along the wall."""
         return () if self.hand is None else ("the hand's push, path and slide",)
 
+    def may_change(self) -> tuple[str, ...]:
+        """Return what another device may have that takes over from one that runs: its hand, but for the push and the slide."""
+        own = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+        return () if self.hand is None else (*(f"hand.{name}" for name in own), *self.own_way())
+
+    def own_way(self) -> tuple[str, ...]:
+        """Return where the hand leads the device, and how fast."""
+        return () if self.hand is None else ("hand.reach_m", "hand.approach_s")
+
+    def go_on(self, run: PlantRun) -> HeldRun:
+        """Return this device where another one is, which runs; its hand goes on from where it is.
+
+        Raises:
+            PlantError: one of the two is not held.
+        """
+        if not isinstance(run, HeldRun) or self.hand is None:
+            raise PlantError("go_on: a bare joint, expected a device that a hand holds")
+        return run.under(self, self.hand)
+
     def start(self, rng: np.random.Generator) -> LinearRun | NoisyRun | HeldRun:
         """Return the joint at time 0. A bare one without noise draws nothing from ``rng``."""
         if self.hand is None:
@@ -158,18 +179,28 @@ class HeldRun:
     )  # fmt: skip
 
     def __init__(self, omni: Omni, hand: Hand, rng: np.random.Generator) -> None:
+        self._push, self._slide = PushRun(hand.push, rng), SlideRun(hand.slide, rng)
+        self._move_as(omni, hand, PathRun(hand))
+        self._place = self._slide.at(0)
+        self._x = [omni.lever_m * omni.initial_angle_rad, omni.lever_m * omni.initial_speed_rad_s, 0.0]
+        self._limit = math.inf if omni.force_limit_n is None else omni.force_limit_n
+        self._step_m = omni.encoder_step_m
+        self._now_ns, self._force, self._applied, self._given = 0, 0.0, (0.0,), 0.0
+
+    def _move_as(self, omni: Omni, hand: Hand, path: PathRun) -> None:
         mass, beta, spring = omni.tip_mass_kg, omni.tip_damping_n_s_per_m, hand.stiffness_n_per_m
         # (x, v, p) under (force + push, p')
         drawn = [[0.0, 1.0, 0.0], [-spring / mass, -beta / mass, spring / mass], [0.0, 0.0, 0.0]]
         self._flow = Flow(drawn, [[0.0, 0.0], [1.0 / mass, hand.damping_n_s_per_m / mass], [0.0, 1.0]])
         self._dry = RubbingAxis(1.0 / mass, beta / mass, Friction(coulomb_v=omni.coulomb_n)) if omni.coulomb_n else None
-        self._push, self._path, self._slide = PushRun(hand.push, rng), PathRun(hand), SlideRun(hand.slide, rng)
-        self._sources = (self._push, self._path, self._slide)
-        self._place = self._slide.at(0)
-        self._x = [omni.lever_m * omni.initial_angle_rad, omni.lever_m * omni.initial_speed_rad_s, 0.0]
-        self._limit = math.inf if omni.force_limit_n is None else omni.force_limit_n
-        self._step_m, self._damping = omni.encoder_step_m, beta
-        self._now_ns, self._force, self._applied, self._given = 0, 0.0, (0.0,), 0.0
+        self._damping, self._path = beta, path
+        self._sources = (self._push, path, self._slide)
+
+    def under(self, omni: Omni, hand: Hand) -> HeldRun:
+        """Return it with other parameters from now on; the hand leads it from where it is."""
+        after = copy(self)
+        after._move_as(omni, hand, PathRun(hand, self._now_ns, self._x[2]))
+        return after
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
         """Hold the command for dt_ns.

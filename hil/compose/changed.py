@@ -11,12 +11,15 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, Final
 
+import numpy as np
 from msgspec.structs import replace
 
+from hil.certify.certify import digest_of
 from hil.compose.fit import check_references
 from hil.compose.loop import Loop, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
+from hil.plugins.protocols import GoesOn
 from hil.rig.normal_form import rig_of
 
 ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")
@@ -25,6 +28,9 @@ ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")
 SCHEDULES: Final = ("reference", "disturbance")
 """Those of them that are no part of what is certified."""
 
+PLANT: Final = "plant."
+"""What begins so is a field of the plant, where that says that it may change."""
+
 REPLACED: Final = ("network.sc", "network.ca", "controller")
 """Tables that a change replaces, whole or one field of them."""
 
@@ -32,6 +38,7 @@ ROOM: Final = 1000
 """Entries that a time line may have in the end: each is looked at when the next one comes."""
 
 NOT_COMPARED: Final = "plant and controller are not compared with it in the run: no certificate held when the run began"
+PLANT_NOT_COMPARED: Final = "the plant is not compared with its model in the run: its parameters were changed while it ran"
 LAWS_NOT_COMPARED: Final = "its network laws are not compared with their chains in the run: it was changed while it ran"
 
 
@@ -43,19 +50,19 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
         k: the first slot of the change.
         path: ``reference`` (value: the outputs' reference), ``disturbance`` (value: ``value`` and ``samples``), ``fault`` (value:
             ``kind``, ``for``, and ``link`` or ``node``), ``network.sc``, ``network.ca``, ``controller``, or a field below
-            one of the last three.
+            one of the last three; of a plant that `GoesOn` what it lets change.
         value: as the file's parser would give it.
         certify: whether to say what can be claimed of the loop.
 
     Raises:
         ExperimentError: no such field, or a value that does not fit, with its path.
     """
+    if path.startswith(PLANT):
+        return _with_plant(loop, path, value, certify)
     table = next((name for name in (*ON_THE_TIME_LINE, *REPLACED) if path == name or path.startswith(f"{name}.")), None)
     e = loop.experiment
     if table is None or (table in ON_THE_TIME_LINE and path != table):
-        what = ", ".join((*ON_THE_TIME_LINE, *REPLACED))
-        told = f"{path}: does not change while it runs (what does: {what}); begin anew with --set {path}=..."
-        raise ExperimentError(e.name, [told])
+        raise _fixed(loop, path)
     if table.startswith("network.") and (loop.rig.media or len(loop.rig.sensors) > 1):
         told = f"{path}: several sensor nodes, or those on a shared medium, keep their network; begin anew with --set"
         raise ExperimentError(e.name, [told])
@@ -89,13 +96,61 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
     except (HilError, TypeError, KeyError, ValueError) as error:
         raise ExperimentError(e.name, [f"{path}: {error}"]) from error
     _fits(loop, after, path)
-    return _with_assumptions(loop, after, network=table.startswith("network."))
+    more = () if loop.watched is not None else (NOT_COMPARED,)
+    own_laws = table.startswith("network.") and after.watched is not None and after.watched.laws
+    return _assuming(after, *more, *((LAWS_NOT_COMPARED,) if own_laws else ()))
+
+
+def _fixed(loop: Loop, path: str) -> ExperimentError:
+    e = loop.experiment
+    fields = e.plant.may_change() if isinstance(e.plant, GoesOn) else ()
+    what = ", ".join((*ON_THE_TIME_LINE, *REPLACED, *(PLANT + name for name in fields)))
+    told = f"{path}: does not change while it runs (what does: {what}); begin anew with --set {path}=..."
+    return ExperimentError(e.name, [told])
+
+
+def is_schedule(loop: Loop, path: str) -> bool:
+    """Return whether a change of a field takes no new certificate: it composes at once."""
+    plant = loop.experiment.plant
+    return path in SCHEDULES or (isinstance(plant, GoesOn) and path in [PLANT + name for name in plant.own_way()])
+
+
+def _with_plant(loop: Loop, path: str, value: object, certify: bool) -> Loop:
+    """Return the loop of a plant that takes over from the one that runs."""
+    e, plant = loop.experiment, loop.experiment.plant
+    if not isinstance(plant, GoesOn) or not any(f"{path}.".startswith(f"{PLANT}{name}.") for name in plant.may_change()):
+        raise _fixed(loop, path)
+    raw: dict[str, Any] = {**copy.deepcopy(e.resolved()), "allow_uncertified": True}
+    set_field(raw, path, value, f"{path} = {value!r:.60}")
+    experiment = experiment_from_resolved(raw, e.text, "change", folder=e.folder)
+    if is_schedule(loop, path):
+        before, now = plant.model(), experiment.plant.model()
+        if not all(np.array_equal(getattr(before, name), getattr(now, name)) for name in "ABCD"):
+            raise ExperimentError(e.name, [f"{path}: changes the plant's model, and the plant says that it does not"])
+        experiment = replace(e, plant=experiment.plant)
+        verdict = loop.verdict
+        if verdict is not None:  # the claim is on the same equations
+            verdict = dataclasses.replace(verdict, digest=digest_of(experiment, loop.controller, loop.model))
+        return _assuming(dataclasses.replace(loop, experiment=experiment, verdict=verdict), PLANT_NOT_COMPARED)
+    after = compose(experiment, certify=certify)
+    _fits(loop, after, path)
+    return _assuming(after, PLANT_NOT_COMPARED)
+
+
+def _assuming(loop: Loop, *more: str) -> Loop:
+    """Say in a certificate what nothing compares in a run that was changed."""
+    verdict = loop.verdict
+    if verdict is None or not verdict.certified:
+        return loop
+    own = (*verdict.assumptions, *(each for each in more if each not in verdict.assumptions))
+    return dataclasses.replace(loop, verdict=dataclasses.replace(verdict, assumptions=own))
 
 
 def _fits(before: Loop, after: Loop, path: str) -> None:
     """Refuse what the nodes of the run cannot take."""
     looks: dict[str, Callable[[Loop], object]] = {
         "samples in a sensor packet": lambda loop: (loop.samples, [s.buffer for s in loop.rig.sensors]),
+        "signals of the plant": lambda loop: [s.name for s in (*loop.rig.states, *loop.rig.inputs, *loop.rig.outputs)],
         "longest delay to the controller": lambda loop: loop.model.tau_max,
         "longest delay to the actuator": lambda loop: loop.model.d_max,
     }
@@ -105,14 +160,3 @@ def _fits(before: Loop, after: Loop, path: str) -> None:
     ]  # fmt: skip
     if faults:
         raise ExperimentError(before.experiment.name, faults)
-
-
-def _with_assumptions(before: Loop, after: Loop, *, network: bool) -> Loop:
-    """Say in the certificate what nothing compares in a run that was changed."""
-    verdict = after.verdict
-    if verdict is None or not verdict.certified:
-        return after
-    more: tuple[str, ...] = () if before.watched is not None else (NOT_COMPARED,)
-    if network and after.watched is not None and after.watched.laws:
-        more += (LAWS_NOT_COMPARED,)
-    return dataclasses.replace(after, verdict=dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *more)))

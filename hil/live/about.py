@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, reduce
+from operator import getitem
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
 from hil.live.side import Side
+from hil.plugins.protocols import GoesOn, Plant
 from transport.laws.protocols import ChainLaw, NetworkLaw
 
 
@@ -40,10 +42,27 @@ def _run(side: Side) -> dict[str, Any]:
         "inputs": [{"name": s.name, "unit": s.unit} for s in e.plant.inputs],
         "states": [{"name": s.name, "unit": s.unit} for s in e.plant.states],
         "limits": dict(e.limits.state), "plant": e.kinds.get("plant", ""), "wall": _wall(loop),
+        "fields": _fields(e.plant, resolved["plant"]) if side.acts else {},
         "network": {name: _law(getattr(e.network, name).law, resolved["network"][name]) for name in ("sc", "ca")},
         "controller": e.kinds.get("controller", ""), "own": resolved["controller"],
         "controllers": controllers(e.kinds.get("plant", ""), side.period_s, len(e.plant.outputs)) if side.acts else {},
     }  # fmt: skip
+
+
+def _fields(plant: Plant, said: dict[str, Any]) -> dict[str, float]:
+    """Return the numbers of a plant that may change while it runs, by their paths."""
+    found: dict[str, float] = {}
+
+    def take(path: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for name, inner in value.items():
+                take(f"{path}.{name}", inner)
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            found[path] = float(value)
+
+    for name in plant.may_change() if isinstance(plant, GoesOn) else ():
+        take(f"plant.{name}", reduce(getitem, name.split("."), said))
+    return found
 
 
 def _law(law: NetworkLaw, said: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import msgspec
 
-from hil.compose.changed import SCHEDULES, changed
+from hil.compose.changed import changed, is_schedule
 from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.live.composer import Composer
@@ -167,8 +167,8 @@ class Desk:
 
     def _arm(self, sides: Sequence[Side], path: str, value: Any) -> list[int]:
         """Arm a change in every run for a slot that none has reached when it is composed, the same where it can be."""
-        lead_s = LEAD_S if path in SCHEDULES else CERTIFIED_LEAD_S
-        compose = changed if path in SCHEDULES else self._composer.changed
+        quick = all(is_schedule(_loop_of(side, path), path) for side in sides)
+        lead_s, compose = (LEAD_S, changed) if quick else (CERTIFIED_LEAD_S, self._composer.changed)
         armed: dict[int, int] = {}
         while len(armed) < len(sides):
             left = {i: side for i, side in enumerate(sides) if i not in armed}

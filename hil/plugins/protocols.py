@@ -11,6 +11,7 @@ from design.controllers import LoopModel, RunningController
 from plants.parts.protocols import (
     BeyondModel,
     Departure,
+    GoesOn,
     HasCost,
     HasDepartures,
     HasOwnInputs,
@@ -32,6 +33,7 @@ __all__ = [
     "Departure",
     "Designer",
     "FieldFault",
+    "GoesOn",
     "HasCost",
     "HasDepartures",
     "HasOwnInputs",

@@ -42,7 +42,7 @@ Changes = Callable[[int], Sequence[Change]]
 def take(change: Change, rig: Rig, node: ControlNode) -> None:
     """Let a rig and its controller go on with a change, between two slots."""
     if change.loop is not None:
-        rig.change(change.loop, network=change.path.startswith("network."))
+        rig.change(change.loop, network=change.path.startswith("network."), plant=change.path.startswith("plant."))
         node.change(change.loop, anew=change.path.startswith("controller"))
 
 

@@ -174,13 +174,19 @@ def _direction(turns: float) -> tuple[float, float]:
 
 
 class PathRun:
-    """The speed of the intended path: constant until it is there, then 0."""
+    """The speed of the intended path: constant until it is there, then 0.
+
+    Args:
+        hand: where it means to go, and how long that takes.
+        now_ns, place_m: when and where it begins.
+    """
 
     __slots__ = ("next_ns", "speed_m_s")
 
-    def __init__(self, hand: Hand) -> None:
-        self.next_ns = round(hand.approach_s * NS_PER_S) if hand.reach_m else NEVER_NS
-        self.speed_m_s = hand.reach_m * NS_PER_S / self.next_ns if hand.reach_m else 0.0
+    def __init__(self, hand: Hand, now_ns: int = 0, place_m: float = 0.0) -> None:
+        approach_ns, way_m = round(hand.approach_s * NS_PER_S), hand.reach_m - place_m
+        self.next_ns = now_ns + approach_ns if way_m else NEVER_NS
+        self.speed_m_s = way_m * NS_PER_S / approach_ns if way_m else 0.0
 
     def fire(self) -> None:
         """Arrive."""

@@ -152,6 +152,27 @@ class HasSensorNoise(Protocol):
 
 
 @runtime_checkable
+class GoesOn(Protocol):
+    """A plant that takes over from another of its class while that runs, with other parameters."""
+
+    def may_change(self) -> tuple[str, ...]:
+        """Return the fields that may be other ones then, such as ``friction``."""
+        ...
+
+    def own_way(self) -> tuple[str, ...]:
+        """Return those of them that only lead it from within, as `HasOwnInputs` says: no equation depends on them."""
+        ...
+
+    def go_on(self, run: PlantRun) -> PlantRun:
+        """Return it in the state and at the instant of another run, whose random numbers go on.
+
+        Raises:
+            PlantError: the other run is of another class.
+        """
+        ...
+
+
+@runtime_checkable
 class ReferencesFiles(Protocol):
     """A plant that names files, which are told from where the experiment stands."""
 

@@ -106,6 +106,16 @@ export function makeAct(place, abouts, wish, runs) {
   controller.addEventListener("change", () => controller.value && check("controller", about.controllers[controller.value]));
   field("Controller", row(controller));
 
+  // Plant: the numbers that may change while it runs.
+  const paths = Object.keys(about.fields);
+  if (paths.length) {
+    const name = document.createElement("select"), value = input("value of the plant's field", about.fields[paths[0]]);
+    name.setAttribute("aria-label", "Field of the plant");
+    name.append(...paths.map((path) => text("option", path.replace("plant.", ""), { value: path })));
+    name.addEventListener("change", () => { value.value = about.fields[name.value]; });
+    field("Plant", row(name, value, button("Check", () => check(name.value, +value.value), { id: "check-plant" })));
+  }
+
   // Faults.
   const lasts = input("seconds that a fault lasts", number(Math.max(4 * about.period, 0.1), 2), { min: 0 });
   const fault = (words, kind, link) => button(words, () => check("fault", { kind, for: +lasts.value, ...(link ? { link } : {}) }));

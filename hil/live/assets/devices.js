@@ -11,6 +11,38 @@ export function drawDevice(canvas, about, states) {
   canvas.setAttribute("aria-label", draw(ctx, size, states, about, canvas));
 }
 
+const REACH = 0.03; // m that the picture of a wall shows on each side
+
+// The mouse is the hand: while it is pressed, the hand means to be where the mouse is. Its spring and damper stay between the two,
+// and it takes `approach_s` to get there, so that a jump of the mouse is no impulse.
+export function makeTouch(canvas, about, apply) {
+  if (!about.wall || !("plant.hand.reach_m" in about.fields)) return;
+  let wanted = null, busy = false;
+  const send = async () => {
+    if (busy || wanted === null) return;
+    busy = true;
+    const reach = wanted;
+    wanted = null;
+    await apply("plant.hand.reach_m", reach);
+    setTimeout(() => { busy = false; send(); }, 60);
+  };
+  canvas.style.cursor = "grab";
+  canvas.style.touchAction = "none";
+  canvas.addEventListener("pointerdown", async (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    if (!makeTouch.quick) await apply("plant.hand.approach_s", 0.15);
+    makeTouch.quick = true;
+    move(event);
+  });
+  const move = (event) => {
+    if (!event.buttons) return;
+    const box = canvas.getBoundingClientRect();
+    wanted = +(((event.clientX - box.left) / box.width - 0.5) * 2 * REACH).toFixed(5);
+    send();
+  };
+  canvas.addEventListener("pointermove", move);
+}
+
 function dial(ctx, size, states, about) {
   const c = size / 2, r = 0.38 * size;
   ctx.lineWidth = 6;
@@ -45,8 +77,7 @@ function hand(ctx, c, angle, from, to) {
 
 // From the side: free space on the left, the wall on the right in the colours of its materials, the device as a disc.
 function wall(ctx, size, states, about) {
-  const pattern = about.wall.pattern, reach = 0.03; // m on each side
-  const at = (x) => size / 2 + (x / reach) * (size / 2);
+  const pattern = about.wall.pattern, at = (x) => size / 2 + (x / REACH) * (size / 2);
   const material = pattern ? under(pattern, states.y, states.z) : about.wall.material || 0;
   const tall = pattern ? pattern.height_m : 1;
   for (const patch of pattern ? pattern.patches : [{ y_m: 0, z_m: 0, width_m: 1, height_m: 1, material }]) {

@@ -1,6 +1,6 @@
 // The page: it asks for the picture of a time window whenever the browser is about to draw, and keeps nothing else.
 import { makeScopes, traceTable } from "./scopes.js";
-import { drawDevice } from "./devices.js";
+import { drawDevice, makeTouch } from "./devices.js";
 import { makeAct } from "./act.js";
 
 const $ = (id) => document.getElementById(id);
@@ -56,6 +56,7 @@ function makeRun(about, index) {
   place.append(head);
   $("runs").append(place);
   const scopes = makeScopes(place, about, view);
+  if (about.controllable && token) makeTouch(canvas, about, (path, value) => wish({ do: "apply", path, value }));
   return { about, index, canvas, badgeAt, claim, rests, counters, values, late, scopes, since: 0, events: [], now: null, worded: 0 };
 }
 

@@ -17,11 +17,12 @@ from hil.compose.loop import Loop
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
-from hil.plugins.protocols import Plant, PlantRun
+from hil.plugins.protocols import GoesOn, Plant, PlantRun
 from hil.rig.can_bus import can_bus_of
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
+from hil.runtime.nodes.arrived_plant import Arrived
 from hil.runtime.nodes.fault_injector import FaultInjector
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.jump_watch import JumpWatch
@@ -68,8 +69,9 @@ class Rig:
 
     __slots__ = (  # so many attributes in a dictionary would be found by its hashes, slowly
         "_after_trip", "_claimed", "_counter", "_disturbance", "_disturbed", "_downlink", "_end", "_faults", "_journal", "_laws",
-        "_network", "_nonce", "_past_laws", "_period_ns", "_plant", "_port", "_put_out", "_r", "_reference", "_samples", "_seed",
-        "_sensors", "_sent", "_slots", "_stop", "_uplink", "_w", "_watch", "_woken", "_x", "_y", "actuator", "answers", "k",
+        "_network", "_nonce", "_past_laws", "_past_watch", "_period_ns", "_plant", "_port", "_put_out", "_r", "_reference",
+        "_samples", "_seed", "_sensors", "_sent", "_slots", "_stop", "_uplink", "_w", "_watch", "_woken", "_x", "_y", "actuator",
+        "answers", "k",
     )  # fmt: skip
 
     def __init__(
@@ -128,6 +130,7 @@ class Rig:
         of_laws = () if loop.watched is None else loop.watched.laws
         self._laws = [(i, LawWatch(loop.rig.laws[i])) for i in of_laws]
         self._past_laws: list[LawWatch] = []
+        self._past_watch: PlantWatch | JumpWatch | None = None
         self._watch = None if loop.watched is None else self._watch_of(loop.watched.plant, e.plant, seed)
 
     def _watch_of(self, step: OneStep | JumpStep | None, plant: Plant, seed: int) -> PlantWatch | JumpWatch | None:
@@ -144,18 +147,22 @@ class Rig:
         """Return the disturbance of a slot as the run has it in the end: a change adds to it, and takes nothing back."""
         return self._disturbance(k)
 
-    def change(self, loop: Loop, *, network: bool) -> None:
-        """Go on, before the next slot, with a changed experiment of the same plant, nodes and limits.
+    def change(self, loop: Loop, *, network: bool, plant: bool) -> None:
+        """Go on, before the next slot, with a changed experiment of the same signals, nodes and limits.
 
         Args:
             loop: the composed experiment.
             network: whether its network laws are others.
+            plant: whether the plant's parameters are others; what it did until now is compared with its model, and no more.
         """
         e = loop.experiment
         self._reference, self._disturbance, self._disturbed = loop.reference(), loop.disturbance(), bool(e.disturbance)
         self._claimed = self._claimed or (loop.watched is not None and loop.watched.claimed)
         if self._faults is not None:
             self._faults.change(loop)
+        if plant and isinstance(e.plant, GoesOn):
+            self._plant = self._changed_plant(e.plant)
+            self._watch, self._past_watch = None, self._past_watch or self._watch
         if network and self._network is not None:
             medium, channel = self._network
             period_s, k = float(e.period), self.k + 1
@@ -164,6 +171,19 @@ class Rig:
             channel.change(impair(loop.rig.ca_law, rng_for(self._seed, "link.ca"), period_s, deadline_s), k)
             self._past_laws += [law for _, law in self._laws]
             self._laws = []  # a law that takes over in mid-run does not begin as its chain does
+
+    def _changed_plant(self, plant: GoesOn) -> PlantRun:
+        """Return the plant that takes over at the next slot: until then the one before moves."""
+        run = self._plant
+        if isinstance(run, Arrived):  # the second change of a slot
+            return Arrived(plant.go_on(run.after), self._arrive)
+        if self.k < 0:
+            return plant.go_on(run)
+        run.advance(self._period_ns, self.actuator.u, self._w)
+        return Arrived(plant.go_on(run), self._arrive)
+
+    def _arrive(self, run: PlantRun) -> None:
+        self._plant = run
 
     def sense(self, t_ns: int) -> list[bytes]:
         """Advance the plant to t_k, measure, and return the frames of what the medium lets arrive in this slot."""
@@ -297,7 +317,8 @@ class Rig:
         Args:
             answers: the slot in which the controller left its table, and by how much; None if it did not.
         """
-        plant = None if self._watch is None else self._watch.departed() or self._put_out
+        watch = self._watch or self._past_watch
+        plant = None if watch is None else watch.departed() or self._put_out
         watches = [*self._past_laws, *(law for _, law in self._laws)]
         laws = [(f"the network law {law.name} left its chain", law.departed()) for law in watches]
         for what, departed in (("the plant left its model", plant), ("the controller left its table", answers), *laws):

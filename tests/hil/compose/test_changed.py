@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.compose.changed import changed
+from hil.compose.changed import changed, is_schedule
 from hil.compose.loop import Loop, compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.live.script import Scripted, read_script, script_of
 from hil.log.read.run import read_run
-from hil.log.topics import APPLIED, CA, REFERENCE, SC, channels_of
+from hil.log.topics import APPLIED, CA, REFERENCE, SC, STATE, channels_of
 from hil.log.write.sinks import MemorySink
 from hil.replay.recorded_changes import Asked, changes_of
 from hil.replay.replay import verify
@@ -48,7 +48,8 @@ def run_with(name: str, asked: list[Asked], path: Path, **about: Any) -> Session
 @pytest.mark.parametrize(
     ("path", "value", "told"),
     [
-        ("plant.gain", 3.0, "plant.gain: does not change while it runs"),
+        ("plant.gain", -3.0, "plant.gain"),
+        ("plant.load.torque_v", 3.0, "plant.load.torque_v: does not change while it runs"),
         ("reference", [1.0, 2.0], "reference[0].value: 2 entries, but the plant has 1 outputs"),
         ("reference", "high", "].value"),
         ("reference.0", [1.0], "reference.0: does not change while it runs"),
@@ -163,3 +164,30 @@ def test_a_run_that_may_be_changed_and_is_not_has_the_same_bits(motor: Loop) -> 
         run_virtual(motor, 0, sink, changes=changes)
         sinks.append(sink.payloads)
     assert sinks[0] == sinks[1]
+
+
+def test_a_plant_goes_on_with_other_parameters_from_where_it_is(tmp_path: Path) -> None:
+    """Dry friction comes in the run: the state does not jump, the record is that of no friction before, and the claim says so."""
+    plain = run_session(load_experiment("dc-motor-hinf", ["duration=4"]), path=tmp_path / "a.mcap").run
+    run = run_with("dc-motor-hinf", [(50, "plant.friction.coulomb_v", 0.02)], tmp_path / "b.mcap", duration="4").run
+    before, after = plain.arrays[STATE.name], run.arrays[STATE.name]
+    assert before["angle"][:51].tolist() == after["angle"][:51].tolist() and before["angle"][51] != after["angle"][51]
+    assert verify(run).likeness == "same bits"
+    loop = changed(compose(load_experiment("dc-motor-hinf")), 50, "plant.gain", 150.0)
+    assert loop.verdict is not None and loop.verdict.certified
+    assert any("parameters were changed" in each for each in loop.verdict.assumptions)
+
+
+def test_the_hand_leads_the_device_from_where_it_is_without_an_impulse(tmp_path: Path) -> None:
+    """The speed of a device whose hand is called elsewhere is continuous; other equations take a certificate of their own."""
+    loop = compose(load_experiment("omni-1khz"))
+    led = changed(loop, 500, "plant.hand.reach_m", -0.02)
+    assert led.verdict is not None and led.verdict.certified and is_schedule(loop, "plant.hand.reach_m")
+    assert not is_schedule(loop, "plant.hand.stiffness_n_per_m")
+    sets = ["duration=2", "plant.hand.approach_s=0.2"]
+    looker = Scripted([(1000, "plant.hand.reach_m", -0.02)])
+    run = run_session(load_experiment("omni-1khz", sets), path=tmp_path / "a.mcap", onlooker=looker).run
+    state = run.arrays[STATE.name]
+    assert abs(state["speed"][1001] - state["speed"][1000]) < 0.1 * np.abs(state["speed"]).max()
+    assert state["position"][1000] > 0.0 > state["position"][-1]
+    assert verify(run).likeness == "same bits"

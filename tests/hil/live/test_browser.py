@@ -108,3 +108,31 @@ def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page) -> None:
         reference = next(row for row in browser.evaluate(rows) if row.startswith("reference angle"))
         assert reference.split("\t")[1:] == ["0", "3", "3"]
         assert browser.problems == other.problems == []
+
+
+def test_the_mouse_is_the_hand(tmp_path: Path) -> None:
+    """It is pressed on the picture of the wall and drawn into it: the hand leads the device there, and the log runs again."""
+    page = Page(tmp_path, [asked(tmp_path, "omni-1khz", [], held=True)])
+    page.begin()
+    try:
+        with chromium.Page(width=1400, height=1000) as browser:
+            browser.open(page.url)
+            shows(browser, BADGE, "passive")
+            box = "(r => [r.left, r.top + r.height / 2, r.width])(document.querySelector('.top canvas').getBoundingClientRect())"
+            x, y, wide = browser.evaluate(box)
+            browser.mouse("mousePressed", x + 0.25 * wide, y)
+            until(lambda: "reach" in page.view()["draft"]["path"], "the hand")
+            browser.mouse("mouseMoved", x + 0.75 * wide, y)
+            shows(browser, "window.hilLive.runs[0].now.draft.state", "armed")
+            browser.mouse("mouseReleased", x + 0.75 * wide, y)
+            page.wish(do="step", slots=900)
+            until(lambda: page.view()["slots"] == 900, "900 slots")
+            until(lambda: browser.evaluate("window.hilLive.runs[0].now.slots") == 900, "the page")
+            assert browser.problems == []
+    finally:
+        page.end()
+    run = read_run(Path(page.sessions[0].summary["log"]["path"]))
+    said = [value for _, path, value in changes_of(run) if path == "plant.hand.reach_m"]
+    assert said[0] == pytest.approx(-0.015, abs=5e-4) and said[-1] == pytest.approx(0.015, abs=5e-4)
+    assert run.arrays["/plant/state"]["position"][-1] > 0.001
+    assert verify(run).likeness == "same bits"
