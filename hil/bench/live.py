@@ -25,9 +25,8 @@ HZ: Final = 30
 """Pictures that a reader asks for in a second."""
 
 
-def read_page(url: str) -> int:
+def read_page(host: str) -> int:
     """Ask for the picture of the last ten seconds as the page does, until the server ends; return how many came."""
-    host = url.removeprefix("http://").partition("/")[0]
     pictures = 0
     try:
         link = HTTPConnection(host, timeout=10)
@@ -84,7 +83,7 @@ def _session(readers: int, name: str, uri: str, duration_s: float, log: Path) ->
     with ExitStack() as stack:
         side = stack.enter_context(watched("real", urls.append)) if readers else None
         for _ in range(readers):
-            command = [sys.executable, "-c", f"from hil.bench.live import read_page; print(read_page({urls[0]!r}))"]
+            command = [sys.executable, "-c", f"from hil.bench.live import read_page; print(read_page({urls[0].split('/')[2]!r}))"]
             processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
         try:
             experiment = load_experiment(name, [f"duration={duration_s}"])
