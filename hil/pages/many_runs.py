@@ -180,7 +180,8 @@ def _lines(
                              style="circles" if drawn else "line"))  # fmt: skip
         bands.append(Band(label="95 % interval", x=x[order], lower=low, upper=high, colour=colour))
     return Figure(
-        title=f"{label}: mean, 95 % interval", series=tuple(series), bands=() if drawn else tuple(bands), x_label=key,
+        title=f"{label}: mean{'' if drawn else ', 95 % interval'}", series=tuple(series),
+        bands=() if drawn else tuple(bands), x_label=key,
         x_unit=unit, y_label=quantity.title, y_unit=quantity.unit, y_log=scale.log, y_asinh=scale.asinh,
         sync=None, x_ticks=() if drawn else tuple(sorted(set(x.tolist()))),
         note="Computed at the marked points, not between. Every point has its own interval; as all points share their seeds, "
