@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import io
 import json
 import os
 import resource
 import struct
 import tempfile
+import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -35,8 +37,12 @@ from hil.log.recordings.recording import packet_records
 from hil.rig.traffic_file import read_traffic
 from hil.sweeps.points import grid, latin_hypercube
 from hil.sweeps.sweep import SweepStore
+from plants import FMU
+from plants.errors import FieldError
+from plants.fmu import _digest
 from tests.hostile.logs import foreign_log, motor, our_log, read_log
 from tests.hostile.mutation import OF_BYTES, OF_TEXT, Edit
+from tests.plants.test_fmu import CART, LINEAR, REAL, VERSION_2
 from transport import ControlPacket, SensorPacket, dbc_path, decode, encode_control, encode_sensor
 from transport.laws.trace import read_ages
 from transport.links.authenticated_link import read_key
@@ -133,6 +139,7 @@ def _mat_in_a_fork(_place: Path, data: bytes) -> bool:
     child = os.fork()
     if child == 0:
         code = 1
+        faulthandler.disable()  # a reader that is ended is what this looks for
         try:
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
             resource.setrlimit(resource.RLIMIT_CPU, (mat_child.MOST_CPU_S, mat_child.MOST_CPU_S))
@@ -225,6 +232,23 @@ PACKETS = [
     _table("sent_s [s],received_s [s]", lambda k: f"{k},{k}.{k % 7 + 1}"),
     _table("sent_s,rtt_s", lambda k: f"{k},0.0{k % 7 + 1}"),
 ]  # fmt: skip
+def units() -> list[bytes]:
+    """Archives that describe a unit, packed in four ways; their library is none, and nothing loads it."""
+
+    def packed(how: int) -> bytes:
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w", how) as file:
+            file.writestr("modelDescription.xml", VERSION_2.format(variables="".join(REAL.format(*each) for each in CART)))
+            file.writestr("binaries/linux64/cart.so", b"\x7fELF")
+        return out.getvalue()
+
+    return [*map(packed, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA))]
+
+
+def _unit(path: Path) -> bool:
+    return bool(_digest(path)) and bool(FMU(file=path.name, **LINEAR)._found(path).identifier)
+
+
 TRAFFIC = [b"can_id,period,length,node,jitter\n0x123,10 ms,8,a,1 ms\n291,0.02,4,,\n"]
 BUS = b"""VERSION ""
 NS_ :
@@ -353,6 +377,7 @@ def _table() -> dict[str, Boundary]:
         "capture of ping": raw(20_000, lambda: [ping()], _in_file("x.pcap", _recording)),
         "pair of CAN logs": file(4_000, "x.log", lambda: [bus_log()], _pair_of_logs),
         "traffic": file(20_000, "x.csv", lambda: TRAFFIC, read_traffic),
+        "FMU": raw(8_000, units, _in_file("x.fmu", _unit), (FieldError,)),
         "DBC": file(8_000, "x.dbc", lambda: [BUS], read_traffic),
         "script of a live run": file(20_000, "x.jsonl", lambda: SCRIPT, read_script),
         "key": file(40_000, "k", lambda: KEYS, lambda path: read_key(str(path)), (TransportError,)),

@@ -33,7 +33,7 @@ from hil.log.read.mcap_walk import walk
 from hil.log.read.recover import recover
 from hil.pages.html.payload import Payload
 from hil.sweeps.sweep import SweepStore
-from tests.hostile.boundaries import BOUNDARIES, BUS, DESIGN, PACKETS, bus_log
+from tests.hostile.boundaries import BOUNDARIES, BUS, DESIGN, PACKETS, bus_log, units
 from tests.hostile.logs import foreign_log, motor, use_log, words, write_log
 from tests.hostile.mutation import mutated
 from tests.hostile.structured import damaged, edited, leaf, value
@@ -193,6 +193,8 @@ FOUND: dict[str, tuple[str, Callable[[], bytes]]] = {
     "an object of no length": ("blf", lambda: blf(NO_LENGTH)),
     "a container that unpacks to gigabytes": ("blf", lambda: blf(zlib.compress(bytes(20_000_000)))),
     "objects whose end never comes": ("blf", lambda: blf(zlib.compress(struct.pack("<4sHHII", b"LOBJ", 16, 1, 1 << 30, 1)))),
+    "a unit packed by a damaged LZMA": ("FMU", lambda: units()[3].replace(b"\x5d\x00\x00", b"\xff\x00\x00")),
+    "a unit of a later zip": ("FMU", lambda: units()[1].replace(b"PK\x01\x02\x14\x03\x14", b"PK\x01\x02\x14\x03\x98")),
     "an attribute of a DBC of another type": ("DBC", lambda: BUS.replace(b"INT 0 65535", b"IN5535")),
     "a table of traffic in one field": ("traffic", lambda: b'can_id,period\n"' + b"x" * 200_000),
     "a script that is no text": ("script of a live run", lambda: b'{"slot": 4, "field": "\x98"}'),
