@@ -1,14 +1,19 @@
 """A flood on the rig's identifiers, from a process at normal priority.
 
-Usage: flooder.py CHANNEL SECONDS KIND; it says "up" once it is on the bus, and begins at a line of standard input.
+Usage: flooder.py CHANNEL SECONDS KIND; it says "up" once it is on the bus, and begins at a line of standard input. A channel
+of can:hil, or an endpoint and a name of zenoh: ``tcp/127.0.0.1:7447 rig0``.
 """
+
+from __future__ import annotations
 
 import os
 import sys
 import time
 from collections import deque
+from functools import partial
 from itertools import count
-from typing import Final
+from queue import SimpleQueue
+from typing import Any, Final
 
 from transport import ControlPacket, SensorPacket, decode, encode_control
 from transport.links.can_bus import HilBus
@@ -73,11 +78,47 @@ def answer(seq: int, *, counter: int, echo: int = 1, sample_ns: int = 0) -> byte
     return encode_control(ControlPacket(seq, sample_ns, 0, 0, 0, ((4.0,),), echo, counter))
 
 
+class ZenohPeer:
+    """A program of somebody else's that the rig lets in at its endpoint: it says no session, and claims no role."""
+
+    def __init__(self, endpoint: str, name: str) -> None:
+        import zenoh
+
+        from transport.links.zenoh_link import config
+
+        self._heard: SimpleQueue[tuple[int, bytes]] = SimpleQueue()
+        self._session = zenoh.open(config("controller", endpoint, {}))
+        self._put = self._session.declare_publisher(
+            f"hil/{name}/control", express=True, congestion_control=zenoh.CongestionControl.DROP
+        ).put
+        for key, identifier in (("sensor", SENSOR), ("heard", CONTROL)):
+            hear = zenoh.handlers.Callback(partial(self._hear, identifier), indirect=False)
+            self._session.declare_subscriber(f"hil/{name}/{key}", hear)
+
+    def _hear(self, identifier: int, sample: Any) -> None:
+        self._heard.put((identifier, sample.payload.to_bytes()))
+
+    def send_frame(self, _identifier: int, data: bytes) -> None:
+        self._put(data)
+
+    def recv_frame(self, _timeout_s: float) -> tuple[int, bool, bytes] | None:
+        if self._heard.empty():
+            return None
+        identifier, data = self._heard.get()
+        return identifier, False, data
+
+    def __enter__(self) -> ZenohPeer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._session.close()  # type: ignore[no-untyped-call]
+
+
 def main() -> None:
     channel, seconds, kind = sys.argv[1:]
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     flood = Flood(kind)
-    with HilBus(channel) as bus:
+    with ZenohPeer(*channel.split()) if " " in channel else HilBus(channel) as bus:
         print("up", flush=True)
         end = time.monotonic() + float(seconds) if sys.stdin.readline() else 0.0
         while time.monotonic() < end:

@@ -9,8 +9,10 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from dataclasses import asdict, dataclass
 from types import FrameType
+from typing import NoReturn
 
 from hil.compose.loop import Loop
 from hil.log.topics import TIMING, channels_of
@@ -40,6 +42,8 @@ PACE_NS = 2_000_000
 
 SETTLE_NS = 1_000_000
 """From the end of the rehearsals to slot 0: no longer than between two slots, so that caches and threads stay awake."""
+CLOSES_S = 0.5
+"""For the link to close, s: a flood keeps zenoh from it for as long as it lasts."""
 REHEARSED = 1000
 """Slots that are rehearsed at most."""
 
@@ -172,7 +176,19 @@ def main() -> None:
         )
         sink.close()
         leave_real_time()
-        raise SystemExit(FAILED if failed else ENDED)
+        _leave(FAILED if failed else ENDED)
+
+
+def _leave(status: int) -> NoReturn:
+    """End this process, all of whose records are written; where the link does not close, without it.
+
+    Raises:
+        SystemExit: with the status.
+    """
+    late = threading.Timer(CLOSES_S, os._exit, (status,))
+    late.daemon = True
+    late.start()
+    raise SystemExit(status)
 
 
 if __name__ == "__main__":

@@ -56,9 +56,13 @@ def go_real_time(priority: int, cpu: int | None, awake: bool = False) -> str:
 
 
 def leave_real_time() -> None:
-    """Go back among the others: the end of a process, which takes long, keeps no loop of another session from a CPU."""
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    """Go back among the others: the end of a process, which takes long, keeps no loop of another session from a CPU.
+
+    All threads do: one of a link that is flooded would keep the CPU from the thread that closes the link.
+    """
+    for thread in os.listdir("/proc/self/task"):
+        with suppress(OSError):
+            os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
 
 
 def cpu_for(affinity: Affinity, role: Literal["rig", "controller"], link: LinkTraits) -> int | None:

@@ -47,15 +47,18 @@ def test_the_log_keeps_off_the_cpu_that_rig_and_controller_share(affinity: Affin
 def test_what_takes_long_is_done_before_real_time_and_after_it() -> None:
     """Locked memory, a collection of garbage, the end of Python: in real time they kept the loops of other sessions waiting."""
     program = """
-import gc, os
+import gc, os, threading
 from hil.runtime.real import scheduling
 policy = lambda: os.sched_getscheduler(0)
+policies = lambda: {os.sched_getscheduler(int(thread)) for thread in os.listdir("/proc/self/task")}
 seen, collect = [], gc.collect
 gc.collect = lambda: (seen.append(policy()), collect())
 scheduling.go_real_time(1, None)
 seen.append(policy())
+threading.Thread(target=threading.Event().wait, daemon=True).start()  # as those of a link: of the priority of what opened it
 scheduling.leave_real_time()
-print(*seen, policy())
+print(*seen, *policies(), flush=True)
+os._exit(0)
 """
     before, within, after = map(int, subprocess.check_output([sys.executable, "-c", program]).split())
     assert before == after == os.SCHED_OTHER
