@@ -57,7 +57,7 @@ def law(
     output: Path | None, page: Path | None, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Fit a network law to recorded packets: a log of hil probe or of a run (.mcap), a table (.csv), a capture of ping
-    (.pcap), or two CAN logs of one bus (.log, .asc, .blf), the sender's first.
+    or of frames over zenoh (.pcap), or two CAN logs of one bus (.log, .asc, .blf), the sender's first.
 
     Two tables are both directions. Of both directions -o law.toml writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.

@@ -168,7 +168,7 @@ def read_ping_capture(path: Path) -> Recording:
 
 
 def _echoes(path: Path, file: BinaryIO) -> Iterator[tuple[float, str, tuple[int, bytes, bytes], int, int]]:
-    for t_s, packet in _packets(path, file):
+    for t_s, packet in captured_packets(path, file):
         if len(packet) < 20:
             continue
         version = packet[0] >> 4
@@ -183,7 +183,7 @@ def _echoes(path: Path, file: BinaryIO) -> Iterator[tuple[float, str, tuple[int,
             yield t_s, kind, address, identifier, number
 
 
-def _packets(path: Path, file: BinaryIO) -> Iterator[tuple[float, bytes]]:
+def captured_packets(path: Path, file: BinaryIO) -> Iterator[tuple[float, bytes]]:
     """IP packets with their instants, counted from the first."""
     head = file.read(24)
     if head[:4] == b"\n\r\r\n":
