@@ -284,8 +284,8 @@ REMARK_2_2 = (
         beside=tuple(exactly(f"sections of {name}", f"sections[{n}]", 4) for n, name in enumerate(STRATEGIES)),
         computed="sound, constant per section: {pwc[scales][0]:.3f}, {pwc[scales][1]:.3f}, {pwc[scales][2]:.3f}; linear in h: "
         "{pwl[scales][0]:.3f}, {pwl[scales][1]:.3f}, {pwl[scales][2]:.3f}",
-        basis="significant: by a tenth; neither size nor condition is printed; M = 4, (2.24) with a threshold of a quarter of the "
-        "range of the rate; A_i(t), B_2(t) as printed, |K| <= 100",
+        basis="significant: by a tenth; neither size nor condition is printed; M = 4, (2.24) with a threshold of a quarter of "
+        "the range of the rate; A_i(t), B_2(t) as printed, |K| <= 100",
     ),
 )
 MOMENTS = tuple(
