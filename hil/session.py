@@ -51,6 +51,12 @@ ClockName = Literal["virtual", "real"]
 FORCE_S = 0.5
 """A run in virtual time whose slot does not end for so long after a signal is ended in it: everything stops within a second."""
 
+CARRIED = (
+    "the link, a plug-in of the user's own, carries every frame as it was sent: answers are compared before it, the plant behind "
+    "it; with auth=KEY an altered frame is refused"
+)
+"""What a certificate assumes of a link that is not ours."""
+
 LEFT = 7
 """Exit status where a plant or a controller was not, in the run, what it says that it is."""
 
@@ -238,6 +244,7 @@ def run_session(
     refuse_unsound_measures(loop)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
     on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
+    loop = _assuming(loop, CARRIED) if clock == "real" and on.unproved else loop
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.
     provenance = Provenance(
@@ -305,6 +312,13 @@ def run_session(
     status = _status(run, sink, outcome)
     read = cache(partial(_read_back, path)) if keep is not None else lambda: run
     return Session(log=read, summary=summary, status=status, experiment=loop.experiment)
+
+
+def _assuming(loop: Loop, assumption: str) -> Loop:
+    verdict = loop.verdict
+    if verdict is None or not verdict.certified:
+        return loop
+    return replace(loop, verdict=replace(verdict, assumptions=(*verdict.assumptions, assumption)))
 
 
 def _unreached(loop: Loop) -> dict[str, str]:

@@ -1,0 +1,32 @@
+"""What a session knows of its link before anybody opens it."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
+
+import pytest
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.rig.session_link import SessionLink
+from hil.session import CARRIED, _assuming
+from transport.links.traits import LinkTraits
+
+
+def test_a_link_of_ones_own_without_codes_is_one_that_a_certificate_assumes_to_carry_what_it_is_given(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ours = entry_points(group="hil.links")
+    mine = EntryPoint("mine", "my_module:Link", "hil.links")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: EntryPoints([*ours, mine]))
+    links = ("mine:x", "mine:x?auth=frames.key", "can:hil:rig0", "zenoh:tcp/127.0.0.1:7447", "local:")
+    traits = [LinkTraits(commanders="anybody", keyed="auth=" in uri) for uri in links]
+    unproved = [SessionLink(uri=uri, traits=each, identifiers=None).unproved for uri, each in zip(links, traits)]
+    assert unproved == [True, False, False, False, False]
+
+
+def test_the_assumption_stands_in_the_certificate_of_a_certified_loop_alone() -> None:
+    found = _assuming(compose(load_experiment("dc-motor-h2")), CARRIED).verdict
+    assert found is not None and found.certified and found.assumptions[-1] == CARRIED
+    loop = compose(load_experiment("dc-motor-h2-friction", ["allow_uncertified=true"]))
+    assert _assuming(loop, CARRIED) is loop
