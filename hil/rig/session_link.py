@@ -8,7 +8,7 @@ from hil.errors import ExperimentError
 from hil.rig.can_frames import CONTROL, can_faults, own_identifiers, ranges_of
 from hil.rig.spec import RigSpec
 from transport.links.can_identifiers import Identifiers, said
-from transport.links.opening import find_link
+from transport.links.opening import is_foreign
 from transport.links.traits import LinkTraits, identifiers_on, traits_of, with_options
 
 
@@ -35,7 +35,7 @@ class SessionLink:
     @property
     def unproved(self) -> bool:
         """Whether it is a plug-in of the user's own, and no code (``auth=``) says that a frame is as it was sent."""
-        return not find_link(self.uri).value.startswith("transport.") and not self.traits.keyed
+        return is_foreign(self.uri) and not self.traits.keyed
 
     def first_identifiers(self) -> FirstIdentifiers | None:
         """Return with which identifier each packet begins, None where it is no CAN link."""

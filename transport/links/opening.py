@@ -30,6 +30,11 @@ def _for_the_plugin(uri: str) -> str:
     return f"{address}?{kept}" if kept else address
 
 
+def is_foreign(uri: str) -> bool:
+    """Return whether the plug-in that a URI names is not of this package; see `find_link`."""
+    return not find_link(uri).value.startswith("transport.")
+
+
 def find_link(uri: str) -> EntryPoint:
     """Return the plug-in that a URI names; nothing is opened or imported.
 
