@@ -17,6 +17,7 @@ from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import read_run
+from hil.log.run import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.replay import compare as replay_compare
@@ -64,12 +65,18 @@ def test_json_summary_has_everything_that_is_promised(tmp_path: Path) -> None:
     assert summary["log"]["dropped"] == 0
 
 
+def writable(run: Run, topic: str) -> Any:
+    """Return the records of a topic that a test may change: a copy, in the place of what was read."""
+    run.arrays[topic] = run.arrays[topic].copy()
+    return run.arrays[topic]
+
+
 def test_log_verifies_and_a_changed_log_does_not(tmp_path: Path) -> None:
     session = run_session(load_experiment("dc-motor-smith", ["duration=10"]), path=tmp_path / "a.mcap")
     verdict = verify(session.run)
     assert verdict.likeness == "same bits" and verdict.difference is None and verdict.answers == verdict.states == 200
     run = read_run(tmp_path / "a.mcap")
-    run.arrays["/plant/state"]["speed"][77] += 1e-6
+    writable(run, "/plant/state")["speed"][77] += 1e-6
     verdict = verify(run)
     assert verdict.likeness == "different" and verdict.answers == verdict.states == 77
     assert "/plant/state of slot 77: speed" in (verdict.difference or "")
@@ -77,8 +84,8 @@ def test_log_verifies_and_a_changed_log_does_not(tmp_path: Path) -> None:
 
 def test_a_log_of_a_machine_with_other_last_bits_is_told_from_one_that_differs(tmp_path: Path) -> None:
     run = run_session(load_experiment("dc-motor-hinf", ["duration=5"]), path=tmp_path / "a.mcap").run
-    run.arrays["/plant/state"]["speed"][77] += 1e-12
-    run.arrays["/plant/state"]["speed"][90] -= 1e-13
+    writable(run, "/plant/state")["speed"][77] += 1e-12
+    writable(run, "/plant/state")["speed"][90] -= 1e-13
     verdict = verify(run)
     assert (verdict.likeness, verdict.answers, verdict.states) == ("same within 1e-9", 100, 100)
     assert "/plant/state of slot 77: speed" in (verdict.difference or "")
@@ -88,7 +95,7 @@ def test_a_log_of_a_machine_with_other_last_bits_is_told_from_one_that_differs(t
     for change, likeness in ((1.0 + 2.0**-23, "same within 1e-9"), (1.0 + 2.0**-20, "different")):
         rows = tuple(tuple(change * u for u in row) for row in packet.rows)
         again = read_run(tmp_path / "a.mcap")
-        again.arrays["/link/control"]["data"][60] = encode_control(packet._replace(rows=rows))
+        writable(again, "/link/control")["data"][60] = encode_control(packet._replace(rows=rows))
         found = verify(again)
         assert found.likeness == likeness and "slot 60" in (found.difference or ""), change
 
@@ -99,11 +106,11 @@ def test_a_log_of_a_machine_with_other_last_bits_is_told_from_one_that_differs(t
 )
 def test_a_change_of_any_record_is_found_and_the_first_one_is_named(tmp_path: Path, topic: str, name: str) -> None:
     run = run_session(load_experiment("dc-motor-hinf", ["duration=3"]), path=tmp_path / "a.mcap").run
-    frames = run.arrays["/link/control"]["data"]
+    frames = writable(run, "/link/control")["data"]
     frames[50] = bytes([frames[50][0] ^ 1]) + frames[50][1:]
     assert "control packet of slot 50" in (verify(run).difference or "")
     at = int(np.flatnonzero(run.arrays[topic]["tick"] == 20)[0])
-    run.arrays[topic][name][at] += 1
+    writable(run, topic)[name][at] += 1
     assert f"{topic} of slot 20: {name}" in (verify(run).difference or "")
 
 
