@@ -251,7 +251,8 @@ def check_statements(controller: Controller, model: LoopModel) -> None:
         AssertionError: naming the first rule that is broken.
     """
     samples = asked("samples", packet_samples, controller)
-    assert isinstance(samples, int | np.integer) and samples >= 1, f"samples is {samples!r:.60}, expected a whole number of at least 1"
+    whole = isinstance(samples, int | np.integer) and samples >= 1
+    assert whole, f"samples is {samples!r:.60}, expected a whole number of at least 1"
     for states, name, arguments, kind in (
         (LinearFeedback, "linear_law", (model,), LinearLaw), (ModeSchedule, "schedule_of_modes", (), ScheduledGain),
         (HistoryGains, "history", (), np.ndarray),
