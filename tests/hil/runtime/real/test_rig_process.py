@@ -5,12 +5,12 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from hil.runtime.real.exit_statuses import ENDED
+from hil.runtime.real.ending import ENDED
 
 NEVER_CLOSED = """
 import threading
 from contextlib import ExitStack
-from hil.runtime.real.exit_statuses import ENDED
+from hil.runtime.real.ending import ENDED
 from hil.runtime.real.rig_process import _leave
 with ExitStack() as link:
     link.callback(threading.Event().wait)
