@@ -34,7 +34,7 @@ PLANT: Final = "plant."
 REPLACED: Final = ("network.sc", "network.ca", "controller")
 """Tables that a change replaces, whole or one field of them."""
 
-ROOM: Final = 1000
+ROOM: Final = 10_000
 """Entries that a time line may have in the end: each is looked at when the next one comes."""
 
 NOT_COMPARED: Final = "plant and controller are not compared with it in the run: no certificate held when the run began"
@@ -66,21 +66,18 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
     if table.startswith("network.") and (loop.rig.media or len(loop.rig.sensors) > 1):
         told = f"{path}: several sensor nodes, or those on a shared medium, keep their network; begin anew with --set"
         raise ExperimentError(e.name, [told])
-    raw: dict[str, Any] = copy.deepcopy(e.resolved())
+    if table in ON_THE_TIME_LINE and len(getattr(e, table)) >= ROOM:
+        raise ExperimentError(e.name, [f"{path}: has {ROOM} entries; more are not taken in one run"])
+    # Of a schedule the new entry alone is checked: the others were, and there may be thousands.
+    raw: dict[str, Any] = copy.deepcopy((replace(e, **{table: ()}) if table in SCHEDULES else e).resolved())
     raw["allow_uncertified"] = True  # whoever changes it sees the certificate before
-    if "fault" in raw and table not in SCHEDULES:  # what is over takes no certificate away
+    if table not in SCHEDULES and "fault" in raw:  # what is over takes no certificate away
         ends = [fault.slots(float(e.period))[1] for fault in e.fault]
         raw["fault"] = [entry for entry, end in zip(raw["fault"], ends, strict=True) if end >= k]
     try:
         if table in ON_THE_TIME_LINE:
-            entries = raw.setdefault(table, [])
-            if len(entries) >= ROOM:
-                raise ExperimentError(e.name, [f"{path}: has {ROOM} entries; more are not taken in one run"])
             entry = dict(value) if isinstance(value, dict) else {"value": value}
-            entries.append(entry | {"at": k * float(e.period)})
-            if table == "reference":
-                raw[table] = [s for s in entries[:-1] if round(s["at"] / e.period) != k] + entries[-1:]
-                raw[table].sort(key=lambda s: s["at"])
+            raw[table] = [*raw.get(table, []), entry | {"at": k * float(e.period)}]
         elif path == table and isinstance(value, dict) and table != "controller":
             raw["network"][table[8:]] = {"max_age": raw["network"][table[8:]]["max_age"], **value}
         else:
@@ -89,7 +86,9 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
         if table in SCHEDULES:  # no certificate depends on them
             rig_of(experiment)
             check_references(experiment, loop.controller, loop.model)
-            return dataclasses.replace(loop, experiment=replace(e, **{table: getattr(experiment, table)}))
+            kept = [entry for entry in getattr(e, table) if table != "reference" or round(entry.at / e.period) != k]
+            entries = sorted([*kept, *getattr(experiment, table)], key=lambda entry: entry.at)
+            return dataclasses.replace(loop, experiment=replace(e, **{table: tuple(entries)}))
         after = compose(experiment, certify=certify)
     except ExperimentError:
         raise

@@ -60,7 +60,7 @@ def run_with(name: str, asked: list[Asked], path: Path, **about: Any) -> Session
         ("controller", {"kind": "virtual-wall"}, "controller"),
         ("controller", {"kind": "nobody"}, "controller.kind"),
         ("fault", {"kind": "cut", "for": 0.1, "link": "ca", "node": "a"}, "both link and node"),
-        ("disturbance", {"value": [0.1]}, "disturbance[1].samples: missing"),
+        ("disturbance", {"value": [0.1]}, "disturbance[0].samples: missing"),
         ("network.ca.law", {"kind": "markov", "matrix": "much"}, "network.ca.law.matrix"),
     ],
 )
