@@ -81,6 +81,7 @@ class Limits(Table, frozen=True, kw_only=True):
 
 
 RESTART: typing.Final = "controller-restart"
+BIT_ERRORS: typing.Final = "bit-errors"
 
 
 class Fault(Table, frozen=True, kw_only=True, rename={"lasts": "for"}):
@@ -92,21 +93,28 @@ class Fault(Table, frozen=True, kw_only=True, rename={"lasts": "for"}):
         kind: ``cut`` (nothing arrives over the link), ``corrupt`` (one bit of every frame that arrives is flipped, drawn from the
             seed: the receiver's CRC refuses it), ``freeze`` (what is sent has the values of the last packet before, under a fresh
             time stamp), ``bus-off`` (the sender is off the bus: it sends nothing, nothing on its way arrives, and a
-            controller hears nothing either) or ``controller-restart`` (the controller forgets everything; it is silent
-            meanwhile).
+            controller hears nothing either; on a CAN bus with time its error counter is 256 and it acknowledges nothing, until
+            it has seen 128 times 11 recessive bits behind the end), ``bit-errors`` (bits on a CAN bus with time are disturbed) or
+            ``controller-restart`` (the controller forgets everything; it is silent meanwhile).
         link: ``sc`` (from all sensor nodes to the controller) or ``ca`` (from the controller to the actuator).
-        node: instead, one sensor node by its name.
+        node: instead, one sensor node by its name; of ``bus-off`` any node on the CAN bus.
+        rate: ``bit-errors``: probability that a bit is disturbed, beside the bus's own.
+        can_id: ``bit-errors``: instead, of each frame with this identifier the bit in its middle.
     """
 
     at: Seconds
     lasts: Seconds = typing.cast(Seconds, 0.0)
-    kind: Literal["cut", "corrupt", "freeze", "bus-off", "controller-restart"]
+    kind: Literal["cut", "corrupt", "freeze", "bus-off", "bit-errors", "controller-restart"]
     link: Literal["sc", "ca"] | None = None
     node: str | None = None
+    rate: float | None = None
+    can_id: int | None = None
 
     @property
     def where(self) -> str:
         """What is broken, for messages."""
+        if self.kind == BIT_ERRORS:
+            return "the CAN bus" if self.can_id is None else f"the frames {self.can_id:#x} of the CAN bus"
         return "the controller" if self.kind == RESTART else f"node {self.node!r}" if self.node else f"network.{self.link}"
 
     def slots(self, period_s: float) -> tuple[int, int]:
@@ -125,11 +133,22 @@ class Fault(Table, frozen=True, kw_only=True, rename={"lasts": "for"}):
             if not 0 <= value <= LONGEST_S:
                 yield f"{key}: {value:g} s is not between 0 and {LONGEST_S:g} s"
         named = [key for key in ("link", "node") if values.get(key) is not None]
+        of_bits = [key for key in ("rate", "can_id") if values.get(key) is not None]
+        if kind == BIT_ERRORS:
+            yield from (f"{key}: disturbed bits are seen by all nodes; expected none" for key in named)
+            if len(of_bits) != 1:
+                yield f"rate: {'both rate and can_id are' if of_bits else 'neither rate nor can_id is'} given; name one of them"
+            if not 0.0 < (values.get("rate") or 1.0) <= 1.0:
+                yield f"rate: {values['rate']:g}, expected a probability above 0"
+            if not 0 <= (values.get("can_id") or 0) < 1 << 29:
+                yield f"can_id: {values['can_id']:#x}, expected up to 29 bits"
+        else:
+            yield from (f"{key}: only a fault of kind 'bit-errors' has one" for key in of_bits)
         if kind == RESTART:
             yield from (f"{key}: a restart of the controller takes none" for key in named)
-        elif kind is not None:
-            if len(named) != 1:
-                yield f"link: {'both link and node are' if named else 'neither link nor node is'} given; name one of them"
+        elif kind is not None and kind != BIT_ERRORS and len(named) != 1:
+            yield f"link: {'both link and node are' if named else 'neither link nor node is'} given; name one of them"
+        if kind not in (None, RESTART):
             if "lasts" not in values:
                 yield f"for: missing; a fault of kind {kind!r} lasts a while"
             elif lasts == 0:

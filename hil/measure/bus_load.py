@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hil.experiment.rig_tables import BIT_ERRORS
 from hil.log.append_column import pieces
 from hil.log.topics import BUS
 from hil.log.topics.bus import EXTENDED
@@ -118,7 +119,8 @@ def bus_of(view: RunView) -> BusLoad | None:
     answers = sum(each.length for each in counted.values() if names[each.node] == CONTROLLER)
     rows = answers // (4 * len(rig.inputs)) or None
     stated = {(each.extended, each.identifier): each for each in analysed(rig, bus, rows)}
-    bounds = {} if medium.bit_error_rate or medium.recorded else {
+    faulty = view.experiment is not None and any(fault.kind in (BIT_ERRORS, "bus-off") for fault in view.experiment.fault)
+    bounds = {} if medium.bit_error_rate or medium.recorded or faulty else {
         each.message.name: each.response_ns for each in response_times([*stated.values()], rates)
     }  # fmt: skip
     span = int(records["idle_ns"][-1])

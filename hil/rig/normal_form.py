@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.experiment.unavailable_plugin import UnavailablePlugin
-from hil.rig.can_bus import can_bus_faults
+from hil.rig.can_bus import bus_nodes, can_bus_faults, can_bus_of
 from hil.rig.can_frames import can_faults
 from hil.rig.packet_ages import Receiver
 from hil.rig.port import Port, port_of
@@ -48,7 +48,9 @@ def rig_of(e: Experiment) -> RigSpec:
         fault_schedule=fault_schedule(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
         links=links, framing=framing,
     )  # fmt: skip
-    faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)]) + fault_schedule_faults(e)
+    bus = can_bus_of(rig)
+    faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)])
+    faults += fault_schedule_faults(e, () if bus is None else bus_nodes(rig, bus))
     if faults:
         raise ExperimentError(e.name, faults)
     return rig

@@ -13,7 +13,8 @@ from math import lcm
 
 from hil.experiment import Experiment
 from hil.experiment.nodes import ClockTable
-from hil.experiment.rig_tables import RESTART, Fault
+from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
+from transport.can_bus_model.planned_faults import BusFault
 from transport.medium.faulted import FaultInterval
 from transport.medium.medium import SampleClock
 from transport.medium.scheduled import Arbitration
@@ -34,14 +35,40 @@ class FaultSchedule:
     restarts: tuple[tuple[int, int], ...]
 
 
-def fault_schedule_faults(e: Experiment) -> list[str]:
-    """Return what is wrong with the time line, each with its path."""
+def fault_schedule_faults(e: Experiment, on_bus: Sequence[str] = ()) -> list[str]:
+    """Return what is wrong with the time line, each with its path.
+
+    Args:
+        e: the experiment.
+        on_bus: names of the nodes on its CAN bus with time; none where it has no such bus.
+    """
+    none = "there is no CAN bus with time, whose bits could be disturbed; give the experiment a medium of kind 'can'"
+    bits = [f"fault[{i}].kind: {none}" for i, fault in enumerate(e.fault) if fault.kind == BIT_ERRORS and not on_bus]
     there = f"there are: {', '.join(e.network.nodes)}" if e.network.nodes else "no node is named: use link"
-    return [
+    return bits + [
         f"fault[{i}].node: there is no node {fault.node!r} ({there})"
         for i, fault in enumerate(e.fault)
-        if fault.node is not None and fault.node not in e.network.nodes
+        if fault.node is not None and fault.node not in e.network.nodes and not (fault.kind == "bus-off" and fault.node in on_bus)
     ]
+
+
+def bus_faults(e: Experiment, on_bus: Sequence[str], controller: str) -> list[BusFault]:
+    """Return the faults of the CAN bus of an experiment.
+
+    Args:
+        e: checked.
+        on_bus: names of the nodes on the bus, by number.
+        controller: name of the one that sends the control packets.
+    """
+    found = []
+    for fault in e.fault:
+        first, end = (k * e.period_ns for k in fault.slots(float(e.period)))
+        if fault.kind == BIT_ERRORS:
+            found.append(BusFault(first, end, fault.rate, fault.can_id))
+        elif fault.kind == "bus-off":
+            named = {"sc": tuple(e.network.nodes), "ca": (controller,), None: (fault.node,)}[fault.link]
+            found.append(BusFault(first, end, off=tuple(i for i, name in enumerate(on_bus) if name in named)))
+    return found
 
 
 def beyond_the_end(e: Experiment) -> str:
@@ -74,6 +101,8 @@ def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
     restarts = []
     for fault in e.fault:
         first, end = fault.slots(float(e.period))
+        if fault.kind == BIT_ERRORS:
+            continue  # the bus itself
         if fault.kind == RESTART:
             restarts.append((first, end))
             continue
@@ -93,7 +122,8 @@ def told(fault: Fault) -> str:
     >>> told(Fault(at=Seconds(3), lasts=Seconds(0.5), kind="cut", link="ca"))
     'cut of network.ca for 0.5 s'
     """
-    words = {"corrupt": "flipped bits on", "freeze": "frozen values on", "bus-off": "bus-off of", RESTART: "restart of"}
+    words = {"corrupt": "flipped bits on", "freeze": "frozen values on", "bus-off": "bus-off of", BIT_ERRORS: "bit errors on",
+             RESTART: "restart of"}  # fmt: skip
     return f"{words.get(fault.kind, f'{fault.kind} of')} {fault.where} for {fault.lasts:g} s"
 
 

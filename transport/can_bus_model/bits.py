@@ -281,11 +281,12 @@ class BitErrors:
             whole *= 1.0 - rate
             self._until.append(1.0 - whole)
 
-    def first(self, bits: int) -> int | None:
+    def first(self, bits: int, start: int = 0, frame: CanFrame | None = None) -> int | None:
         """Return the first disturbed bit of the next frame, None if there is none.
 
         Args:
             bits: that the frame has.
+            start, frame: of no account: all frames are alike.
         """
         if not self._until:
             return None

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Protocol
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, FrameLength, WireBits, flag_bits, wire_bits
+from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, CanFrame, FrameLength, WireBits, flag_bits, wire_bits
 from transport.can_bus_model.node import (
+    BUS_OFF,
     RECESSIVE_BITS,
     RECOVERY_SEQUENCES,
     SUSPENDED_BITS,
@@ -33,8 +34,14 @@ _MISREAD: Final = 12
 class Noise(Protocol):
     """Says which bit of the next frame is disturbed."""
 
-    def first(self, bits: int) -> int | None:
-        """Return its position, None if there is none."""
+    def first(self, bits: int, start: int, frame: CanFrame) -> int | None:
+        """Return its position, None if there is none.
+
+        Args:
+            bits: that the frame has.
+            start: first instant of its start of frame, in units.
+            frame: what is sent.
+        """
         ...
 
 
@@ -198,7 +205,7 @@ class CanBus:
             sent = heads[senders[0]]
         length = sent.bits()
         if error is None and self._noise is not None:
-            error = self._noise.first(sum(length) - INTERMISSION - 1)
+            error = self._noise.first(sum(length) - INTERMISSION - 1, start, sent.frame)
         listeners = len(self.nodes) - len(self._off) - len(senders)
         if error is None and self._disturbed(senders):
             error = _MISREAD
@@ -252,7 +259,8 @@ class CanBus:
         for i, waiting in senders:
             node, before = self.nodes[i], self.nodes[i].errors.state
             if done.error_bit is None:
-                node.errors.sent()
+                if i not in self._off:  # switched off meanwhile
+                    node.errors.sent()
                 node.waiting.remove(waiting)
                 if node.errors.state != before:
                     self._status(done.end, i)
@@ -298,6 +306,23 @@ class CanBus:
         self.nodes[i] = CanNode(recovers=False)
         self._off.add(i)
         self._busy.discard(i)
+
+    def switch_off(self, i: int, at: int) -> None:
+        """Take a node off the bus, as bus-off does, until `switch_on`; what it sends at that instant ends, what waits stays.
+
+        Args:
+            i: the node.
+            at: an instant up to which the bus was advanced, in units.
+        """
+        node = self.nodes[i]
+        node.errors.tec, node.recovers = max(node.errors.tec, BUS_OFF), False
+        self._off.add(i)
+        self._status(at, i)
+
+    def switch_on(self, i: int, at: int) -> None:
+        """Let a node that was switched off come back, after 128 times 11 recessive bits from now on; see `switch_off`."""
+        node = self.nodes[i]
+        node.recovers, node.errors.sequences = True, -self._sequences(at)
 
     def memory(self) -> list[Any]:
         """Return what it remembers besides its nodes and what is being sent, as plain values."""

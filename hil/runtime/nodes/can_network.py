@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from hil.compose.loop import Loop
-from hil.rig.can_bus import RECORDING, bus_nodes, can_bus_of, own_packets, periodic, rates_of
+from hil.experiment import Experiment
+from hil.rig.can_bus import CONTROLLER, RECORDING, bus_nodes, can_bus_of, own_packets, periodic, rates_of
+from hil.rig.schedules import bus_faults
 from hil.rig.traffic_file import due_of
 from hil.runtime.streams import rng_for
 from transport.can_bus_model.bits import BitErrors, CanFrame
 from transport.can_bus_model.bus import CanBus, CanNode, Transmission
+from transport.can_bus_model.planned_faults import PlannedErrors
 from transport.can_bus_model.traffic import Due, Traffic
 from transport.medium.independent import Impairment
 from transport.medium.timed_bus import BusInSlots, TimedBusDownlink, TimedBusUplink, value_frames
@@ -45,9 +48,11 @@ class CanNetwork:
         self._fd = medium.dbitrate is not None
         self._own = own_packets(loop.rig, shared, loop.rows)
         self.carries_control = medium.control
-        noise = BitErrors(medium.bit_error_rate, rng_for(seed, f"medium.{name}")) if medium.bit_error_rate else None
+        always = BitErrors(medium.bit_error_rate, rng_for(seed, f"medium.{name}")) if medium.bit_error_rate else None
+        self._errors = PlannedErrors(always, rng_for(seed, f"fault.{name}"))
+        self._names = names
         nodes = [CanNode("fifo" if name == RECORDING else "priority") for name in names]
-        bus = CanBus(rates, nodes, noise, status=lambda at, i: status(rates.ns(at), names[i], nodes[i]))
+        bus = CanBus(rates, nodes, self._errors, status=lambda at, i: status(rates.ns(at), names[i], nodes[i]))
         sources: list[Iterator[Due]] = [
             each.frames(rng_for(seed, f"medium.{name}.{message.said}"))
             for each, message in zip(periodic(loop.rig, shared), medium.traffic, strict=True)
@@ -58,6 +63,13 @@ class CanNetwork:
             bus, Traffic(sources), len(self._own), overwrite=medium.buffer == "overwritten", period_ns=e.period_ns,
             deadline_ns=round(e.timing.deadline * e.period_ns), seen=lambda ended: seen(ended, nodes[ended.node]),
         )  # fmt: skip
+        self.plan(e)
+
+    def plan(self, e: Experiment) -> None:
+        """Take the faults on the time line of an experiment; what is past stays as it was."""
+        faults = bus_faults(e, self._names, CONTROLLER)
+        self._errors.plan(faults)
+        self._slots.plan(faults)
 
     def uplink(self, channels: Sequence[Impairment]) -> TimedBusUplink:
         """Return the medium of the sensor nodes on the bus.

@@ -68,10 +68,10 @@ class Rig:
     """
 
     __slots__ = (  # so many attributes in a dictionary would be found by its hashes, slowly
-        "_after_trip", "_claimed", "_counter", "_disturbance", "_disturbed", "_downlink", "_end", "_faults", "_journal", "_laws",
-        "_network", "_nonce", "_past_laws", "_past_watch", "_period_ns", "_plant", "_port", "_put_out", "_r", "_reference",
-        "_samples", "_seed", "_sensors", "_sent", "_slots", "_stop", "_uplink", "_w", "_watch", "_woken", "_x", "_y", "actuator",
-        "answers", "k",
+        "_after_trip", "_bus", "_claimed", "_counter", "_disturbance", "_disturbed", "_downlink", "_end", "_faults", "_journal",
+        "_laws", "_network", "_nonce", "_past_laws", "_past_watch", "_period_ns", "_plant", "_port", "_put_out", "_r",
+        "_reference", "_samples", "_seed", "_sensors", "_sent", "_slots", "_stop", "_uplink", "_w", "_watch", "_woken", "_x",
+        "_y", "actuator", "answers", "k",
     )  # fmt: skip
 
     def __init__(
@@ -96,7 +96,7 @@ class Rig:
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.rig.sensors)
         faults = FaultInjector(loop, seed, changing)
         self._faults = faults if faults.there else None
-        bus = None if can_bus_of(loop.rig) is None else self._bus_of(loop, seed)
+        bus = self._bus = None if can_bus_of(loop.rig) is None else self._bus_of(loop, seed)
         medium = sensor_medium_of(loop, seed, float(e.period), deadline_s, bus)
         channel = impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
         self._network: tuple[ChangingMedium, ChangingChannel] | None = None
@@ -160,6 +160,8 @@ class Rig:
         self._claimed = self._claimed or (loop.watched is not None and loop.watched.claimed)
         if self._faults is not None:
             self._faults.change(loop)
+        if self._bus is not None:
+            self._bus.plan(e)
         if plant and isinstance(e.plant, GoesOn):
             self._plant = self._changed_plant(e.plant)
             self._watch, self._past_watch = None, self._past_watch or self._watch

@@ -130,7 +130,7 @@ def test_faults_of_the_table_are_told_by_their_path() -> None:
         ('at = 1\nfor = 1\nkind = "cut"\nlink = "sc"\nnode = "a"', "fault[0].link: both link and node are given"),
         ('at = 1\nfor = 1\nkind = "cut"\nnode = "a"', "fault[0].node: there is no node 'a' (no node is named: use link)"),
         ('at = 1\nkind = "controller-restart"\nlink = "ca"', "fault[0].link: a restart of the controller takes none"),
-        ('at = 1\nfor = 1\nkind = "melt"\nlink = "sc"', "expected one of cut, corrupt, freeze, bus-off, controller-restart"),
+        ('at = 1\nfor = 1\nkind = "melt"\nlink = "sc"', "of cut, corrupt, freeze, bus-off, bit-errors, controller-restart"),
         ('at = 1\nlasts = 1\nkind = "cut"\nlink = "sc"', "fault[0].lasts: unknown field; there are at, for, kind, link, node"),
     ]
     for table, message in bad:
@@ -138,7 +138,8 @@ def test_faults_of_the_table_are_told_by_their_path() -> None:
             loop_of(f"{MOTOR}\n[[fault]]\n{table}\n", certify=False)
         assert message in str(told.value), str(told.value)
     keys = experiment_schema()["$defs"]["Fault"]["properties"]
-    assert set(keys) == {"at", "for", "kind", "link", "node"} and "how long it lasts" in keys["for"]["description"]
+    assert set(keys) == {"at", "for", "kind", "link", "node", "rate", "can_id"}
+    assert "how long it lasts" in keys["for"]["description"]
     resolved = parse_experiment(faulty("cut", 'link = "sc"')).resolved()
     assert json.loads(json.dumps(resolved))["fault"][0]["for"] == 0.5 and "fault" not in load_experiment("dc-motor-h2").resolved()
 

@@ -26,7 +26,7 @@ class Planned:
     def __init__(self, hits: dict[int, int]) -> None:
         self._hits, self._frame = hits, -1
 
-    def first(self, bits: int) -> int | None:
+    def first(self, bits: int, start: int, frame: CanFrame) -> int | None:
         self._frame += 1
         return self._hits.get(self._frame)
 
