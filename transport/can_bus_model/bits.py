@@ -20,9 +20,10 @@ Disturbances on the wire: which bit of a frame is seen as the other one by all n
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_right
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -152,6 +153,9 @@ def frame_length(frame: CanFrame) -> FrameLength:
     return wire_bits(frame).length
 
 
+_FIVE: Final = re.compile("0{5}|1{5}")
+
+
 @lru_cache(maxsize=4096)
 def wire_bits(frame: CanFrame) -> WireBits:
     """Return the bits of a frame, as a transmitter sees them that is acknowledged."""
@@ -182,18 +186,13 @@ def _identifier(frame: CanFrame, request: str) -> str:
 
 def _stuffed(bits: str, *, behind: bool) -> str:
     """Insert stuff bits; one that is due behind the last bit too, where asked."""
-    out: list[str] = []
-    last, run = "", 0
-    for bit in bits:
-        if run == 5:
-            last, run = "1" if last == "0" else "0", 1
-            out.append(last)
-        run = run + 1 if bit == last else 1
-        last = bit
-        out.append(bit)
-    if behind and run == 5:
-        out.append("1" if last == "0" else "0")
-    return "".join(out)
+    at = 0
+    while (run := _FIVE.search(bits, at)) is not None:
+        at = run.end()
+        if at == len(bits) and not behind:
+            break
+        bits = f"{bits[:at]}{'1' if bits[at - 1] == '0' else '0'}{bits[at:]}"  # it counts for the next run
+    return bits
 
 
 def crc(bits: str, width: int, polynomial: int, start: int) -> int:
@@ -209,9 +208,26 @@ def crc(bits: str, width: int, polynomial: int, start: int) -> int:
     '000000000000000'
     """
     top, mask, register = width - 1, (1 << width) - 1, start
-    for bit in bits:
-        register = (register << 1 & mask) ^ (polynomial if (register >> top ^ (bit == "1")) & 1 else 0)
-    return register & mask
+    first = len(bits) % 8
+    for bit in bits[:first]:
+        register = (register << 1 & mask) ^ (polynomial & mask if (register >> top ^ (bit == "1")) & 1 else 0)
+    if len(bits) > first:
+        table, shift = _remainders(width, polynomial), width - 8
+        for byte in int(bits[first:], 2).to_bytes(len(bits) // 8, "big"):
+            register = (register << 8 & mask) ^ table[register >> shift ^ byte]
+    return register
+
+
+@cache
+def _remainders(width: int, polynomial: int) -> tuple[int, ...]:
+    """Return the remainder of each byte, so that eight bits are divided at once."""
+    found, mask = [], (1 << width) - 1
+    for byte in range(256):
+        register = byte << width - 8
+        for _ in range(8):
+            register = register << 1 ^ (polynomial | 1 << width if register >> width - 1 & 1 else 0)
+        found.append(register & mask)
+    return tuple(found)
 
 
 def longest_frame(

@@ -109,6 +109,7 @@ class CanBus:
         self._busy: set[int] = set()  # nodes with frames that wait
         self._not_before: dict[int, int] = {}
         self._off: set[int] = set()
+        self._counted = True  # a receive error counter may be above 0
         self._recessive_since = idle - RECESSIVE_BITS * rates.bit
         self._now: list[tuple[Transmission, tuple[tuple[int, Waiting], ...]]] = []  # at most one, with all who send it
 
@@ -186,14 +187,19 @@ class CanBus:
     def _begin(self, start: int) -> None:
         for i in self._off:
             self.nodes[i].errors.sequences += self._sequences(start)
-        ready = [i for i in self._busy if i not in self._off and self._not_before.get(i, start) <= start]
-        heads = {i: head for i in ready if (head := self.nodes[i].waiting.head()).queued <= start}
+        nodes, held = self.nodes, self._off or self._not_before
+        ready = [i for i in self._busy if i not in self._off and self._not_before.get(i, start) <= start] if held else self._busy
         self._not_before.clear()  # who waited so long receives now
-        best = min(head.key for head in heads.values())
-        senders = sorted(i for i, head in heads.items() if head.key == best)
-        if len(heads) > len(senders):
-            for head in heads.values():
-                head.lost += head.key != best
+        heads = {}
+        for i in ready:
+            head = nodes[i].waiting.head()
+            if head.queued <= start:
+                head.lost += 1  # but for those who win
+                heads[i] = head
+        best = min([head.key for head in heads.values()])
+        senders = sorted([i for i, head in heads.items() if head.key == best])
+        for i in senders:
+            heads[i].lost -= 1
         sent = heads[senders[0]]
         error = None
         if len(senders) > 1:
@@ -270,6 +276,8 @@ class CanBus:
                 self._busy.discard(i)
             if node.errors.passive:
                 self._not_before[i] = done.idle + SUSPENDED_BITS * self.rates.bit
+        if done.error_bit is None and not self._counted:
+            return done
         for i, node in enumerate(self.nodes):
             errors = node.errors
             if i not in of and (done.error_bit is not None or errors.rec) and i not in self._off:
@@ -277,6 +285,7 @@ class CanBus:
                 errors.received() if done.error_bit is None else errors.receive_failed()
                 if errors.state != before:
                     self._status(done.end, i)
+        self._counted = any(node.errors.rec for node in self.nodes)
         return done
 
     @property
@@ -331,5 +340,6 @@ class CanBus:
     def remember(self, memory: list[Any], now: Sequence[tuple[Transmission, tuple[tuple[int, Waiting], ...]]]) -> None:
         """Take over what `memory` returned, and what is being sent."""
         self._idle, self._recessive_since, off, not_before = memory
+        self._counted = True
         self._off, self._not_before, self._now = set(off), dict(not_before), list(now)
         self._busy = {i for i, node in enumerate(self.nodes) if node.waiting}

@@ -59,6 +59,7 @@ class TransmitBuffer:
     def __init__(self, kind: BufferKind = "priority") -> None:
         self._kind = kind
         self._waiting: list[Waiting] = []
+        self._head: Waiting | None = None  # known until another one may be
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -70,6 +71,7 @@ class TransmitBuffer:
 
     def queue(self, new: Waiting) -> Waiting | None:
         """Let a frame wait; return the older one whose place it takes."""
+        self._head = None
         if self._kind == "overwritten":
             for i, old in enumerate(self._waiting):
                 if old.key == new.key:
@@ -80,14 +82,16 @@ class TransmitBuffer:
 
     def head(self) -> Waiting:
         """Return the frame that takes part in arbitration; there is one."""
-        waiting = self._waiting
-        if self._kind == "fifo" or len(waiting) == 1:
-            return waiting[0]
-        return min(waiting, key=lambda each: each.key)  # of equal ones the oldest
+        if self._head is None:
+            waiting = self._waiting
+            first = self._kind == "fifo" or len(waiting) == 1
+            self._head = waiting[0] if first else min(waiting, key=lambda each: each.key)  # of equal ones the oldest
+        return self._head
 
     def remove(self, which: Waiting) -> bool:
         """Take out a frame that was sent or is aborted; return whether it still waited."""
         if which in self._waiting:
+            self._head = None
             self._waiting.remove(which)
             return True
         return False

@@ -5,12 +5,15 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from transport.can_bus_model.bits import CanFrame
 from transport.errors import FieldError
+
+AHEAD: Final = 64
+"""Frames of a message whose content is drawn at once."""
 
 
 class Due(NamedTuple):
@@ -63,16 +66,25 @@ class Periodic:
             rng: the stream of this message; nothing else may draw from it.
         """
         due, last, frame = self.offset_ns, 0, self.frame
+        drawn = self._contents(rng)
         while True:
             late = int(rng.integers(self.jitter_ns + 1)) if self.jitter_ns else 0
             last = max(last, due + late)
             if self.random:
                 frame = CanFrame(
-                    identifier=frame.identifier, data=rng.bytes(len(frame.data)), extended=frame.extended, fd=frame.fd,
+                    identifier=frame.identifier, data=next(drawn), extended=frame.extended, fd=frame.fd,
                     bitrate_switch=frame.bitrate_switch,
                 )  # fmt: skip
             yield Due(last, self.node, frame)
             due += self.period_ns
+
+    def _contents(self, rng: np.random.Generator) -> Iterator[bytes]:
+        """Yield random bytes as if drawn frame by frame: whole words of 32 bits, many at once where nothing else is drawn."""
+        length, ahead = len(self.frame.data), 1 if self.jitter_ns else AHEAD
+        words = 4 * (-(-length // 4))
+        while True:
+            drawn = rng.bytes(words * ahead)
+            yield from (drawn[at : at + length] for at in range(0, len(drawn), words))
 
 
 class Traffic:
