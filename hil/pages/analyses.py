@@ -81,6 +81,8 @@ def _table(found: BusAnalysis) -> Table:
 POINTS = 400
 MOST_BARS = 12
 MOST_PARAMETERS = 20
+SEEN = 1e-3
+"""A share of slots that a bar can show."""
 
 
 def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_shares: dict[str, list[float]]) -> str:
@@ -128,7 +130,7 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     ]  # fmt: skip
     ages = ages_of(record, fit.period_s, fit.deadline_s)
     counted = np.bincount(ages) / len(ages)
-    bars = min(MOST_BARS, max(len(counted), len(shares)))
+    bars = min(MOST_BARS, max(len(counted), sum(share >= SEEN for share in shares)))
     blocks.append(Bars(
         title="Age of the newest packet", categories=[str(i) for i in range(bars)], x_label="age in slots",
         y_label="share of slots",
@@ -138,15 +140,15 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     ))  # fmt: skip
     blocks.append(_correlations(fit))
     rows: list[tuple[str | float | int, ...]] = [
-        (c.name, c.fitted_to, c.parameters, round(c.bic), *(_chance(p) for p in (c.fitness.independence, c.fitness.shape)))
-        if c.fitness is not None else (c.name, c.fitted_to, c.parameters, round(c.bic), "-", "-")
+        (f"ages: {c.name}" if c.fitted_to == "ages" else c.name, c.parameters, round(c.bic),
+         *(("-", "-") if c.fitness is None else (_chance(c.fitness.independence), _chance(c.fitness.shape))))
         for c in fit.candidates
     ]  # fmt: skip
-    blocks.append(Table(columns=("law", "fitted to", "parameters", "BIC", "independent: p", "shape: p"), rows=rows))
     came_rows = [(i, share, *pair) for i, (share, pair) in enumerate(arrivals(fit).shares())]
     blocks.append(Table(columns=("age in slots", "comes, if not before", "95 % from", "to"), rows=came_rows[:MOST_BARS]))
     parameters = [(name, *pair) for name, pair in said["intervals"].items()]
     blocks.append(Table(columns=("parameter of the law", "95 % from", "to"), rows=parameters[:MOST_PARAMETERS]))
+    blocks.append(Table(columns=("law that was tried", "parameters", "BIC", "independent: p", "shape: p"), rows=rows))
     tested = (f"{line[0].upper()}{line[1:]}" for line in independence_said(fit))
     intro = f"The law: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
         f"{note}." for note in (*tested, *said["notes"])
