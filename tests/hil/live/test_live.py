@@ -17,12 +17,17 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 
+from hil.compose.loop import compose
+from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
-from hil.live.scopes import Window, thinned
+from hil.live.desk import Desk, Wish
+from hil.live.scopes import Window, picture, thinned
 from hil.live.script import Scripted, read_script
 from hil.live.server import MOST_BYTES, MOST_CONNECTIONS
+from hil.live.side import Side
 from hil.live.tail import Tail
 from hil.live.watch import Asked, watch
+from hil.log.read.run import read_run
 from hil.log.records import Field, Schema
 from hil.replay.recorded_changes import changes_of
 from hil.session import Session, run_session
@@ -256,3 +261,22 @@ def test_two_experiments_run_beside_each_other_on_the_same_delays(tmp_path: Path
     assert len(page.sessions) == 2
     one, two = (session.run.arrays["/network/sc"] for session in page.sessions)
     assert one["age"].tolist() == two["age"].tolist() and len(one) >= 40
+
+
+def test_a_log_is_shown_as_it_was_and_takes_no_change(tmp_path: Path) -> None:
+    session = run_session(load_experiment("dc-motor-hinf", ["duration=4"]), path=tmp_path / "a.mcap")
+    side = Side()
+    side.show(read_run(tmp_path / "a.mcap"), compose(load_experiment("dc-motor-hinf", ["duration=4"]), certify=False))
+    now = side.now(0, words=True)
+    assert (now["status"], now["first"], now["slots"]) == ("log", 0, 80)
+    assert now["certificate"]["state"] == "certified" == session.summary["certificate"]["state"]
+    desk = Desk([side])
+    try:
+        for do in ("apply", "hold", "restart"):
+            with pytest.raises(HilError, match="only watches"):
+                desk.take(Wish(do=do))
+    finally:
+        desk.close()
+    rows = np.frombuffer(picture(side.records(), side.traces, Window.over(0, 80, 80)), "<f4").reshape(len(side.traces), 2, 80)
+    at = next(i for i, trace in enumerate(side.traces) if trace.topic == "/reference")
+    assert rows[at, 0].tolist() == rows[at, 1].tolist() == [0.0] * 20 + [3.0] * 60
