@@ -39,6 +39,7 @@ from tests.hostile.mutation import mutated
 from tests.hostile.structured import damaged, edited, leaf, value
 from tests.hostile.tally import Note, Tally
 from tests.hostile.watchdog import Hangs, within
+from transport.laws.latency import latency
 from transport.laws.trace import read_ages
 
 FEW = 30
@@ -210,6 +211,12 @@ def test_what_the_fuzz_found_stays_refused(tmp_path: Path, what: str) -> None:
     name, data = FOUND[what]
     with pytest.raises(BOUNDARIES[name].refusals), within(), np.errstate(all="raise"):
         BOUNDARIES[name].attack(tmp_path, data())
+
+
+@pytest.mark.parametrize("shape", [10**400, -(10**400), 1e301, float("inf"), float("nan")])
+def test_a_latency_of_a_shape_beyond_all_numbers_is_refused(shape: float) -> None:
+    with pytest.raises(ValueError), np.errstate(all="raise"):
+        latency({"dist": "gamma", "a": shape, "scale": 1e-3})
 
 
 def test_a_log_of_the_last_instants_of_all_is_recovered(tmp_path: Path) -> None:

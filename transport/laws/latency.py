@@ -27,6 +27,8 @@ from transport.laws.trace import read_column
 
 EARLY = 1e-6
 SMALLEST_LEVEL = 2.0**-33
+MOST_SHAPE = 1e300
+"""No parameter of a law is larger, and a whole number may be."""
 MOST_ATOMS = 100_000
 
 
@@ -249,6 +251,8 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
         value = spec[shape]
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise FieldError(f"{path}.{shape}", f"got {value!r}, expected a number")
+        if abs(value) > MOST_SHAPE:
+            raise FieldError(f"{path}.{shape}", f"expected a number up to {MOST_SHAPE:g}")
         arguments[shape] = float(value)
     loc, scale = seconds(f"{path}.loc", spec.get("loc", 0.0)), seconds(f"{path}.scale", spec.get("scale", 1.0))
     if not scale > 0.0:
@@ -257,7 +261,8 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     described_as = f"{name}({', '.join(f'{k}={v:g}' for k, v in arguments.items())})"
     discrete = isinstance(family, stats.rv_discrete)
     levels, standard = _atoms(frozen, path) if discrete else _knots(frozen)
-    values = _kept(loc + scale * standard)
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused below
+        values = _kept(loc + scale * standard)
     if not np.isfinite(values).all() or (np.diff(values) < 0).any():
         raise FieldError(path, f"{described_as} is no law with these parameters")
     early = float(np.interp(0.0, values, levels)) if values[0] < 0.0 else 0.0
