@@ -79,8 +79,8 @@ class Side:
 
     def show(self, run: Run, loop: Loop) -> None:
         """Watch the run of a log: it is there from its beginning to its end."""
-        schemas = {topic: schema for topic, schema in run.schemas.items() if not schema.raw}
-        arrays = {topic: run.numbers(topic) for topic in schemas if topic in run.arrays}
+        arrays = {topic: run.numbers(topic) for topic, schema in run.schemas.items() if not schema.raw and topic in run.arrays}
+        schemas = {topic: run.schemas[topic] for topic, records in arrays.items() if len(records)}
         self._records = lambda: arrays
         self._take(loop, schemas)
         self._certificate = run.certificate or None
