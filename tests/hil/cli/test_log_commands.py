@@ -21,13 +21,14 @@ def test_what_is_no_log_is_refused(cli: Hil, tmp_path: Path, command: str) -> No
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "junk.mcap").write_bytes(b"\x00\xff" * 4000)
     (tmp_path / "folder").mkdir()
+    folder = "holds no .mcap file" if command == "report" else "is a folder"  # `hil report` takes a folder of logs
     for name, says in {
         "nosuch.mcap": "No such file",
-        "folder": "is a folder",
+        "folder": folder,
         "empty.mcap": "is empty",
         "junk.mcap": "is no MCAP file",
-        ".": "is a folder",
-        "/": "is a folder",
+        "folder/.": folder,
+        "/": folder,
         "/dev/zero": "is no regular file",
     }.items():
         status, out, err = cli(command, name, *COMMANDS[command])
