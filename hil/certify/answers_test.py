@@ -6,13 +6,13 @@ left alone, and every row, age and sample is compared at samples of every size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import Known, LoopModel, MultiSampleController, RunningController, Sample, SensorNodes
+from design.controllers import Known, LoopModel, MultiSampleController, Rows, RunningController, Sample, SensorNodes
 from hil.certify.motion_test import EQUAL
 
 Array = NDArray[np.float64]
@@ -126,17 +126,19 @@ def over_nodes(model: LoopModel, *, memory: int, slots: int = SLOTS) -> Question
 
 def answers(running: Running, asked: Question, size: float, nodes: SensorNodes) -> Array:
     """Return the rows of a controller in every slot, (slots, rows, m); it ends where they are not numbers."""
+    return np.array(list(_answered(running, asked, size, nodes)), dtype=float)
+
+
+def _answered(running: Running, asked: Question, size: float, nodes: SensorNodes) -> Iterator[Rows]:
     if isinstance(running, MultiSampleController):
-        return np.array(
-            [running.rows(k, Known(_known(asked, i, k, size, nodes), asked.reference)) for i, k in enumerate(asked.slots)],
-            dtype=float,
-        )
+        for i, k in enumerate(asked.slots):
+            yield running.rows(k, Known(_known(asked, i, k, size, nodes), asked.reference))
+        return
     scale = np.full(asked.samples.shape[1], size)
     scale[-1] = 1.0 if asked.modes else size
     packets, ages = (scale * asked.samples).tolist(), asked.ages.max(axis=1).tolist()
-    return np.array(
-        [running.rows(k, age, tuple(y), asked.reference) for k, age, y in zip(asked.slots, ages, packets)], dtype=float
-    )  # fmt: skip
+    for k, age, y in zip(asked.slots, ages, packets):
+        yield running.rows(k, age, tuple(y), asked.reference)
 
 
 def _known(asked: Question, i: int, k: int, size: float, nodes: SensorNodes) -> tuple[Sample, ...]:
@@ -200,6 +202,13 @@ def outgrows(own: Start, stated: Start, asked: Question, nodes: SensorNodes) -> 
     early, late = float(added[: -len(FAR)].max()), added[-len(FAR) :]
     grows = bool((late[1:] > 1.1 * late[:-1]).all()) and late[-1] > 3.0 * early + 1e-9 * float(np.abs(still).max())
     return (asked.slots[-1], float(late[-1]), early) if grows else None
+
+
+def share_memory(own: Start, asked: Question, nodes: SensorNodes) -> bool:
+    """Return whether a controller on samples of zero answers otherwise while another of its class is asked beside it."""
+    alone = answers(own(), asked, 0.0, nodes)
+    beside = zip(_answered(own(), asked, 1.0, nodes), _answered(own(), asked, 0.0, nodes))
+    return not np.array_equal(alone, np.array([rows for _, rows in beside], dtype=float))
 
 
 def drifts(own: Start, asked: Question, nodes: SensorNodes) -> float:

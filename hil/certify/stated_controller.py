@@ -41,10 +41,12 @@ from hil.certify.answers_test import (
     outgrows,
     over_nodes,
     question,
+    share_memory,
 )
 from hil.certify.certifier import CertificationProblem, table_of
 from hil.certify.motion_test import ALIKE, EQUAL
 from hil.certify.send_all_loop import laws_of
+from hil.plugins.user_modules import is_ours
 
 if TYPE_CHECKING:
     from design.controllers import Controller
@@ -82,6 +84,7 @@ def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
         apart = drifts(starts[0], _at_rest(asked), nodes)
         found = compared(*starts, asked, nodes, SIZES)
         grown = outgrows(*starts, asked, nodes)
+        shared = not is_ours(controller) and share_memory(starts[0], asked, nodes)
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # whatever an author's controller does when it runs
         return "refused", f"{NAME}: asked for an answer it raises {type(error).__name__}: {error}"
     said = _departed(found)
@@ -90,6 +93,11 @@ def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
     if apart:
         what = "two runs of one start differ" if np.isinf(apart) else f"they change by {apart:.3g} from slot to slot"
         return "undecided", f"the controller's answers are not its table's alone: on samples and references of zero {what}"
+    if shared:
+        return "undecided", (
+            "two controllers of its class share memory: on samples of zero one answers otherwise while the other is asked beside "
+            "it, so its feedforward cannot be told from feedback; keep what it remembers in what start() returns"
+        )
     if grown is not None:
         k, late, early = grown
         return "undecided", (
