@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -17,6 +16,7 @@ from hil.experiment import load_experiment
 from hil.live.watch import watched
 from hil.log.topics import TIMING
 from hil.measure.summary import percentiles
+from hil.runtime.real.child import PYTHON
 from hil.runtime.time.clock import pause
 from hil.session import run_session
 
@@ -83,7 +83,7 @@ def _session(readers: int, name: str, uri: str, duration_s: float, log: Path) ->
     with ExitStack() as stack:
         side = stack.enter_context(watched("real", urls.append)) if readers else None
         for _ in range(readers):
-            command = [sys.executable, "-c", f"from hil.bench.live import read_page; print(read_page({urls[0].split('/')[2]!r}))"]
+            command = [*PYTHON, "-c", f"from hil.bench.live import read_page; print(read_page({urls[0].split('/')[2]!r}))"]
             processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
         try:
             experiment = load_experiment(name, [f"duration={duration_s}"])

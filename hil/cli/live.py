@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Replace a log that is there.")
 @click.option("--folder", metavar="DIR", help="Of a LOG: where own modules stand: they are run.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
-@json_option("With --script: print the summary as one JSON object.")
+@json_option("Print the summary as one JSON object, with --script.")
 def command(
     experiments: tuple[str, ...], sets: tuple[str, ...], clock: str, link: str | None, seed: int | None, duration: str | None,
     speed: float, held: bool, script: Path | None, port: int, output: Path | None, force: bool, folder: str | None, show: bool,

@@ -52,7 +52,7 @@ def critical(delta: float) -> float:
     """Return the square root of c, `delta` standard errors from an end.
 
     >>> [round(critical(d) ** 2, 2) for d in (0.0, 1.0, 1.9, 5.0)]
-    [2.71, 3.3, 3.83, 3.84]
+    [2.71, 3.31, 3.84, 3.84]
     """
     if delta >= FAR:
         return FAR

@@ -162,8 +162,8 @@ def test_every_goal_is_reached():
 
 def test_a_plant_of_ones_own_is_designed_for_by_its_file_and_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(cli, ["new", "plant", "cart"], catch_exceptions=False).exit_code == 0
-    done = CliRunner().invoke(cli, ["design", "cart:Cart", "--starts", "1", "-o", "gains.json"], catch_exceptions=False)
+    assert CliRunner().invoke(cli, ["new", "plant", "trolley"], catch_exceptions=False).exit_code == 0
+    done = CliRunner().invoke(cli, ["design", "trolley:Trolley", "--starts", "1", "-o", "gains.json"], catch_exceptions=False)
     assert done.exit_code == 0 and json.loads(Path("gains.json").read_text())["verdict"]["state"] == "certified"
-    with pytest.raises(HilError, match=r"cart\.py has no 'Wagon'; it has Cart"):
-        CliRunner().invoke(cli, ["design", "cart:Wagon"], catch_exceptions=False)
+    with pytest.raises(HilError, match=r"trolley\.py has no 'Wagon'; it has Trolley"):
+        CliRunner().invoke(cli, ["design", "trolley:Wagon"], catch_exceptions=False)

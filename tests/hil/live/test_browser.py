@@ -122,8 +122,10 @@ def test_the_mouse_is_the_hand(tmp_path: Path) -> None:
             x, y, wide = browser.evaluate(box)
             browser.mouse("mousePressed", x + 0.25 * wide, y)
             until(lambda: "reach" in page.view()["draft"]["path"], "the hand")
+            pressed = page.view()["draft"]["number"]
             browser.mouse("mouseMoved", x + 0.75 * wide, y)
-            shows(browser, "window.hilLive.runs[0].now.draft.state", "armed")
+            until(lambda: page.view()["draft"]["number"] > pressed, "the move")
+            until(lambda: page.view()["draft"]["state"] == "armed", "the move in the run")
             browser.mouse("mouseReleased", x + 0.75 * wide, y)
             page.wish(do="step", slots=900)
             until(lambda: page.view()["slots"] == 900, "900 slots")
