@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from traceback import walk_tb
-
 from design.controllers import Controller, GainTable, LoopModel, held_exactly, integrates
 from design.errors import FieldError
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.plugins.protocols import FieldFault
-from hil.plugins.user_plugins import told_of, words
+from hil.plugins.user_plugins import words
 
 
 def check_own(controller: Controller, model: LoopModel) -> None:
@@ -51,32 +47,6 @@ def check_references(e: Experiment, controller: Controller, model: LoopModel) ->
         faults.append(f"controller.integral: {n_inputs} inputs cannot make the mean errors of {n_outputs} outputs zero")
     if faults:
         raise ExperimentError(e.name, faults)
-
-
-@contextmanager
-def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
-    """Say of which part of the user's own an exception comes that nobody expected, and in which line: told before anything runs.
-
-    Raises:
-        ExperimentError: the exception came of plant, controller or a network law that is not ours.
-    """
-    try:
-        yield
-    except HilError:
-        raise
-    except Exception as error:  # whatever an author's part raises when it is asked
-        told = told_of(error, _parts(experiment).values())
-        if told is None:
-            raise
-        asked = [frame.f_locals.get("self") for frame, _ in walk_tb(error.__traceback__)]
-        paths = [path for path, part in _parts(experiment).items() if any(part is each for each in asked)]
-        raise ExperimentError(experiment.name, [f"{paths[0] if paths else 'a plug-in'}: {told}"]) from error
-
-
-def _parts(e: Experiment) -> dict[str, object]:
-    laws = {f"network.nodes.{name}.law": node.law for name, node in e.network.nodes.items()}
-    ends = {"network.sc.law": e.network.sc.law, "network.ca.law": e.network.ca.law}
-    return {"plant": e.plant, "controller": e.controller, **ends, **laws}
 
 
 def changed_meanwhile(experiment: Experiment) -> ExperimentError:

@@ -37,7 +37,7 @@ from hil.certify.historical_loop import delayed_plant_of, known_past, mask_fault
 from hil.certify.jump_loop import JumpStep, jump_step, process_of, system_of
 from hil.certify.stated_controller import stated_by
 from hil.certify.word_and_deed import OneStep, Watched, one_step
-from hil.compose.fit import changed_meanwhile, check_own, check_references, in_words_of_parts
+from hil.compose.fit import changed_meanwhile, check_own, check_references
 from hil.compose.named_files import with_law_files, with_recorded_traffic
 from hil.compose.stored_gains import Gains, fitted, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
@@ -50,6 +50,7 @@ from hil.plugins.user_modules import is_own
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop_chains import loop_chains
 from hil.rig.normal_form import rig_of
+from hil.rig.own_parts import in_words_of_parts
 from hil.rig.spec import RigSpec
 from hil.rig.traffic_file import with_traffic_file
 from plants.errors import PlantError

@@ -7,6 +7,7 @@ from hil.experiment import Experiment
 from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.rig.can_bus import bus_nodes, can_bus_faults, can_bus_of
 from hil.rig.can_frames import can_faults
+from hil.rig.own_parts import in_words_of_parts
 from hil.rig.packet_ages import Receiver
 from hil.rig.port import Port, port_of
 from hil.rig.schedules import beyond_the_end, fault_schedule, fault_schedule_faults
@@ -26,6 +27,11 @@ def rig_of(e: Experiment) -> RigSpec:
         ExperimentError: tables that do not fit the plant, the nodes, the link or the time line, each with its path.
         PlantError: the plant has no model.
     """
+    with in_words_of_parts(e):
+        return _rig_of(e)
+
+
+def _rig_of(e: Experiment) -> RigSpec:
     plant, network, links = e.plant, e.network, e.links
     absent = isinstance(plant, UnavailablePlugin)
     port = None if absent else port_of(plant)

@@ -10,6 +10,7 @@ import pytest
 
 import hil
 from design.controllers import LoopModel
+from hil.rig.normal_form import rig_of
 from tests.hil.compose.lying_plugins import Plant, Rowed, Table
 
 
@@ -80,3 +81,10 @@ def test_a_controller_whose_fields_change_while_it_is_asked_is_refused() -> None
     changes: dict[str, Any] = {"plant": Plant(), "controller": Changing(), "limits.state": {}}
     with pytest.raises(hil.HilError, match=r"controller \(Changing\) or plant \(Plant\): fields changed while it was asked"):
         hil.run("dc-motor-h2", duration=1, allow_uncertified=True, **changes)
+
+
+def test_what_asks_a_rig_and_composes_nothing_says_it_too() -> None:
+    experiment = hil.load_experiment("dc-motor-h2", plant=ModelOnce(), **{"limits.state": {}})
+    CALLS[:] = [1, 1]
+    with pytest.raises(hil.HilError, match=r"plant: RuntimeError: no more models \(.*test_parts_that_fail\.py, line \d+\)"):
+        rig_of(experiment)
