@@ -84,6 +84,7 @@ def test_a_controller_whose_fields_change_while_it_is_asked_is_refused() -> None
 
 
 def test_what_asks_a_rig_and_composes_nothing_says_it_too() -> None:
+    CALLS.clear()
     experiment = hil.load_experiment("dc-motor-h2", plant=ModelOnce(), **{"limits.state": {}})
     CALLS[:] = [1, 1]
     with pytest.raises(hil.HilError, match=r"plant: RuntimeError: no more models \(.*test_parts_that_fail\.py, line \d+\)"):
