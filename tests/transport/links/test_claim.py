@@ -25,9 +25,9 @@ with Claim("can:hil:x", "rig", "here", choose="another"):
 
 
 @pytest.fixture(autouse=True)
-def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def claims(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("HIL_CLAIM_DIR", str(tmp_path / "claims"))
-    monkeypatch.setenv("HIL_CAN_DIR", str(tmp_path / "can"))
+    monkeypatch.setenv("HIL_CAN_DIR", str(tmp_path_factory.mktemp("c")))  # short: a socket's path has at most 107 bytes
     return tmp_path / "claims"
 
 
