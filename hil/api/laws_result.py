@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hil.measure.measure import Named
-from hil.notebook import Cell, Result, data_frame
+from hil.notebook import Cell, Result, SingleResult, data_frame
 from transport.law_tests.analysis import LawAnalysis
 
 if TYPE_CHECKING:
@@ -21,8 +20,8 @@ LONGEST = 20
 """Ages beyond which a plot does not go."""
 
 
-class Laws(Named[LawAnalysis]):
-    """The law of every way, by its name: ``sc`` or each sensor node, and ``ca``.
+class Laws(SingleResult, Named[LawAnalysis]):
+    """The law of every way, by its name: ``sc`` or each sensor node, and ``ca``; drawn as how often the newest packet is how old.
 
     Args:
         experiment: its name.
@@ -45,18 +44,6 @@ class Laws(Named[LawAnalysis]):
         columns = {name: [row[i] for row in rows] for i, name in enumerate(names)}
         return data_frame(columns, {"age": "slots", "share": "1"})
 
-    def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
-        """Draw how often the newest packet is how old, for every way; write it to a file where one is named.
-
-        Args:
-            path: ends in .svg, .pdf or .png.
-            width_mm, height_mm: of the figure as it is printed.
-
-        Raises:
-            HilError: the figure cannot be drawn or written.
-        """
-        return self._result().plot(path, width_mm, height_mm)
-
     def _paint(self, sheet: Figure) -> None:
         axis = sheet.subplots()
         width = 0.8 / len(self)
@@ -76,9 +63,6 @@ class Laws(Named[LawAnalysis]):
         ]  # fmt: skip
         heads = ("way", "law", "mean age, slots", "mean age, ms", "mean latency, ms", "lost, %", "never used, %")
         return Result(line=repr(self)[1:-1], columns=heads, rows=rows, paint=self._paint)
-
-    def _repr_html_(self) -> str:
-        return self._result().html()
 
     def __repr__(self) -> str:
         ways = ", ".join(f"{way} {law.kind} with mean age {law.mean_age:.3g} slots" for way, law in self.items())

@@ -20,7 +20,7 @@ from hil.design_questions.design_problem import TrackingTarget, verdict_on
 from hil.errors import HilError
 from hil.files.outputs import check_output, write_output
 from hil.log.write.provenance import package_versions
-from hil.notebook import Result, data_frame
+from hil.notebook import Result, SingleResult, data_frame
 from hil.runtime.time.clock import monotonic_ns
 
 if TYPE_CHECKING:
@@ -96,8 +96,8 @@ def laws(source: Source, **changes: Any) -> Laws:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class DesignResult:
-    """Gains, and everything known of them over the network that they are for.
+class DesignResult(SingleResult):
+    """Gains, and everything known of them over the network that they are for; drawn as every gain over the label of tau.
 
     Args:
         target: plant and network.
@@ -161,18 +161,6 @@ class DesignResult:
         index = np.indices(self.gains.shape).reshape(len(names), -1)
         return data_frame({**dict(zip(names, index)), "gain": self.gains.ravel()})
 
-    def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
-        """Draw every gain over the label of tau, a line for each row of the packet; write it to a file where one is named.
-
-        Args:
-            path: ends in .svg, .pdf or .png.
-            width_mm, height_mm: of the figure as it is printed.
-
-        Raises:
-            HilError: the figure cannot be drawn or written.
-        """
-        return self._result().plot(path, width_mm, height_mm)
-
     def _paint(self, sheet: Figure) -> None:
         axis = sheet.subplots()
         taus = np.arange(self.gains.shape[0])
@@ -197,9 +185,6 @@ class DesignResult:
             line=repr(self)[1:-1], answer=[f"{self.verdict.state}: {self.verdict.reason}"], columns=heads, rows=rows,
             paint=self._paint,
         )  # fmt: skip
-
-    def _repr_html_(self) -> str:
-        return self._result().html()
 
     def __repr__(self) -> str:
         c, problem = self.certificate, self.problem

@@ -6,6 +6,7 @@ tables, a figure and its cell; a figure is printed in millimetres.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -109,6 +110,30 @@ class Result:
         if self.paint is None:
             raise HilError("plot: there is nothing to draw")
         return drawn(self.paint, path, width_mm, height_mm)
+
+
+class SingleResult(ABC):
+    """What is shown as one thing: a subclass says what that is by `_result`."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def _result(self) -> Result: ...
+
+    def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
+        """Draw it; write the figure to a file where one is named.
+
+        Args:
+            path: ends in .svg, .pdf or .png.
+            width_mm, height_mm: of the figure as it is printed.
+
+        Raises:
+            HilError: the figure cannot be drawn or written.
+        """
+        return self._result().plot(path, width_mm, height_mm)
+
+    def _repr_html_(self) -> str:
+        return self._result().html()
 
 
 def data_frame(columns: Mapping[str, Any], units: Mapping[str, str] | None = None) -> pandas.DataFrame:
