@@ -154,17 +154,20 @@ def _known(asked: Question, i: int, k: int, size: float, nodes: SensorNodes) -> 
     return tuple(sorted(known, key=lambda sample: (-sample.slot, sample.node)))
 
 
-def compared(own: Start, stated: Start, asked: Question, nodes: SensorNodes, sizes: Sequence[float]) -> list[Answer]:
+def compared(
+    own: Start, stated: Start, at_rest: tuple[Array, Array], asked: Question, nodes: SensorNodes, sizes: Sequence[float]
+) -> list[Answer]:
     """Return for every size of the samples how far the answers to them are from those of what is stated.
 
     Args:
         own: starts the controller.
         stated: starts what it says that it is.
+        at_rest: answers of both to samples of zero.
         asked: what both are asked.
         nodes: the sensor nodes.
         sizes: of the samples, increasing.
     """
-    rest, still = answers(own(), asked, 0.0, nodes), answers(stated(), asked, 0.0, nodes)
+    rest, still = at_rest
     found = []
     for size in sizes:
         moved, told = answers(own(), asked, size, nodes) - rest, answers(stated(), asked, size, nodes) - still
@@ -188,14 +191,14 @@ def compared(own: Start, stated: Start, asked: Question, nodes: SensorNodes, siz
     return found
 
 
-def outgrows(own: Start, stated: Start, asked: Question, nodes: SensorNodes) -> tuple[int, float, float] | None:
+def outgrows(at_rest: tuple[Array, Array], asked: Question) -> tuple[int, float, float] | None:
     """Return the last slot, and what a controller adds of its own there and in the first slots, where that grows with time.
 
     Asked of the slots `FAR` alone: each time more than in the one before, and in the end 3 times as much as in the first slots.
     """
     if asked.slots[-len(FAR) :] != FAR:
         return None
-    rest, still = answers(own(), asked, 0.0, nodes), answers(stated(), asked, 0.0, nodes)
+    rest, still = at_rest
     if rest.shape != still.shape or len(rest) < len(asked.slots):
         return None
     added = np.abs(rest - still).max(axis=(1, 2))
@@ -204,9 +207,8 @@ def outgrows(own: Start, stated: Start, asked: Question, nodes: SensorNodes) -> 
     return (asked.slots[-1], float(late[-1]), early) if grows else None
 
 
-def share_memory(own: Start, asked: Question, nodes: SensorNodes) -> bool:
-    """Return whether a controller on samples of zero answers otherwise while another of its class is asked beside it."""
-    alone = answers(own(), asked, 0.0, nodes)
+def share_memory(own: Start, alone: Array, asked: Question, nodes: SensorNodes) -> bool:
+    """Return whether a controller on samples of zero answers otherwise than alone while another is asked beside it."""
     beside = zip(_answered(own(), asked, 1.0, nodes), _answered(own(), asked, 0.0, nodes))
     return not np.array_equal(alone, np.array([rows for _, rows in beside], dtype=float))
 

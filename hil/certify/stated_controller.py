@@ -36,6 +36,7 @@ from hil.certify.answers_test import (
     Question,
     Running,
     Start,
+    answers,
     compared,
     drifts,
     outgrows,
@@ -82,9 +83,10 @@ def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
         return _wall(starts, asked, loop)
     try:
         apart = drifts(starts[0], _at_rest(asked), nodes)
-        found = compared(*starts, asked, nodes, SIZES)
-        grown = outgrows(*starts, asked, nodes)
-        shared = not is_ours(controller) and share_memory(starts[0], asked, nodes)
+        at_rest = answers(starts[0](), asked, 0.0, nodes), answers(starts[1](), asked, 0.0, nodes)
+        found = compared(*starts, at_rest, asked, nodes, SIZES)
+        grown = outgrows(at_rest, asked)
+        shared = not is_ours(controller) and share_memory(starts[0], at_rest[0], asked, nodes)
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # whatever an author's controller does when it runs
         return "refused", f"{NAME}: asked for an answer it raises {type(error).__name__}: {error}"
     said = _departed(found)
