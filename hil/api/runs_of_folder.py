@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from hil.errors import HilError
@@ -15,16 +14,13 @@ from hil.pages.runs_page import MOST_DRAWN, LoggedRun, logged_run, runs_page
 MOST_LOGS = 2000
 
 
-def report_runs(
-    folder: Path, output: Path | None, *, force: bool, progress: Callable[[int, int], None] = lambda done, total: None
-) -> tuple[Path, ...]:
+def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path, ...]:
     """Write the page of a folder of logs, and the page of each log that has none or an older one.
 
     Args:
         folder: its ``*.mcap`` are listed by name; folders below it are not read.
         output: the page, ``index.html`` in the folder by default; elsewhere it links to no page of a run.
         force: replace a page of the folder that is there already.
-        progress: called with the logs that are done and their number.
 
     Returns:
         the files that were written, the page of the folder first.
@@ -43,7 +39,6 @@ def report_runs(
     found: list[LoggedRun] = []
     written: list[Path] = []
     for i, log in enumerate(logs):
-        progress(i, len(logs))
         try:
             view = view_of(read_run(log))
             page = _page_of(log, view, target, written) if beside else ""
@@ -58,12 +53,12 @@ def _page_of(log: Path, view: RunView, index: Path, written: list[Path]) -> str:
     page = log.with_suffix(".html")
     if page == index or ":" in page.name or "\\" in page.name:
         return ""
-    if page.exists() and page.stat().st_mtime_ns >= log.stat().st_mtime_ns:
-        return page.name
     try:
         check_output(page, page=True)
-    except HilError:  # a file of somebody's own stands in its place
+    except HilError:  # another file stands in its place
         return ""
+    if page.exists() and page.stat().st_mtime_ns >= log.stat().st_mtime_ns:
+        return page.name
     write_output(page, render_report(view))
     written.append(page)
     return page.name

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from hil.measure.signals import with_unit
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Block, Cell, Figure, Link, Section, Series, Table, Tile
 from hil.pages.html.page import render_page
@@ -56,12 +57,11 @@ def logged_run(name: str, page: str, view: RunView, *, drawn: bool) -> LoggedRun
     """
     summary = view.once(page_summary)
     units = summary["units"]
-    numbers = {f"{key.replace('_', ' ')} ({units[key]})" if units.get(key) else key.replace("_", " "): value
-               for key, value in summary["metrics"].items()}  # fmt: skip
+    numbers = {with_unit(key.replace("_", " "), units.get(key, "")): value for key, value in summary["metrics"].items()}
     said = sorted(verdicts(view.run, summary), key=lambda badge: _WORST.index(badge.state))
     wrong = [badge for badge in said if badge.state != "good"]
     certificate = next((badge for badge in said if badge.label.startswith("certified")), None)
-    verdict = replace(wrong[0], label=", ".join(badge.label for badge in wrong), detail="") if wrong else certificate or said[0]
+    verdict = replace(wrong[0], label=", ".join(badge.label for badge in wrong)) if wrong else certificate or said[0]
     return LoggedRun(
         name=name, page=page, cells=(str(summary["experiment"]), str(summary["seed"]), str(summary["clock"])),
         verdict=replace(verdict, detail=""), numbers=numbers, output=_small(view) if drawn else None,

@@ -43,6 +43,9 @@ def test_pages_are_made_again_only_where_the_log_is_newer_and_never_over_other_f
     os.utime(folder / "omni.html", ns=(0, 0))
     assert len(hil.report(folder, force=True)) == 1
     assert (folder / "omni.html").read_text() == "my notes" and 'href="omni.html"' not in (folder / "index.html").read_text()
+    os.utime(folder / "omni.html")  # newer than the log, and still no page of it
+    hil.report(folder, force=True)
+    assert 'href="omni.html"' not in (folder / "index.html").read_text()
     (folder / "omni.html").unlink()
     (elsewhere,) = hil.report(folder, output=folder.parent / "all.html", force=True)
     assert "href=" not in elsewhere.read_text().split("<main>")[1].split("<footer>")[0]
