@@ -7,13 +7,10 @@ A table of signals over time that another program wrote as CSV.
 
 from __future__ import annotations
 
-import csv
 import io
 import math
-import os
 import struct
 import zlib
-from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
@@ -22,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
+from hil.files.csv_columns import read_columns
 from hil.files.regular import open_regular
 
 if TYPE_CHECKING:
@@ -137,7 +135,6 @@ def _whole_objects(data: bytes) -> int:
         end = begin + length
 
 
-MOST_BYTES = 256 << 20
 TIME_COLUMNS = {"t_s": 1.0, "t_ns": 1e-9, "time": 1.0, "t": 1.0}
 JITTER = 0.01
 """Largest deviation of an instant from a whole number of periods, in periods."""
@@ -156,32 +153,19 @@ def read_signal_table(path: str | Path, names: Sequence[str]) -> tuple[float, np
         HilError: it cannot be read, a column is missing, an entry is no number, or the instants are no multiples of a period;
             the message has the line.
     """
-    numbers = array("d")  # a float in a list takes four times as much
-    with open_regular(path, "a table of signals") as file:
-        if os.fstat(file.fileno()).st_size > MOST_BYTES:
-            raise HilError(f"{path}: more than {MOST_BYTES} bytes, the limit of a table of signals")
-        try:
-            lines = csv.reader(io.TextIOWrapper(file, "utf-8-sig", newline=""), strict=True)
-            header = [name.split("[")[0].strip() for name in next(lines, [])]
-            clock = next((name for name in TIME_COLUMNS if name in header), None)
-            if clock is None:
-                raise HilError(f"{path}: no column of times, expected one of {', '.join(TIME_COLUMNS)}")
-            for name in names:
-                if name not in header:
-                    raise HilError(f"{path}: no column {name!r}; it has {', '.join(header)[:200]}")
-            picked = [header.index(name) for name in (clock, *names)]
-            for line in lines:
-                if not line:
-                    continue
-                if len(line) != len(header):
-                    raise HilError(f"{path}:{lines.line_num}: {len(line)} entries, the first line has {len(header)}")
-                try:
-                    numbers.extend([float(line[i]) if line[i].strip() else math.nan for i in picked])
-                except ValueError:
-                    raise HilError(f"{path}:{lines.line_num}: {','.join(line)[:80]!r} is not all numbers") from None
-        except (OSError, UnicodeDecodeError, csv.Error) as e:
-            raise HilError(f"{path}: is no CSV: {e}") from e
-    table = np.frombuffer(numbers).reshape(-1, len(picked))
+    clock = ""
+
+    def picked(header: list[str]) -> list[str]:
+        nonlocal clock
+        clock = next((name for name in TIME_COLUMNS if name in header), "")
+        if not clock:
+            raise HilError(f"{path}: no column of times, expected one of {', '.join(TIME_COLUMNS)}")
+        for name in names:
+            if name not in header:
+                raise HilError(f"{path}: no column {name!r}; it has {', '.join(header)[:200]}")
+        return [clock, *names]
+
+    table = read_columns(Path(path), "a table of signals", picked).values
     if len(table) < 2:
         raise HilError(f"{path}: {len(table)} rows, expected at least 2")
     return _slotted(path, table[:, 0] * TIME_COLUMNS[clock], table[:, 1:])

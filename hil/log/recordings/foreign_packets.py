@@ -17,12 +17,7 @@ Reference: libpcap's file format (pcap-savefile), RFC 792, RFC 4443. Of the read
 
 from __future__ import annotations
 
-import csv
-import io
-import math
-import os
 import struct
-from array import array
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -31,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import HilError
+from hil.files.csv_columns import read_columns
 from hil.files.regular import open_regular
 from hil.log.recordings.recording import ROUND_TRIP, THERE, Recording, Way
 
 Array = NDArray[np.float64]
 
-MOST_BYTES = 256 << 20
 LATEST_S = 1e12
 """No instant of a clock is as late, s."""
 VALUES = {"latency_s": (THERE, 1.0), "latency_ms": (THERE, 1e-3), "rtt_s": (ROUND_TRIP, 1.0), "rtt_ms": (ROUND_TRIP, 1e-3)}
@@ -54,7 +49,11 @@ def read_latencies(path: Path, *, one_clock: bool = False) -> Recording:
     Raises:
         HilError: names the file, the line and what was expected.
     """
-    columns, lines = _columns(path)
+    known = (*VALUES, "sent_s", "received_s")
+    header, table, lines = read_columns(path, "a table of packets", lambda header: [name for name in header if name in known])
+    columns = {name: table[:, i] for i, name in enumerate(name for name in header if name in known)}
+    if len(late := np.argwhere(np.abs(table) >= LATEST_S)):
+        raise HilError(f"{path}:{lines[late[0, 0]]}: {table[tuple(late[0])]:.9g}, expected a number below {LATEST_S:g}")
     value = next((name for name in VALUES if name in columns), None)
     sent = columns.get("sent_s")
     if sent is not None and np.isnan(sent).any():
@@ -73,8 +72,8 @@ def read_latencies(path: Path, *, one_clock: bool = False) -> Recording:
         instants = sent if sent is not None else np.arange(len(found), dtype=np.float64) * NOMINAL_S
         return Recording(source=str(path), ways={name: Way(sent_s=instants, difference_s=found)}, clocks=1, notes=notes)
     if sent is None or "received_s" not in columns:
-        known = f"{', '.join(VALUES)}, or sent_s and received_s"
-        raise HilError(f"{path}: the first line names no column of latencies: {', '.join(columns)[:200]!r}; expected {known}")
+        wanted = f"{', '.join(VALUES)}, or sent_s and received_s"
+        raise HilError(f"{path}: the first line names no column of latencies: {', '.join(header)[:200]!r}; expected {wanted}")
     way = Way(sent_s=sent, difference_s=columns["received_s"] - sent)
     wrong = np.flatnonzero(way.difference_s < 0.0)
     if one_clock and len(wrong):
@@ -83,41 +82,6 @@ def read_latencies(path: Path, *, one_clock: bool = False) -> Recording:
             f"{path}:{lines[at]}: received_s lies {-way.difference_s[at]:.6g} s before sent_s, of one clock (--one-clock)"
         )
     return Recording(source=str(path), ways={THERE: way}, clocks=1 if one_clock else 2)
-
-
-def _columns(path: Path) -> tuple[dict[str, Array], list[int]]:
-    with open_regular(path, "a table of packets") as file:
-        if os.fstat(file.fileno()).st_size > MOST_BYTES:
-            raise HilError(f"{path}: more than {MOST_BYTES} bytes, the limit of a table of packets")
-        try:
-            rows = csv.reader(io.TextIOWrapper(file, "utf-8-sig", newline=""), strict=True)
-            header = [name.split("[")[0].strip() for name in next(rows, [])]
-            wanted = [name for name in header if name in (*VALUES, "sent_s", "received_s")]
-            picked, numbers, lines = [header.index(name) for name in wanted], array("d"), []
-            for row in rows:
-                if not row or row[0].lstrip().startswith("#"):
-                    continue
-                if len(row) != len(header):
-                    raise HilError(f"{path}:{rows.line_num}: {len(row)} entries, the first line has {len(header)}")
-                lines.append(rows.line_num)
-                numbers.extend(_number(path, rows.line_num, row[i]) for i in picked)
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise HilError(f"{path}: is no CSV text: {error}") from error
-    table = np.array(numbers).reshape(len(lines), len(wanted))
-    return dict.fromkeys(header, np.empty(0)) | {name: table[:, i] for i, name in enumerate(wanted)}, lines
-
-
-def _number(path: Path, line: int, text: str) -> float:
-    word = text.strip().lower()
-    if word in ("", "lost", "nan"):
-        return math.nan
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.inf
-    if not abs(value) < LATEST_S:
-        raise HilError(f"{path}:{line}: {text!r:.40} is no number below {LATEST_S:g}, expected one, or nothing of a lost packet")
-    return value
 
 
 LONGEST: Final = 1 << 18
