@@ -112,6 +112,21 @@ def test_uncertainty_is_borne_undecided_or_refused_by_its_size():
     assert states == ["undecided", "refused"]
 
 
+def test_one_family_decides_where_the_small_gain_theorem_proves_half():
+    target = tracking_target("dc-motor")
+    design = solve_tracking(problem_for(target, starts=1))
+
+    def judged(gain, pole):
+        return judge_uncertain(target, design, [interval(target.of, f"gain={gain}%"), interval(target.of, f"pole={pole}")])
+
+    found = judged(10, 0.5)
+    assert found.certified and "quadratic family" in found.method and found.number < found.limit == 1.0
+    assert 0.4 < found.details["margin"] < 0.6 and found.details["worst_radius_at_the_ends"] < found.number
+    wider = judged(15, 1.0)
+    assert wider.state == "undecided" and "no quadratic family was found" in wider.reason
+    assert wider.details["growth_of_one_family"] > 1.0 and judged(20, 1.5).state == "refused"
+
+
 def test_what_a_plant_has_beyond_its_model_leaves_a_design_undecided():
     """Friction and an encoder that rounds are in no proof of a design; the same gains over the plain motor are certified."""
     target, plain = tracking_target("dc-motor-h2-friction"), tracking_target("dc-motor").of
