@@ -226,4 +226,4 @@ def _decided(structure: LoopStructure, margin: float, worst: float, growth: Grow
         less = f"the small-gain theorem proves {100.0 * margin:.3g} % of the uncertainty only"
     if isinstance(growth, str):
         return "undecided", f"{less}; {growth}"
-    return "undecided", f"{less}, and no quadratic family was found that falls over all plants (the best: {growth.factor:.4g})"#( {growth.factor:.4g})"
+    return "undecided", f"{less}, and no quadratic family was found that falls over all plants (the best: {growth.factor:.4g})"
