@@ -2,8 +2,8 @@ r"""Gains over the historical data of scheduled sensor nodes, in the loop (Chapt
 
 .. math:: u(k) = \sum_{j=0}^{\tau} K(I(k), j)\, x(k - j)
 
-The phase I(k) is a turn of the schedule, which the controller knows from the slot; over random turns it is the node that was
-heard. An entry of K may differ from zero only where x_l(k - j) has arrived: the zero-element constraints (5.8).
+The phase I(k) is a turn of the schedule, which the controller knows from the slot; over random turns it is the node whose
+packet came. An entry of K may differ from zero only where x_l(k - j) has arrived: the zero-element constraints (5.8).
 
 Gains over historical data in many runs at once, each bit for bit what `HistoricalRun` computes alone.
 """
@@ -47,16 +47,16 @@ class BatchHistorical:
         self._inputs, self._runs = K.shape[2], runs
         some = (K != 0.0).any(axis=0)
         self._entries = [(int(i), int(j), int(l), np.ascontiguousarray(K[:, j, i, l])) for j, i, l in np.argwhere(some)]
-        self._came: dict[int, Integers] = {}  # who was heard, by slot of sending
+        self._came: dict[int, Integers] = {}  # whose packet came, by slot of sending
 
     def rows(self, k: int, known: KnownInBatch) -> Matrix:
         """Return u(k) as the one row, (1, m, runs); to be called in every slot."""
         held = known.held
-        phase, heard = self._phase(k, known.fresh)
+        phase, received = self._phase(k, known.fresh)
         u = np.zeros((self._inputs, self._runs))
         for i, j, l, gains in self._entries:
             u[i] += gains.take(phase) * held[j, l]
-        return (u if heard is None else np.where(heard, u, 0.0))[None]
+        return (u if received is None else np.where(received, u, 0.0))[None]
 
     def _phase(self, k: int, fresh: NDArray[np.bool_]) -> tuple[int | Integers, NDArray[np.bool_] | None]:
         """Return the phase, and in which runs there is one: None for all."""
@@ -86,7 +86,7 @@ class BatchHistorical:
         for e in range(window.length):
             node = self._came.get(sent - e if count else max(sent - e, 0))
             if node is None:
-                continue  # before slot 0 of a cycle everything counts as heard
+                continue  # before slot 0 of a cycle every packet counts as received
             total += ((node < 0).astype(np.intp) if count else np.where(node < 0, base - 1, node)) * base**e
         return ((sent + turns.phase) % count + count * total if count else total), None
 
@@ -161,7 +161,7 @@ class Historical:
         phases = phase_count(nodes.turns)
         if len(K) != phases:
             raise FieldError("gains", f"{len(K)} phases, but the schedule has {phases}")
-        alone = nodes.turns is not None and not nodes.turns.heard  # one packet in a slot
+        alone = nodes.turns is not None and not nodes.turns.received  # one packet in a slot
         if self.uses == "current-packet" and (not alone or len(set(nodes.delays)) != 1 or None in nodes.delays):
             raise FieldError("uses", "the current packet needs nodes that take turns and have one constant delay")
         if nodes.turns is not None and nodes.turns.transition and self.uses == "history":
@@ -210,7 +210,7 @@ class HistoricalRun:
             return self._outcomes(self._window, sent, at)
         if self._uses == "history" or turns is None:
             return phase_at(turns, k)
-        if turns.order:  # whose turn it was is known from the slot; whether it was heard, from the samples
+        if turns.order:  # whose turn it was is known from the slot; whether its packet came, from the samples
             phase = phase_at(turns, sent)
             return phase if sent in at.get(turns.order[phase], ()) else None
         return next((node for node, samples in at.items() if sent in samples), None)

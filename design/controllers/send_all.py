@@ -33,8 +33,8 @@ from design.errors import FieldError
 class NodeGainRows:
     r"""u = u* + K[(\tau_1, \ldots, \tau_q), row] (y - r), y the newest sample of every output; see `MultiSampleController`.
 
-    Until every node has been heard it answers zeros, as a controller of one node does before its first sample. A node that may
-    keep silent by its trigger is not waited for: its outputs count as 0, its age as 0.
+    Until a packet of every node has come it answers zeros, as a controller of one node does before its first sample. It does not
+    wait for a node that may keep silent by its trigger: its outputs count as 0, its age as 0.
 
     Args:
         running: the rows of a table by its index; it takes the index where it expects tau.
@@ -55,14 +55,14 @@ class NodeGainRows:
 
     def rows(self, k: int, known: Known) -> Rows:
         """Return the rows of slot k; see `MultiSampleController.rows`."""
-        y, age, heard = [0.0] * self._width, [0] * len(self._ages), set()
+        y, age, received = [0.0] * self._width, [0] * len(self._ages), set()
         for node, slot, values in known.samples:  # newest first
-            if node not in heard:
-                heard.add(node)
+            if node not in received:
+                received.add(node)
                 age[node] = k - slot
                 for output, value in zip(self._outputs[node], values):
                     y[output] = value
-        if not self._waited <= heard:
+        if not self._waited <= received:
             return self._none
         index = 0
         for own, count in zip(age, self._ages):

@@ -1,10 +1,10 @@
 """The sensor nodes of a rig: who measures what, and who may send when.
 
-The outcomes of the last slots, as one number: who was heard in each, or that nothing came.
+The outcomes of the last slots, as one number: whose packet came in each, or that nothing came.
 
 Over a cycle the sender of a slot is known, and an outcome is whether its packet came: the phase is turn + L * bits, bit e set
-where the packet of e slots ago is missing. Over random turns an outcome is the node that was heard, or one number more where
-nothing came: the phase is the sum of outcome(e) * base^e. Slots before slot 0 count as heard in a cycle, and as slot 0 over
+where the packet of e slots ago is missing. Over random turns an outcome is the node whose packet came, or one number more where
+nothing came: the phase is the sum of outcome(e) * base^e. Slots before slot 0 count as received in a cycle, and as slot 0 over
 random turns.
 """
 
@@ -21,7 +21,7 @@ Uses = Literal["history", "current-packet", "last-packets"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turns:
-    """Who is heard when: a cycle of known phase, one node after the other or as a bus with arbitration has it, or a Markov chain.
+    """Whose packet comes when: a cycle of known phase (one node after the other, or the order of a bus), or a Markov chain.
 
     Args:
         order: round robin: nodes in the order of their turns; empty where the turns are random.
@@ -29,8 +29,8 @@ class Turns:
         transition: random: Pr(next node | last node), row by row; empty for a cycle.
         initial: random: probability of each node in slot 0.
         loss: probability that what is sent in a slot is lost.
-        heard: a bus: in every slot of its cycle the (node, age) that it carries, age in slots of the newest sample; slot 0 is the
-            first of the cycle.
+        received: a bus: in every slot of its cycle the (node, age) that it carries, age in slots of the newest sample; slot 0
+            is the first of the cycle.
     """
 
     order: tuple[int, ...] = ()
@@ -38,17 +38,17 @@ class Turns:
     transition: tuple[tuple[float, ...], ...] = ()
     initial: tuple[float, ...] = ()
     loss: float = 0.0
-    heard: tuple[tuple[tuple[int, int], ...], ...] = ()
+    received: tuple[tuple[tuple[int, int], ...], ...] = ()
 
     @property
     def cycle(self) -> tuple[tuple[tuple[int, int], ...], ...]:
-        """In every slot of a cycle the (node, age) that is heard, empty for random turns."""
-        return self.heard or tuple(((node, 0),) for node in self.order)
+        """In every slot of a cycle the (node, age) that is received, empty for random turns."""
+        return self.received or tuple(((node, 0),) for node in self.order)
 
     @property
     def phases(self) -> int:
         """Number of phases: slots of a cycle, nodes of random turns."""
-        return len(self.heard) or len(self.order) or len(self.transition)
+        return len(self.received) or len(self.order) or len(self.transition)
 
 
 def phase_at(turns: Turns | None, k: int) -> int:
@@ -110,7 +110,7 @@ class PacketWindow:
     length: int
 
     def __post_init__(self) -> None:
-        if self.turns.heard or (self.turns.order and not self.turns.loss):
+        if self.turns.received or (self.turns.order and not self.turns.loss):
             raise FieldError("uses", "the last packets differ where turns are random or packets get lost: uses = 'history'")
         if self.length < 1:
             raise FieldError("window", f"{self.length} slots, expected at least 1")
@@ -147,7 +147,7 @@ class PacketWindow:
         return (sent + turns.phase) % count + count * total if count else total
 
     def outcomes(self, phase: int) -> tuple[int | None, ...]:
-        """Return the node that was heard e slots ago for e = 0, ..., length - 1, None where nothing came."""
+        """Return the node whose packet came e slots ago for e = 0, ..., length - 1, None where nothing came."""
         order = self.turns.order
         digits, turn = phase // max(len(order), 1), phase % max(len(order), 1)
         found: list[int | None] = []

@@ -1,7 +1,8 @@
 r"""What no controller can go below over scheduled sensors: with the whole state known, and with what its packets bring.
 
-The best causal controller is the linear quadratic regulator on the conditional mean of the stacked state: who is heard, and what
-is lost, depends neither on the state nor on the input, so that separation holds over a random schedule as over a cycle. It costs
+The best causal controller is the linear quadratic regulator on the conditional mean of the stacked state: which packet comes,
+and what is lost, depends neither on the state nor on the input, so separation holds over a random schedule as over a cycle. It
+costs
 
 .. math:: J = \operatorname{tr} S W + \sum_k E \operatorname{tr} K^T (\Xi_u + B^T S B) K \, \Sigma(k)
 
@@ -66,7 +67,7 @@ class CostBounds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hearing:
-    """Who is heard when, as a Markov chain of phases.
+    """Whose packet comes when, as a Markov chain of phases.
 
     Args:
         transition: (phases, phases).
@@ -86,7 +87,7 @@ def lower_bounds(plant: DelayedPlant, information: Information, start: Start) ->
 
     Args:
         plant: the plant (5.1) and its weights.
-        information: who is heard in which phase.
+        information: whose packet comes in which phase.
         start: what the cost is the mean over.
     """
     seen = tuple(
@@ -98,7 +99,7 @@ def lower_bounds(plant: DelayedPlant, information: Information, start: Start) ->
 
 
 def hearing_of(nodes: SensorNodes, *, from_any_phase: bool = False) -> Hearing | None:
-    """Return who is heard when; None where this is no chain of its own: triggers, clocks that draw, delays that change.
+    """Return whose packet comes when; None where this is no chain of its own: triggers, clocks that draw, delays that change.
 
     Args:
         nodes: the sensor nodes.
@@ -156,7 +157,7 @@ def bounds(plant: DelayedPlant, hearing: Hearing, moment: Array) -> CostBounds:
 
     Args:
         plant: the plant (5.1) and its weights.
-        hearing: who is heard when.
+        hearing: whose packet comes when.
         moment: E x(0) x(0)', (n, n); the history is zero.
     """
     n = len(plant.A)

@@ -1,9 +1,9 @@
 r"""A history with gaps, as the theory takes it: what is known where packets of a round robin get lost, and what is held.
 
 The controller keeps the samples of the last tau slots and the newest one of each node. A gain on x_l(k - j) that is missing acts
-on the newest sample before it; none is left where the node has been heard since, and the gain then acts on 0. The outcomes of the
-packets of these slots are the phase: they say which samples are known. A node that none of them has brought is held from its last
-sample, of any age; it is an entry h_l of the state, taken from the oldest sample as its packet leaves the window:
+on the newest sample before it; none is left where a packet of the node has come since, and the gain then acts on 0. The outcomes
+of the packets of these slots are the phase: they say which samples are known. A node that none of them brought is held from its
+last sample, of any age; it is an entry h_l of the state, taken from the oldest sample as its packet leaves the window:
 
 .. math:: h_l(k+1) = x_l(k - \tau) \ \text{if slot } k - \tau \text{ was node}(l)\text{'s and its packet came, else } h_l(k)
 
@@ -94,9 +94,9 @@ def gapped_gains(K: Array, nodes: SensorNodes) -> GappedGains:
     gains = np.zeros((window.phases, memory + 2, *K.shape[2:]))
     renewed = np.zeros((window.phases, K.shape[3]), dtype=bool)
     for i in range(window.phases):
-        heard = window.outcomes(i)
+        received = window.outcomes(i)
         for node, own in enumerate(nodes.outputs):
-            ages = [late + e for e, sender in enumerate(heard) if sender == node and late + e >= delays[node]]
+            ages = [late + e for e, sender in enumerate(received) if sender == node and late + e >= delays[node]]
             known = {j for age in ages for j in range(age, age + nodes.buffers[node])}
             for j in range(memory + 1):
                 at = next((older for older in range(j, memory + 1) if older in known), None)
@@ -104,7 +104,7 @@ def gapped_gains(K: Array, nodes: SensorNodes) -> GappedGains:
                     at = memory + 1
                 if at is not None:
                     gains[i, at][:, list(own)] += K[(i + late) % count, j][:, list(own)]
-            renewed[i, list(own)] = heard[-1] == node
+            renewed[i, list(own)] = received[-1] == node
     return GappedGains(gains=gains, renewed=renewed, window=window)
 
 
@@ -146,8 +146,8 @@ def _next(window: PacketWindow, phase: int) -> list[float]:
         return [1.0 - turns.loss, turns.loss]
     last = window.outcomes(phase)[0]
     row = turns.transition[0 if last is None else last]  # rows are alike where a loss hides the last node
-    heard = [(1.0 - turns.loss) * p for p in row]
-    return [*heard, turns.loss] if turns.loss else heard
+    received = [(1.0 - turns.loss) * p for p in row]
+    return [*received, turns.loss] if turns.loss else received
 
 
 def window_start(window: PacketWindow) -> Array:

@@ -1,6 +1,6 @@
-r"""What the controller has heard is not what the plant was: sensor noise, and a history that no sensor has seen.
+r"""What the controller received is not what the plant was: sensor noise, and a history that no sensor has seen.
 
-Every sample carries one draw v_l(k), which a buffer sends again with the sample; before slot 0 nothing was heard. With
+Every sample carries one draw v_l(k), which a buffer sends again with the sample; before slot 0 nothing was received. With
 Y(k) = (y(k), ..., y(k - tau)), y(k) = x(k) + v(k) from slot 0 on and 0 before, the pair (X, Y) is jump-linear:
 
 .. math:: X(k+1) = \tilde A X(k) + \tilde B K_i Y(k), \qquad P_j(k+1) = \sum_i p_{ij} F_i P_i(k) F_i^T + \pi_j(k+1) W
@@ -37,11 +37,11 @@ def close_heard(plant: DelayedPlant, gains: Array, transition: Array | None = No
     K = gains.transpose(0, 2, 1, 3).reshape(phases, p, columns * n)
     columns -= renewed is not None
     A, B, weight, input_weight = plant.matrices(max(columns - 1, plant.memory))
-    size, heard = len(A), columns * n
-    F = np.zeros((phases, size + heard, size + heard))
-    F[:, size + n :, size:-n] = np.eye(heard - n)
+    size, received = len(A), columns * n
+    F = np.zeros((phases, size + received, size + received))
+    F[:, size + n :, size:-n] = np.eye(received - n)
     if renewed is not None:
-        F = with_held(F[0], renewed, size + heard - n)
+        F = with_held(F[0], renewed, size + received - n)
     Q = np.zeros_like(F)
     F[:, :size, :size], F[:, :size, size:] = A, B @ K
     F[:, size : size + n] = F[:, :n]
@@ -57,7 +57,7 @@ def cost_from(
     transition: Array | None = None,
     renewed: Renewed = None,
 ) -> float:
-    """Return J of a stable loop without noise, from a known x(0) and a history that acts on the plant and has not been heard.
+    """Return J of a stable loop without noise, from a known x(0) and a history that acts on the plant and was not received.
 
     Args:
         plant: the plant and its weights.

@@ -1,7 +1,7 @@
 r"""Sensor nodes of a rig as the theory of Chapter 5 takes them: what is known in each phase, and the chain of the phases.
 
 Over a cycle the phase is the turn, and a turn whose packet may get lost has a twin in which nothing came. Over random turns the
-phase is the node that was heard.
+phase is the node whose packet came.
 
 Which past samples the controller has, by phase of the schedule: the zero-element constraints (5.8), in general.
 

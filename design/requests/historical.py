@@ -90,7 +90,7 @@ class HistoricalDesigned:
             raise FieldError("kind", unknown)
         if uses == "history" and lossy(nodes.turns):
             raise FieldError("uses", "over lost packets gains are designed for uses = 'current-packet' or 'last-packets'")
-        if self.uses != "history" and (nodes.turns is None or nodes.turns.heard):
+        if self.uses != "history" and (nodes.turns is None or nodes.turns.received):
             raise FieldError("uses", "where several packets come in a slot, gains are over all that has come: uses = 'history'")
         late = max(delay or 0 for delay in nodes.delays)
         cycle = nodes.turns.cycle if nodes.turns is not None and uses == "history" else ()

@@ -34,15 +34,15 @@ class Question:
         ages: age of the newest sample in each, (slots,); of every node, (slots, nodes).
         samples: the packet's values in every slot, of size 1, (slots, width).
         reference: one entry per output.
-        heard: of a controller over scheduled nodes: what it knows in every slot, as (node, slot) pairs, newest first; the values
-            are those of `samples` in that slot. Empty: the newest sample of every node, of its age.
+        received: of a controller over scheduled nodes: what it knows in every slot, as (node, slot) pairs, newest first; the
+            values are those of `samples` in that slot. Empty: the newest sample of every node, of its age.
     """
 
     slots: tuple[int, ...]
     ages: NDArray[np.int64]
     samples: Array
     reference: tuple[float, ...]
-    heard: tuple[tuple[tuple[int, int], ...], ...] = ()
+    received: tuple[tuple[tuple[int, int], ...], ...] = ()
     modes: bool = False
     """Whether the last value of a sample is a mode, which has no size."""
 
@@ -101,7 +101,7 @@ def over_nodes(model: LoopModel, *, memory: int, slots: int = SLOTS) -> Question
     rng, nodes, turns = np.random.default_rng(SEED), model.nodes, model.nodes.turns
     turn, lost_in = rng.integers(len(nodes.names), size=slots).tolist(), (rng.integers(5, size=slots) == 0).tolist()
     kept: list[set[int]] = [set() for _ in nodes.names]
-    heard = []
+    received = []
     for k in range(slots):
         for node, delay in enumerate(nodes.delays):
             sent = k - (delay or 0)
@@ -116,11 +116,11 @@ def over_nodes(model: LoopModel, *, memory: int, slots: int = SLOTS) -> Question
                 kept[node] |= {s for s in range(sent - age, sent - age - nodes.buffers[node], -1) if s >= 0}
         for own in kept:
             own -= {s for s in own if s < k - memory and s != max(own)}
-        heard.append(tuple(sorted(((n, s) for n, own in enumerate(kept) for s in own), key=lambda pair: (-pair[1], pair[0]))))
+        received.append(tuple(sorted(((n, s) for n, own in enumerate(kept) for s in own), key=lambda pair: (-pair[1], pair[0]))))
     p = model.C.shape[0]
     return Question(
         slots=tuple(range(slots)), ages=np.zeros((slots, 1), dtype=np.int64), samples=rng.uniform(-1.0, 1.0, (slots, p)),
-        reference=(0.0,) * p, heard=tuple(heard),
+        reference=(0.0,) * p, received=tuple(received),
     )  # fmt: skip
 
 
@@ -143,10 +143,10 @@ def _answered(running: Running, asked: Question, size: float, nodes: SensorNodes
 
 def _known(asked: Question, i: int, k: int, size: float, nodes: SensorNodes) -> tuple[Sample, ...]:
     """What is known in a slot, newest first."""
-    if asked.heard:
+    if asked.received:
         return tuple(
             Sample(node, slot, tuple(float(size * asked.samples[slot, o]) for o in nodes.outputs[node]))
-            for node, slot in asked.heard[i]
+            for node, slot in asked.received[i]
         )
     values, known = size * asked.samples[i], []
     for node, own in enumerate(nodes.outputs):

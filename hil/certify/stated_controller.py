@@ -183,7 +183,8 @@ def _nested(K: np.ndarray) -> tuple:  # type: ignore[type-arg]
 def _at_rest(asked: Question) -> Question:
     """The same question with references of zero."""
     return Question(
-        slots=asked.slots, ages=asked.ages, samples=asked.samples, reference=(0.0,) * len(asked.reference), heard=asked.heard,
+        slots=asked.slots, ages=asked.ages, samples=asked.samples, reference=(0.0,) * len(asked.reference),
+        received=asked.received,
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """A user's code ends no command in silence: the command goes on in a child, and this process says how it ended.
 
-A module that an experiment names may end its process with status 0, close its output, or hang where no signal is heard. From
+A module that an experiment names may end its process with status 0, close its output, or hang where no signal is received. From
 its first line on the command runs in a child. The child says in a page of shared memory, which no closed descriptor takes away,
 that the command is done and with which status. Without that word the status is never 0, and there is one message.
 """

@@ -93,7 +93,7 @@ class Fault(Table, frozen=True, kw_only=True, rename={"lasts": "for"}):
         kind: ``cut`` (nothing arrives over the link), ``corrupt`` (one bit of every frame that arrives is flipped, drawn from the
             seed: the receiver's CRC refuses it), ``freeze`` (what is sent has the values of the last packet before, under a fresh
             time stamp), ``bus-off`` (the sender is off the bus: it sends nothing, nothing on its way arrives, and a
-            controller hears nothing either; on a CAN bus with time its error counter is 256 and it acknowledges nothing, until
+            controller receives nothing either; on a CAN bus with time its error counter is 256 and it acknowledges nothing, until
             it has seen 128 times 11 recessive bits behind the end), ``bit-errors`` (bits on a CAN bus with time are disturbed) or
             ``controller-restart`` (the controller forgets everything; it is silent meanwhile).
         link: ``sc`` (from all sensor nodes to the controller) or ``ca`` (from the controller to the actuator).

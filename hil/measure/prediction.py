@@ -31,7 +31,7 @@ SAME = 1e-9
 """Two drives that differ by less than this share of what they are computed from are one."""
 
 UNHEARD = 1e-6
-"""Probability that a prediction may leave out: the controller has heard nothing, answers zeros, and the plant moves."""
+"""Probability that a prediction may leave out: the controller has received nothing, answers zeros, and the plant moves."""
 
 LOOKED_AT = 100
 """Slots in which a plant is asked whether chance moves it."""

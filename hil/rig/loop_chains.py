@@ -9,7 +9,7 @@ import numpy as np
 
 from design.controllers import AgedFeedback, Controller, GainTable, LoopModel, ages_told, packet_samples, sojourns_told
 from hil.rig.delay_chains import Chains, within_reach
-from hil.rig.heard_ages import heard_ages, recorded_cycle
+from hil.rig.received_ages import received_ages, recorded_cycle
 from hil.rig.spec import RigSpec
 from transport.laws.protocols import NetworkLaw, RecordedLaw
 
@@ -64,7 +64,7 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
     if sc is None:
         told = _told(controller, model)
         slack = _slack(rig) if told == 1 and packet_samples(controller) == 1 else ()
-        found = heard_ages(rig, chains.arriving, told, dead_bands=bool(slack))
+        found = received_ages(rig, chains.arriving, told, dead_bands=bool(slack))
         if isinstance(found, str):
             return LoopChains(None, ca, "", found)
         return LoopChains(*settled(found, ca), "", "", slack)

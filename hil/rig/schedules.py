@@ -90,7 +90,7 @@ def beyond_the_end(e: Experiment) -> str:
 
 
 def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
-    """Return the time line of a checked experiment. A controller that is off the bus hears nothing either.
+    """Return the time line of a checked experiment. A controller that is off the bus receives nothing either.
 
     Args:
         e: the experiment.

@@ -114,8 +114,8 @@ def _turns(shared: SharedMedium, sensors: Sequence[Sensor]) -> Turns | str:
     if table.kind == "can":
         return "the theory knows no chain of the delays that a CAN bus in time makes"
     if table.kind == "can-arbitration":
-        heard = bus_cycle([s.clock for s in sensors], table.frames, [s.can_id for s in sensors])
-        return heard if isinstance(heard, str) else Turns(heard=heard, loss=table.loss)
+        received = bus_cycle([s.clock for s in sensors], table.frames, [s.can_id for s in sensors])
+        return received if isinstance(received, str) else Turns(received=received, loss=table.loss)
     if table.kind == "round-robin":
         return Turns(order=shared.nodes, phase=table.phase, loss=table.loss)
     position = {node: i for i, node in enumerate(shared.nodes)}

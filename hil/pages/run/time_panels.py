@@ -149,9 +149,9 @@ def delay_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
                     curve(draws, _drawn_age, label="age at arrival, by packet", where=_own, style="points", colour=1)
                 )
         if array is not None and len(array):
-            heard = "sample_ns" if field == "tau" else "d"
+            received = "sample_ns" if field == "tau" else "d"
             where = "measured by the controller" if field == "tau" else "measured at the actuator"
-            series.append(curve(array, partial(_age, field, heard), label=where, style="step", colour=0))
+            series.append(curve(array, partial(_age, field, received), label=where, style="step", colour=0))
         if series:
             panels.append(
                 Figure(
@@ -196,8 +196,8 @@ def _drawn_age(draws: Records) -> npt.NDArray[np.float64]:
     return np.where(draws["age"] >= 0, draws["age"], np.nan).astype(np.float64)
 
 
-def _age(field: str, heard: str, records: Records) -> npt.NDArray[np.float64]:
-    return np.where(records[heard] >= 0, records[field], np.nan).astype(np.float64)
+def _age(field: str, received: str, records: Records) -> npt.NDArray[np.float64]:
+    return np.where(records[received] >= 0, records[field], np.nan).astype(np.float64)
 
 
 def _at_least(field: str, timing: Records) -> npt.NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What a controller has heard of its sensor nodes, one or more: the newest packets, or every sample that it looks back to."""
+"""What a controller has received of its sensor nodes, one or more: the newest packets, or every sample that it looks back to."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from transport.packets import SensorPacket
 
 
 class ControllerInput(Protocol):
-    """A control law with what it has heard since slot 0."""
+    """A control law with what it has received since slot 0."""
 
     sample_ns: int
     """Time stamp of the newest sample of any node, -1 before the first."""
@@ -54,8 +54,8 @@ def _watch(loop: Loop, running: RunningController | MultiSampleController) -> An
 class NewestSample:
     """Serves a `RunningController`: the newest sample of every output, as old as the oldest of them.
 
-    Until every node has been heard it answers zeros, as before the first sample of one node. A node that may keep silent by its
-    trigger is not waited for: until then its outputs are 0.
+    Until a packet of every node has come it answers zeros, as before the first sample of one node. It does not wait for a node
+    that may keep silent by its trigger: until then its outputs are 0.
 
     Args:
         loop: the composed experiment.

@@ -20,7 +20,7 @@ class ControlNode:
 
     Where frames have nonces, `Questions` says which of them are the rig's. With the first slot of another session, whose time
     begins at 0, begins a fresh control law. At a restart on the time line of faults everything is forgotten too, and frames until
-    its end are not heard.
+    its end are not received.
 
     Args:
         loop: the composed experiment.
@@ -124,7 +124,7 @@ class ControlNode:
         return encode_control(_new(ControlPacket, (k, sample_ns, t_ns, tau, self._selection, rows, echoed, self._counter, b"")))
 
     def _down(self, k: int) -> bool:
-        """Forget everything where a restart has begun; return whether nothing is heard in slot k."""
+        """Forget everything where a restart has begun; return whether nothing is received in slot k."""
         while self._to_come < len(self._restarts) and self._restarts[self._to_come][0] <= k:
             self._heard, self._to_come = self._begin(), self._to_come + 1
         return any(first <= k < end for first, end in self._restarts)

@@ -9,7 +9,7 @@ from hil.runtime.nodes.wire import SEGMENT, before
 from transport.packets import MORE, SensorPacket
 
 SILENCE_NS: Final = 1_000_000_000
-"""A rig that was heard within this time keeps its controller."""
+"""A rig from which a packet came within this time keeps its controller."""
 
 CANDIDATES: Final = 64
 """Sessions of which one may begin."""
@@ -41,7 +41,7 @@ class Questions:
 
     A hello names a session that may begin; it begins with the first slot whose nonce the name foretold. Its
     slots only go on; none can be asked for that the rig has not reached, as its nonce is not known yet. Frames of a slot
-    wait until the one that closes it. A controller that starts in mid-run takes the session that it hears first.
+    wait until the one that closes it. A controller that starts in mid-run takes the session that it receives first.
 
     Args:
         counts: where refusals are counted.
@@ -129,7 +129,7 @@ class Questions:
         return nonce == self._nonce
 
     def _begins(self, seq: int, nonce: int) -> bool:
-        """Return whether a slot begins a session: one that was named, or, where none was heard of, any."""
+        """Return whether a slot begins a session: one that was named, or, where none is known, any."""
         if self._candidates:
             if not 0 <= seq <= NEAR:
                 return False

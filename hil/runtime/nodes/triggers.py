@@ -1,6 +1,6 @@
 """When a sensor node sends: the event triggers of section 8.2.2, and the turn of a schedule that they do without.
 
-A node that is silent is no loss: the controller holds what it last heard.
+A node that is silent is no loss: the controller holds what it last received.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def serve(
         before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
 
     Raises:
-        TransportError: the link cannot be had, or the rig hears another controller.
+        TransportError: the link cannot be had, or the rig has another controller.
     """
     warm_up_controller(loop)
     node = ControlNode(loop)

@@ -19,18 +19,18 @@ MARKOV = Turns(transition=((0.2, 0.8), (0.6, 0.4)), initial=(0.1, 0.9))
 
 
 def paths(turns: Turns, slots: int) -> list[tuple[float, list[int | None]]]:
-    """Every path of outcomes with its probability: who was heard in each slot."""
+    """Every path of outcomes with its probability: whose packet came in each slot."""
     found = []
     nodes = [0] if turns.order else range(len(turns.transition))
     for drawn, lost in product(product(nodes, repeat=slots), product((False, True), repeat=slots)):
-        share, heard = 1.0, []
+        share, received = 1.0, []
         for k, (node, gone) in enumerate(zip(drawn, lost)):
             if not turns.order:
                 share *= turns.initial[node] if k == 0 else turns.transition[drawn[k - 1]][node]
             share *= turns.loss if gone else 1.0 - turns.loss
             who = turns.order[(k + turns.phase) % len(turns.order)] if turns.order else node
-            heard.append(None if gone else who)
-        found.append((share, heard))
+            received.append(None if gone else who)
+        found.append((share, received))
     return found
 
 
@@ -43,11 +43,11 @@ def test_the_chain_gives_every_window_the_share_of_all_paths_that_end_in_it(turn
     assert share.sum() == pytest.approx(1) and np.allclose(window_chain(window).sum(axis=1), 1)
     for k in range(4):
         counted = np.zeros(window.phases)
-        for each, heard in paths(turns, k + 1):
-            phase = window.phase(k, heard.__getitem__)
+        for each, received in paths(turns, k + 1):
+            phase = window.phase(k, received.__getitem__)
             counted[phase] += each
             if each:
-                assert window.outcomes(phase)[: k + 1] == tuple(heard[k - e] for e in range(min(length, k + 1)))
+                assert window.outcomes(phase)[: k + 1] == tuple(received[k - e] for e in range(min(length, k + 1)))
         np.testing.assert_allclose(share, counted, atol=1e-14)
         share = share @ window_chain(window)
 

@@ -134,7 +134,7 @@ def test_the_norm_of_a_design_is_the_energy_of_its_impulse_response(designs) -> 
     """The H2 norm against the sum of E|z|^2 that the prediction gives, which is another recursion (over moments of X X')."""
     ours = designs[0]
     zero, impulse = np.zeros((400, 2)), np.zeros(400)
-    impulse[5] = 1.0  # every node has been heard by then
+    impulse[5] = 1.0  # a packet of every node has come by then
     stationary = (BOTH.stationary, SPEED.stationary)
     energy = certify_loop(
         A, B, C, BOTH, PI, ours.gains, ours.selection, Q=[[1.0, 0.0]], R=np.zeros((1, 1)), initial=np.kron(*stationary)

@@ -89,8 +89,8 @@ def test_each_node_has_messages_of_its_own_which_read_as_what_it_measured(tmp_pa
     with pytest.raises(SystemExit):
         main(["export", str(tmp_path / "run.mcap"), "-o", str(tmp_path / "run.log")])
     with can.LogReader(tmp_path / "run.log") as log:
-        heard = {frame.arbitration_id for frame in log}
-    assert heard == {0x100, 0x120, 0x140}
+        received = {frame.arbitration_id for frame in log}
+    assert received == {0x100, 0x120, 0x140}
     done = CliRunner().invoke(command, ["dc-motor-two-nodes", "--decode", str(tmp_path / "run.log")])
     frames = [json.loads(line) for line in done.stdout.splitlines()]
     sensor = [f for f in frames if f["Kind"] == "sensor" and not f["Empty"]]

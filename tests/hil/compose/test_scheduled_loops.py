@@ -159,9 +159,9 @@ def test_a_sample_that_waited_for_the_bus_is_new() -> None:
 def test_a_cycle_forgets_how_it_began() -> None:
     changes, _ = clocked(np.random.default_rng(11))
     loop = composed(changes | {"controller": table(np.random.default_rng(0), len(changes["plant"]["C"]))})
-    from hil.rig.heard_ages import heard_ages
+    from hil.rig.received_ages import received_ages
 
-    chain = heard_ages(loop.rig, loop.chains.arriving, 3)
+    chain = received_ages(loop.rig, loop.chains.arriving, 3)
     assert not isinstance(chain, str)
     late, _ = settled(chain, chain)
     assert late.modes < chain.modes and (late.matrix.sum(axis=0) > 0.0).all()

@@ -24,10 +24,10 @@ def answers(slots: Sequence[int], late: Sequence[int] = ()) -> Run:
 def test_the_last_answer_of_a_slot_that_came_in_time_is_heard(slots: list[int]) -> None:
     late = [i for i in range(len(slots)) if i % 3 == 1]
     kept = {k: b"%d at %d" % (k, i) for i, k in enumerate(slots) if i not in late}
-    heard = RecordedAnswers(answers(slots, late))
+    received = RecordedAnswers(answers(slots, late))
     for end in (0, 2, 4, 4097, 10_000):
-        assert heard.answered(end) == sum(k < end for k in kept)
-    assert [heard.get(k) for k in range(5001)] == [kept.get(k) for k in range(5001)]
+        assert received.answered(end) == sum(k < end for k in kept)
+    assert [received.get(k) for k in range(5001)] == [kept.get(k) for k in range(5001)]
 
 
 def test_answers_out_of_order_are_sorted_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,8 +42,8 @@ def test_asking_holds_no_more_for_a_longer_log() -> None:
     runs, held = [answers(range(n)) for n in (10_000, 40_000)], []
     for run in runs:
         tracemalloc.start()
-        heard = RecordedAnswers(run)
-        assert heard.answered(1 << 40) == len(run.arrays["/link/control"])
+        received = RecordedAnswers(run)
+        assert received.answered(1 << 40) == len(run.arrays["/link/control"])
         held.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert held[1] - held[0] < 30_000  # a byte per slot; a column of slots has eight

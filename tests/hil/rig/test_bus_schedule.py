@@ -19,7 +19,7 @@ from hil.pages.run.sections.nodes import section
 from hil.replay.replay import verify
 from hil.rig.schedules import bus_cycle
 from hil.session import run_session, simulate
-from tests.transport.medium.test_arbitration import bus, heard
+from tests.transport.medium.test_arbitration import bus, received
 from transport.medium.medium import SampleClock
 
 ONE = "controller={kind='historical', gains=[[[[0.0, 0.0, -2.0, 0.0]]]]}"
@@ -51,7 +51,7 @@ def test_the_cycle_is_what_a_literal_bus_carries() -> None:
         cycle = bus_cycle(clocks, frames)
         running = [SampleClock(every=clock.every, phase=clock.phase) for clock in clocks]
         offers = {k: [n for n, clock in enumerate(running) if clock.due(k)] for k in range(40)}
-        for k, came in enumerate(heard(bus(3, frames=frames), offers, 40)):
+        for k, came in enumerate(received(bus(3, frames=frames), offers, 40)):
             if not isinstance(cycle, str):
                 assert came == [(n, k - age) for n, age in cycle[k % len(cycle)] if age <= k]
         cycles += not isinstance(cycle, str)
@@ -83,20 +83,20 @@ def test_gains_for_a_bus_cost_what_their_certificate_says(clocks: str, frames: i
 
 
 def test_the_lowest_can_identifier_wins_in_the_rig_and_in_the_theory() -> None:
-    """Without can_id the first node is heard in every slot and the second never; with these identifiers it is the other way."""
+    """Without can_id the first node sends in every slot and the second never; with these identifiers the other way."""
     ids = ("network.nodes.first.can_id=0x12", "network.nodes.second.can_id=0x11")
     sets = (*ids, "controller.memory=6", "duration=1", "allow_uncertified=true")
     loop = on_a_bus("1+0 1+0 4+0 4+0", *sets)
     nodes = summarise(view_of(simulate(loop, 0), loop.experiment))["network"]["nodes"]
     assert [nodes[name]["packets"] for name in NAMES] == [0, 20, 0, 0]
     assert loop.model.sensors is not None and loop.model.sensors.turns is not None
-    assert loop.model.sensors.turns.heard == (((1, 0),),) * 4
+    assert loop.model.sensors.turns.received == (((1, 0),),) * 4
     mixed = on_a_bus("4+0 4+0 4+0 4+0", "network.nodes.third.can_id=0x9", "controller.memory=6")
     assert mixed.verdict is not None and mixed.verdict.certified
     found = Cost().of(view_of(simulate(mixed, 0), mixed.experiment))["cost"]
     assert found == pytest.approx(mixed.verdict.details["cost"], rel=1e-5)
     assert mixed.model.sensors is not None and mixed.model.sensors.turns is not None
-    assert mixed.model.sensors.turns.heard == (((2, 0),), ((0, 1),), ((1, 2),), ((3, 3),))
+    assert mixed.model.sensors.turns.received == (((2, 0),), ((0, 1),), ((1, 2),), ((3, 3),))
 
 
 def test_the_log_of_a_run_over_a_bus_is_made_again_bit_for_bit(tmp_path: Path) -> None:

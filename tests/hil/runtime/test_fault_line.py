@@ -86,8 +86,8 @@ def test_of_a_corrupted_frame_one_bit_is_wrong_and_the_controller_refuses_it() -
 def test_a_controller_off_the_bus_hears_nothing() -> None:
     run = simulate(loop_of(faulty("bus-off", 'link = "ca"'), certify=False), 0)
     packets = [decode(bytes(data)) for data in run.arrays["/link/sensor"]["data"]]
-    heard = {p.seq for p in packets if isinstance(p, SensorPacket) and not p.flags & EMPTY}
-    assert not heard & set(range(FIRST, END)) and heard >= set(range(END + 3, 60))
+    received = {p.seq for p in packets if isinstance(p, SensorPacket) and not p.flags & EMPTY}
+    assert not received & set(range(FIRST, END)) and received >= set(range(END + 3, 60))
 
 
 def test_one_node_of_several_falls_silent_and_its_bus_goes_on() -> None:
@@ -95,8 +95,8 @@ def test_one_node_of_several_falls_silent_and_its_bus_goes_on() -> None:
     name = next(iter(parse_experiment(text).network.nodes))
     run = simulate(loop_of(faulty("cut", f'node = "{name}"', text), certify=False), 0)
     packets = [decode(bytes(data)) for data in run.arrays["/link/sensor"]["data"]]
-    heard = {(p.seq, p.node) for p in packets if isinstance(p, SensorPacket) and not p.flags & EMPTY}
-    slots = {node: {k for k, n in heard if n == node and FIRST <= k < END} for node in range(4)}
+    received = {(p.seq, p.node) for p in packets if isinstance(p, SensorPacket) and not p.flags & EMPTY}
+    slots = {node: {k for k, n in received if n == node and FIRST <= k < END} for node in range(4)}
     assert not slots[0] and all(slots[node] for node in (1, 2, 3))
 
 

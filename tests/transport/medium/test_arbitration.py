@@ -20,7 +20,7 @@ def bus(count: int, *, frames: int = 1, loss: float = 0.0, age: int = 0) -> Arbi
     return ArbitratedBus(channels, frames, loss, np.random.default_rng(9))
 
 
-def heard(medium: ArbitratedBus, offers: Mapping[int, Sequence[int]], slots: int) -> list[list[tuple[int, int]]]:
+def received(medium: ArbitratedBus, offers: Mapping[int, Sequence[int]], slots: int) -> list[list[tuple[int, int]]]:
     """(node, slot of its sample) of what arrives for the first time, slot by slot."""
     found = []
     for k in range(slots):
@@ -39,8 +39,8 @@ def heard(medium: ArbitratedBus, offers: Mapping[int, Sequence[int]], slots: int
 
 def test_the_lowest_identifier_wins_and_the_others_wait() -> None:
     offers = {0: [2, 0, 1], 1: [], 2: [0], 3: [1]}
-    assert heard(bus(3), offers, 6) == [[(0, 0)], [(1, 0)], [(0, 2)], [(1, 3)], [(2, 0)], []]
-    assert heard(bus(3, frames=2), offers, 4) == [[(0, 0), (1, 0)], [(2, 0)], [(0, 2)], [(1, 3)]]
+    assert received(bus(3), offers, 6) == [[(0, 0)], [(1, 0)], [(0, 2)], [(1, 3)], [(2, 0)], []]
+    assert received(bus(3, frames=2), offers, 4) == [[(0, 0), (1, 0)], [(2, 0)], [(0, 2)], [(1, 3)]]
 
 
 def test_a_newer_sample_takes_the_place_of_the_waiting_one_and_is_booked() -> None:
@@ -58,7 +58,7 @@ def test_a_newer_sample_takes_the_place_of_the_waiting_one_and_is_booked() -> No
 
 
 def test_what_wins_travels_on_through_the_channel_of_its_node() -> None:
-    assert heard(bus(2, age=2), {0: [0, 1]}, 5) == [[], [], [(0, 0)], [(1, 0)], []]
+    assert received(bus(2, age=2), {0: [0, 1]}, 5) == [[], [], [(0, 0)], [(1, 0)], []]
 
 
 def test_what_the_bus_loses_never_comes() -> None:

@@ -36,10 +36,10 @@ def states_of_many(loop: Loop, seeds: range, slots: int) -> Array:
         states[k] = past[:n]
         row = np.broadcast_to(shares, (runs, n)) if k == 0 else matrix[node]
         node = np.minimum((drawn[:, 2 * k, None] * row[:, -1:] >= row).sum(axis=1), n - 1)
-        heard = drawn[:, 2 * k + 1] >= turns.loss
+        received = drawn[:, 2 * k + 1] >= turns.loss
         u = np.zeros(runs)
         for i, own in enumerate(nodes.outputs):
-            here, total = heard & (node == i), np.zeros(runs)
+            here, total = received & (node == i), np.zeros(runs)
             for j in range(min(K.shape[1], k + 1)):
                 if K[i, j, 0, own[0]] != 0.0:
                     total = total + K[i, j, 0, own[0]] * states[k - j, own[0]].astype(np.float32).astype(float)

@@ -63,8 +63,8 @@ def begun(loop: Loop, slots: int = 5) -> RigSide:
 
 def forgeries(rig: RigSide) -> Iterable[bytes]:
     """What one who hears everything can put on the wire between two slots."""
-    k, heard = rig.k, rig.wire.nonce(rig.k)
-    for nonce in (0, 1, heard, before(heard), rig.wire.hello):
+    k, received = rig.k, rig.wire.nonce(rig.k)
+    for nonce in (0, 1, received, before(received), rig.wire.hello):
         for seq in (k + 1, k + 2, k + 8, k + NEAR, 10**6, 2**31, k - 1, 0):
             for flags in (0, MORE):
                 yield question(rig.wire, seq, rig.k + 2, FORGED, flags, nonce=nonce)

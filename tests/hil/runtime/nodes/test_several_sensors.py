@@ -278,18 +278,18 @@ class Newest:
 def test_a_controller_of_one_sensor_is_served_by_several_nodes() -> None:
     loop = compose(load_experiment("multisensor-published"), certify=False)
     newest = Newest()
-    heard = NewestSample(loop, newest)
+    received = NewestSample(loop, newest)
 
     def take(node: int, slot: int, value: float) -> None:
         y = (value, 99.0, 99.0)  # of the buffer, the newest sample alone
-        assert heard.take(SensorPacket(slot, 0, slot * 50_000_000, y, node, 3, nodes=4))
+        assert received.take(SensorPacket(slot, 0, slot * 50_000_000, y, node, 3, nodes=4))
 
     for node, slot, value in ((0, 8, 1.0), (0, 4, -1.0), (2, 9, 3.0), (1, 8, 2.0)):  # an older packet may come later
         take(node, slot, value)
-    assert heard.rows(9) == ((0.0,),) and not newest.told  # node 3 was never heard
+    assert received.rows(9) == ((0.0,),) and not newest.told  # no packet of node 3 came
     take(3, 7, 4.0)
-    heard.rows(10)
-    assert newest.told == [(10, 3, (1.0, 2.0, 3.0, 4.0))] and heard.sample_ns == 9 * 50_000_000
+    received.rows(10)
+    assert newest.told == [(10, 3, (1.0, 2.0, 3.0, 4.0))] and received.sample_ns == 9 * 50_000_000
 
 
 def test_a_controller_knows_what_has_arrived_newest_first_and_no_more_than_it_asked_for() -> None:

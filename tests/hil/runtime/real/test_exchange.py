@@ -62,11 +62,11 @@ class Ear:
     """Takes what comes: the answer is called b'answer'."""
 
     def __init__(self) -> None:
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
         self.late: list[bytes] = []
 
     def on_frame(self, data: bytes) -> bool:
-        self.heard.append(data)
+        self.received.append(data)
         return data == b"answer"
 
     def on_late_frame(self, data: bytes) -> None:
@@ -111,7 +111,7 @@ def test_answer_in_time_is_found_behind_other_frames_and_one_after_the_deadline_
         link.arrive(MS, b"junk")
     link.arrive(10 * MS, b"answer")
     one.answer(0, ear.on_frame)
-    assert ear.heard[-1] == b"answer" and len(ear.heard) == 21 and not ear.late
+    assert ear.received[-1] == b"answer" and len(ear.received) == 21 and not ear.late
     assert one.round_trip_us == pytest.approx(10_001)
 
     link, ear = Bench(taking_ns=2 * MS), Ear()
@@ -119,7 +119,7 @@ def test_answer_in_time_is_found_behind_other_frames_and_one_after_the_deadline_
     one.ask(0, question())
     link.arrive(29 * MS, b"answer")  # taken 1 ms after the deadline
     one.answer(0, ear.on_frame)
-    assert ear.heard == [] and ear.late == [b"answer"]
+    assert ear.received == [] and ear.late == [b"answer"]
 
 
 def hello(link: Bench | None = None) -> bytes:
@@ -233,14 +233,14 @@ def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> No
 
 def test_the_deadline_runs_from_the_moment_the_question_left() -> None:
     """The rig woke up 25 ms late: its controller has its 30 ms all the same, and not a nanosecond more."""
-    for after_ms, heard in ((29, True), (31, False)):
+    for after_ms, received in ((29, True), (31, False)):
         link, ear = Bench(), Ear()
         link.t_ns = 25 * MS
         talk = exchange(link, ear)
         talk.ask(0, question())
         link.arrive(after_ms * MS, b"answer")
         talk.answer(0, ear.on_frame)
-        assert (b"answer" in ear.heard) is heard
+        assert (b"answer" in ear.received) is received
 
 
 def test_an_overrun_is_a_slot_that_ends_after_its_period() -> None:

@@ -4,7 +4,7 @@ In slot k the newest packet of a node that may be there is the newest that it se
 that its network law lets a receiver measure. So the state of a node is that of its law and, for j = 0, 1, ..., the age of the
 newest sample that was sent in or before slot k - j; that of a medium whose turn it is, or what waits for the bus. From slot 0 on
 every state is found that can come about. A sample older than every age that the law draws and every age that the controller tells
-apart was heard before: of it the chain says no more than that the controller holds it.
+apart was received before: of it the chain says no more than that the controller holds it.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def law_states(way: Received) -> LawStates | str:
     return LawStates(tuple(states.ages.tolist()), follows, tuple(np.flatnonzero(states.initial > 0.0).tolist()))
 
 
-def heard_ages(
+def received_ages(
     rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[int], *, dead_bands: bool = False
 ) -> DelayChain | str:
     """Return the chain of the ages of every output's newest sample at the controller; or in words why there is none.
@@ -123,7 +123,7 @@ def heard_ages(
     counts = [told] * len(sensors) if isinstance(told, int) else list(told)
     on_bus = {n for medium in media if medium.table.kind == "can-arbitration" for n in medium.nodes}
     waits = [s.clock.every - 1 if n in on_bus else 0 for n, s in enumerate(sensors)]  # then a newer sample takes its place
-    far = [max(max(law.ages) + wait, count - 2) + 1 for law, wait, count in zip(laws, waits, counts)]  # heard before: held
+    far = [max(max(law.ages) + wait, count - 2) + 1 for law, wait, count in zip(laws, waits, counts)]  # received before: held
     reach = max(max(law.ages) for law in laws)
     states, steps = _explored(sensors, media, laws, far, reach)
     if not states:
