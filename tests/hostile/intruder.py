@@ -17,7 +17,8 @@ import can
 import zenoh
 
 from transport import ControlPacket, SensorPacket, TransportError, decode, encode_control, open_link
-from transport.links.can_bus import FD_FRAME, FRAME, HilBus
+from transport.links.can_bus import HilBus
+from transport.links.can_datagram import FD_FRAME, FRAME
 from transport.links.zenoh_link import config
 from transport.wire.tags import echo
 

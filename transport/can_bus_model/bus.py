@@ -9,40 +9,23 @@ Not modelled: overload frames, the last bit of EOF disturbed, bits that only som
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, CanFrame, FrameLength, WireBits, flag_bits, wire_bits
+from transport.can_bus_model.bits import INTERMISSION, FrameLength, wire_bits
+from transport.can_bus_model.disturbances import Noise, destroyed_bits
 from transport.can_bus_model.node import (
     BUS_OFF,
     RECESSIVE_BITS,
     RECOVERY_SEQUENCES,
     SUSPENDED_BITS,
-    BufferKind,
-    ErrorCounters,
-    TransmitBuffer,
+    CanNode,
     Waiting,
     collide,
 )
 
-_DELIMITER: Final = 8
 _MISREAD: Final = 12
 """The bit at which a node with other bit rates has seen what can be no frame: about behind the identifier."""
-
-
-class Noise(Protocol):
-    """Says which bit of the next frame is disturbed."""
-
-    def first(self, bits: int, start: int, frame: CanFrame) -> int | None:
-        """Return its position, None if there is none.
-
-        Args:
-            bits: that the frame has.
-            start: first instant of its start of frame, in units.
-            frame: what is sent.
-        """
-        ...
 
 
 class Transmission(NamedTuple):
@@ -65,26 +48,6 @@ class Transmission(NamedTuple):
     error_bit: int | None
 
 
-@dataclass(slots=True)
-class CanNode:
-    """One node on the bus.
-
-    Args:
-        buffer: how its frames wait.
-        recovers: whether it comes back by itself from bus-off.
-        rates: bit rates that are not the bus's: it hears no frame, and destroys every one while it is error active.
-    """
-
-    buffer: BufferKind = "priority"
-    recovers: bool = True
-    rates: BitRates | None = None
-    waiting: TransmitBuffer = field(init=False)
-    errors: ErrorCounters = field(default_factory=ErrorCounters)
-
-    def __post_init__(self) -> None:
-        self.waiting = TransmitBuffer(self.buffer)
-
-
 class CanBus:
     """Nodes on one wire.
 
@@ -94,6 +57,9 @@ class CanBus:
         noise: disturbances; None: none.
         idle: first instant at which the bus is idle, in units.
         status: called with (instant, node) when the error state of a node has changed.
+
+    Attributes:
+        noise, status: see above; they may be replaced between two calls.
     """
 
     def __init__(
@@ -105,7 +71,8 @@ class CanBus:
         status: Callable[[int, int], None] = lambda at, node: None,
     ) -> None:
         self.rates, self.nodes = rates, list(nodes)
-        self._noise, self._idle, self._status = noise, idle, status
+        self.noise, self.status = noise, status
+        self._idle = idle
         self._busy: set[int] = set()  # nodes with frames that wait
         self._not_before: dict[int, int] = {}
         self._off: set[int] = set()
@@ -179,7 +146,7 @@ class CanBus:
                 errors.recover()
                 self._off.discard(i)
                 self._not_before[i] = at
-                self._status(at, i)
+                self.status(at, i)
 
     def _sequences(self, at: int) -> int:
         return (at - self._recessive_since) // (RECESSIVE_BITS * self.rates.bit)
@@ -210,8 +177,8 @@ class CanBus:
             senders, error = [senders[place] for place in met.senders], met.bit
             sent = heads[senders[0]]
         length = sent.bits()
-        if error is None and self._noise is not None:
-            error = self._noise.first(sum(length) - INTERMISSION - 1, start, sent.frame)
+        if error is None and self.noise is not None:
+            error = self.noise.first(sum(length) - INTERMISSION - 1, start, sent.frame)
         listeners = len(self.nodes) - len(self._off) - len(senders)
         if error is None and self._disturbed(senders):
             error = _MISREAD
@@ -235,18 +202,10 @@ class CanBus:
         )  # fmt: skip
 
     def _broken(self, sent: Waiting, length: FrameLength, error: int, senders: Sequence[int], *, answered: bool) -> int:
-        """Return how long a destroyed frame holds the bus, with error flags, delimiter and intermission."""
-        if sent.length is None:
-            wire = wire_bits(sent.frame)
-        else:  # no content: no equal bits in a row, and the data bit rate up to the CRC delimiter
-            first = length.nominal - len(ACK_TO_INTERMISSION)
-            wire = WireBits(("01" * sum(length))[: sum(length)], (first, first + length.data))
-        first, end = wire.fast
-        fast = min(max(error + 1 - first, 0), end - first)
+        """Return how long a destroyed frame holds the bus, with error flags, delimiter and intermission, in units."""
         active = any(not self.nodes[i].errors.passive for i in senders)
-        flags = flag_bits(wire.bits, error, dominant=active, answered=answered)
-        nominal = error + 1 - fast + flags + _DELIMITER + INTERMISSION
-        return nominal * self.rates.bit + fast * self.rates.data_bit
+        bits = destroyed_bits(sent, length, error, dominant=active, answered=answered)
+        return bits.nominal * self.rates.bit + bits.data * self.rates.data_bit
 
     def _send_failed(self, i: int, at: int, *, unanswered: bool = False) -> None:
         node = self.nodes[i]
@@ -256,7 +215,7 @@ class CanBus:
             self._off.add(i)
             node.errors.sequences = 0
         if node.errors.state != before:
-            self._status(at, i)
+            self.status(at, i)
 
     def _finish(self, done: Transmission, senders: Sequence[tuple[int, Waiting]]) -> Transmission:
         of = {i for i, _ in senders}
@@ -269,7 +228,7 @@ class CanBus:
                     node.errors.sent()
                 node.waiting.remove(waiting)
                 if node.errors.state != before:
-                    self._status(done.end, i)
+                    self.status(done.end, i)
             else:
                 self._send_failed(i, done.end, unanswered=unanswered)
             if not node.waiting:
@@ -284,7 +243,7 @@ class CanBus:
                 before = errors.state
                 errors.received() if done.error_bit is None else errors.receive_failed()
                 if errors.state != before:
-                    self._status(done.end, i)
+                    self.status(done.end, i)
         self._counted = any(node.errors.rec for node in self.nodes)
         return done
 
@@ -326,7 +285,7 @@ class CanBus:
         node = self.nodes[i]
         node.errors.tec, node.recovers = max(node.errors.tec, BUS_OFF), False
         self._off.add(i)
-        self._status(at, i)
+        self.status(at, i)
 
     def switch_on(self, i: int, at: int) -> None:
         """Let a node that was switched off come back, after 128 times 11 recessive bits from now on; see `switch_off`."""

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple
 
+from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import CanFrame, FrameLength, arbitration_key, wire_bits
 
 BufferKind = Literal["fifo", "priority", "overwritten"]
@@ -164,6 +165,26 @@ class ErrorCounters:
     def recover(self) -> None:
         """Come back to the bus, error active."""
         self.tec = self.rec = self.sequences = 0
+
+
+@dataclass(slots=True)
+class CanNode:
+    """One node on the bus.
+
+    Args:
+        buffer: how its frames wait.
+        recovers: whether it comes back by itself from bus-off.
+        rates: bit rates that are not the bus's: it hears no frame, and destroys every one while it is error active.
+    """
+
+    buffer: BufferKind = "priority"
+    recovers: bool = True
+    rates: BitRates | None = None
+    waiting: TransmitBuffer = field(init=False)
+    errors: ErrorCounters = field(default_factory=ErrorCounters)
+
+    def __post_init__(self) -> None:
+        self.waiting = TransmitBuffer(self.buffer)
 
 
 class Collision(NamedTuple):

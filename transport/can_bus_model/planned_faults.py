@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import BitErrors, CanFrame
+from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.bus import CanBus
+from transport.can_bus_model.disturbances import BitErrors
 
 
 class BusFault(NamedTuple):
@@ -26,6 +28,57 @@ class BusFault(NamedTuple):
     rate: float | None = None
     identifier: int | None = None
     off: tuple[int, ...] = ()
+
+
+class PlannedOutages:
+    """Which nodes are off the bus when."""
+
+    def __init__(self) -> None:
+        self._faults: tuple[BusFault, ...] = ()
+        self._edges: list[int] = []  # instants at which a fault begins or ends, ns
+        self._off: set[int] = set()
+
+    def plan(self, faults: Sequence[BusFault], past_ns: int) -> None:
+        """Replace the time line; what is past stays as it was.
+
+        Args:
+            faults: with their nodes.
+            past_ns: up to where time has passed.
+        """
+        self._faults = tuple(fault for fault in faults if fault.off)
+        self._edges = sorted({ns for f in self._faults for ns in (f.first_ns, f.end_ns) if ns >= past_ns})
+
+    def next_edge(self, ns: int) -> int | None:
+        """Return the next instant up to this one at which a fault begins or ends, None if there is none; it comes once."""
+        return self._edges.pop(0) if self._edges and self._edges[0] <= ns else None
+
+    def switch(self, bus: CanBus, ns: int) -> None:
+        """Take nodes off the bus, or let them come back.
+
+        Args:
+            bus: in which time has passed up to this instant.
+            ns: an edge.
+        """
+        off = {i for fault in self._faults if fault.first_ns <= ns < fault.end_ns for i in fault.off}
+        for i in sorted(off - self._off):
+            bus.switch_off(i, BitRates.units(ns))
+        for i in sorted(self._off - off):
+            bus.switch_on(i, BitRates.units(ns))
+        self._off = off
+
+    def forget(self, node: int) -> None:
+        """Leave a node alone that has left the bus."""
+        self._off.discard(node)
+        self._faults = tuple(fault._replace(off=tuple(i for i in fault.off if i != node)) for fault in self._faults)
+
+    def memory(self) -> list[Any]:
+        """Return what it remembers, as plain values."""
+        return [self._faults, self._edges, sorted(self._off)]
+
+    def remember(self, memory: list[Any]) -> None:
+        """Take over what `memory` returned."""
+        faults, self._edges, off = memory
+        self._faults, self._off = tuple(BusFault._make([*each[:4], tuple(each[4])]) for each in faults), set(off)
 
 
 class PlannedErrors:

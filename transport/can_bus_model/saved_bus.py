@@ -6,8 +6,8 @@ from typing import Any
 
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import CanFrame
-from transport.can_bus_model.bus import CanBus, CanNode, Transmission
-from transport.can_bus_model.node import Waiting
+from transport.can_bus_model.bus import CanBus, Transmission
+from transport.can_bus_model.node import CanNode, Waiting
 
 
 def saved(bus: CanBus) -> list[Any]:

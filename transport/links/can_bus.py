@@ -12,35 +12,39 @@ participants say ``timed=True``: see `transport.links.shared_bus`. A frame is lo
 from __future__ import annotations
 
 import re
-from struct import Struct
+from collections.abc import Sequence
 from time import monotonic, monotonic_ns, time
 from typing import TYPE_CHECKING, Any, Final
 
-from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.node import State
+from transport.can_bus_model.planned_faults import BusFault
 from transport.errors import FieldError
+from transport.links.can_datagram import (
+    BITRATE_SWITCH,
+    ERROR,
+    EXTENDED,
+    FD_FRAME,
+    FRAME,
+    ID_MASK,
+    LOOK,
+    OWN,
+    REMOTE,
+    frame_of,
+    message_of,
+)
+from transport.links.can_errors import BUS_ERROR, changed, destroyed
+from transport.links.held_bus import StateChange
 from transport.links.link import LOOK_S, TransportError
 from transport.links.mesh_peer import bus_directory as bus_directory
 from transport.links.python_can import can
-from transport.links.shared_bus import Seen
-from transport.links.timed_sender import TimedSender, timed_rates
+from transport.links.timed_sender import TimedSender, restart, timed_rates
 from transport.links.unix_mesh import Mesh
-from transport.wire.fields import frame_length
 
 if TYPE_CHECKING:
     from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
-FRAME: Final = Struct("<dHIBB")
-"""Time stamp, frames lost before (see `transport.links.unix_mesh.HEAD`); identifier with flags, length, FD flags; then data."""
-
-# The bits of <linux/can.h>.
-EXTENDED, REMOTE, ERROR, ID_MASK = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
-BITRATE_SWITCH, ERROR_STATE, FD_FRAME, OWN = 0x01, 0x02, 0x04, 0x80
-
 _SKIPPED: Final = 64
 """So many frames that a filter keeps out are passed over in one call, lest a flood of them holds it for ever."""
-
-_ERROR_CLASSES: Final = {"active": (0x004, 0x40), "warning": (0x004, 0x08), "passive": (0x004, 0x20), "off": (0x040, 0)}
-"""Error class and status of the controller, by the state that was reached; <linux/can/error.h>."""
 
 _STATES: Final = {"passive": can.BusState.PASSIVE, "off": can.BusState.ERROR}
 
@@ -59,6 +63,9 @@ class HilBus(can.BusABC):
             participants of a bus say so, or none.
         bitrate: nominal bit rate in bit/s, or as in ``500k``; without ``timed`` it times nothing, which a warning says.
         dbitrate, data_bitrate: data bit rate of CAN FD, likewise.
+        berr_reporting: with ``timed``, whether an error frame comes for every destroyed frame too, as the option of ``ip link``.
+        restart_ms: with ``timed``, from bus-off to when recovery begins, ms, as the option of ``ip link``; None or 0: it stays
+            off until it joins anew.
         kwargs: other timings are taken and ignored.
 
     Raises:
@@ -75,6 +82,8 @@ class HilBus(can.BusABC):
         bitrate: object = None,
         dbitrate: object = None,
         data_bitrate: object = None,
+        berr_reporting: bool = False,
+        restart_ms: object = None,
         **kwargs: object,
     ) -> None:
         name = str(channel)
@@ -82,6 +91,7 @@ class HilBus(can.BusABC):
             raise can.CanInitializationError(f"hil: channel {name!r}: expected up to 32 letters, digits, '_', '-', '.'")
         try:
             rates = timed_rates(timed, bitrate, dbitrate if data_bitrate is None else data_bitrate)
+            restart_s = restart(restart_ms)
         except FieldError as error:
             raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
         try:
@@ -92,13 +102,14 @@ class HilBus(can.BusABC):
         self.channel_info = f"hil channel '{name}'"
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
         self._fd = fd
-        self._own = receive_own_messages
+        self._own, self._bus_errors = receive_own_messages, bool(berr_reporting)
         self._matches: tuple[tuple[int, int], ...] | None = None
         self.filtered = 0
         self._timed: TimedSender | None = None
         if rates is not None:
             try:
-                self._timed = TimedSender(bus_directory() / name, rates, self._got_through, self._state_changed)
+                told = self._got_through, self._was_destroyed, self._state_changed, self._poke
+                self._timed = TimedSender(bus_directory() / name, rates, *told, restart_s)
             except TransportError as error:
                 self._mesh.close()
                 raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
@@ -161,11 +172,30 @@ class HilBus(can.BusABC):
         if self._own:
             self._mesh.echo(FRAME.pack(stamp, 0, identifier, length, flags | OWN) + data)
 
-    def _state_changed(self, seen: Seen) -> None:
-        """Put an error frame into our own queue, as a driver of SocketCAN does."""
-        kind, control = _ERROR_CLASSES[seen.state]
-        data = bytes((0, control, 0, 0, 0, 0, min(seen.tec, 255), min(seen.rec, 255)))
-        self._mesh.echo(FRAME.pack(time(), 0, ERROR | kind, 8, 0) + data)
+    def _was_destroyed(self, item: Any, bit: int) -> None:
+        """Put an error frame into our own queue and the others', as drivers of SocketCAN do with ``berr-reporting on``."""
+        frame = frame_of(*item)
+        own, theirs = (destroyed(frame, bit, sender=sender) for sender in (True, False))
+        self._mesh.send(FRAME.pack(time(), 0, ERROR | theirs.kind, 8, 0) + theirs.data)
+        self._mesh.echo(FRAME.pack(time(), 0, ERROR | own.kind, 8, 0) + own.data)
+
+    def _state_changed(self, before: State, change: StateChange) -> None:
+        said = changed(before, change.state, change.tec, change.rec)
+        self._mesh.echo(FRAME.pack(time(), 0, ERROR | said.kind, 8, 0) + said.data)
+
+    def _poke(self) -> None:
+        """Have the others look at their error states."""
+        self._mesh.send(FRAME.pack(time(), 0, ERROR, 0, LOOK))
+
+    def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
+        """Say what is wrong with the bus when, in place of what was said before; see `SharedBus.plan`.
+
+        Raises:
+            can.CanOperationError: the bus takes no time, or is shut down.
+        """
+        if self._timed is None or self._is_shutdown:
+            raise can.CanOperationError(f"{self.channel_info}: no bus that takes time; join it with timed=True")
+        self._timed.plan(faults, seed, senders)
 
     @property
     def state(self) -> can.BusState:
@@ -181,7 +211,7 @@ class HilBus(can.BusABC):
     def _put(self, identifier: int, length: int, flags: int, data: bytes | bytearray, wait_s: float) -> bool:
         now = time()
         if self._timed is not None and not identifier & ERROR:
-            return self._timed.send(_frame(identifier, length, flags, data), (identifier, length, flags, bytes(data)), wait_s)
+            return self._timed.send(frame_of(identifier, length, flags, data), (identifier, length, flags, bytes(data)), wait_s)
         heard = self._mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
         if self._own:
             self._mesh.echo(FRAME.pack(now, 0, identifier, length, flags | OWN) + data)
@@ -228,34 +258,34 @@ class HilBus(can.BusABC):
                 return None
             if len(frame) >= FRAME.size:
                 fields = FRAME.unpack_from(frame)
-                if (self._fd or not fields[4] & FD_FRAME) and (self._matches is None or self._wanted(fields[2])):
-                    return fields, frame[FRAME.size :]
-            self.filtered += 1
+                if self._timed is None or not self._unheard(fields):
+                    if (self._fd or not fields[4] & FD_FRAME) and (self._matches is None or self._wanted(fields[2])):
+                        return fields, frame[FRAME.size :]
+                    self.filtered += 1
+            else:
+                self.filtered += 1
             if end is not None and monotonic() >= end:
                 return None
             timeout = 0
         return None
 
+    def _unheard(self, fields: tuple[Any, ...]) -> bool:
+        """Return whether this is no frame for a participant of a bus that takes time; look at its error state where told to."""
+        timed, (stamp, _, identifier, _, flags) = self._timed, fields
+        if timed is None:
+            return False
+        if flags & LOOK:
+            timed.look()
+            return True
+        if identifier & ERROR:
+            return bool(identifier & BUS_ERROR) and not self._bus_errors
+        return timed.was_off(monotonic_ns() - round((time() - stamp) * 1e9))
+
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         taken = self._take(timeout)
         if taken is None:
             return None, True
-        (time_stamp, _, identifier, length, flags), data = taken
-        message = can.Message(
-            timestamp=time_stamp,
-            arbitration_id=identifier & ID_MASK,
-            is_extended_id=bool(identifier & EXTENDED),
-            is_remote_frame=bool(identifier & REMOTE),
-            is_error_frame=bool(identifier & ERROR),
-            channel=self.channel,
-            dlc=length,
-            data=bytearray(data),
-            is_fd=bool(flags & FD_FRAME),
-            is_rx=not flags & OWN,
-            bitrate_switch=bool(flags & BITRATE_SWITCH),
-            error_state_indicator=bool(flags & ERROR_STATE),
-        )
-        return message, True
+        return message_of(*taken, self.channel), True
 
     def _wanted(self, identifier: int) -> bool:
         for can_id, mask in self._matches or ():
@@ -298,14 +328,3 @@ class HilBus(can.BusABC):
             names = []
         found: list[AutoDetectedConfig] = [{"interface": "hil", "channel": name} for name in names]
         return found
-
-
-def _frame(identifier: int, length: int, flags: int, data: bytes | bytearray) -> CanFrame:
-    """Return what travels of a frame; CAN FD data are padded to a length that a frame has."""
-    fd, remote = bool(flags & FD_FRAME), bool(identifier & REMOTE)
-    padded = b"" if remote else bytes(data).ljust(frame_length(len(data)) if fd else len(data), b"\0")
-    return CanFrame(
-        identifier=identifier & ID_MASK, extended=bool(identifier & EXTENDED), remote=remote, data=padded, fd=fd,
-        dlc=min(length, 8) if remote else None,
-        bitrate_switch=fd and bool(flags & BITRATE_SWITCH), error_state=fd and bool(flags & ERROR_STATE),
-    )  # fmt: skip

@@ -21,7 +21,8 @@ from errno import EBADF, ENODEV, ENXIO
 from time import monotonic
 from typing import Final, Protocol
 
-from transport.links.can_bus import ERROR, EXTENDED, REMOTE, HilBus
+from transport.links.can_bus import HilBus
+from transport.links.can_datagram import ERROR, EXTENDED, REMOTE
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
 from transport.links.link import LOOK_S, Closing, LinkCounters, Role
 from transport.links.python_can import can

@@ -75,7 +75,7 @@ class Peer:
 
 
 BUS_FILE: Final = "bus"
-LEFT_BEHIND: Final = ("joined", BUS_FILE)
+LEFT_BEHIND: Final = ("joined", f"{BUS_FILE}.*")
 """Files beside the sockets of a channel: the mark of the mesh, and the state of a bus that takes time."""
 
 SOCKETS: Final = "[0-9]*-[0-9]*.sock"
@@ -108,10 +108,20 @@ def clear_dead_channels(directory: Path) -> None:
                 for path in channel.glob(SOCKETS):
                     if _is_dead(path):
                         path.unlink(missing_ok=True)
-                if not any(channel.glob(SOCKETS)) and {path.name for path in channel.iterdir()} <= set(LEFT_BEHIND):
-                    for name in LEFT_BEHIND:
-                        (channel / name).unlink(missing_ok=True)
-                    channel.rmdir()
+                if not any(channel.glob(SOCKETS)):
+                    remove_left_behind(channel)
+
+
+def remove_left_behind(channel: Path) -> None:
+    """Remove the folder of a channel without sockets, unless other files are in it.
+
+    Raises:
+        OSError: it is not empty, or another user's.
+    """
+    if all(any(path.match(name) for name in LEFT_BEHIND) for path in channel.iterdir()):
+        for path in channel.iterdir():
+            path.unlink(missing_ok=True)
+    channel.rmdir()
 
 
 def _process_runs(path: Path) -> bool:

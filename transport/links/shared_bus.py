@@ -2,48 +2,32 @@
 
 The bus is that of `transport.can_bus_model.bus`, in the time of CLOCK_MONOTONIC. Every participant queues its frames there, lets
 time pass until now, and finds in its own list what has become of its frames: it hands out those that got through. No node decides
-for the others: any process comes to the same, as arbitration is decided by the instants at which frames were queued.
+for the others: any process comes to the same, as arbitration is decided by the instants at which frames were queued. What a
+stopped participant has queued is sent, and it acknowledges what others send, as a CAN controller does whose processor has halted.
 
 Frames are handed out in the order of the bus: under the lock, and not before those of others that ended earlier, unless their
-sender is too late for that by `PATIENCE_NS`.
+sender is too late for that by `transport.links.held_bus.PATIENCE_NS`.
 """
 
 from __future__ import annotations
 
-import fcntl
-import json
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from time import monotonic_ns
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import CanFrame
-from transport.can_bus_model.bus import CanBus, CanNode
-from transport.can_bus_model.node import State, Waiting
-from transport.can_bus_model.saved_bus import restored, saved
+from transport.can_bus_model.node import CanNode, State, Waiting
+from transport.can_bus_model.planned_faults import BusFault
+from transport.links.bus_file import BusFile
+from transport.links.held_bus import Ended, HeldBus, StateChange
 from transport.links.link import TransportError
-from transport.links.mesh_peer import BUS_FILE
 
-_MOST_BYTES: Final = 4_000_000
-PATIENCE_NS: Final = 100_000_000
 _AGAIN_NS: Final = 100_000
-
-
-class Ended(NamedTuple):
-    """What has become of a frame of one's own.
-
-    Attributes:
-        tag: number that its sender gave it.
-        end_ns: end of its EOF or error delimiter, CLOCK_MONOTONIC.
-        sent: whether it got through; otherwise it is sent again.
-    """
-
-    tag: int
-    end_ns: int
-    sent: bool
 
 
 class Seen(NamedTuple):
@@ -54,15 +38,12 @@ class Seen(NamedTuple):
         in_vain: frames of its own were destroyed, and none got through.
         waiting: frames of its own that wait or are being sent.
         state: its error state.
-        tec, rec: its error counters.
     """
 
     in_vain: bool
     next_ns: int | None
     waiting: int
     state: State
-    tec: int
-    rec: int
 
 
 class SharedBus:
@@ -71,144 +52,137 @@ class SharedBus:
     Args:
         directory: where the participants meet; it is private and there.
         rates: of this participant. The first one's are the bus's; who comes with others destroys what it cannot read.
-            A participant that is off the bus stays off until it joins anew, as a driver does that is not told to restart.
-        ended: called with what has become of each frame of its own, while the bus is locked.
+        ended: called with what has become of each frame of its own, while the bus is locked; twice where other processes went on
+            without this one meanwhile, see `transport.links.bus_file`.
+        changed: called with each change of its error state, in order with those; likewise.
+        others_changed: called while the bus is locked, before `ended`, when time that passed here has changed the error state
+            of another participant.
+
+    A participant that is off the bus stays off until it joins anew, or asks to `restart`.
 
     Raises:
         TransportError: the file cannot be had.
     """
 
-    def __init__(self, directory: Path, rates: BitRates, ended: Callable[[Ended], None]) -> None:
-        self._ended = ended
-        try:
-            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-            self._file = os.open(directory / BUS_FILE, flags, 0o600)
-        except OSError as error:
-            raise TransportError(f"{directory / BUS_FILE}: {error.strerror}") from error
-        self._pid = os.getpid()
-        with self._held() as held:
-            self._sweep(held)
-            if held.bus is None or not any(held.owners):
-                held.start(rates)
-            bus = held.bus
-            assert bus is not None
-            node = CanNode(buffer="fifo", recovers=False, rates=None if bus.rates == rates else rates)
-            free = held.owners.index(0) if 0 in held.owners else None
-            self._node = bus.join(node, free)
-            held.owners[self._node : self._node + 1] = [self._pid]
-            held.mail[self._node : self._node + 1] = [[]]
+    def __init__(
+        self, directory: Path, rates: BitRates, ended: Callable[[Ended], None],
+        changed: Callable[[StateChange], None] = lambda change: None, others_changed: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
+        self._ended, self._own_changed, self._others_changed = ended, changed, others_changed
+        self._file = BusFile(directory)
+        self._own = int.from_bytes(os.urandom(4)) << 32 | os.getpid()
+        self._node = -1
+        self._change(lambda held: self._join(held, rates))
 
-    @contextmanager
-    def _held(self) -> Iterator[_Held]:
-        fcntl.flock(self._file, fcntl.LOCK_EX)
-        try:
-            size = min(os.fstat(self._file).st_size, _MOST_BYTES)  # room for more is memory that a locked process has to clear
-            held = _Held(os.pread(self._file, size, 0))
-            yield held
-            text = held.text()
-            os.pwrite(self._file, text, 0)
-            os.ftruncate(self._file, len(text))
-        finally:
-            fcntl.flock(self._file, fcntl.LOCK_UN)
+    def _join(self, held: HeldBus, rates: BitRates) -> None:
+        held.sweep()
+        if held.bus is None or not any(held.owners):
+            held.start(rates)
+        bus = held.living
+        if self._own in held.owners:
+            self._node = held.owners.index(self._own)
+            return
+        node = CanNode(buffer="fifo", recovers=False, rates=None if bus.rates == rates else rates)
+        self._node = held.join(node, self._own)
 
-    def _sweep(self, held: _Held) -> None:
-        """Take those off the bus whose process is gone."""
-        for i, pid in enumerate(held.owners):
-            if pid and not _alive(pid):
-                held.leave(i)
+    def _change(self, change: Callable[[HeldBus], None]) -> None:
+        def changed(text: bytes) -> bytes:
+            held = HeldBus(text)
+            change(held)
+            return held.text()
+
+        self._file.change(changed)
+
+    def _pass(self, held: HeldBus) -> int:
+        """Let time pass until now; return the instant."""
+        now = monotonic_ns()
+        if held.advance(now) - {self._node}:
+            self._others_changed()
+        return now
 
     def queue(self, frames: Sequence[tuple[CanFrame, int]]) -> Seen:
         """Let frames wait from now on, one behind the other.
 
         Args:
-            frames: what is sent, each with the number by which `Ended.tag` names it.
+            frames: what is sent, each with the number by which `Ended.tag` names it; larger from frame to frame.
         """
-        with self._held() as held:
-            now = monotonic_ns()
-            held.advance(now)
+
+        def change(held: HeldBus) -> Seen:
+            now = self._pass(held)
             for frame, tag in frames:
-                held.living.queue(self._node, Waiting(frame, BitRates.units(now), tag))
+                held.queue(self._node, Waiting(frame, BitRates.units(now), tag))
             return self._seen(held, now)
+
+        return self._seeing(change)
 
     def look(self) -> Seen:
         """Let time pass until now."""
-        with self._held() as held:
-            now = monotonic_ns()
-            held.advance(now)
+        return self._seeing(lambda held: self._seen(held, self._pass(held)))
+
+    def restart(self) -> Seen:
+        """Come back from bus-off after 128 times 11 recessive bits from now on, as a driver does that is told to restart."""
+
+        def change(held: HeldBus) -> Seen:
+            now = self._pass(held)
+            held.living.switch_on(self._node, BitRates.units(now))
             return self._seen(held, now)
 
-    def _seen(self, held: _Held, now: int) -> Seen:
+        return self._seeing(change)
+
+    def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
+        """Replace what is wrong with the bus when.
+
+        Args:
+            faults: their instants in CLOCK_MONOTONIC, ns; `off` has places in ``senders``.
+            seed: of the bits that are disturbed at random.
+            senders: of each node that faults take off the bus identifiers: who sent one of them last. An empty one is this
+                participant.
+        """
+
+        def change(held: HeldBus) -> None:
+            now = self._pass(held)
+            places = [held.who_sent(ids) if ids else (self._node,) for ids in senders]
+            meant = [fault._replace(off=tuple(i for place in fault.off for i in places[place])) for fault in faults]
+            held.plan(meant, seed, now)
+
+        self._change(change)
+
+    def _seeing(self, change: Callable[[HeldBus], Seen]) -> Seen:
+        seen: list[Seen] = []
+        self._change(lambda held: seen.append(change(held)))
+        return seen[-1]
+
+    def _seen(self, held: HeldBus, now: int) -> Seen:
         due, more = held.due(self._node, now)
-        for each in due:
-            self._ended(each)
+        happened: list[tuple[int, Callable[[], None]]] = [(each.end_ns, partial(self._ended, each)) for each in due]
+        happened += [(each.at_ns, partial(self._own_changed, each)) for each in held.changes_of(self._node)]
+        for _, tell in sorted(happened, key=lambda each: each[0]):
+            tell()
         bus = held.living
         node, following = bus.nodes[self._node], bus.next_instant()
         next_ns = now + _AGAIN_NS if more else None if following is None else BitRates.ns(following)
-        in_vain = bool(due) and not any(each.sent for each in due)
-        return Seen(in_vain, next_ns, len(node.waiting), node.errors.state, node.errors.tec, node.errors.rec)
+        in_vain = bool(due) and all(each.error_bit is not None for each in due)
+        return Seen(in_vain, next_ns, len(node.waiting), node.errors.state)
 
     def sweep(self) -> None:
         """Take those off the bus whose process is gone; they acknowledge nothing."""
-        with self._held() as held:
-            held.advance(monotonic_ns())
-            self._sweep(held)
+
+        def change(held: HeldBus) -> None:
+            self._pass(held)
+            held.sweep()
+
+        self._change(change)
 
     def close(self) -> None:
-        """Leave the bus; what waits is not sent."""
-        if self._file >= 0:
-            with suppress(OSError, ValueError), self._held() as held:
+        """Leave the bus; what waits is not sent. May be called twice."""
+        if self._node >= 0:
+            node, self._node = self._node, -1
+
+            def change(held: HeldBus) -> None:
                 held.advance(monotonic_ns())
-                held.leave(self._node)
-            os.close(self._file)
-            self._file = -1
+                if held.owners[node] == self._own:
+                    held.leave(node)
 
-
-class _Held:
-    """The bus while the lock is held."""
-
-    def __init__(self, text: bytes) -> None:
-        self.bus: CanBus | None = None
-        self.owners: list[int] = []
-        self.mail: list[list[Any]] = []
-        with suppress(ValueError, TypeError, IndexError, KeyError):  # a file that holds none begins a new one
-            state, owners, mail = json.loads(text)
-            self.bus, self.owners, self.mail = restored(state), owners, mail
-
-    @property
-    def living(self) -> CanBus:
-        if self.bus is None:
-            raise TransportError("the file of the bus was emptied by another program")
-        return self.bus
-
-    def start(self, rates: BitRates) -> None:
-        self.bus, self.owners, self.mail = CanBus(rates, [], idle=BitRates.units(monotonic_ns())), [], []
-
-    def advance(self, now_ns: int) -> None:
-        for each in self.living.advance(BitRates.units(now_ns)):
-            if self.owners[each.node]:
-                self.mail[each.node].append([each.waiting.tag, BitRates.ns(each.end), each.error_bit is None])
-
-    def leave(self, i: int) -> None:
-        self.living.leave(i)
-        self.owners[i], self.mail[i] = 0, []
-
-    def due(self, i: int, now_ns: int) -> tuple[list[Ended], bool]:
-        """Take what one participant may hand out; return whether more of its own waits for others."""
-        others = [end for j, mail in enumerate(self.mail) for _, end, sent in mail if j != i and sent]
-        first = min((end for end in others if end > now_ns - PATIENCE_NS), default=now_ns)
-        mine = [Ended(*each) for each in self.mail[i]]
-        self.mail[i] = [list(each) for each in mine if each.end_ns > first]
-        return [each for each in mine if each.end_ns <= first], bool(self.mail[i])
-
-    def text(self) -> bytes:
-        return json.dumps([saved(self.living), self.owners, self.mail], separators=(",", ":")).encode()
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+            with suppress(OSError, ValueError, IndexError, TransportError):
+                self._change(change)
+            self._file.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Condition, Thread
@@ -14,8 +14,11 @@ from typing import Final
 
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.node import State
+from transport.can_bus_model.planned_faults import BusFault
 from transport.errors import FieldError
-from transport.links.shared_bus import Ended, Seen, SharedBus
+from transport.links.held_bus import Ended, StateChange
+from transport.links.shared_bus import Seen, SharedBus
 
 MOST_WAITING: Final = 1024
 """Frames that a participant may have sent and that have not got through."""
@@ -25,8 +28,12 @@ _ON_THE_BUS: Final = 16  # of these: enough that the bus is never idle for want 
 _IN_VAIN_S: Final = 0.005  # no node acknowledges: the bus repeats without being looked at
 _SWEEP_S: Final = 0.5
 _IDLE_S: Final = 0.25
+_SPELLS: Final = 16
+_MOST_RESTART_MS: Final = 1_000_000
 
 Deliver = Callable[[object, int], None]
+Destroyed = Callable[[object, int], None]
+Changed = Callable[[State, StateChange], None]
 
 
 def rate(said: object, field: str) -> int:
@@ -64,6 +71,22 @@ def timed_rates(timed: object, bitrate: object, dbitrate: object) -> BitRates | 
     return BitRates(rate(bitrate, "bitrate"), None if dbitrate is None else rate(dbitrate, "dbitrate"))
 
 
+def restart(said: object) -> float | None:
+    """Return from bus-off to when recovery begins, s; None for never.
+
+    Raises:
+        ValueError: no time.
+
+    >>> restart(100), restart("0"), restart(None)
+    (0.1, None, None)
+    """
+    with suppress(ValueError):
+        number = float(str(said)) if said is not None and not isinstance(said, bool) else 0.0
+        if 0 <= number <= _MOST_RESTART_MS:
+            return number / 1000 or None
+    raise FieldError("restart_ms", f"{said!r:.40}, expected milliseconds, 0 to {_MOST_RESTART_MS}; 0: it stays off the bus")
+
+
 class TimedSender:
     """The frames of one participant on their way to the bus.
 
@@ -71,22 +94,31 @@ class TimedSender:
         directory: where the participants of the bus meet.
         rates: of this participant.
         deliver: called with (item, CLOCK_MONOTONIC ns of the end of its EOF) when a frame got through, from a thread of its own.
-        changed: called with what was seen when the error state of this participant has changed.
+        destroyed: called with (item, bit) when a frame was destroyed at a bit; it is sent again.
+        changed: called with (the state before, the change) when the error state of this participant has changed.
+        others_changed: called when that of another one has.
+        restart_s: from bus-off to when recovery begins, s; None: it stays off.
 
     Raises:
         TransportError: the state of the bus cannot be had.
     """
 
-    def __init__(self, directory: Path, rates: BitRates, deliver: Deliver, changed: Callable[[Seen], None]) -> None:
-        self._deliver, self._changed = deliver, changed
+    def __init__(
+        self, directory: Path, rates: BitRates, deliver: Deliver, destroyed: Destroyed, changed: Changed,
+        others_changed: Callable[[], None], restart_s: float | None = None,
+    ) -> None:  # fmt: skip
+        self._deliver, self._destroyed, self._changed, self._restart_s = deliver, destroyed, changed, restart_s
         self._items: dict[int, object] = {}
-        self._bus = SharedBus(directory, rates, self._ended)
+        self._restart_at: float | None = None
+        self._changed_ns = 0
+        self._spells: deque[tuple[int, int | None]] = deque(maxlen=_SPELLS)  # in which it was off the bus
         self._backlog: deque[tuple[CanFrame, int]] = deque()
         self._tag = self._waiting = 0
         self._next_ns: int | None = None
-        self._state: str = "active"
+        self._state: State = "active"
         self._swept = monotonic()
         self._more = Condition()
+        self._bus = SharedBus(directory, rates, self._ended, self._own_changed, others_changed)
         self._closed = False
         self._policy = os.sched_getscheduler(0)
         self._thread = Thread(target=self._run, name="hil bus", daemon=True)
@@ -118,6 +150,15 @@ class TimedSender:
             self._take(seen)
             return seen
 
+    def was_off(self, at_ns: int) -> bool:
+        """Return whether it was off the bus at an instant of CLOCK_MONOTONIC; up to the last look."""
+        return any(first <= at_ns and (end is None or at_ns < end) for first, end in self._spells)
+
+    def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
+        """Replace what is wrong with the bus when, see `SharedBus.plan`."""
+        with self._more:
+            self._bus.plan(faults, seed, senders)
+
     def _be_as_urgent(self) -> None:
         """Give the thread the scheduling of the thread that sends, as of a process that keeps time."""
         policy = os.sched_getscheduler(0)
@@ -133,22 +174,44 @@ class TimedSender:
             self._take(self._bus.queue(some))
 
     def _ended(self, each: Ended) -> None:
-        if each.sent and each.tag in self._items:
+        if each.tag not in self._items:
+            return
+        if each.error_bit is None:
             self._deliver(self._items.pop(each.tag), each.end_ns)
+        else:
+            self._destroyed(self._items[each.tag], each.error_bit)
 
     def _take(self, seen: Seen) -> None:
         self._waiting = seen.waiting
         earliest = monotonic_ns() + round(_IN_VAIN_S * 1e9) if seen.in_vain else 0
         self._next_ns = None if seen.next_ns is None else max(seen.next_ns, earliest)
-        if seen.state != self._state:
-            self._state = seen.state
-            self._changed(seen)
+
+    def _own_changed(self, change: StateChange) -> None:
+        if change.at_ns > self._changed_ns:
+            before, self._state, self._changed_ns = self._state, change.state, change.at_ns
+            if before == "off":
+                self._spells.append((self._spells.pop()[0], change.at_ns))
+            if change.state == "off":
+                self._spells.append((change.at_ns, None))
+            waits = change.state == "off" and self._restart_s is not None
+            self._restart_at = monotonic() + (self._restart_s or 0.0) if waits else None
+            self._changed(before, change)
+            self._more.notify_all()
 
     def _run(self) -> None:
         with self._more:
             while not self._closed:
-                if not self._items:
+                if self._restart_at is not None:
+                    left_s = self._restart_at - monotonic()
+                    if left_s > 0:
+                        self._more.wait(left_s)
+                    else:
+                        self._restart_at = None
+                        self._take(self._bus.restart())
+                elif not self._items:
                     self._more.wait(_IDLE_S)
+                    if self._state == "off":
+                        self._take(self._bus.look())
                 else:
                     due = self._next_ns
                     pause = _IN_VAIN_S if due is None else (due - monotonic_ns()) / 1e9

@@ -27,7 +27,7 @@ from threading import Lock
 from typing import Final
 
 from transport.links.link import Closing, TransportError
-from transport.links.mesh_peer import HEAD, LEFT_BEHIND, SOCKETS, Peer
+from transport.links.mesh_peer import HEAD, SOCKETS, Peer, remove_left_behind
 from transport.links.private_directory import locked
 
 QUEUE_LIMIT: Final = 256
@@ -302,9 +302,7 @@ class Mesh(Closing):
                 for path in self.directory.glob(SOCKETS):
                     if stat.S_ISSOCK(path.lstat().st_mode):
                         path.unlink(missing_ok=True)
-                for name in LEFT_BEHIND:
-                    (self.directory / name).unlink(missing_ok=True)
-                self.directory.rmdir()
+                remove_left_behind(self.directory)
         with self._lock:
             if self._closed:
                 return

@@ -17,7 +17,7 @@ from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.node import Waiting
-from transport.can_bus_model.planned_faults import BusFault
+from transport.can_bus_model.planned_faults import BusFault, PlannedOutages
 from transport.can_bus_model.traffic import Traffic
 from transport.draws import NO_MODE, REPLACED, SUPERSEDED, Draw
 from transport.errors import FieldError
@@ -80,23 +80,11 @@ class BusInSlots:
         self._waiting: list[list[_Packet]] = [[] for _ in range(senders)]
         self._came: list[list[_Packet]] = [[] for _ in range(senders)]
         self._past_ns = 0
-        self._faults: tuple[BusFault, ...] = ()
-        self._edges: list[int] = []  # instants at which a fault begins or ends, ns
-        self._off: set[int] = set()
+        self._outages = PlannedOutages()
 
     def plan(self, faults: Sequence[BusFault]) -> None:
         """Replace the time line of nodes that are off the bus; what is past stays as it was."""
-        self._faults = tuple(fault for fault in faults if fault.off)
-        self._edges = sorted({ns for f in self._faults for ns in (f.first_ns, f.end_ns) if ns >= self._past_ns})
-
-    def _switch(self, ns: int) -> None:
-        self._pass(ns)
-        off = {i for fault in self._faults if fault.first_ns <= ns < fault.end_ns for i in fault.off}
-        for i in sorted(off - self._off):
-            self._bus.switch_off(i, BitRates.units(ns))
-        for i in sorted(self._off - off):
-            self._bus.switch_on(i, BitRates.units(ns))
-        self._off = off
+        self._outages.plan(faults, self._past_ns)
 
     def send(self, sender: int, tick: int, at_ns: int, content: object, frames: Sequence[CanFrame]) -> list[int]:
         """Queue a packet at an instant; return the slots of the older ones whose place it takes.
@@ -120,8 +108,9 @@ class BusInSlots:
 
     def until(self, ns: int) -> None:
         """Let time pass up to an instant."""
-        while self._edges and self._edges[0] <= ns:
-            self._switch(self._edges.pop(0))
+        while (edge := self._outages.next_edge(ns)) is not None:
+            self._pass(edge)
+            self._outages.switch(self._bus, edge)
         self._pass(ns)
 
     def _pass(self, ns: int) -> None:

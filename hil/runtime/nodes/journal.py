@@ -21,7 +21,8 @@ from transport.medium.medium import Delivery
 from transport.packets import ControlPacket, node_of
 
 if TYPE_CHECKING:
-    from transport.can_bus_model.bus import CanNode, Transmission
+    from transport.can_bus_model.bus import Transmission
+from transport.can_bus_model.node import CanNode
 
 _SENSED = (STATE.name, MEASUREMENT.name, REFERENCE.name)
 _ANSWERED = (CONTROL.name, ROWS.name)

@@ -42,7 +42,8 @@ from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 
 if TYPE_CHECKING:
     from hil.runtime.nodes.can_network import CanNetwork
-    from transport.can_bus_model.bus import CanNode, Transmission
+    from transport.can_bus_model.bus import Transmission
+from transport.can_bus_model.node import CanNode
 
 KEPT = 4096
 """Slots whose packets a network law takes over where it is changed in the run."""

@@ -12,9 +12,10 @@ import pytest
 from tests.transport.can_analysis.sae import BOUNDS_MS, SAE
 from transport.can_analysis import PeriodicMessage, bus_load, response_times
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import BitErrors, CanFrame, frame_length, wire_bits
-from transport.can_bus_model.bus import CanBus, CanNode, Transmission
-from transport.can_bus_model.node import Waiting
+from transport.can_bus_model.bits import CanFrame, frame_length, wire_bits
+from transport.can_bus_model.bus import CanBus, Transmission
+from transport.can_bus_model.disturbances import BitErrors
+from transport.can_bus_model.node import CanNode, Waiting
 
 RATES = BitRates(500_000, 2_000_000)
 MS = 1_000_000
@@ -114,7 +115,7 @@ def test_an_error_in_the_data_phase_of_can_fd_counts_both_rates() -> None:
 def test_sixteen_errors_make_a_node_passive_32_put_it_off_the_bus_and_1408_bits_bring_it_back() -> None:
     states: list[tuple[int, int, str]] = []
     bus = CanBus(RATES, [CanNode(), CanNode()], Planned(dict.fromkeys(range(32), 20)))
-    bus._status = lambda at, node: states.append((at, node, bus.nodes[node].errors.state))
+    bus.status = lambda at, node: states.append((at, node, bus.nodes[node].errors.state))
     bus.queue(0, waiting(0x100))
     done = bus.advance(10**9)
     assert [each.error_bit for each in done] == [20] * 32 + [None]

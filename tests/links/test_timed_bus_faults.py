@@ -1,0 +1,151 @@
+"""Faults of the `hil` bus with time between real processes, and what a python-can program sees of them, as on hardware."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from time import monotonic_ns
+
+import can
+import pytest
+
+from tests.links.test_timed_bus import bus, message, received
+from tests.waiting import LIMIT_S, until
+from transport.can_bus_model.bits import CanFrame, wire_bits
+from transport.can_bus_model.planned_faults import BusFault
+from transport.links.can_errors import changed, destroyed, location
+
+SOON_NS = 10**9
+FOR_EVER_NS = 10**15
+CONTROLLER, BUS_OFF, RESTARTED, BUS_ERROR = 0x004, 0x040, 0x100, 0x088
+
+
+def error_frames(listener: can.BusABC, enough: Callable[[list[can.Message]], bool]) -> list[can.Message]:
+    found: list[can.Message] = []
+    while not enough(found):
+        each = listener.recv(LIMIT_S)
+        assert each is not None
+        if each.is_error_frame:
+            found.append(each)
+    return found
+
+
+def wait_until(ns: int) -> None:
+    until(lambda: monotonic_ns() > ns, "the end of the fault")
+
+
+def kinds(frames: list[can.Message]) -> list[int]:
+    return [each.arbitration_id for each in frames]
+
+
+def test_disturbed_bits_of_chosen_frames_take_their_sender_off_the_bus_and_others_go_on() -> None:
+    with bus(bitrate=500_000, berr_reporting=True) as first, bus(bitrate=500_000, berr_reporting=True) as second:
+        second.plan([BusFault(monotonic_ns(), FOR_EVER_NS, identifier=0x100)], 0, [])
+        first.send(message(0x100))
+        seen = error_frames(first, lambda found: BUS_OFF in kinds(found))
+        states = [each.data[1] for each in seen if each.arbitration_id == CONTROLLER]
+        assert states == [0x08, 0x20]  # error warning and error passive, while sending
+        assert first.state is can.BusState.ERROR and second.state is can.BusState.ACTIVE
+        broken = [each for each in seen if each.arbitration_id == BUS_ERROR]
+        wire = wire_bits(CanFrame(identifier=0x100, data=b"12345678"))
+        bit = (len(wire.bits) - 4) // 2
+        seen_as = 0x88 if wire.bits[bit] == "0" else 0x90  # its sender could not send a dominant, or a recessive bit
+        assert len(broken) == 32 and {bytes(each.data[2:4]) for each in broken} == {bytes((seen_as, 0x0A))}
+        heard = error_frames(second, lambda found: kinds(found).count(BUS_ERROR) == 32)
+        assert {each.data[2] for each in heard} == {0}
+        second.send(message(0x200))  # nobody acknowledges it: the only other participant is off
+        until(lambda: second.state is can.BusState.PASSIVE, "error passive")
+
+
+def test_a_rate_of_bit_errors_breaks_frames_and_all_get_through_in_their_order() -> None:
+    with bus(bitrate="1M", berr_reporting=True) as first, bus(bitrate="1M", berr_reporting=True) as second:
+        first.plan([BusFault(monotonic_ns(), FOR_EVER_NS, rate=2e-3)], 28, [])
+        for n in range(150):
+            first.send(message(n))
+        got: list[int] = []
+        broken = 0
+        while len(got) < 150:
+            each = second.recv(LIMIT_S)
+            assert each is not None
+            if each.is_error_frame:
+                broken += each.arbitration_id == BUS_ERROR
+            else:
+                got.append(each.arbitration_id)
+        assert got == list(range(150)) and 5 < broken < 150  # of 0.2 an attempt, some 38
+
+
+def test_a_fault_takes_another_participant_off_the_bus_which_hears_nothing_and_comes_back_when_it_is_over() -> None:
+    with bus(bitrate=500_000) as rig, bus(bitrate=500_000) as controller, bus(bitrate=500_000) as listener:
+        controller.send(message(0x140))
+        assert received(rig, 1)[0].arbitration_id == received(listener, 1)[0].arbitration_id == 0x140
+        now = monotonic_ns()
+        rig.plan([BusFault(now, now + SOON_NS, off=(0,))], 0, [[0x140, 0x141]])
+        until(lambda: controller.state is can.BusState.ERROR, "bus-off")
+        rig.send(message(0x100))
+        assert received(listener, 1)[0].arbitration_id == 0x100
+        controller.send(message(0x141))  # waits
+        wait_until(now + SOON_NS)
+        until(lambda: controller.state is can.BusState.ACTIVE, "recovery")
+        assert received(listener, 1)[0].arbitration_id == 0x141
+        seen: list[can.Message] = []
+        while (each := controller.recv(0.0)) is not None:
+            seen.append(each)
+        assert kinds(seen) == [BUS_OFF, CONTROLLER | RESTARTED]  # and no 0x100
+
+
+def test_who_is_told_to_restart_comes_back_by_itself_and_who_is_not_stays_off() -> None:
+    for restart_ms in (20, 0):
+        with bus(bitrate=500_000, restart_ms=restart_ms) as first, bus(bitrate=500_000) as second:
+            over = monotonic_ns() + SOON_NS // 5
+            second.plan([BusFault(0, over, identifier=0x100)], 0, [])
+            first.send(message(0x100))
+            error_frames(first, lambda found: BUS_OFF in kinds(found))
+            wait_until(over)
+            while restart_ms and (each := received(second, 1)[0]).arbitration_id != 0x100:
+                assert each.is_error_frame
+            assert (first.state is can.BusState.ERROR) == (not restart_ms)
+
+
+def test_two_participants_with_one_identifier_and_other_data_collide_until_one_is_passive_and_both_get_through() -> None:
+    with bus(bitrate="5k") as first, bus(bitrate="5k") as second, bus(bitrate="5k", berr_reporting=True) as listener:
+        first.send(message(0x050))  # on the bus while both queue: then they begin at once
+        first.send(message(0x100, b"\x0f"))
+        second.send(message(0x100, b"\x8f"))
+        found: list[can.Message] = []
+        while len([each for each in found if not each.is_error_frame]) < 3:
+            each = listener.recv(LIMIT_S)
+            assert each is not None
+            found.append(each)
+        sent = [bytes(each.data) for each in found if not each.is_error_frame]
+        assert sent[1:] == [b"\x0f", b"\x8f"] and kinds([each for each in found if each.is_error_frame]).count(BUS_ERROR) >= 16
+
+
+def test_a_rate_that_times_nothing_is_said_once() -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("default")
+        for _ in range(3):
+            can.Bus("t", interface="hil", bitrate=500_000).shutdown()
+    said = "hil: bitrate times nothing on this bus; add timed=True for a bus that takes time"
+    assert [str(each.message) for each in told] == [said]
+
+
+def test_a_bus_without_time_has_no_faults_and_an_impossible_restart_is_refused() -> None:
+    with can.Bus("t", interface="hil") as untimed, pytest.raises(can.CanOperationError, match="join it with timed=True"):
+        untimed.plan([], 0, [])  # type: ignore[attr-defined]
+    with pytest.raises(can.CanInitializationError, match="restart_ms: -1, expected milliseconds, 0 to 1000000"):
+        bus(restart_ms=-1)
+
+
+def test_every_bit_of_a_frame_lies_in_a_field_in_the_order_of_the_frame() -> None:
+    order = [0x03, 0x02, 0x06, 0x04, 0x05, 0x07, 0x0F, 0x0E, 0x0C, 0x0D, 0x09, 0x0B, 0x0A, 0x08, 0x18, 0x19, 0x1B, 0x1A]
+    frame = CanFrame(identifier=0x1F00FF00, data=bytes(8), extended=True)
+    fields = [location(frame, bit) for bit in range(len(wire_bits(frame).bits) - 3)]
+    assert list(dict.fromkeys(fields)) == order and fields.count(0x1A) == 7 and fields.count(0x0A) > 64  # with its stuff bits
+
+
+def test_a_state_is_that_of_the_larger_counter_and_an_unanswered_frame_says_so() -> None:
+    assert [changed("active", "warning", *counters).data[1] for counters in ((96, 0), (0, 96), (100, 100))] == [0x08, 0x04, 0x0C]
+    assert changed("passive", "warning", 127, 0).data[1] == 0x08 and changed("warning", "active", 95, 3).data[1] == 0x40
+    frame = CanFrame(identifier=0x100)
+    unanswered = destroyed(frame, wire_bits(frame).ack_slot, sender=True)
+    assert (unanswered.kind, unanswered.data[3]) == (0x0A8, 0x19)

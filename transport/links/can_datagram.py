@@ -1,0 +1,55 @@
+"""A CAN frame as a datagram between participants of the `hil` bus, as a python-can message, and as a frame with bits."""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import Any, Final
+
+from transport.can_bus_model.bits import CanFrame
+from transport.links.python_can import can
+from transport.wire.fields import frame_length
+
+FRAME: Final = Struct("<dHIBB")
+"""Time stamp, frames lost before (see `transport.links.unix_mesh.HEAD`); identifier with flags, length, FD flags; then data."""
+
+# The bits of <linux/can.h>.
+EXTENDED, REMOTE, ERROR, ID_MASK = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
+BITRATE_SWITCH, ERROR_STATE, FD_FRAME = 0x01, 0x02, 0x04
+OWN, LOOK = 0x80, 0x40
+"""Flags of ours: a frame of one's own; no frame, but a word that the error state of a participant has changed."""
+
+
+def message_of(fields: tuple[Any, ...], data: bytes, channel: str) -> can.Message:
+    """Return a datagram as a message of python-can.
+
+    Args:
+        fields: of `FRAME`.
+        data: behind them.
+        channel: name of the bus.
+    """
+    time_stamp, _, identifier, length, flags = fields
+    return can.Message(
+        timestamp=time_stamp,
+        arbitration_id=identifier & ID_MASK,
+        is_extended_id=bool(identifier & EXTENDED),
+        is_remote_frame=bool(identifier & REMOTE),
+        is_error_frame=bool(identifier & ERROR),
+        channel=channel,
+        dlc=length,
+        data=bytearray(data),
+        is_fd=bool(flags & FD_FRAME),
+        is_rx=not flags & OWN,
+        bitrate_switch=bool(flags & BITRATE_SWITCH),
+        error_state_indicator=bool(flags & ERROR_STATE),
+    )
+
+
+def frame_of(identifier: int, length: int, flags: int, data: bytes | bytearray) -> CanFrame:
+    """Return what travels of a frame; CAN FD data are padded to a length that a frame has."""
+    fd, remote = bool(flags & FD_FRAME), bool(identifier & REMOTE)
+    padded = b"" if remote else bytes(data).ljust(frame_length(len(data)) if fd else len(data), b"\0")
+    return CanFrame(
+        identifier=identifier & ID_MASK, extended=bool(identifier & EXTENDED), remote=remote, data=padded, fd=fd,
+        dlc=min(length, 8) if remote else None,
+        bitrate_switch=fd and bool(flags & BITRATE_SWITCH), error_state=fd and bool(flags & ERROR_STATE),
+    )  # fmt: skip
