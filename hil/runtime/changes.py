@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from hil.compose.loop import Loop
 from hil.log.write.sinks import Sink
@@ -42,7 +42,10 @@ Changes = Callable[[int], Sequence[Change]]
 def take(change: Change, rig: Rig, node: ControlNode) -> None:
     """Let a rig and its controller go on with a change, between two slots."""
     if change.loop is not None:
-        rig.change(change.loop, network=change.path.startswith("network."), plant=change.path.startswith("plant."))
+        direction: Literal["sc", "ca"] | None = None
+        if change.path.startswith("network."):
+            direction = "ca" if change.path.startswith("network.ca") else "sc"
+        rig.change(change.loop, network=direction, plant=change.path.startswith("plant."))
         node.change(change.loop, anew=change.path.startswith("controller"))
 
 

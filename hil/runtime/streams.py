@@ -22,6 +22,15 @@ def rng_for(seed: int, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *_words(name)])))
 
 
+def begun(name: str, first: int) -> str:
+    """Return the name of the stream of what begins in a slot: what takes over in a run repeats no number of what ran before.
+
+    >>> begun("link.ca", 0), begun("link.ca", 40)
+    ('link.ca', 'link.ca from slot 40')
+    """
+    return f"{name} from slot {first}" if first else name
+
+
 @lru_cache(maxsize=64)
 def _words(name: str) -> tuple[int, ...]:
     return tuple(np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype=np.uint32).tolist())

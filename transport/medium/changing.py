@@ -1,8 +1,8 @@
 """A network whose law is changed in a run: the new law takes over what is on its way.
 
-The new medium has drawn, when it takes over, what it would have drawn since slot 0: its modes are those of a run under the new
-law alone, from the same stream. Of the packets of late it decides as if they had been sent under it; what it would have let
-arrive before is in use, or lost.
+The new medium begins a few slots before it takes over, as many as the longest delay has: of the packets since then it decides as
+if they had been sent under it; what it would have let arrive before is in use, or lost. What a change costs does not depend on
+how long the run has gone on.
 """
 
 from __future__ import annotations
@@ -40,12 +40,13 @@ class ChangingMedium:
         """See `Medium.collect`."""
         return self._medium.collect(k)
 
-    def change(self, medium: Medium, k: int) -> None:
-        """Let another medium take over before anything is offered in slot k."""
+    def change(self, medium: Medium, k: int, first: int) -> None:
+        """Let another medium, whose laws begin in slot `first`, take over before anything is offered in slot k."""
         for node, past in enumerate(self._past):
             for g, packet in past:
-                medium.offer(node, g, packet)
-        if k:
+                if g >= first:
+                    medium.offer(node, g, packet)
+        if k > first:
             medium.collect(k - 1)
         self._medium = medium
 
@@ -75,10 +76,11 @@ class ChangingChannel:
         """See `Impairment.collect`."""
         return self._channel.collect(k)
 
-    def change(self, channel: Impairment, k: int) -> None:
-        """Let another network take over before anything is offered in slot k."""
+    def change(self, channel: Impairment, k: int, first: int) -> None:
+        """Let another network, whose law begins in slot `first`, take over before anything is offered in slot k."""
         for g, packet in self._past:
-            channel.offer(g, packet)
-        if k:
+            if g >= first:
+                channel.offer(g, packet)
+        if k > first:
             channel.collect(k - 1)
         self._channel = channel

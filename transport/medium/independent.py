@@ -68,12 +68,12 @@ class AgeImpairment:
     one, so that k - age never falls: one packet is in use, at most `max_age + 1` newer ones wait, all older ones are forgotten.
     """
 
-    def __init__(self, process: AgeProcess, *, period_s: float) -> None:
+    def __init__(self, process: AgeProcess, *, period_s: float, first: int = 0) -> None:
         self._draw = process.draw
         self._period_s = period_s
         self._used: tuple[int, object] | None = None
         self._held: deque[tuple[int, object]] = deque()  # newer ones, which no slot has asked for yet
-        self._next = 0
+        self._next = first
 
     @property
     def pending(self) -> int:
@@ -121,14 +121,14 @@ class GappedAgeImpairment:
     A packet is forgotten as soon as no later slot can ask for it, so that at most `max_age + 2` are held.
     """
 
-    def __init__(self, process: AgeProcess, *, period_s: float, max_age: int) -> None:
+    def __init__(self, process: AgeProcess, *, period_s: float, max_age: int, first: int = 0) -> None:
         self._draw = process.draw
         self._period_s = period_s
         self._max_age = max_age
         self._held: deque[tuple[int, object]] = deque()  # what the receiver may still use
         self._unused: set[int] = set()  # slots of those that it has not used yet
         self._newest = -1
-        self._next = 0
+        self._next = first
 
     @property
     def pending(self) -> int:
@@ -199,7 +199,9 @@ class PacketImpairment:
     packet waits for those sent before it.
     """
 
-    def __init__(self, process: PacketProcess, *, period_s: float, reordering: bool, queue: int) -> None:
+    def __init__(
+        self, process: PacketProcess, *, period_s: float, reordering: bool, queue: int, first: int = 0
+    ) -> None:  # fmt: skip
         self._process = process
         self._period_s = period_s
         self._reordering = reordering
@@ -209,7 +211,7 @@ class PacketImpairment:
         self._order = 0
         self._last = (0, 0.0)
         self._newest = -1
-        self._next = 0
+        self._next = first
 
     @property
     def pending(self) -> int:
@@ -268,7 +270,9 @@ class PacketImpairment:
         return offered.tick, offered.packet
 
 
-def impair(law: NetworkLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> Impairment:
+def impair(
+    law: NetworkLaw, rng: np.random.Generator, period_s: float, deadline_s: float, first: int = 0
+) -> Impairment:  # fmt: skip
     """Return the emulated network of one direction under a law.
 
     Args:
@@ -276,6 +280,7 @@ def impair(law: NetworkLaw, rng: np.random.Generator, period_s: float, deadline_
         rng: the stream of this direction; nothing else may draw from it.
         period_s: length T of a slot, seconds.
         deadline_s: seconds after the start of a slot at which it closes; packet laws only.
+        first: slot in which the law begins.
 
     Raises:
         ValueError: `law.family` is neither "age" nor "packet".
@@ -284,12 +289,12 @@ def impair(law: NetworkLaw, rng: np.random.Generator, period_s: float, deadline_
         age_law = cast(AgeLaw, law)
         # A foreign law that does not say is taken to have gaps: that is safe, it only holds packets for longer.
         if not isinstance(law, GapLaw) or law.allow_gaps:
-            return GappedAgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age)
-        return AgeImpairment(age_law.start(rng), period_s=period_s)
+            return GappedAgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age, first=first)
+        return AgeImpairment(age_law.start(rng), period_s=period_s, first=first)
     if law.family == "packet":
         packet_law = cast(PerPacketLaw, law)
         process = packet_law.start(rng, period_s, deadline_s)
-        return PacketImpairment(process, period_s=period_s, reordering=packet_law.reordering, queue=packet_law.queue)
+        return PacketImpairment(process, period_s=period_s, reordering=packet_law.reordering, queue=packet_law.queue, first=first)
     raise FieldError("family", f'got {law.family!r} from law {type(law).__name__}, expected "age" or "packet"')
 
 

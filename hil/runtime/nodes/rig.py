@@ -8,7 +8,7 @@ come, records go to a sink, and time is the nominal time that the kernel hands o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from hil.certify.jump_loop import JumpStep
 from hil.certify.motion_test import EQUAL
@@ -34,7 +34,7 @@ from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.nodes.sensor_node import SensorNode
 from hil.runtime.nodes.triggers import trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
-from hil.runtime.streams import rng_for
+from hil.runtime.streams import begun, rng_for
 from transport.medium.changing import ChangingChannel, ChangingMedium
 from transport.medium.independent import impair
 from transport.medium.medium import Delivery
@@ -44,9 +44,6 @@ if TYPE_CHECKING:
     from hil.runtime.nodes.can_network import CanNetwork
     from transport.can_bus_model.bus import Transmission
 from transport.can_bus_model.node import CanNode
-
-KEPT = 4096
-"""Slots whose packets a network law takes over where it is changed in the run."""
 
 STATES = {"active": "error active", "warning": "above the warning level", "passive": "error passive", "off": "off the bus"}
 
@@ -102,7 +99,8 @@ class Rig:
         channel = impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
         self._network: tuple[ChangingMedium, ChangingChannel] | None = None
         if changing:
-            self._network = ChangingMedium(medium, len(self._sensors), KEPT), ChangingChannel(channel, KEPT)
+            there, back = (delay + 1 for delay in (loop.model.tau_max, loop.model.d_max))
+            self._network = ChangingMedium(medium, len(self._sensors), there), ChangingChannel(channel, back)
             medium, channel = self._network
         self._uplink = faults.uplink(medium)
         self._downlink = faults.downlink(channel if bus is None else bus.downlink(channel))
@@ -148,12 +146,12 @@ class Rig:
         """Return the disturbance of a slot as the run has it in the end: a change adds to it, and takes nothing back."""
         return self._disturbance(k)
 
-    def change(self, loop: Loop, *, network: bool, plant: bool) -> None:
+    def change(self, loop: Loop, *, network: Literal["sc", "ca"] | None = None, plant: bool = False) -> None:
         """Go on, before the next slot, with a changed experiment of the same signals, nodes and limits.
 
         Args:
             loop: the composed experiment.
-            network: whether its network laws are others.
+            network: the direction whose network law is another one; the other direction draws on.
             plant: whether the plant's parameters are others; what it did until now is compared with its model, and no more.
         """
         e = loop.experiment
@@ -166,14 +164,24 @@ class Rig:
         if plant and isinstance(e.plant, GoesOn):
             self._plant = self._changed_plant(e.plant)
             self._watch, self._past_watch = None, self._past_watch or self._watch
-        if network and self._network is not None:
-            medium, channel = self._network
-            period_s, k = float(e.period), self.k + 1
-            deadline_s = e.timing.deadline * period_s
-            medium.change(sensor_medium_of(loop, self._seed, period_s, deadline_s), k)
-            channel.change(impair(loop.rig.ca_law, rng_for(self._seed, "link.ca"), period_s, deadline_s), k)
-            self._past_laws += [law for _, law in self._laws]
-            self._laws = []  # a law that takes over in mid-run does not begin as its chain does
+        if network is not None and self._network is not None:
+            self._change_network(loop, network)
+
+    def _change_network(self, loop: Loop, direction: Literal["sc", "ca"]) -> None:
+        """Let another law take over, which begins as many slots ago as its longest delay has."""
+        medium, channel = self._network  # type: ignore[misc]
+        e, k = loop.experiment, self.k + 1
+        period_s, deadline_s = float(e.period), e.timing.deadline * float(e.period)
+        back = direction == "ca"
+        first = max(k - 1 - (loop.model.d_max if back else loop.model.tau_max), 0)
+        if back:
+            rng = rng_for(self._seed, begun("link.ca", first))
+            channel.change(impair(loop.rig.ca_law, rng, period_s, deadline_s, first), k, first)
+        else:
+            medium.change(sensor_medium_of(loop, self._seed, period_s, deadline_s, first=first), k, first)
+        own = [law for law in self._laws if (law[0] == len(self._sensors)) == back]
+        self._past_laws += [law for _, law in own]
+        self._laws = [law for law in self._laws if law not in own]  # one that takes over does not begin as its chain does
 
     def _changed_plant(self, plant: GoesOn) -> PlantRun:
         """Return the plant that takes over at the next slot: until then the one before moves."""
@@ -334,4 +342,3 @@ class Rig:
     def outcome(self) -> dict[str, Any]:
         """Return the counters that the summary needs; a slot that was cut off by a signal is none."""
         return {"slots": self._slots, **self.answers.outcome(), "safety": self.actuator.tripped}
-

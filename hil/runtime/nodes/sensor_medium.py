@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hil.compose.loop import Loop
 from hil.rig.sensor_list import Sensor
 from hil.rig.sensors import SharedMedium
-from hil.runtime.streams import rng_for
+from hil.runtime.streams import begun, rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.medium.independent import Impairment, impair
 from transport.medium.medium import Delivery, IndependentChannels, Medium, SampleClock, SplitMedium
@@ -21,7 +21,7 @@ _CAME = frozenset((DELIVERED, DISORDERED, DUPLICATED))
 
 
 def sensor_medium_of(
-    loop: Loop, seed: int, period_s: float, deadline_s: float, bus: CanNetwork | None = None
+    loop: Loop, seed: int, period_s: float, deadline_s: float, bus: CanNetwork | None = None, first: int = 0
 ) -> Medium:  # fmt: skip
     """Return the medium between the sensor nodes and the controller; every node and every shared medium has its own stream.
 
@@ -31,8 +31,9 @@ def sensor_medium_of(
         period_s: sample period T, s.
         deadline_s: seconds after the start of a slot at which it closes; packet laws only.
         bus: the CAN bus that takes time, where the experiment has one and the way back needs it too.
+        first: slot in which its laws begin, with streams of their own.
     """
-    channels = [impair(s.law, rng_for(seed, s.stream), period_s, deadline_s) for s in loop.rig.sensors]
+    channels = [impair(s.law, rng_for(seed, begun(s.stream, first)), period_s, deadline_s, first) for s in loop.rig.sensors]
     medium = _shared_medium(loop, channels, seed, bus) if loop.rig.media else IndependentChannels(channels)
     return medium if all(s.repeats for s in loop.rig.sensors) else NoRepeatMedium(medium, [s.repeats for s in loop.rig.sensors])
 
