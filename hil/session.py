@@ -64,7 +64,7 @@ INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that anothe
 
 
 class Onlooker(Protocol):
-    """Who looks at a run while it goes on, paces it, and changes it; pace and changes are those of virtual time alone."""
+    """Who looks at a run while it goes on, changes it, and in virtual time paces it."""
 
     @property
     def clock(self) -> Clock | None:
@@ -77,7 +77,10 @@ class Onlooker(Protocol):
 
     @property
     def changes(self) -> Changes | None:
-        """Asked in every slot for what changes in it; None for a run that takes no change."""
+        """Asked for what changes in every slot, once: in virtual time as it begins, in real time some slots ahead.
+
+        None for a run that takes no change.
+        """
         ...
 
     def end(self) -> None:
@@ -233,7 +236,7 @@ def run_session(
         taps: topic to a function that gets its records as they come, for a live view.
         signals: where subscribers over zenoh read named signals as they come, such as ``zenoh:tcp/127.0.0.1:7448``.
         index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
-        onlooker: who looks at the run, and in virtual time may pace and change it.
+        onlooker: who looks at the run, and may change it, and in virtual time pace it.
 
     Raises:
         HilError: if the experiment cannot be composed, the log cannot be written, or the session could not start.
@@ -278,7 +281,7 @@ def run_session(
         if clock == "virtual":
             outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(observers)) if observers else sink, onlooker)
         else:
-            outcome = _run_real(loop, on, sink, external, wait_s, observers)
+            outcome = _run_real(loop, on, sink, external, wait_s, observers, None if onlooker is None else onlooker.changes)
         sink.commit()
         outcome |= _unreached(loop)
         problems = {name: text for name, text in outcome.items() if text}
@@ -408,12 +411,14 @@ def _interrupted(number: int, sink: Sink, t_ns: int) -> dict[str, Any]:
 
 def _run_real(
     loop: Loop, link: SessionLink, sink: McapSink, external: bool, wait_s: float | None,
-    taps: Mapping[str, PayloadWriter] | None,
+    taps: Mapping[str, PayloadWriter] | None, changes: Changes | None,
 ) -> dict[str, Any]:
     from hil.runtime.real.supervisor import run_real
 
     try:
-        real = run_real(loop, loop.experiment.seed, link, sink, external=external, hello_timeout_s=wait_s, taps=taps)
+        real = run_real(
+            loop, loop.experiment.seed, link, sink, external=external, hello_timeout_s=wait_s, taps=taps, changes=changes
+        )
     except HilError:  # nothing ran: nothing is left behind
         sink.discard()
         raise

@@ -27,6 +27,19 @@ def gone(pid: int) -> bool:
         return True
 
 
+def children_of(parent: int, module: str) -> list[int]:
+    """Pids of the processes that a process has started with a Python module."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+            if module.encode() in words and int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
+                found.append(int(folder.name))
+        except (OSError, IndexError):
+            continue
+    return found
+
+
 @contextmanager
 def ended(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
     """A process that is killed where the test of it fails: `subprocess.Popen` alone waits for it for ever."""

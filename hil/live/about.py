@@ -13,7 +13,7 @@ import numpy as np
 from design.controllers.rendered_wall import WallController
 from hil.compose.loop import Loop
 from hil.errors import HilError
-from hil.experiment import load_experiment, shipped
+from hil.experiment import Experiment, load_experiment, shipped
 from hil.live.side import Side
 from hil.plugins.protocols import GoesOn, Plant
 from transport.laws.protocols import ChainLaw, NetworkLaw
@@ -37,20 +37,24 @@ def _run(side: Side) -> dict[str, Any]:
     resolved = e.resolved()
     return {
         "name": e.name, "description": e.description, "seed": e.seed, "period": side.period_s, "slots": e.slots,
-        "controllable": side.acts, "traces": [trace.to_json() for trace in side.traces],
+        "controllable": side.acts, "paced": side.clock is not None, "traces": [trace.to_json() for trace in side.traces],
         "outputs": [{"name": s.name, "unit": s.unit} for s in e.plant.outputs],
         "inputs": [{"name": s.name, "unit": s.unit} for s in e.plant.inputs],
         "states": [{"name": s.name, "unit": s.unit} for s in e.plant.states],
         "limits": dict(e.limits.state), "plant": e.kinds.get("plant", ""), "wall": _wall(loop),
-        "fields": _fields(e.plant, resolved["plant"]) if side.acts else {},
+        "fields": _fields(e.plant, resolved["plant"], real=side.clock is None) if side.acts else {},
         "network": {name: _law(getattr(e.network, name).law, resolved["network"][name]) for name in ("sc", "ca")},
         "controller": e.kinds.get("controller", ""), "own": resolved["controller"],
-        "controllers": controllers(e.kinds.get("plant", ""), side.period_s, len(e.plant.outputs)) if side.acts else {},
+        "controllers": _controllers(side, e) if side.acts and side.clock is not None else {},
     }  # fmt: skip
 
 
-def _fields(plant: Plant, said: dict[str, Any]) -> dict[str, float]:
-    """Return the numbers of a plant that may change while it runs, by their paths."""
+def _controllers(side: Side, e: Experiment) -> dict[str, Any]:
+    return controllers(e.kinds.get("plant", ""), side.period_s, len(e.plant.outputs))
+
+
+def _fields(plant: Plant, said: dict[str, Any], *, real: bool) -> dict[str, float]:
+    """Return the numbers of a plant that may change while it runs, in real time or in virtual time, by their paths."""
     found: dict[str, float] = {}
 
     def take(path: str, value: Any) -> None:
@@ -60,7 +64,7 @@ def _fields(plant: Plant, said: dict[str, Any]) -> dict[str, float]:
         elif isinstance(value, int | float) and not isinstance(value, bool):
             found[path] = float(value)
 
-    for name in plant.may_change() if isinstance(plant, GoesOn) else ():
+    for name in (plant.own_way() if real else plant.may_change()) if isinstance(plant, GoesOn) else ():
         take(f"plant.{name}", reduce(getitem, name.split("."), said))
     return found
 

@@ -13,6 +13,7 @@ import msgspec
 
 from hil.compose.changed import changed, is_schedule
 from hil.compose.loop import Loop
+from hil.compose.real_time_changes import refuse_in_real_time
 from hil.errors import HilError
 from hil.live.composer import Composer
 from hil.live.side import Side
@@ -26,7 +27,8 @@ LEAD_S: Final = 0.02
 CERTIFIED_LEAD_S: Final = 0.3
 """How far ahead of the run a change is armed, by the clock on the wall; twice as far each time that its slot has begun before."""
 SPEEDS: Final = (1e-3, 1e3)
-WATCHES: Final = "in real time, and of a log, the page only watches; hil live EXPERIMENT in virtual time takes changes"
+WATCHES: Final = "of a log, and with hil run --live, the page only watches; hil live EXPERIMENT takes changes"
+PACED: Final = "the clock on the wall paces a run in real time; hil live in virtual time holds, steps and goes at another speed"
 
 
 class Wish(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -105,6 +107,8 @@ class Desk:
         if any(not 0 <= i < len(self.sides) for i in wish.sides):
             raise HilError(f"sides: {list(wish.sides)}, expected numbers from 0 to {len(self.sides) - 1}")
         if wish.do in quick:
+            if any(side.clock is None for side in self.sides):
+                raise HilError(f"{wish.do}: {PACED}")
             quick[wish.do](wish)
             return 0
         if wish.do in ("check", "apply") and wish.path == END:
@@ -182,6 +186,8 @@ class Desk:
 def _loop_of(side: Side, path: str) -> Loop:
     if side.loop is None or side.status != "running":
         raise HilError(f"{path}: no run goes on; begin anew")
+    if side.clock is None:
+        refuse_in_real_time(side.loop, path)
     return side.loop
 
 

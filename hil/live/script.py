@@ -9,12 +9,13 @@ from typing import Any, Final
 import msgspec
 
 from hil.compose.loop import Loop
+from hil.compose.real_time_changes import refuse_in_real_time
 from hil.errors import HilError
 from hil.files.regular import read_regular
 from hil.log.records import Channel
 from hil.log.write.sinks import PayloadWriter
 from hil.replay.recorded_changes import Asked, changes_of, composed
-from hil.runtime.changes import Change
+from hil.runtime.changes import END, Change
 
 MOST_BYTES: Final = 20_000_000
 
@@ -63,16 +64,20 @@ class Scripted:
 
     Args:
         asked: the changes, in the order of slots.
+        real: whether the run is in real time.
     """
 
     clock = None
 
-    def __init__(self, asked: Sequence[Asked]) -> None:
-        self._asked = asked
+    def __init__(self, asked: Sequence[Asked], *, real: bool = False) -> None:
+        self._asked, self._real = asked, real
         self._to_come: list[tuple[int, Change]] = []
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
         """Compose every change: one that does not fit is said before anything runs."""
+        for _, path, _ in self._asked if self._real else ():
+            if path != END:
+                refuse_in_real_time(loop, path)
         self._to_come = list(composed(loop, self._asked))[::-1]
         return {}
 

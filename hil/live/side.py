@@ -19,7 +19,7 @@ from hil.log.run import Run
 from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING
 from hil.log.write.sinks import PayloadWriter
 from hil.replay.recorded_changes import Asked
-from hil.runtime.changes import CHANGE, END, Change, Changes
+from hil.runtime.changes import CHANGE, END, LATE, Change, Changes
 from hil.runtime.time.clock import PacedClock
 from transport.draws import REASONS
 
@@ -65,6 +65,7 @@ class Side:
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=EVENTS)
         self._numbers = count()
         self._armed: deque[tuple[int, Change]] = deque()
+        self._before: dict[tuple[int, str], Loop] = {}  # in real time: what ran before a change, by its slot and path
         self._asked = -1  # the newest slot whose changes were asked for
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
@@ -100,6 +101,9 @@ class Side:
     def _note(self, event: dict[str, Any]) -> None:
         if event["kind"] == CHANGE:
             self.done.append((event["tick"], event["data"]["path"], event["data"]["value"]))
+        elif event["kind"] == LATE:
+            with self._turn:  # what comes next is composed upon what runs
+                self.loop = self._before.get((event["data"]["slot"], event["data"]["path"]), self.loop)
         self._events.append((next(self._numbers), event))
 
     def arm(self, k: int, change: Change) -> bool:
@@ -109,6 +113,8 @@ class Side:
                 return False
             self._armed.append((k, change))
             if change.loop is not None:
+                if self.clock is None and self.loop is not None:
+                    self._before[k, change.path] = self.loop
                 self.loop = change.loop
             return True
 

@@ -36,7 +36,7 @@ class Asked:
         link: URI of the link in real time, None for the experiment's own.
         speed: session time per time, in virtual time.
         held: whether virtual time waits before slot 0.
-        acts: whether the page may change it: in virtual time.
+        acts: whether the page may change it.
     """
 
     load: Callable[[int | None], Experiment]
@@ -68,7 +68,7 @@ def watch(
     Raises:
         HilError: an experiment cannot be composed, or the port is taken.
     """
-    sides = [Side(each.pacer(), each.acts and each.clock == "virtual") for each in asked]
+    sides = [Side(each.pacer(), each.acts) for each in asked]
     seed: int | None = None
     with _page(sides, asked[0].clock, port, opened) as desk:
         while True:

@@ -1,4 +1,4 @@
-"""Changes of a run in virtual time: which come when, and how a rig, its controller and its log take one."""
+"""Changes of a run: which come when, and how a rig, its controller and its log take one."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from hil.runtime.nodes.rig import Rig
 
 CHANGE: Final = "change"
 """Kind of the event that logs a change; its data make the change again."""
+LATE: Final = "change late"
+"""Kind of the event that logs one that came behind its slot, in real time."""
 
 
 END: Final = "end"
@@ -39,14 +41,21 @@ Changes = Callable[[int], Sequence[Change]]
 """Asked at the beginning of every slot, by its number, for the changes that act from it on."""
 
 
-def take(change: Change, rig: Rig, node: ControlNode) -> None:
-    """Let a rig and its controller go on with a change, between two slots."""
+def take(change: Change, rig: Rig, node: ControlNode | None) -> None:
+    """Let a rig, and its controller where it is in the same process, go on with a change, between two slots."""
     if change.loop is not None:
         direction: Literal["sc", "ca"] | None = None
         if change.path.startswith("network."):
             direction = "ca" if change.path.startswith("network.ca") else "sc"
         rig.change(change.loop, network=direction, plant=change.path.startswith("plant."))
-        node.change(change.loop, anew=change.path.startswith("controller"))
+        if node is not None:
+            node.change(change.loop, anew=change.path.startswith("controller"))
+
+
+def log_late(sink: Sink, change: Change, t_ns: int, k: int, slot: int) -> None:
+    """Log a change that came behind its slot: it does not act, as its certificate is on a run in which it had."""
+    told = f"{change.path}: came in slot {k}, behind its slot {slot}: nothing was changed; change it again"
+    sink.event(t_ns, LATE, told, tick=k, severity="warning", path=change.path, slot=slot)
 
 
 def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:

@@ -104,7 +104,7 @@ export function makeAct(place, abouts, wish, runs) {
   controller.setAttribute("aria-label", "Controller");
   controller.append(text("option", "another controller …", { value: "" }), ...Object.keys(about.controllers).map((name) => text("option", name, { value: name })));
   controller.addEventListener("change", () => controller.value && check("controller", about.controllers[controller.value]));
-  field("Controller", row(controller));
+  if (Object.keys(about.controllers).length) field("Controller", row(controller));
 
   // Plant: the numbers that may change while it runs.
   const paths = Object.keys(about.fields);
@@ -120,7 +120,7 @@ export function makeAct(place, abouts, wish, runs) {
   const lasts = input("seconds that a fault lasts", number(Math.max(4 * about.period, 0.1), 2), { min: 0 });
   const fault = (words, kind, link) => button(words, () => check("fault", { kind, for: +lasts.value, ...(link ? { link } : {}) }));
   field("Faults", row(text("label", "for"), lasts, text("label", "s")), row(fault("Cut to controller", "cut", "sc"), fault("Cut to actuator", "cut", "ca"),
-    fault("Flip bits", "corrupt", "sc"), fault("Freeze", "freeze", "sc"), fault("Restart the controller", "controller-restart")));
+    fault("Flip bits", "corrupt", "sc"), fault("Freeze", "freeze", "sc"), fault(about.paced ? "Restart the controller" : "Kill and restart the controller", "controller-restart")));
 
   const table = text("table", "", { className: "measured" });
   const link = text("a", "the script of this run", { href: "script", download: "changes.jsonl" });

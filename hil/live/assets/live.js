@@ -197,9 +197,11 @@ async function begin() {
   $("where").textContent = `hilrig live · ${about.where}${about.acts ? "" : " · read only"}`;
   $("title").textContent = document.title = about.runs.map((r) => r.name).join(" beside ");
   $("seed").value = about.runs[0].seed;
-  $("pace").hidden = !(about.acts && about.runs[0].controllable);
+  const acts = about.acts && about.runs[0].controllable;
+  $("pace").hidden = !acts;
+  for (const id of ["hold", "step", "speed-of"]) $(id).hidden = !about.runs[0].paced; // in real time the clock on the wall paces
   runs = about.runs.map(makeRun);
-  if (!$("pace").hidden) act = makeAct($("act"), about.runs, wish, () => runs);
+  if (acts) act = makeAct($("act"), about.runs, wish, () => runs);
   window.hilLive = { runs, view, table, wish }; // for tests
   frame();
 }

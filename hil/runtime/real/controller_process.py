@@ -19,6 +19,7 @@ from hil.compose.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.failures import failure_of
+from hil.runtime.real.change_line import Receiver
 from hil.runtime.real.child import read_job
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import warm_up_controller
@@ -38,6 +39,7 @@ class Job:
     link: SessionLink
     parent: int
     counts_fd: int = -1  # where its counters go at its end
+    changes_fd: int = -1  # where another reference, and its own restart, comes from
 
 
 class Stopped(Exception):
@@ -57,6 +59,7 @@ def stop_on_sigterm() -> None:
 def serve(
     loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None,
     at_end: Callable[[dict[str, int], tuple[int, str] | None, str | None], object] = lambda counts, departed, failed: None,
+    changes_fd: int = -1,
 ) -> None:  # fmt: skip
     """Answer sensor frames on a link until stopped.
 
@@ -65,6 +68,7 @@ def serve(
         uri: the link.
         at_end: given what the controller and its link counted, in which slot its answers left its table, by how much, and what
             a control law of the user's own raised.
+        changes_fd: where changes come from, which have their slot in the loop itself.
         before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
 
     Raises:
@@ -74,6 +78,7 @@ def serve(
     node = ControlNode(loop)
     before_open()
     failed: str | None = None
+    changes = Receiver(changes_fd)
     with open_link(uri, "controller") as link:
         try:
             while True:
@@ -82,6 +87,9 @@ def serve(
                     answer = node.on_frame(data, monotonic_ns())
                     if answer is not None:
                         link.send(answer)
+                    for _, change in changes.due(sys.maxsize):
+                        if change.loop is not None:
+                            node.change(change.loop, anew=False)
                 elif isinstance(link, OneOfARole):  # whom the rig does not hear takes no packet
                     link.check_alone()
         except Stopped:
@@ -111,7 +119,10 @@ def main() -> None:
         stop_on_sigterm()
         die_with_parent(job.parent)
         cpu = cpu_for(timing.affinity, "controller", job.link.traits)
-        serve(job.loop, job.link.uri, lambda: go_real_time(max(timing.priority - 1, 1), cpu), partial(_write, job.counts_fd))
+        serve(
+            job.loop, job.link.uri, lambda: go_real_time(max(timing.priority - 1, 1), cpu), partial(_write, job.counts_fd),
+            job.changes_fd,
+        )  # fmt: skip
     except Stopped:
         leave_real_time()
 

@@ -20,10 +20,12 @@ from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import record_to
 from hil.rig.frames_dbc import about_rig
 from hil.rig.session_link import SessionLink
+from hil.runtime.changes import log_change, log_late, take
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.failures import failure_of
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
+from hil.runtime.real.change_line import Receiver
 from hil.runtime.real.child import read_job
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink
@@ -58,18 +60,22 @@ class Job:
     parent: int
     log_fd: int
     hello_timeout_s: float
+    changes_fd: int = -1  # where changes come from
 
 
 class RealLoop:
     """The slots of a rig on a real link, timed."""
 
-    def __init__(self, job: Job, link: Link, sink: PipeSink, wire: Wire) -> None:
+    def __init__(self, job: Job, link: Link, sink: PipeSink, wire: Wire, node: ControlNode | None = None) -> None:
         e = job.loop.experiment
+        self._node, self._changes = node, Receiver(job.changes_fd)
         channels = channels_of(job.loop, on_can=job.link.on_can)
         self.clock = RealClock(0)  # until the session begins
         self.kernel = Kernel(self.clock)
         first = job.link.first_identifiers()
-        self.rig = Rig(job.loop, job.seed, sink, channels, self.kernel.stop, wire, first, lambda t_ns: self._woken_ns)
+        self.rig = Rig(
+            job.loop, job.seed, sink, channels, self.kernel.stop, wire, first, lambda t_ns: self._woken_ns, job.changes_fd >= 0
+        )  # fmt: skip
         self.overruns = 0
         self._sink = sink
         self._period_ns = e.period_ns
@@ -91,6 +97,7 @@ class RealLoop:
         start_ns = monotonic_ns() + SETTLE_NS
         self.clock.begin(start_ns)
         self._sink.begin(wall_clock_ns(start_ns))
+        self._change(0)
 
     def _run(self, t_ns: int) -> None:
         self._t_ns, self._woken_ns = t_ns, self.clock.now()
@@ -107,6 +114,18 @@ class RealLoop:
             late = rig.answers.late - self._late
             self._log(t_ns, (lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun))
         self._sink.commit()
+        self._change(rig.k + 1)
+
+    def _change(self, k: int) -> None:
+        """Take what changes in slot k, in the time that is left before it."""
+        for slot, change in self._changes.due(k):
+            if slot < k:
+                log_late(self._sink, change, k * self._period_ns, k, slot)
+                continue
+            take(change, self.rig, self._node)
+            log_change(self._sink, change, k * self._period_ns, k)
+            if change.loop is None:
+                self.kernel.stop()
 
 
 def main() -> None:
@@ -141,7 +160,7 @@ def main() -> None:
     with LocalLink(node) if node is not None else open_link(job.link.uri, "rig") as link:
         if isinstance(link, Tells):
             link.tell(about_rig(job.loop.rig))
-        real = RealLoop(job, link, sink, wire)  # before the greeting: nothing stands between its last rehearsal and slot 0
+        real = RealLoop(job, link, sink, wire, node)  # before the greeting: nothing stands between its last rehearsal and slot 0
         loops.append(real)
         greeter = Handshake(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, rehearsed.run, real.pause)
         greeting = greeter.greet()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import pickle
 import sys
 import threading
 from collections import deque
@@ -21,13 +22,16 @@ from typing import Final
 
 from hil.compose.loop import Loop
 from hil.errors import HilError
+from hil.experiment.rig_tables import RESTART
 from hil.log.topics import channels_of
 from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.rehearsal import rehearse
 from hil.log.write.sinks import PayloadWriter, Sink
 from hil.plugins.registry import OBJECT
 from hil.rig.session_link import SessionLink
+from hil.runtime.changes import Changes
 from hil.runtime.real import controller_process, rig_process
+from hil.runtime.real.change_line import Ahead, Dump, Lines
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
@@ -134,6 +138,7 @@ def run_real(
     external: bool = False,
     hello_timeout_s: float | None = None,
     taps: Mapping[str, PayloadWriter] | None = None,
+    changes: Changes | None = None,
 ) -> RealOutcome:
     """Run a loop in real time; return when it has ended and nothing of it is left.
 
@@ -145,6 +150,7 @@ def run_real(
         external: do not start a controller: an external program answers on the link.
         hello_timeout_s: how long the rig waits for a first answer, s.
         taps: see :func:`hil.log.write.pipe.pump`.
+        changes: of the experiment while it runs; None for none.
 
     Raises:
         HilError: if rig or controller ended before the run began, or no controller answered.
@@ -159,6 +165,8 @@ def run_real(
     (read_fd, write_fd), (counts_fd, counted_fd) = _two_pipes()
     parent = os.getpid()
     children: list[Child] = []
+    period_ns = loop.experiment.period_ns
+    to_come, lines, newest = Ahead(changes, period_ns), Lines(changes is not None), loop
     stop_pump = threading.Event()
 
     def keep_log() -> None:
@@ -174,18 +182,26 @@ def run_real(
             job = rig_process.Job(
                 loop=loop, link=link, seed=seed, parent=parent, log_fd=write_fd,
                 hello_timeout_s=hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S),
+                changes_fd=lines.open("rig"),
             )  # fmt: skip
-            start = _starter(loop)
-            rig = start("rig", "hil.runtime.real.rig_process", job, (write_fd,))
+            start, dump = _starter(loop)
+            rig = start("rig", "hil.runtime.real.rig_process", job, lines.passed("rig", write_fd))
             children.append(rig)
             os.close(write_fd)
             write_fd = -1
             thread.start()
             controller = None
+
+            def start_controller() -> Child:
+                theirs = controller_process.Job(
+                    loop=newest, link=link, parent=parent, counts_fd=counted_fd, changes_fd=lines.open("controller")
+                )
+                told = lines.passed("controller", counted_fd)
+                children.append(start("controller", "hil.runtime.real.controller_process", theirs, told))
+                return children[-1]
+
             if not external and not link.traits.in_process:
-                theirs = controller_process.Job(loop=loop, link=link, parent=parent, counts_fd=counted_fd)
-                controller = start("controller", "hil.runtime.real.controller_process", theirs, (counted_fd,))
-                children.append(controller)
+                controller = start_controller()
             silence = HeartbeatTimeout(float(loop.experiment.period), job.hello_timeout_s)
             free = FreeMemory(monotonic_ns())
             while rig.poll() is None and signals.seen is None:
@@ -194,11 +210,20 @@ def run_real(
                 outcome.rig_silent = silence.look(now_ns, outcome.pump.records, rig.stopped())
                 if outcome.rig_silent:
                     break
+                for k, change in to_come.at(outcome.pump.last_ns if outcome.pump.records else -1):
+                    lines.put("rig", k, change, dump)
+                    if change.loop is not None:
+                        newest = change.loop
+                        restart = change.path == "fault" and change.value["kind"] == RESTART
+                        if restart:
+                            restarts = deque(sorted((*restarts, k * period_ns)))
+                        if restart or change.path == "reference":  # all else that changes is the rig's
+                            lines.put("controller", k, change, dump)
+                lines.flush()
                 if controller is not None and restarts and outcome.pump.records and outcome.pump.last_ns >= restarts[0]:
                     restarts.popleft()
                     controller.kill()  # a fault on the time line: it loses what it knew, and takes the time that a start takes
-                    controller = start("controller", "hil.runtime.real.controller_process", theirs, (counted_fd,))
-                    children.append(controller)
+                    controller = start_controller()
                 if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
                     outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
                     if not outcome.pump.records:
@@ -206,6 +231,7 @@ def run_real(
                 pause(POLL_S)
         finally:
             end_all(children)
+            lines.close()
             os.close(counted_fd)
             outcome.controller_counts, outcome.controller_departed, outcome.controller_failed = _counts(counts_fd)
             if write_fd >= 0:
@@ -235,13 +261,16 @@ def _two_pipes() -> tuple[tuple[int, int], tuple[int, int]]:
         raise
 
 
-def _starter(loop: Loop) -> Callable[..., Child]:
-    """Return what starts a process with a loop: what was built in Python takes its class along, or the folders it is found in."""
+def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
+    """Return what starts a process with a loop, and what pickles one for it.
+
+    What was built in Python takes its class along, or the folders it is found in.
+    """
     if not any(told.startswith(OBJECT) for told in loop.experiment.origins().values()):
-        return Child
+        return Child, pickle.dump
     from cloudpickle import dump
 
-    return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path])
+    return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path]), dump
 
 
 def _counts(fd: int) -> tuple[dict[str, int], tuple[int, str] | None, str | None]:

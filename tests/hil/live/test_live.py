@@ -45,7 +45,7 @@ class Page:
     status: int = -1
     number: int = 0
 
-    def begin(self) -> None:
+    def begin(self, status: str = "held") -> None:
         there = threading.Event()
 
         def opened(url: str) -> None:
@@ -60,7 +60,7 @@ class Page:
         assert there.wait(60)
         self.token = parse_qs(urlsplit(self.url).query)["token"][0]
         self.port = urlsplit(self.url).port
-        until(lambda: all(self.view(side=i)["status"] == "held" for i in range(len(self.asked))), "the runs")
+        until(lambda: all(self.view(side=i)["status"] == status for i in range(len(self.asked))), "the runs")
 
     def request(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, bytes]:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
