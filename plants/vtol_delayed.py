@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -148,7 +149,7 @@ class _DelayedFlow:
     def __init__(self, A: Rows, B: Rows, share: float, step_ns: int) -> None:
         n = len(A)
         self._A, self._B, self._step_ns = A, B, step_ns
-        self._norm = max(sum(abs(a) for a in row) for row in A)
+        self._norm = max(math.fsum(map(abs, row)) for row in A)
         self._delayed: Rows = tuple(tuple(share * a for a in row) for row in A)
         unit = [[1.0 if i == j else 0.0 for j in range(n)] for i in range(n)]
         chain = [[*a, *e] for a, e in zip(A, unit)] + [[0.0] * (2 * n)] * n

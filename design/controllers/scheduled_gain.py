@@ -9,6 +9,8 @@ Needs numpy only, so that the process that keeps time can load it. References: t
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -77,6 +79,22 @@ class ScheduledGain:
             return np.asarray(self.gain[mode, section])
         part = (h - starts[section]) / (starts[section + 1] - starts[section])
         return np.asarray((1.0 - part) * self.gain[mode, section] + part * self.gain[mode, section + 1])
+
+    def rows(self) -> Callable[[int, float], list[list[float]]]:
+        """Return what gives K(mode, h) as m rows of n numbers, for a loop: `at`, without an array where a gain is held."""
+        gains, starts = self.gain.tolist(), self.starts_s.tolist()
+        held = self.schedule == "hold"
+
+        def rows_at(mode: int, h: float) -> list[list[float]]:
+            own = starts[mode]
+            section = max(bisect_right(own, h) - 1, 0)
+            if held or section + 1 == len(own):
+                found: list[list[float]] = gains[mode][section]
+                return found
+            between: list[list[float]] = self.at(mode, h).tolist()
+            return between
+
+        return rows_at
 
 
 def constant_gain(gain: npt.ArrayLike, measured: tuple[str, ...] = ("r",)) -> ScheduledGain:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from design.controllers import LoopModel, Rows, RunningController, Selection
+from design.controllers.exact_products import product
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.requests.tracking import DesignTask
@@ -73,16 +74,15 @@ class _ScheduledRows:
     selection: Selection = "constant"
 
     def __init__(self, gain: ScheduledGain, period_s: float) -> None:
-        self._gain, self._period_s = gain, period_s
+        self._at, self._last, self._period_s = gain.rows(), gain.modes - 1, period_s
         self._mode, self._since = -1, 0
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
-        mode = min(max(round(y[-1]) - 1, 0), self._gain.modes - 1)
+        mode = min(max(round(y[-1]) - 1, 0), self._last)
         if mode != self._mode:
             self._mode, self._since = mode, k - tau
-        K = self._gain.at(mode, (k - self._since) * self._period_s)
         x = [a - b for a, b in zip(y[:-1], r[:-1])]
-        return (tuple(float(sum(g * v for g, v in zip(row, x))) for row in K.tolist()),)
+        return (tuple(product(self._at(mode, (k - self._since) * self._period_s), x)),)
 
 
 Method = Literal["by-plant", "robust", "delayed-hinf", "fault-tolerant"]

@@ -157,7 +157,7 @@ class Flow:
     def __init__(self, A: Sequence[Sequence[float]], B: Sequence[Sequence[float]]) -> None:
         self._A: Rows = tuple(tuple(float(a) for a in row) for row in A)
         self._B: Rows = tuple(tuple(float(b) for b in row) for row in B)
-        self._norm = max(sum(abs(a) for a in row) for row in self._A)
+        self._norm = max(math.fsum(map(abs, row)) for row in self._A)
         self._steps: dict[int, Rows] = {}
 
     def prepare(self, dt_ns: int) -> None:

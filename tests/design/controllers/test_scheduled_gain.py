@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from design.as_printed.examples import chapter2_gain
-from design.controllers.scheduled_gain import ScheduledGain, constant_gain
+from design.controllers.scheduled_gain import Schedule, ScheduledGain, constant_gain
 
 
 def test_held_gain_steps_at_its_section_start_and_stays() -> None:
@@ -24,6 +24,14 @@ def test_linear_gain_interpolates_and_never_exceeds_the_norm_of_its_nodes() -> N
     assert gain.at(1, 1.0) == pytest.approx(0.5 * (gain.gain[1, 0] + gain.gain[1, 1]))
     assert gain.at(1, 5.0) == pytest.approx(gain.gain[1, 1])
     assert max(np.linalg.norm(gain.at(0, h)) for h in np.linspace(0, 3, 50)) <= gain.norm
+
+
+@pytest.mark.parametrize("schedule", ["hold", "linear"])
+def test_rows_for_a_loop_are_the_gain_at_every_instant_and_at_the_starts(schedule: Schedule) -> None:
+    gain = ScheduledGain(gain=chapter2_gain().gain, starts_s=np.array([[0.0, 0.8326], [0.0, 2.0]]), schedule=schedule)
+    rows = gain.rows()
+    for mode, h in [(mode, h) for mode in (0, 1) for h in (-0.1, 0.0, 0.5, 0.8325, 0.8326, 1.9, 2.0, 100.0)]:
+        assert rows(mode, h) == gain.at(mode, h).tolist()
 
 
 def test_import_needs_numpy_only() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from design.as_printed.examples import chapter2_gain
 from design.controllers import LoopModel
+from design.controllers.scheduled_gain import constant_gain
 from design.requests.scheduled import Scheduled, scheduled_of
 
 
@@ -23,6 +24,13 @@ def test_gain_follows_the_mode_and_the_time_since_it_was_seen_to_change() -> Non
         (row,) = running.rows(k, 0, (*x, mode + 1.0), (0.0, 0.0, 0.0))
         h = 0.1 * (k if k < 20 else k - 20)
         assert row == pytest.approx(tuple(gain.at(mode, h) @ np.array(x)))
+
+
+def test_a_sum_rounds_after_every_term_whatever_python_it_runs_on() -> None:
+    gain = constant_gain(np.ones((1, 1, 3)))
+    loop = LoopModel(A=np.eye(3), B=np.ones((3, 1)), C=np.zeros((4, 3)), period_s=0.1, tau_max=0, d_max=0)
+    ((row,),) = scheduled_of(gain).start(loop).rows(0, 0, (1.0, 1e16, -1e16, 1.0), (0.0,) * 4)
+    assert row == 0.0  # `sum` gives 1.0 from Python 3.12 on
 
 
 def test_sojourn_clock_counts_from_the_sample_not_from_its_arrival() -> None:
