@@ -7,6 +7,8 @@ plant, so it holds between the plants too, and what lies beyond their straight c
 
     growth(v) = max_i |sum_j p_ij A_i(v)' P_j A_i(v)|  in the norm of P_i,   root(v + e) <= root(v) + root of what e adds
 
+`family_growth` takes any loops, as of samples that a relative trigger lets be wrong by a share.
+
 Reference: quadratic stability over a polytope; thesis Remark 7.6 has norm-bounded uncertainty.
 """
 
@@ -51,52 +53,59 @@ def quadratic_growth(
         beyond: sets of changes, (., n, n + m); the largest of each set may be added to any plant between two of `changes`.
     """
     K = check_gains(gains, structure.gain_shape)
-    A, U = structure.matrices(K), structure.applied_input(K)
+    A, U, n = structure.matrices(K), structure.applied_input(K), structure.plant_order
+
+    def added(changes: Array) -> Array:
+        both = np.zeros((len(changes), *A.shape))
+        both[:, :, :n, :n] = changes[:, None, :, :n]
+        both[:, :, :n] += changes[:, None, :, n:] @ U
+        return both
+
     chances = structure.transition if structure.between is None else structure.between[1]
-    modes, size = A.shape[:2]
+    return family_growth(A, chances, A + added(changes), A + added(corners), [added(each) for each in beyond])
+
+
+def family_growth(
+    nominal: Array, transition: Array, loops: Array, corners: Array, beyond: Sequence[Array] = ()
+) -> Growth | None:  # fmt: skip
+    """Return how much the best family that was found grows in a slot; None where the program is too large to be solved.
+
+    Args:
+        nominal: (N, size, size) a mean-square stable loop, from whose own family the search begins.
+        transition: (N, N) transition probabilities, or upper bounds of them.
+        loops: (k, N, size, size); any of them, or what lies between them, may come in a slot.
+        corners: those of them at which a family is sought first.
+        beyond: sets, (., N, size, size); the largest of each set may be added.
+
+    Raises:
+        LinAlgError: so near the edge that the nominal loop has no family.
+    """
+    modes, size = nominal.shape[:2]
     if modes * size * (size + 1) // 2 > MOST_UNKNOWNS:
         return None
-    family = np.asarray(cost_once(A, chances, np.broadcast_to(np.eye(size), A.shape)))
+    family = np.asarray(cost_once(nominal, transition, np.broadcast_to(np.eye(size), nominal.shape)))
     at, best = corners, Growth(np.inf, 0)
     for _ in range(ROUNDS):
-        loop = _Coordinates(A, U, family)
-        P = _family(loop.moved(at), chances)
+        into = transpose(np.linalg.cholesky(family))  # z = into_i x: the family is the unit matrix
+        P = _family(_seen_in(into, at), transition)
         if P is None:
             break
-        family = transpose(loop.into) @ P @ loop.into
-        own = _Coordinates(A, U, family)
-        roots = np.sqrt(_factors(own.moved(changes), chances))
-        added = sum(float(np.sqrt(_factors(own.added(each), chances)).max(initial=0.0)) for each in beyond)
+        family = transpose(into) @ P @ into
+        into = transpose(np.linalg.cholesky(family))
+        roots = np.sqrt(_factors(_seen_in(into, loops), transition))
+        added = sum(float(np.sqrt(_factors(_seen_in(into, each), transition)).max(initial=0.0)) for each in beyond)
         best = min(best, Growth(float((roots.max() + added) ** 2), len(at)), key=lambda each: each.factor)
         if best.factor < 1.0:
             break
-        worst = changes[roots.argmax()]
-        if not (at == worst).all(axis=(1, 2)).any():
+        worst = loops[roots.argmax()]
+        if not (at == worst).all(axis=(1, 2, 3)).any():
             at = np.concatenate([at, worst[None]])
     return best
 
 
-class _Coordinates:
-    """The loop in coordinates in which a family x' P_i x is the unit matrix, z = into_i x."""
-
-    def __init__(self, A: Array, U: Array, family: Array) -> None:
-        self.into = transpose(np.linalg.cholesky(family))
-        self._from, self._A, self._U = np.linalg.inv(self.into), A, U
-
-    def moved(self, changes: Array) -> Array:
-        """The loops of some plants, into_j A_i(v) from_i of every mode i and next mode j, (v, N, N, size, size)."""
-        return self._here(self._A) + self.added(changes)
-
-    def added(self, changes: Array) -> Array:
-        """What changes of the plant add to them."""
-        n, both = self._A.shape[-1], np.zeros((len(changes), *self._A.shape))
-        plant = changes.shape[1]
-        both[:, :, :plant, :plant] = changes[:, None, :, :plant]
-        both[:, :, :plant] += changes[:, None, :, plant:] @ self._U
-        return self._here(both.reshape(len(changes), -1, n, n))
-
-    def _here(self, A: Array) -> Array:
-        return np.asarray(self.into @ (A @ self._from)[..., None, :, :])
+def _seen_in(into: Array, A: Array) -> Array:
+    """into_j A_i into_i^-1 of every mode i and next mode j, (v, N, N, size, size)."""
+    return np.asarray(into @ (A @ np.linalg.inv(into))[..., None, :, :])
 
 
 def _family(A: Array, transition: Array) -> Array | None:

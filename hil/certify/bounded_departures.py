@@ -2,18 +2,22 @@
 
 The linear loop is mean-square stable, and what departs from it is a signal that pushes it, whatever that depends on. Then the
 root mean square of every output ends within a bound that the loop's own second moments give.
+
+A relative trigger lets every sample be wrong by a share of itself: one quadratic family over all shares decides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel
-from design.errors import NotStable
+from design.errors import DesignError, NotStable
+from design.jump_linear.mjls import STABILITY_MARGIN
 from design.verdict import State, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model
 from hil.certify.motion_test import SEED, SLOTS, random_inputs
@@ -89,6 +93,9 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
         verdict: on the linear loop.
         modes: makes the closed loop of a plant.
     """
+    if loop.shares:
+        beside = "a dead-band trigger beside a relative one"
+        return limited_to_model(loop.plant, _undecided(verdict, beside) if loop.slack else _by_share(loop, verdict, modes))
     pushed = pushed_by(loop)
     if pushed is None or not verdict.certified:
         return limited_to_model(loop.plant, verdict) if not loop.slack else _undecided(verdict, "a dead-band trigger")
@@ -119,6 +126,38 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
         assumptions=(*verdict.assumptions, "the bound is of the motion around the reference, without loads and noise"),
         method=f"{verdict.method}; what departs from it is bounded, and pushes it",
     )
+
+
+def _by_share(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Verdict:
+    """Return a verdict on the linear loop as one on samples that are wrong by a share, another in every slot and output."""
+    what = "a relative trigger"
+    if not verdict.certified:
+        return _undecided(verdict, what)
+    from design.networked_loop.polytope import MOST_UNKNOWNS, family_growth
+
+    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
+    wrong = [l for l, share in enumerate(loop.shares) if share]
+    signs = np.ones((2 ** len(wrong), len(C)))
+    signs[:, wrong] += np.array(list(product((-1.0, 1.0), repeat=len(wrong)))) * np.array(loop.shares)[wrong]
+    nominal, chances = modes(A, B, C)
+    corners = np.array([modes(A, B, sign[:, None] * C)[0] for sign in signs])
+    try:
+        growth = family_growth(nominal, chances, corners, corners)
+    except (DesignError, np.linalg.LinAlgError) as error:
+        return _undecided(verdict, f"{what}: {error}")
+    if growth is None:
+        return _undecided(verdict, f"{what}: a quadratic family has more than {MOST_UNKNOWNS} unknowns here")
+    if growth.factor >= 1.0 - STABILITY_MARGIN:
+        return _undecided(verdict, f"{what}: no quadratic family was found that falls (the best: {growth.factor:.4g})")
+    largest = 100.0 * max(loop.shares)
+    return replace(
+        verdict, number=growth.factor, quantity="largest factor by which one quadratic family grows in a slot",
+        reason=f"the loop is mean-square stable with samples wrong by up to {largest:.3g} %, another share in every slot: "
+        f"one quadratic family per mode grows by at most {growth.factor:.5g} in a slot; without, {verdict.reason}",
+        details={**verdict.details, "growth_of_one_family": growth.factor},
+        assumptions=(*verdict.assumptions, "around 0: a reference r adds to a sample up to its share of r, which stays bounded"),
+        method="one quadratic family per mode over the shares (semidefinite program)",
+    )  # fmt: skip
 
 
 def _undecided(verdict: Verdict, what: str) -> Verdict:

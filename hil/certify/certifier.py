@@ -64,6 +64,7 @@ class CertificationProblem:
         chainless: what keeps the experiment from having a chain of ages on both links; empty: not looked for, or nothing does.
         port: force and position of a device under one force, None for another plant.
         slack: how far what the controller has of each output may be from what was measured, by triggers; empty: nowhere.
+        shares: the same as a share of the output's own size, by relative triggers; empty: nowhere.
     """
 
     plant: Plant
@@ -83,6 +84,7 @@ class CertificationProblem:
     chainless: str = ""
     port: Port | None = None
     slack: tuple[float, ...] = ()
+    shares: tuple[float, ...] = ()
 
     @property
     def motion(self) -> LoopModel:

@@ -342,7 +342,8 @@ def _judged(
         digest=digest_of(e, controller, model),
         damped=rig.passivity, faults=len(e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
-        slack=found.slack, unmet=found.unmet, chainless="" if known else chainless, neglects=chains.neglects() if known else "",
+        slack=found.slack, shares=found.shares, unmet=found.unmet,
+        chainless="" if known else chainless, neglects=chains.neglects() if known else "",
     )  # fmt: skip
 
 

@@ -120,11 +120,12 @@ class TriggerTable(Table, frozen=True, kw_only=True):
 
     Args:
         kind: ``every-slot``; ``magnitude`` (some output is above the threshold), ``error`` (some output changed by more since
-            the node was last asked) or ``dead-band`` (some output differs by more from what was last sent).
-        threshold: in the outputs' unit; of no use to ``every-slot``.
+            the node was last asked), ``dead-band`` (some output differs by more from what was last sent) or ``relative`` (by more
+            than this share of its own size).
+        threshold: in the outputs' unit, of ``relative`` a share below 1; of no use to ``every-slot``.
     """
 
-    kind: Literal["every-slot", "magnitude", "error", "dead-band"] = "every-slot"
+    kind: Literal["every-slot", "magnitude", "error", "dead-band", "relative"] = "every-slot"
     threshold: float = 0.0
 
     @staticmethod
@@ -132,6 +133,8 @@ class TriggerTable(Table, frozen=True, kw_only=True):
         threshold, kind = values.get("threshold", 0.0), values.get("kind", "every-slot")
         if threshold < 0:
             yield f"threshold: {threshold:g} is negative"
+        if kind == "relative" and threshold >= 1:
+            yield f"threshold: {threshold:g}, expected a share of the output's own size, below 1"
         if kind == "every-slot" and threshold:
             yield "threshold: a node that sends in every slot takes no threshold"
         if kind != "every-slot" and "threshold" not in values:

@@ -9,7 +9,7 @@ import numpy as np
 
 from design.controllers import AgedFeedback, Controller, GainTable, LoopModel, ages_told, packet_samples, sojourns_told
 from hil.rig.delay_chains import Chains, within_reach
-from hil.rig.received_ages import received_ages, recorded_cycle
+from hil.rig.received_ages import BANDS, received_ages, recorded_cycle
 from hil.rig.spec import RigSpec
 from transport.laws.protocols import NetworkLaw, RecordedLaw
 
@@ -23,7 +23,8 @@ OLDEST_TOLD = 16
 class LoopChains(NamedTuple):
     """Both chains, None where there is none; what of the laws never happens, why there is no chain: empty for nothing.
 
-    `slack` is how far what the controller has of each output may be from what was measured, by dead bands; empty: nowhere.
+    `slack` is how far what the controller has of each output may be from what was measured, by dead bands; `shares` the same as a
+    share of the output's own size, by relative triggers; both empty: nowhere.
     """
 
     sc: DelayChain | None
@@ -31,6 +32,7 @@ class LoopChains(NamedTuple):
     unmet: str
     chainless: str
     slack: tuple[float, ...] = ()
+    shares: tuple[float, ...] = ()
 
 
 def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel) -> LoopChains:
@@ -63,28 +65,30 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         ca = within_reach(ca, chains.applied.states.initial)
     if sc is None:
         told = _told(controller, model)
-        slack = _slack(rig) if told == 1 and packet_samples(controller) == 1 else ()
-        found = received_ages(rig, chains.arriving, told, dead_bands=bool(slack))
+        slack, shares = _slack(rig) if told == 1 and packet_samples(controller) == 1 else ((), ())
+        found = received_ages(rig, chains.arriving, told, bands=bool(slack or shares))
         if isinstance(found, str):
             return LoopChains(None, ca, "", found)
-        return LoopChains(*settled(found, ca), "", "", slack)
+        return LoopChains(*settled(found, ca), "", "", slack, shares)
     return LoopChains(*settled(sc, ca), "", "")
 
 
-def _slack(rig: RigSpec) -> tuple[float, ...]:
-    """How far a silent node's last packet is from what it measures; empty where no node has a dead band, or it is not known.
+def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """How far a silent node's last packet is from what it measures, at most, and as a share of it; empty where none has a band.
 
     A node that is silent was asked: no output differs from what it sent last by more than the threshold. So the controller has
     what it would have if all had been sent, but for the threshold. It is not known where a packet may be lost, where silence lets
     others send sooner, and where gains know ages.
     """
-    bands = [s for s in rig.sensors if s.trigger.kind == "dead-band"]
-    if not bands or any(medium.table.loss or medium.table.kind == "can-arbitration" for medium in rig.media):
-        return ()
-    slack = np.zeros(len(rig.outputs))
-    for sensor in bands:
-        slack[list(sensor.outputs)] = sensor.trigger.threshold
-    return tuple(slack.tolist())
+    if any(medium.table.loss or medium.table.kind == "can-arbitration" for medium in rig.media):
+        return (), ()
+    found: dict[str, tuple[float, ...]] = {}
+    for kind in BANDS:
+        bands, slack = [s for s in rig.sensors if s.trigger.kind == kind], np.zeros(len(rig.outputs))
+        for sensor in bands:
+            slack[list(sensor.outputs)] = sensor.trigger.threshold
+        found[kind] = tuple(slack.tolist()) if bands else ()
+    return found["dead-band"], found["relative"]
 
 
 def _told(controller: Controller, model: LoopModel) -> int | Sequence[int]:

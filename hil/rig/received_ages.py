@@ -31,6 +31,8 @@ MOST_STATES = 1024
 
 Chance = tuple[float, float, float]  # probability, its lower and its upper bound
 SURE: Chance = (1.0, 1.0, 1.0)
+BANDS = ("dead-band", "relative")
+"""Triggers of a node that is silent only while what it measures is near what it sent."""
 _MEDIA = ("round-robin", "random", "can-arbitration")
 
 
@@ -91,17 +93,17 @@ def law_states(way: Received) -> LawStates | str:
 
 
 def received_ages(
-    rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[int], *, dead_bands: bool = False
+    rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[int], *, bands: bool = False
 ) -> DelayChain | str:
     """Return the chain of the ages of every output's newest sample at the controller; or in words why there is none.
 
-    A node with a dead band counts as one that sends whenever it may, where that is asked for.
+    A node with a band around what it sent counts as one that sends whenever it may, where that is asked for.
 
     Args:
         rig: its laws' files read.
         arriving: the law of each sensor node, as the controller meets it.
         told: how many ages 0, 1, ... the controller tells apart, of the oldest sample or of every node; the last for all beyond.
-        dead_bands: whether nodes with a dead band are known.
+        bands: whether nodes with a dead band or a relative trigger are known.
     """
     from design.processes.delay_chain import DelayChain
 
@@ -110,7 +112,7 @@ def received_ages(
         if medium.table.kind not in _MEDIA:
             return f"network.media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows"
     for sensor in sensors:
-        if sensor.trigger.kind != "every-slot" and not (dead_bands and sensor.trigger.kind == "dead-band"):
+        if sensor.trigger.kind != "every-slot" and not (bands and sensor.trigger.kind in BANDS):
             return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
         if sensor.clock.drawn:
             return f"{sensor.path}.clock draws when it sends"

@@ -68,8 +68,33 @@ class DeadBand:
         return True
 
 
+class Relative:
+    """The node sends when some y differs from what it last offered to send by more than a share of |y|.
+
+    Args:
+        share: below 1.
+
+    Reference: P. Tabuada, Event-triggered real-time scheduling of stabilizing control tasks, IEEE TAC 52(9), 2007; thesis
+    Section 8.2.2.
+    """
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._sent: tuple[float, ...] = ()
+
+    def sends(self, k: int, y: Sequence[float]) -> bool:
+        """See `Trigger.sends`."""
+        if self._sent and all(abs(a - b) <= self._share * abs(a) for a, b in zip(y, self._sent)):
+            return False
+        self._sent = tuple(y)
+        return True
+
+
 def trigger_of(table: TriggerTable) -> Trigger | None:
     """Return the trigger that an experiment asks for; None: the node sends in every slot."""
     threshold = table.threshold
-    made: dict[str, Trigger] = {"magnitude": Magnitude(threshold), "error": Error(threshold), "dead-band": DeadBand(threshold)}
+    made: dict[str, Trigger] = {
+        "magnitude": Magnitude(threshold), "error": Error(threshold), "dead-band": DeadBand(threshold),
+        "relative": Relative(threshold),
+    }  # fmt: skip
     return made.get(table.kind)

@@ -9,6 +9,7 @@ import pytest
 
 from design.errors import NotStable
 from design.jump_linear.certificate import ultimate_bound
+from design.processes.delay_chain import DelayChain
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import Loop, compose
 from hil.session import simulate
@@ -98,3 +99,45 @@ def test_the_bound_of_a_scalar_loop_is_that_of_its_worst_signal() -> None:
     assert 1.0 / (1.0 - share) <= both[0] <= 1.002 / (1.0 - share)
     with pytest.raises((NotStable, np.linalg.LinAlgError)):
         ultimate_bound(np.array([[[1.0 + 1e-12]]]), np.ones((1, 1)), np.ones((1, 1, 1)), np.ones((1, 1)))
+
+
+def relative(share: float, **changes: Any) -> Loop:
+    trigger = {"kind": "relative", "threshold": share}
+    return composed("dc-motor-two-nodes", **{"controller": NO_AGES, "network.nodes.angle.trigger": trigger} | changes)
+
+
+def test_a_relative_trigger_is_certified_to_a_share_and_its_runs_go_to_rest_with_fewer_packets() -> None:
+    loop = relative(0.1)
+    assert loop.verdict is not None and loop.verdict.certified and loop.verdict.kind == "mean-square stability"
+    assert loop.verdict.number is not None and 0.5 < loop.verdict.number < 1.0 and "up to 10 %" in loop.verdict.reason
+    run = simulate(loop, 1, ["/plant/state"]).arrays["/plant/state"]
+    assert np.abs(run["angle"][-20:]).max() < 1e-4
+    larger = relative(0.9, controller={"kind": "local", "gain": [[-0.15, -0.018]]}).verdict
+    assert larger is not None and larger.state == "undecided" and "no quadratic family" in larger.reason
+    both = relative(0.1, **{"network.nodes.speed.trigger": BAND}).verdict
+    assert both is not None and both.state == "undecided" and "beside a relative one" in both.reason
+    lossy = relative(0.1, **{"network.media": {"bus": LOSSY_BUS}}).verdict
+    assert lossy is not None and lossy.state == "undecided"
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_shares_that_change_in_every_slot_never_grow_faster_than_the_family(share: float) -> None:
+    """Second moments of the loop whose shares are drawn at random, 60 periodic orders: 0 above the number."""
+    from design.networked_loop.closed_loop import loop_structure
+
+    at_once, late = {"kind": "constant", "age": 0}, {"kind": "constant", "age": 1}
+    loop = relative(share, **{"network.ca.law": late} | {f"network.nodes.{name}.law": at_once for name in ("angle", "speed")})
+    assert loop.verdict is not None and loop.verdict.certified
+    A, B, C = loop.model.A, loop.model.B, loop.model.C
+    K, a_slot = np.array([[[[-0.05, -0.006]]]]), DelayChain(transition=[[1.0]], delays=[1])
+
+    def closed(wrong: float) -> Any:
+        return loop_structure(A, B, np.diag([1.0 + wrong, 1.0]) @ C, [[1.0]], a_slot, "constant").matrices(K)[0]
+
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        whole = np.eye(len(closed(0.0)))
+        length = int(rng.integers(1, 7))
+        for wrong in rng.choice([-share, share, 0.0], size=length):
+            whole = closed(wrong) @ whole
+        assert np.abs(np.linalg.eigvals(whole)).max() ** (2.0 / length) <= loop.verdict.number
