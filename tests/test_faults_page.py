@@ -141,6 +141,12 @@ TESTS: dict[str, tuple[str, ...]] = {
                         "test_what_is_real_is_read_and_what_is_damaged_refused_with_one_message"),
     "recorded packets, traffic": ("test_what_the_fuzz_found_stays_refused",
                                   "test_what_is_real_is_read_and_what_is_damaged_refused_with_one_message"),
+    "traffic of a bus": ("test_traffic_that_would_take_minutes_is_refused",
+                         "test_a_dbc_with_a_message_of_a_hundred_million_bits_is_refused_at_once"),
+    "answers to `hil probe`": (
+        "test_an_answer_of_an_instant_that_no_clock_reads_is_none",
+        "test_an_end_that_dates_answers_before_the_question_or_after_their_arrival_has_another_clock",
+    ),
     "CAN log": ("test_what_the_fuzz_found_stays_refused", "test_what_is_no_can_log_is_refused"),
     "file of a sweep": ("test_a_row_that_is_none_is_one_message", "test_a_line_without_end_is_no_sweep"),
     "log that unpacks": ("test_a_few_bytes_do_not_cost_gigabytes", "test_the_limit_grows_with_the_file",

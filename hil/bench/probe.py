@@ -1,7 +1,8 @@
 """A real link, measured: sensor frames out at a rate, control frames back, each with the clocks of both ends.
 
 The frames are the product's own. The answering end puts its clock into `control_ns`, and a digest of its boot into `echo`: if
-that is ours too, both ends read one CLOCK_MONOTONIC, and latencies of one way are what they seem.
+that is ours too, and every answer is dated between question and receipt, both ends read one CLOCK_MONOTONIC, and latencies of
+one way are what they seem.
 """
 
 from __future__ import annotations
@@ -100,8 +101,10 @@ def probe(
             packet = None if data is None else decode(data)
             if not isinstance(packet, ControlPacket):
                 continue
+            if packet.control_ns <= 0:  # no CLOCK_MONOTONIC says so
+                continue
             met = True
-            one_clock = one_clock and packet.echo == boot
+            one_clock = one_clock and packet.echo == boot and packet.sample_ns <= packet.control_ns <= now
             if packet.seq < count and packet.sample_ns == trips[packet.seq].sent_ns > 0 and not trips[packet.seq].received_ns:
                 trips[packet.seq].answered_ns, trips[packet.seq].received_ns = packet.control_ns, now
         return met

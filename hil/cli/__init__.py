@@ -166,6 +166,9 @@ def main(args: list[str] | None = None) -> Any:
         if e.errno in (errno.EMFILE, errno.ENFILE):
             print("hil: no free file descriptor; raise the limit: ulimit -n 64", file=sys.stderr)
             sys.exit(2)
+        if e.errno in (errno.ENAMETOOLONG, errno.ELOOP) and e.filename is not None:
+            print(f"hil: {str(e.filename)[:200]!r}: no path to a file: {e.strerror}", file=sys.stderr)
+            sys.exit(2)
         if e.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         _close_stdout()

@@ -79,6 +79,8 @@ def law(
     with Working("fit of network laws"):
         for way, record in records.items():
             slot = record.period_s if period is None else period
+            if not slot > 0.0:
+                raise HilError(f"{recording.source}: {way}: half of the packets or more have one time stamp; add --period")
             fits[way] = fit_law(record, slot, deadline * slot)
     said = {way: fit_said(fit, way, recording.source, notes) for way, fit in fits.items()}
     found = {way: fit for way, fit in fits.items() if fit.law_class != "none"}

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
+from hil.errors import HilError
 from hil.experiment.nodes import Medium, TrafficTable
 from hil.rig.can_bus import periodic_message, periodic_traffic, rates_of
 from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
@@ -14,6 +16,10 @@ from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.node import CanNode, Waiting
 from transport.can_bus_model.traffic import Traffic
+
+MOST_MESSAGES: Final = 1000
+MOST_WAITING: Final = 20_000
+"""Frames that an overloaded bus leaves waiting: each of them makes every further one slower."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,10 +120,20 @@ def analyse_traffic(
 
     Raises:
         ValueError: two messages have one identifier.
+        HilError: more messages, or more frames that would wait, than are simulated.
     """
+    if len(traffic) > MOST_MESSAGES:
+        raise HilError(f"{name}: {len(traffic)} messages, at most {MOST_MESSAGES}")
     medium = Medium(kind="can", nodes=(), bitrate=rates.bitrate, dbitrate=rates.dbitrate, traffic=tuple(traffic))
     senders = list(dict.fromkeys(message.sender for message in traffic))
     messages = [periodic_message(message, medium) for message in traffic]
+    load = float(bus_load(messages, rates))
+    left = seconds * sum(1.0 / float(message.period) for message in traffic) * max(0.0, 1.0 - 1.0 / load)
+    if left > MOST_WAITING:
+        raise HilError(
+            f"{name}: the messages need {100.0 * load:.0f} % of the bus, so that {left:.0f} frames would wait in the end, "
+            f"at most {MOST_WAITING} are simulated; --duration {seconds * MOST_WAITING / left:.2g}, or fewer messages"
+        )
     bus = CanBus(rates_of(medium), [CanNode() for _ in (*senders, "a listener")])
     number = {sender: i for i, sender in enumerate(senders)}
     sources = periodic_traffic(medium, number)

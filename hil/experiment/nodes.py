@@ -20,6 +20,10 @@ MOST_TRAFFIC: Final = 2000
 _ZERO = typing.cast(Seconds, 0.0)
 
 
+MOST_NAME: typing.Final = 128
+"""Characters of the name of a message or of a node on a bus, as in a DBC file."""
+
+
 class TrafficTable(Table, frozen=True, kw_only=True):
     """A message of another node on the bus, sent again and again.
 
@@ -57,6 +61,9 @@ class TrafficTable(Table, frozen=True, kw_only=True):
             yield f"period: {values['period']:g} s is not between 10 us and 1 h"
         yield from not_negative(values, "offset")
         yield from not_negative(values, "jitter")
+        for field in ("name", "node"):
+            if len(values.get(field, "")) > MOST_NAME:
+                yield f"{field}: {len(values[field])} characters, expected {MOST_NAME} at most"
         length, data = values.get("length", 8), values.get("data")
         if data is not None:
             try:

@@ -24,6 +24,8 @@ from transport.wire.fields import frame_length
 LARGEST = 16_000_000
 _DURATIONS = ("period", "offset", "jitter")
 _FLAGS = {"": False, "0": False, "no": False, "false": False, "1": True, "yes": True, "true": True}
+_TOO_LONG: Final = re.compile(r"^\s*(?:BO_|SG_)[^:\n]*:\s*(?:\d+\|)?\d{6,}", re.MULTILINE)
+"""cantools keeps every bit of a message in a list."""
 
 
 def with_traffic_file(e: Experiment) -> Experiment:
@@ -124,6 +126,9 @@ def _sound(values: dict[str, Any]) -> TrafficTable:
 def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
     import cantools
 
+    beyond = _TOO_LONG.search(text)
+    if beyond is not None:
+        raise HilError(f"{path}: is no DBC: {beyond[0].strip()[:80]!r}: no message has so many bits")
     try:
         database: Any = cantools.database.load_string(text, "dbc", strict=False)
     except Exception as error:  # of any kind, from whatever stands in the file

@@ -25,7 +25,7 @@ PATIENCE_S = 120.0
 
 WORDS = (
     "-1", "0", "1e308", "nan", "inf", "-inf", "9" * 20, "1e-300", "", "x", "[1]", "\x1b[2J", "a=b", "=", "../x", "device", "/",
-    "/proc/self/mem", "a\nb",
+    "/proc/self/mem", "a\nb", "b/" * 3000,
 )  # fmt: skip
 COMMANDS: dict[str, tuple[str, ...]] = {
     "run": ("dc-motor-hinf", "--duration", "0.2", "--quiet", "--force", "-o", "o.mcap"),
@@ -103,6 +103,8 @@ def test_every_option_with_every_word_gets_one_message(part: int, tmp_path: Path
         ("design", "dc-motor-ours-h2", "--starts", "9" * 20),
         ("design", "dc-motor-ours-h2", "--gain-bound", "1e308"),
         ("design", "dc-motor-ours-h2", "--integral", "1e308"),
+        ("run", "dc-motor-hinf", "--duration", "0.2", "--quiet", "-o", "b/" * 3000),
+        ("report", "b" * 3000 + ".mcap"),
     ],
 )
 def test_what_once_failed(words: Words, tmp_path: Path) -> None:

@@ -188,11 +188,12 @@ def response_times(
         if first.key() == second.key():
             raise FieldError("identifier", f"{first.name!r} and {second.name!r} have {first.identifier:#x}, expected one each")
     known = [_Of(message, rates) for message in order]
-    found = []
+    found, load = [], Fraction(0)
     for place, own in enumerate(known):
         higher = known[:place]
         blocking = max((other.length for other in known[place + 1 :]), default=0)
-        slowest = _slowest(own, higher, blocking, rates, errors)
+        load += Fraction(own.length, own.period)
+        slowest = _slowest(own, higher, blocking, load, rates, errors)
         response, instance = (None, 0) if slowest is None else slowest
         found.append(
             ResponseTime(
@@ -209,7 +210,7 @@ def response_times(
 
 
 def _slowest(
-    own: _Of, higher: Sequence[_Of], blocking: int, rates: BitRates, errors: ErrorBursts | None
+    own: _Of, higher: Sequence[_Of], blocking: int, load: Fraction, rates: BitRates, errors: ErrorBursts | None
 ) -> tuple[int, int] | None:  # fmt: skip
     """Return the largest response time in units and its instance; None without a bound."""
     of_bus = [*higher, own]
@@ -218,7 +219,6 @@ def _slowest(
     def lost(units: int) -> int:
         return per_error * errors.most(units, rates) if errors is not None else 0
 
-    load = bus_load([each.message for each in of_bus], rates)
     load += 0 if errors is None else Fraction(per_error, rates.units(errors.interval_ns))
     if load > 1 or (load == 1 and (blocking or errors or any(each.jitter for each in of_bus))):
         return None  # the busy period never ends

@@ -5,6 +5,7 @@ How a Python process of ours starts: no folder of the user stands on its path be
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 import subprocess
@@ -83,6 +84,7 @@ class Child:
                 stdout=sys.stderr.fileno() if _has_fileno(sys.stderr) else subprocess.DEVNULL,
                 pass_fds=pass_fds,
                 start_new_session=True,
+                env={name: value for name, value in os.environ.items() if name != "PYTHONINSPECT"},  # it would wait for more
             )
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)

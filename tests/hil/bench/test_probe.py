@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import os
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from hil.bench.probe import monotonic_ns, own_boot, probe, write_probe_log
 from hil.log.read.run import read_run
 from hil.log.recordings.read import read_recording
 from hil.log.recordings.recording import packet_records
 from tests.hil.cli.conftest import Hil, cli
+from transport import ControlPacket, SensorPacket, decode, encode_control
+from transport.links.link import LinkCounters
 
 __all__ = ["cli"]
 
@@ -41,3 +47,53 @@ def test_without_another_end_nothing_is_written(cli: Hil, tmp_path: Path) -> Non
     for link in ("local:", "memory:", "cann:hil:x"):
         assert cli("probe", link, "-o", "link.mcap")[0] == 2
     assert cli("probe", "can:hil:x", "--answer", "--both")[0] == 2
+
+
+class Liar:
+    """The other end of a link, which dates its answers as it likes, or says them twice.
+
+    Args:
+        dates: `control_ns` of an answer.
+        times: how often it is said.
+    """
+
+    uri, counters = "liar", LinkCounters()
+
+    def __init__(self, dates: Callable[[int], int], times: int = 1) -> None:
+        self._dates, self._times, self._said = dates, times, deque[bytes]()
+
+    def send(self, packet: bytes) -> None:
+        asked = decode(packet)
+        assert isinstance(asked, SensorPacket)
+        lie = self._dates(len(self._said))
+        answer = ControlPacket(asked.seq, asked.sample_ns, lie, 0, 0, ((0.0,),), own_boot(), asked.counter)
+        self._said.extend([encode_control(answer)] * self._times)
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        return self._said.popleft() if self._said else None
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("answered_ns", [2**63 - 1, 1], ids=["future", "past"])
+def test_an_end_that_dates_answers_before_the_question_or_after_their_arrival_has_another_clock(
+    cli: Hil, tmp_path: Path, answered_ns: int
+) -> None:
+    trips, one_clock = probe(Liar(lambda n: answered_ns), 2000.0, 0.2)
+    assert not one_clock and all(trip.received_ns for trip in trips)
+    write_probe_log(tmp_path / "link.mcap", "can:hil:x", 2000.0, trips, one_clock)
+    status, _, err = cli("identify", "law", "link.mcap")
+    assert status == 2 and "ca: half of the packets or more have one time stamp; add --period" in err, err
+
+
+def test_an_answer_of_an_instant_that_no_clock_reads_is_none(tmp_path: Path) -> None:
+    lies = iter([1, *[-(2**63), 0] * 10**6])  # the greeting is answered
+    trips, _ = probe(Liar(lambda n: next(lies)), 2000.0, 0.02)
+    assert not any(trip.received_ns for trip in trips)
+    write_probe_log(tmp_path / "link.mcap", "can:hil:x", 2000.0, trips, False)
+    assert (read_run(tmp_path / "link.mcap").arrays["/probe/packet"]["received_ns"] == 0).all()
+
+
+def test_of_two_answers_the_first_counts() -> None:
+    trips, one_clock = probe(Liar(lambda n: monotonic_ns(), times=2), 2000.0, 0.02)
+    assert one_clock and all(trip.sent_ns <= trip.answered_ns <= trip.received_ns for trip in trips)

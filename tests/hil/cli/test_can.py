@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from hil.cli.can import command
 from hil.errors import HilError
+from tests.hostile.watchdog import within
 from tests.transport.can_analysis.sae import BOUNDS_MS, SAE
 
 
@@ -62,3 +63,39 @@ def test_what_cannot_be_analysed_is_refused(words: list[str], said: str) -> None
     with pytest.raises(HilError) as caught:
         run(*words)
     assert said in str(caught.value)
+
+
+def traffic(folder: Path, count: int, period: str, name: str = "m", extended: int = 0) -> str:
+    rows = [f"{name}{i},{i},{period},8,{extended}" for i in range(count)]
+    (folder / "t.csv").write_text("\n".join(["name,can_id,period,length,extended", *rows]))
+    return str(folder / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("count", "period", "name", "said"),
+    [
+        (1999, "1 ms", "m", "1999 messages, at most 1000"),
+        (900, "1 ms", "m", "frames would wait in the end, at most 20000 are simulated; --duration"),
+        (2, "1 s", "n" * 1000, "name: 1001 characters, expected 128 at most"),
+    ],
+    ids=["many", "overloaded", "long names"],
+)
+def test_traffic_that_would_take_minutes_is_refused(count: int, period: str, name: str, said: str, tmp_path: Path) -> None:
+    with within(), pytest.raises(HilError, match=said):
+        run(traffic(tmp_path, count, period, name), "--bitrate", "500k")
+
+
+def test_as_many_messages_as_are_allowed_take_no_minutes(tmp_path: Path) -> None:
+    """The load of the messages above was added up anew for each, in fractions: 2000 of them took half a minute."""
+    rows = [f"m{i},{i},{9000 + 7 * i} ms,8" for i in range(1000)]
+    (tmp_path / "t.csv").write_text("\n".join(["name,can_id,period,length", *rows]))
+    with within():
+        found = json.loads(run(str(tmp_path / "t.csv"), "--bitrate", "500k", "--duration", "0.1", "--json"))
+    assert len(found["messages"]) == 1000 and all(each["in_time"] for each in found["messages"])
+
+
+@pytest.mark.parametrize("line", ["BO_ 1 M: 99999999 A", "BO_ 1 M: 8 A\n SG_ S : 0|99999999@1+ (1,0) [0|0] \"\" A"])
+def test_a_dbc_with_a_message_of_a_hundred_million_bits_is_refused_at_once(line: str, tmp_path: Path) -> None:
+    (tmp_path / "t.dbc").write_text(f'VERSION ""\nBU_: A\n{line}\n')
+    with within(), pytest.raises(HilError, match=r"is no DBC: .*no message has so many bits"):
+        run(str(tmp_path / "t.dbc"), "--bitrate", "500k")

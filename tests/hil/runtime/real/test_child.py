@@ -6,11 +6,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from hil.runtime.real.child import Child, is_stopped
 
 OFTEN = """
 import os
 import hil.session
+import pytest
+
 from hil.runtime.real.child import Child, is_stopped
 
 def anonymous_kb():
@@ -56,3 +60,10 @@ def test_a_job_that_never_comes_whole_ends_a_child_without_a_traceback() -> None
     """The session was interrupted while it told the rig what to run."""
     done = subprocess.run([sys.executable, "-P", "-m", "hil.runtime.real.rig_process"], input=b"\x80\x04", capture_output=True)
     assert done.returncode == 1 and done.stderr == b""
+
+
+def test_a_child_ends_where_the_environment_keeps_python_for_more_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PYTHONINSPECT: the rig read standard input behind its last line, and ended with status 1."""
+    monkeypatch.setenv("PYTHONINSPECT", "1")
+    child = Child("rig", "sysconfig", None, dump=lambda job, stream: None)
+    assert child.wait(60.0) and child.poll() == 0
